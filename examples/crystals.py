@@ -29,11 +29,11 @@ from tools.crystals import RECIPES, force_constants, spacing_of
 from tools.isotropic_rival import isotropic_lps
 from warp_peri import LPS, Bernstein, Micromodulus
 from warp_peri.core.elastic import allowed_tensors, directional, named_moduli
+from warp_peri.core.elements import q1_tensors
 from warp_peri.core.groups import point_group
 from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum
 from warp_peri.micromodulus import tensors_of
-from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import from_phonons

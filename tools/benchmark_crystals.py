@@ -14,19 +14,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from warp_peri.micromodulus.certificate import certify
 
 from tools.crystals import force_constants
+from warp_peri.core.proof import prove
 from warp_peri.core.stencil import half_ball
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.operator import Operator
-from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.waves import from_phonons, transferred
 from warp_peri.points.points import Points
+from warp_peri.statics.settings import TOLERANCE
 
 SIDES = (64, 128)
-"""Nodes along an edge of the cubes that are solved for."""
+"""Grid along an edge of the cubes that are solved for."""
 TURN = np.deg2rad(20.0)
 PROGRAM = """import sys, json
 sys.path[:0] = {path!r}
@@ -102,7 +102,7 @@ def forces(law: Crystal, *, side: int, rounds: int) -> dict[str, float]:
     for threads, method in itertools.product((1, 2), ("rows", "fft")):
         set_threads(threads)
         operator = law.on(points, method=method)
-        planes = operator.nodes.lay_out(u[None])
+        planes = operator.nodes.scatter(u[None])
         key = f"{method}, {threads} thread{'s'[: threads - 1]}"
         found[key] = least(functools.partial(operator.pull, planes), rounds)
         if method == "rows" and threads == 1 and (loop := numba_loop(operator)) is not None:
@@ -128,7 +128,7 @@ def crossing(*, rounds: int = 5) -> dict[str, list[tuple[int, float]]]:
             law = Crystal(1.0, steps, np.eye(d) / (steps**2).sum(axis=1)[:, None, None] ** 2)
             points = cube(law, side, d)
             ways = [law.on(points, method=method) for method in ("fft", "rows")]
-            planes = ways[0].nodes.lay_out(
+            planes = ways[0].nodes.scatter(
                 np.random.default_rng(0).normal(size=(1, *points.x.shape))
             )
             seconds: list[list[float]] = [[], []]
@@ -150,7 +150,7 @@ def solved(law: Crystal, side: int) -> dict[str, Any]:
     b = 1e-3 * rng.normal(size=points.x.shape)
     u = 0.01 * np.sin(2 * np.pi * points.x / (side * law.spacing))
     start = time.perf_counter()
-    _, record = solve(operator, b, u)
+    _, (record,) = operator.linear.solve(b[None], u[None], TOLERANCE)
     seconds = time.perf_counter() - start
     status = Path("/proc/self/status").read_text(encoding="ascii")
     peak = re.search(r"VmHWM:\s+(\d+) kB", status)  # of this program alone, whoever started it
@@ -192,7 +192,7 @@ def crystals(*, quick: bool) -> dict[str, Any]:
     ]
     cases.append(("80 bonds, turned by 20°, full zone", turned, WITHOUT))
     for name, one_law, group in cases:
-        proof = certify(one_law.steps, one_law.tensors * one_law.spacing**2, group)
+        proof = prove(one_law.stencil, group)
         found[f"proof, {name}"] = proof.content()
         print(
             f"proof, {name}: {proof.proven / proof.sampled:.2f} of the sampled minimum, "

@@ -29,7 +29,7 @@ def ways(law: DressedSolid, points: Points) -> dict[str, Callable[[], Any]]:
     rng = np.random.default_rng(0)
     rows, layers = law.crystal.on(points, method="rows"), law.on(points)
     single = law.on(points, dtype=np.float32)
-    planes = layers.nodes.lay_out(rng.normal(size=(1, *points.x.shape)))
+    planes = layers.nodes.scatter(rng.normal(size=(1, *points.x.shape)))
     found: dict[str, Callable[[], Any]] = {
         "bonds of L by rows": functools.partial(rows.pull, planes),
         "G, K, G": functools.partial(layers.pull, planes),

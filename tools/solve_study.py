@@ -18,18 +18,17 @@ import torch
 
 from tools import numba_rival, rivals
 from warp_peri import Model, load
+from warp_peri.core.grid import Grid
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
+from warp_peri.models.lps import lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
-from warp_peri.operator.stencil import Torus, stencil
 from warp_peri.points.points import Points
-from warp_peri.statics.dirichlet import Dirichlet
-from warp_peri.statics.domain import Domain, domain
-from warp_peri.statics.equilibrium import on_domain
-from warp_peri.statics.lps import STIFF
+from warp_peri.statics.equilibrium import equilibrium, lps_linear
+from warp_peri.statics.linear import STIFF, Linear
 
 SIDES = (64, 128, 250, 500, 1000, 2000)
 TOLERANCE = 1e-8
@@ -74,15 +73,17 @@ def problem(mask: np.ndarray, horizon: float, spacing: float) -> Points:
     return Points(spacing * np.argwhere(np.ones_like(mask)).astype(float), mask.ravel(), spacing)
 
 
-def loads(nodes: Domain) -> dict[str, torch.Tensor]:
-    """A smooth load, a point load and noise on the box, shape [2, n₁, n₂]."""
-    n, m = nodes.mask.shape
-    x, y = (torch.arange(size, dtype=torch.float64) / size for size in (n, m))
-    smooth = torch.stack([torch.sin(3 * x)[:, None] * torch.cos(2 * y), torch.ones(n, m)])
-    point = torch.zeros(2, n, m, dtype=torch.float64)
+def loads(grid: Grid) -> dict[str, np.ndarray]:
+    """A smooth load, a point load and noise on the unknown nodes, shape [I, 2]."""
+    n, m = (size - 2 * grid.reach for size in grid.shape)
+    x, y = (np.arange(size) / size for size in (n, m))
+    smooth = np.stack([np.sin(3 * x)[:, None] * np.cos(2 * y), np.ones((n, m))])
+    point = np.zeros((2, n, m))
     point[0, n // 3, m // 4] = 1
-    noise = torch.from_numpy(np.random.default_rng(0).normal(size=(2, n, m)))
-    return {"smooth": smooth * nodes.mask, "point": point * nodes.mask, "noise": noise * nodes.mask}
+    fields = {"smooth": smooth, "point": point}
+    fields["noise"] = np.random.default_rng(0).normal(size=(2, n, m))
+    around = [(0, 0), *[(grid.reach, grid.reach)] * 2]
+    return {name: grid.gather(np.pad(f, around)[None])[0] for name, f in fields.items()}
 
 
 def measure(model: Model, shape: str, side: int, method: str, material: str) -> Row:
@@ -90,20 +91,21 @@ def measure(model: Model, shape: str, side: int, method: str, material: str) -> 
     spacing = model.certified_on[0]
     points = problem(mask_of(shape, side), model.horizon, spacing)
     start = time.perf_counter()
-    nodes = domain(points, model.horizon, device=torch.device("cpu"))
+    linear = lps_linear(points, model.solid, model.horizon)
     layout = time.perf_counter() - start
     start = time.perf_counter()
-    system = Dirichlet(nodes, stencil(nodes.classes, model.solid), method)
+    linear.check_definite()
+    linear.filter(method)
     setup = time.perf_counter() - start
     solves = []
-    for force in loads(nodes).values():
+    for force in loads(linear.grid).values():
         start = time.perf_counter()
-        _, record = system.solve(force, TOLERANCE)
+        _, record = linear.inverse(force, TOLERANCE, method)
         solves.append((time.perf_counter() - start, record))
     return Row(
         shape,
         side,
-        2 * len(nodes.free),
+        2 * len(linear.grid.interior),
         method,
         material,
         layout,
@@ -138,13 +140,11 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
     law: dict[str, Any] = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
     tables = rivals.tables(bonds, points.x, np.array(box), u, u, **law)
     forward, _ = numba_rival.numba_parallel(tables, np.float64, fastmath=False)
-    torus = Torus((side, side), torch.device("cpu"))
     scaled = replace(model, horizon=horizon, D_dilatation=model.D, certified_on=(1.0,))
-    symbol = torus.symbol(stencil(bonds.families.classes, scaled.solid))
-    field = torch.from_numpy(np.ascontiguousarray(u.T.reshape(2, side, side)))
+    whole = Linear(lps_stencil(scaled, 1.0), points, by="fft")
     solid = Solid(model.lam, model.mu, model.alpha, model.D)
     candidates = {
-        "stencil by FFT": lambda: torus.product(symbol, field).reshape(2, -1).T.numpy(),
+        "stencil by FFT": lambda: whole(u[None])[0],
         "Numba, two sweeps": lambda: forward(),
         "warp_peri, two sweeps": lambda: lps_force(bonds, torch.from_numpy(u), solid).numpy(),
     }
@@ -163,7 +163,8 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
 def adjoint_ratio(model: Model, side: int) -> float:
     """Time of the gradient of a solve to load, λ, μ, α and D over that of the solve."""
     points = problem(mask_of("square", side), model.horizon, model.certified_on[0])
-    nodes = domain(points, model.horizon, device=torch.device("cpu"))
+    linear = lps_linear(points, model.solid, model.horizon)
+    options: dict[str, Any] = {"horizon": model.horizon, "method": "sine", "linear": linear}
     noise = torch.from_numpy(np.random.default_rng(0).normal(size=(1, len(points.x), 2)))
     inside = torch.from_numpy(points.interior)[:, None]
     law = model.solid.map(
@@ -173,7 +174,7 @@ def adjoint_ratio(model: Model, side: int) -> float:
     ratios = []
     for _ in range(3):
         start = time.perf_counter()
-        u = on_domain(nodes, b, noise * ~inside, law, "sine", TOLERANCE)
+        u = equilibrium(points, b, noise * ~inside, law, **options)
         middle = time.perf_counter()
         torch.autograd.grad((u * u).sum(), [b, *law.values()], allow_unused=True)
         ratios.append((time.perf_counter() - middle) / (middle - start))

@@ -24,9 +24,9 @@ from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.points.points import Points
-from warp_peri.statics import nonlinear
+from warp_peri.statics import linear
 from warp_peri.statics.direct import RESIDUAL
-from warp_peri.statics.lps import DIRECT
+from warp_peri.statics.linear import DIRECT
 from warp_peri.statics.settings import TOLERANCE
 
 SIDES = (10, 16, 24, 34, 48, 61, 100, 200)
@@ -71,7 +71,6 @@ def linear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
             ways: dict[str | None, Any] = {
                 None: None,
                 iterative: Krylov(iterative, tolerance=to),
-                "fft": Krylov("fft", tolerance=to),
             }
             if side <= MOST_LU:
                 ways["lu"] = Direct()
@@ -90,13 +89,13 @@ def linear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
 @contextmanager
 def only(method: str | None) -> Iterator[None]:
     """Linear solves inside a nonlinear one by one method."""
-    chosen = vars(nonlinear)["choose_method"]
+    chosen = vars(linear)["cheapest_method"]
     if method:
-        vars(nonlinear)["choose_method"] = lambda *points, **options: method
+        vars(linear)["cheapest_method"] = lambda *nodes, **options: method
     try:
         yield
     finally:
-        vars(nonlinear)["choose_method"] = chosen
+        vars(linear)["cheapest_method"] = chosen
 
 
 def nonlinear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:

@@ -20,7 +20,7 @@ from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, factors, symbols
 from warp_peri.prediction.spectrum import KNOTS, Spectrum
-from warp_peri.statics.lps import DIRECT, cheapest_method
+from warp_peri.statics.linear import DIRECT, cheapest_method
 from warp_peri.transfer.cache import on_lattice
 
 LU_POWER = 1.5
@@ -196,7 +196,7 @@ def _ways(table: dict[str, Any], scene: Scene, name: str) -> list[_Way]:
             each = (row["hundred"] - setup) / 100
         seconds = setup + scene.loads * each
         method = cheapest_method(
-            int(nodes), rectangle=scene.rectangle, stiff=scene.stiff, loads=scene.loads
+            int(nodes), box=scene.rectangle, stiff=scene.stiff, loads=scene.loads
         )
         if kind.startswith("FEM"):
             method, seconds = "elements", seconds * growth**LU_POWER
@@ -373,7 +373,7 @@ def _of_dressed(law: DressedSolid, tolerance: float, scene: Scene, table: dict[s
 def _way(spacing: float, scene: Scene, table: dict[str, Any]) -> tuple[float, str, float]:
     """Nodes of a scene, how they are solved for, and in how many seconds."""
     nodes = math.prod(length / spacing for length in scene.size)
-    method = cheapest_method(int(nodes), rectangle=scene.rectangle, stiff=scene.stiff)
+    method = cheapest_method(int(nodes), box=scene.rectangle, stiff=scene.stiff)
     if nodes > DIRECT:
         iterated = "sine" if scene.rectangle else "multigrid"
         return nodes, method, table["seconds_per_node"][iterated] * nodes

@@ -136,13 +136,11 @@ def placed(
     """
     if hasattr(material, has) and not hasattr(material, by):
         mine = material.points
-        same = mine is points or (
-            mine.spacing == points.spacing
-            and np.array_equal(mine.x, points.x)
-            and np.array_equal(mine.interior, points.interior)
-        )
-        if not same:
-            raise InputError("operator: expected one on the points of the problem, got another's")
+        if mine is not points and (what := mine.differs_from(points)):
+            raise InputError(
+                "operator: expected one on the points of the problem, got another's, which differ "
+                f"in {what}"
+            )
         return material
     on = offered(material, by, verb, kinds)
     known = signature(on).parameters

@@ -7,8 +7,8 @@ import numpy as np
 
 import warp_peri as wp
 from examples.studies.atlas_entry import Entry, words, written
+from warp_peri.points.samples import part
 from warp_peri.prediction import Family
-from warp_peri.prediction.learning import part
 
 LONG = 45.0
 """Waves that the family learns from are longer [Å]."""

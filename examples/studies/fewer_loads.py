@@ -39,8 +39,8 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus.waves import fit_symbol
+from warp_peri.points.samples import part
 from warp_peri.prediction import next_load
-from warp_peri.prediction.learning import part
 from warp_peri.transfer.waves import dispersion
 
 OUT = ROOT / "runs" / "fewer_loads"

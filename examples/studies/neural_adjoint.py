@@ -93,10 +93,7 @@ def measured() -> dict[str, Any]:
     with kept.hooks:
         search.gradient(rest, 2 * (rest[rows] - target))
     adjoint["derivative"], exact = time.process_time() - began, gradient(material)
-    L, U = search.factors.L, search.factors.U
-    adjoint["MB"] = (
-        kept.megabytes + sum(one.data.nbytes + one.indices.nbytes for one in (L, U)) / 1e6
-    )
+    adjoint["MB"] = kept.megabytes
     unrolled = []
     for most in STEPS:
         kept, began = Kept(), time.process_time()

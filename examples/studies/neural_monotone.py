@@ -32,9 +32,8 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.neural.networks import network
-from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.families import families_of
-from warp_peri.statics.nonlinear import anderson, linear_solver
+from warp_peri.statics.equilibria import anderson
 
 HORIZON, STRAIN = 20.0, 0.02
 """δ [Å], and the scale of the networks' inputs."""
@@ -204,8 +203,8 @@ def train(
 def solved(net: Any, bonds: BondTable, model: NonlinearModel, every: int = 1) -> dict[str, float]:
     """E_u by the accelerated fixed point of the linear solid, and the share that converged."""
     samples = bonds.samples
-    solver = linear_solver(NonlinearOperator(model, samples), samples, len(samples))
     straight = model.linear.on(samples)
+    solver = straight.inverse(len(samples))
     inside, misses, ended = samples.interior, [], 0
     for u, b in zip(samples.u[::every], samples.loads[::every]):
         field = u.copy()

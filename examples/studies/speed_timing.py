@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from scipy.sparse.linalg import splu
 
 from warp_peri import Model, Samples
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.stencil import stencil
-from warp_peri.statics.dirichlet import Dirichlet
-from warp_peri.statics.domain import domain
+from warp_peri.statics.equilibrium import lps_linear
 
 Solver = Callable[[np.ndarray, np.ndarray], np.ndarray]
 MANY = 100
@@ -44,14 +41,11 @@ def by_cg(method: str) -> Callable[[Model, Samples], Solver]:
     """Conjugate gradients to 1e-8."""
 
     def prepare(model: Model, points: Samples) -> Solver:
-        nodes = domain(points, model.horizon, device=torch.device("cpu"))
-        system = Dirichlet(nodes, stencil(nodes.classes, model.solid), method)
+        linear = lps_linear(points, model.solid, model.horizon)
+        linear.filter(method)
 
         def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
-            load, field = torch.from_numpy(b[points.interior]), torch.from_numpy(u)
-            right = nodes.gather_free(load)
-            right -= system.pull(nodes.gather_near(field) * nodes.collar)
-            return nodes.scatter_free(system.solve(right, 1e-8)[0]).numpy()
+            return linear.solve(b[None], u[None], 1e-8, method)[0][0][points.interior]
 
         return solve
 

@@ -18,7 +18,7 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Dataset, InputError
 from warp_peri.cli.inputs import atom_forces
 from warp_peri.cli.main import main
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.families import bond_classes
 
@@ -51,7 +51,7 @@ def answer(capsys, *words):
 
 
 def test_train_leaves_a_certified_model_and_its_settings(trained, data, capsys):
-    model = load_model(trained / "model.json")
+    model = Model.load(trained / "model.json")
     assert model.certified_on == (1.0,)
     assert model.mu == pytest.approx(0.7, rel=0.02)
     metrics = json.loads((trained / "metrics.json").read_text())
@@ -73,7 +73,7 @@ def test_a_run_is_repeated_from_its_settings(trained, tmp_path, capsys):
     other = answer(
         capsys, "train", "--config", trained / "train.toml", "--out", tmp_path, "--degree", "2"
     )
-    assert load_model(tmp_path / "model.json").degree == 2
+    assert Model.load(tmp_path / "model.json").degree == 2
     assert other["mu"] != again["mu"]
 
 
@@ -92,7 +92,7 @@ def test_certify_evaluate_solve_and_info(trained, data, tmp_path, capsys):
     test = load_dataset(data)["test"]
     settings = tomllib.loads((tmp_path / "solved.solve.toml").read_text())["solve"]
     assert settings["set"] == "test"
-    u = solve(load_model(model_file), test, test.b, test.u)
+    u = solve(Model.load(model_file), test, test.b, test.u)
     np.testing.assert_allclose(load_dataset(out)["test"].u, u)
     assert answer(capsys, "info", model_file)["certified_on"] == [1.0]
     sets = answer(capsys, "info", data)["sets"]
@@ -297,7 +297,7 @@ def test_errors_are_one_line(words, status, message, data, tmp_path, capsys):
 def test_a_shape_is_trained_by_name(data, tmp_path, capsys):
     words = ["train", data, "--out", tmp_path, "--horizon", "2.5", "--influence", "gaussian"]
     printed = answer(capsys, *words, "--loss", "residual")
-    model = load_model(tmp_path / "model.json")
+    model = Model.load(tmp_path / "model.json")
     width = printed["influence"]["parameters"]["width"]
     assert printed["influence"] == model.provenance["influence"]
     assert model.influence(2.0) == pytest.approx(np.exp(-((2.0 / width) ** 2)), rel=1e-6)
@@ -312,7 +312,7 @@ def test_a_table_is_trained_from_a_file(data, tmp_path, capsys):
     K.write_text("# r, K\n0.5, 1.0\n2.5, 0.2\n")
     words = ["train", data, "--out", tmp_path / "run", "--horizon", "2.5", "--influence", K]
     assert answer(capsys, *words, "--loss", "residual")["influence"]["function"] == "tabulated"
-    model = load_model(tmp_path / "run" / "model.json")
+    model = Model.load(tmp_path / "run" / "model.json")
     np.testing.assert_allclose(model.influence([1.0, 2.0]), [0.8, 0.4], rtol=1e-7)
 
 
@@ -348,7 +348,7 @@ def test_the_table_that_was_exported_is_taken_again(trained, data, tmp_path, cap
     answer(capsys, "export", "influence", trained / "model.json", "--out", K)
     words = ["train", data, "--out", tmp_path / "run", "--horizon", "2.5", "--influence", K]
     answer(capsys, *words, "--loss", "residual")
-    models = [load_model(folder / "model.json") for folder in (trained, tmp_path / "run")]
+    models = [Model.load(folder / "model.json") for folder in (trained, tmp_path / "run")]
     r = bond_classes(1.0, HORIZON).r
     first, second = (model.influence(r) / np.abs(model.influence(r)).max() for model in models)
     np.testing.assert_allclose(first, second, atol=1e-7)
@@ -357,7 +357,7 @@ def test_the_table_that_was_exported_is_taken_again(trained, data, tmp_path, cap
 def test_zeta_is_kept(data, tmp_path, capsys):
     words = ["train", data, "--out", tmp_path, "--horizon", "2.5", "--degree", "3"]
     answer(capsys, *words, "--loss", "residual", "--zeta", "0.3")
-    figures = load_model(tmp_path / "model.json").certificate["1"]
+    figures = Model.load(tmp_path / "model.json").certificate["1"]
     assert figures["symbol_bound"] > 0.29
 
 

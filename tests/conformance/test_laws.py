@@ -34,7 +34,7 @@ H = np.array([[0.02, 0.03], [-0.01, -0.015]])
 """A displacement gradient."""
 TURN = 0.4
 OTHER = ("nm", "GPa")
-PROVEN = {"1": {"spacing": 1.0, "symbol_bound": 0.25, "statement": "One solution."}}
+PROVEN = {"1": {"spacing": 1.0, "symbol_bound": 0.15, "statement": "One solution."}}
 
 
 @dataclass(frozen=True)

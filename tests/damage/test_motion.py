@@ -7,7 +7,7 @@ from tests.support.bodies import plate, pulled, solid
 from warp_peri import InputError
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, check_step, energy_of_toughness, step
-from warp_peri.damage.solid import load_brittle_solid
+from warp_peri.damage.solid import BrittleSolid
 
 CRACK = [[(-20, 0), (-4, 0)]]
 KINDS = {
@@ -255,7 +255,7 @@ def test_steps_beyond_the_bound_are_refused():
 def test_solids_go_through_their_file(tmp_path):
     law = solid(0.5, toughness=3.0)
     law.save(tmp_path / "solid.json")
-    again = load_brittle_solid(tmp_path / "solid.json")
+    again = BrittleSolid.load(tmp_path / "solid.json")
     assert (again.toughness, again.density, again.model.lam) == (3.0, 1.0, 0.5)
     with pytest.raises(InputError, match="criterion: expected one of"):
         solid(toughness=1.0, critical_stretch=0.1)

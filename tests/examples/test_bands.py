@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from examples.flows.closure_error import corrected_run, missing_stress
-from examples.flows.paths import Band, band, draw, varied
+from examples.flows.paths import Band, band, curvature_of, draw, varied
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure, homogeneous
 from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.gaussian_process import _unlikelihood, curvature_of, fit_process
+from warp_peri.flow.gaussian_process import fit_process, unlikelihood
 from warp_peri.flow.laws import Giesekus, UpperConvectedMaxwell
 from warp_peri.flow.planar import shear
 from warp_peri.flow.plane import PlaneFlow, run_plane
@@ -38,7 +38,7 @@ def test_hyperparameters_are_drawn_as_sharply_as_the_data_say():
     Z, f = (X - process.centre) / process.scale, (y - process.mean) / process.size
     rest = [process.log_pairs, 0.0]
     noise = process.noise / process.size**2
-    value = lambda t: _unlikelihood(np.append(t, rest), Z, f, "product", noise)[0]
+    value = lambda t: unlikelihood(np.append(t, rest), Z, f, "product", noise)[0]
     step = 1e-2 * np.eye(3)
     second = [
         [

@@ -13,7 +13,7 @@ import pytest
 from examples import train_graphene, validate_disks
 from warp_peri import LPS, Bernstein, fit, save
 from warp_peri.cli.main import main as command
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model
 from warp_peri.points.dataset_file import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent
@@ -193,7 +193,7 @@ def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
     printed = re.search(r"small fit reaches (\S+) % on", (ROOT / "README.md").read_text())[1]
     assert f"{100 * float(error):.2f}" == printed
     assert statement.startswith("Every static problem on any finite set of nodes")
-    assert load_model("model.json").certified_on == (5.0,)
+    assert Model.load("model.json").certified_on == (5.0,)
 
 
 def test_bad_input_of_an_example_is_one_line_and_status_2(tmp_path):

@@ -9,7 +9,7 @@ from examples import own_material
 from tools.graphene import sheet
 from tools.lammps_session import LammpsSession
 from tools.statics import find_bonds
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model
 
 
 @pytest.mark.slow
@@ -20,7 +20,7 @@ def test_boron_nitride_has_its_own_constants(tmp_path, capsys):
     assert true["mu"] < 0.4  # not graphene's 0.72
     for key in ("lambda", "mu", "E", "nu"):
         assert learned[key] == pytest.approx(true[key], rel=0.016), key
-    assert load_model(tmp_path / "model" / "model.json").certified_on == (5.0,)
+    assert Model.load(tmp_path / "model" / "model.json").certified_on == (5.0,)
     assert "exactly one solution" in capsys.readouterr().out
 
 

@@ -7,7 +7,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from warp_peri import InputError
 from warp_peri.flow.cloud import Cloud, OutsideWarning
-from warp_peri.flow.gaussian_process import KERNELS, _unlikelihood, fit_process, greedy
+from warp_peri.flow.gaussian_process import KERNELS, fit_process, greedy, unlikelihood
 
 
 def data(n=60, noise=0.05):
@@ -24,8 +24,8 @@ def test_the_likelihood_differentiates(kernel, known):
     Z, f = random.standard_normal((25, 3)), random.standard_normal(25)
     noise = np.full(25, 0.1) if known else None
     theta, step = random.uniform(-0.5, 0.5, 6), 1e-5
-    value = lambda t: _unlikelihood(t, Z, f, kernel, noise)[0]
-    exact = _unlikelihood(theta, Z, f, kernel, noise)[1]
+    value = lambda t: unlikelihood(t, Z, f, kernel, noise)[0]
+    exact = unlikelihood(theta, Z, f, kernel, noise)[1]
     central = [(value(theta + e) - value(theta - e)) / (2 * step) for e in step * np.eye(6)]
     assert np.abs(exact - central).max() < 1e-7 * max(1, np.abs(exact).max())
 

@@ -215,14 +215,17 @@ def test_a_second_memory_turns_the_spring(tmp_path):
     assert np.allclose(again.rate(K[0], state), law.rate(K[0], state), atol=1e-12)
     still = np.eye(4)[[0, 2, 3]].sum(0) * np.ones((3, 1, 1))
     content = json.loads((tmp_path / "law.json").read_text())
-    for change in (
-        lambda file: file | {"outside": "ask"},
-        lambda file: file | {"b": 2.0},
-        lambda file: file | {"processes": [file["processes"][0] | {"size": "1"}] * 2},
-        lambda file: file | {"processes": [file["processes"][0] | {"kernel": "none"}] * 2},
+    first, *others = content["processes"]
+    for change, words in (
+        ({"outside": "ask"}, "outside: expected one of warn, refuse, allow, got 'ask'"),
+        ({"b": 2.0}, "b: expected a number above 3"),
+        ({"processes": [first] * 2}, "processes: expected 3 of them"),
+        ({"processes": [first | {"size": "1"}, *others]}, "size: expected a finite number"),
+        ({"processes": [first | {"kernel": "none"}, *others]}, "kernel: expected one of"),
+        ({"processes": [first | {"y": [1.0]}, *others]}, "process: y do not fit"),
     ):
-        (tmp_path / "bad.json").write_text(json.dumps(change(content)))
-        with pytest.raises(InputError, match="do not fit together"):
+        (tmp_path / "bad.json").write_text(json.dumps(content | change))
+        with pytest.raises(InputError, match=words):
             load(tmp_path / "bad.json")
     with pytest.raises(InputError, match="records: expected one or more"):
         learn_twisted([], b=50.0)
@@ -256,7 +259,7 @@ def test_a_faster_flow_than_the_data_is_told_at_any_state(spring, tmp_path):
         with pytest.warns(OutsideWarning, match=kind):
             homogeneous(replace(law, outside="warn"), K[None], 0.1, start=state)
     content = json.loads((tmp_path / "law.json").read_text())
-    del content["gradients"]  # a file of before
+    del content["gradients"], content["sha256"]  # a file of before
     (tmp_path / "law.json").write_text(json.dumps(content))
     load(tmp_path / "law.json").check(shear([3.5]), state)
 

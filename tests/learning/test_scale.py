@@ -12,7 +12,7 @@ from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.scale import RELATIVE_ZETA, scale_of, stiffness_of
 from warp_peri.methods import Conditions, Optimum
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.proofs import critical_time_step
@@ -114,7 +114,7 @@ def test_zeta_is_a_part_of_the_stiffness_and_stands_in_the_file(data, plain, tmp
     stiffness = stiffness_of([data], HORIZON)
     assert 0.3 < stiffness < 3
     plain.material.save(tmp_path / "model.json")
-    kept = load_model(tmp_path / "model.json").provenance["zeta"]
+    kept = Model.load(tmp_path / "model.json").provenance["zeta"]
     assert kept == pytest.approx(
         {"zeta": RELATIVE_ZETA * stiffness, "stiffness of the data": stiffness}
     )

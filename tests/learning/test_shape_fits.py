@@ -12,9 +12,8 @@ from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.uncertainty import fit_uncertainty
 from warp_peri.methods import Conditions, Optimum, TwoStage
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.models.shapes import gaussian, named, table
-from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.shapes import InfluenceFunction
 
@@ -39,7 +38,7 @@ def test_a_fit_gives_back_the_shape_that_made_the_data(shape, tmp_path):
     assert learned.certificate.symbol_bound >= 0.01
     assert evaluate(model, points)["E_u"] < 1e-6
     model.save(tmp_path / "model.json")
-    again = load_model(tmp_path / "model.json")
+    again = Model.load(tmp_path / "model.json")
     assert again.provenance["influence"]["function"] == shape.name
     np.testing.assert_array_equal(again.influence(LENGTHS), model.influence(LENGTHS))
 

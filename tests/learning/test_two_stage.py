@@ -16,7 +16,7 @@ from warp_peri.learning.margins import (
     _dense,
 )
 from warp_peri.methods import TwoStage
-from warp_peri.operator.symbol import stiffnesses
+from warp_peri.models.lps import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 

@@ -20,7 +20,8 @@ from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.noise import corrected, noise_loss
 from warp_peri.losses.reduced import reduce
-from warp_peri.operator.symbol import moduli, stiffnesses
+from warp_peri.models.lps import stiffnesses
+from warp_peri.operator.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters

@@ -7,6 +7,7 @@ import warp_peri
 from tests.micromodulus.crystals import COPPER, cubic_tensor, lattice, learned, random_law
 from warp_peri.core import elastic
 from warp_peri.core.basis import invariant_basis
+from warp_peri.core.elements import q1_tensors
 from warp_peri.core.groups import (
     checked_orientation,
     name_of,
@@ -14,8 +15,7 @@ from warp_peri.core.groups import (
     shared_with_nodes,
 )
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elements import q1_tensors
-from warp_peri.micromodulus.law import Crystal, load_crystal
+from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.planes import plane_strain, plane_stress
 
 
@@ -178,7 +178,7 @@ def test_surface_traction_is_half_the_cauchy_defect(d):
 def test_a_file_holds_all_of_it_and_units_go_there_and_back(d, tmp_path):
     law = learned(d)
     law.save(tmp_path / "law.json")
-    again = load_crystal(tmp_path / "law.json")
+    again = Crystal.load(tmp_path / "law.json")
     np.testing.assert_array_equal(again.tensors, law.tensors)
     assert again.certificate == law.certificate
     assert again.content() == law.content()
@@ -238,4 +238,4 @@ def test_what_is_wrong_is_named(tmp_path):
         point_group("5mm", 2)
     (tmp_path / "law.json").write_text('{"format": "something"}')
     with pytest.raises(InputError, match="format"):
-        load_crystal(tmp_path / "law.json")
+        Crystal.load(tmp_path / "law.json")

@@ -12,7 +12,6 @@ from warp_peri.dynamics.verlet import critical_time_step
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.statics import solve
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 
@@ -147,7 +146,7 @@ def test_force_is_the_derivative_of_energy_and_the_tangent_that_of_force(d, kind
 
 
 @pytest.mark.parametrize(("d", "kind"), CASES)
-@pytest.mark.parametrize("method", ["auto", "fft", "sine", "multigrid", "cg"])
+@pytest.mark.parametrize("method", [None, "fft", "sine", "multigrid"])
 def test_solves_find_the_field_whose_force_they_are_given(d, kind, method):
     law, points = learned(d), body(d, kind, {2: 26, 3: 9}[d])
     operator = law.on(points)
@@ -159,9 +158,9 @@ def test_solves_find_the_field_whose_force_they_are_given(d, kind, method):
     b[points.interior] = operator(u)
     if method == "sine" and kind == "ball":
         with pytest.raises(InputError, match="boxes"):
-            solve(operator, b, u, method=method)
+            operator.linear.solve(b[None], u[None], 1e-10, method)
         return
-    found, record = solve(operator, b, u, method=method, tolerance=1e-10)
+    (found,), (record,) = operator.linear.solve(b[None], u[None], 1e-10, method)
     assert record.residual <= 1e-10
     np.testing.assert_allclose(found, u, atol=1e-7)
 
@@ -176,7 +175,10 @@ def test_iterations_do_not_grow(d):
         u = np.sin(2 * points.x / (n * law.spacing))
         b = np.random.default_rng(7).normal(size=u.shape) * 1e-3
         counts.append(
-            [solve(operator, b, u, method=m)[1].iterations for m in ("sine", "multigrid")]
+            [
+                operator.linear.solve(b[None], u[None], 1e-8, m)[1][0].iterations
+                for m in ("sine", "multigrid")
+            ]
         )
     assert (np.array(counts[1]) <= np.array(counts[0]) + 4).all()
     assert max(counts[1]) <= 45
@@ -229,7 +231,7 @@ def test_a_law_that_is_not_positive_is_refused_in_words_that_are_true():
     assert not law.certificate.holds
     points = lattice(2, 6, 2)
     u = np.random.default_rng(0).normal(size=points.x.shape)
-    with pytest.raises(InputError, match=r"indefinite: .* (energy|work) -"):
+    with pytest.raises(InputError, match="the operator on these 36 nodes is indefinite"):
         warp_peri.solve(law, warp_peri.Dirichlet(points, None, u))
 
 

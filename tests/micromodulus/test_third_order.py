@@ -12,21 +12,21 @@ from tests.micromodulus.crystals import cubic_tensor, dispersive
 from tests.support.nonlinear import psi
 from tests.support.problems import lattice, smooth
 from warp_peri.core.elastic import allowed_tensors, voigt
+from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.learning.laws import ThirdOrder, fit
 from warp_peri.learning.methods import Bernstein
-from warp_peri.micromodulus import third_order_operator
 from warp_peri.micromodulus.fields import long_wave_moduli
 from warp_peri.micromodulus.laws import Micromodulus
-from warp_peri.micromodulus.nodes import lay_out
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.models.nonlinear import energy_density
 from warp_peri.models.smoothing import Smoothing
+from warp_peri.models.uniqueness import proven_kappa
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.stability.uniqueness import proven_kappa
+from warp_peri.statics import linear
 
 LAM, MU = 0.3, 0.7
 TENSOR = cubic_tensor(2, LAM + 2 * MU, LAM, MU)
@@ -144,7 +144,7 @@ def test_equilibria_are_found_and_known_to_be_the_only_ones(law, monkeypatch):
     np.testing.assert_allclose(solution.u, samples.u, atol=1e-6 * np.abs(samples.u).max())
     assert all(record.unique for record in solution.details)
     assert 0 < max(record.largest_gradient for record in solution.details) < law.proven["strain"]
-    monkeypatch.setattr(third_order_operator, "choose_method", lambda *points, **options: "lu")
+    monkeypatch.setattr(linear, "cheapest_method", lambda *points, **options: "lu")
     again = warp_peri.solve(law, problem)
     np.testing.assert_allclose(again.u, solution.u, atol=1e-6 * np.abs(samples.u).max())
     errors = warp_peri.evaluate(law, samples)
@@ -230,4 +230,4 @@ def test_what_does_not_fit_is_refused(law):
     with pytest.raises(InputError, match="one set"):
         fit([samples, samples], ThirdOrder(Micromodulus(REACH), Smoothing(2.0)))
     assert law.certified().proven["strain"] == law.proven["strain"]
-    assert lay_out(points, law.linear.steps).reach == 3
+    assert grid_of(points, law.linear.steps).reach == 3

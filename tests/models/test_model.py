@@ -8,8 +8,7 @@ import pytest
 
 from tests.support import reference
 from tests.support.problems import KERNELS, kernel
-from warp_peri import InputError, Model
-from warp_peri.models.lps import load_model
+from warp_peri import InputError, Model, load
 
 MODEL = replace(
     kernel("sign-changing", 20.0, spacing=5.0),
@@ -26,7 +25,7 @@ def path(tmp_path):
 
 
 def test_round_trip_keeps_every_bit(path):
-    back = load_model(path)
+    back = Model.load(path)
     assert back.file == path
     for name in {*vars(MODEL)} - {"file"}:
         assert np.array_equal(getattr(back, name), getattr(MODEL, name)), name
@@ -73,19 +72,19 @@ def test_continuum_constants_are_those_of_the_plane():
     [
         ({"alpha": 3.0}, "alpha: expected less than 3, got 3.0"),
         ({"alpha": np.nan}, "alpha: expected a finite number, got nan"),
-        ({"horizon": 0.0}, "horizon: expected a length > 0 Å, got 0.0"),
-        ({"horizon": "20"}, "horizon: expected a finite number, got '20'"),
+        ({"horizon": 0.0}, "horizon: expected a number > 0, got 0.0"),
+        ({"horizon": "20"}, "horizon: expected a number > 0, got '20'"),
         ({"mu": 0.0}, "expected μ > 0 and λ . μ > 0, got 0.3, 0.0"),
         ({"lam": -0.8}, "expected μ > 0 and λ . μ > 0, got -0.8, 0.8"),
         ({"lam": True}, "lam: expected a finite number, got True"),
         ({"mu": 10**400}, "mu: expected a finite number"),
         ({"D": []}, r"D: expected at least one coefficient \(degree ≥ 0\), got none"),
         ({"D": [0.0, 0.0]}, "D: expected a coefficient other than 0"),
-        ({"D": [1.0, np.inf]}, "D: expected a finite number, got inf"),
-        ({"D": [1.0, None]}, "D: expected a finite number, got None"),
-        ({"D": [True, 1.0]}, "D: expected a finite number, got True"),
-        ({"D": [[1.0, 2.0]]}, "D: expected a finite number"),
-        ({"D": [[1.0], [2.0, 3.0]]}, "D: expected a finite number"),
+        ({"D": [1.0, np.inf]}, "D: expected finite values, got inf"),
+        ({"D": [1.0, None]}, "D: expected float values, got object"),
+        ({"D": [True, 1.0]}, "D: expected finite numbers, got true or false"),
+        ({"D": [[1.0, 2.0]]}, "D: expected a list of numbers, got lists"),
+        ({"D": [[1.0], [2.0, 3.0]]}, "D: expected an array"),
         ({"D_dilatation": [1.0, 2.0]}, "D_dilatation: expected 1 coefficients, got 2"),
         ({"D_dilatation": [0.0]}, "expected a coefficient other than 0"),
         ({"certified_on": (5.0, np.nan)}, "certified_on: expected a finite number, got nan"),
@@ -98,7 +97,7 @@ def test_numbers_out_of_range_are_refused(change, words):
 
 
 BAD_FILES = {
-    "format": ("format", "other", "format: expected 'warp_peri.model', got 'other'"),
+    "format": ("format", "other", "format: expected one of .*warp_peri.model, .*got 'other'"),
     "version": ("version", 2, "version: expected 1, got 2"),
     "no version": ("version", None, "version: expected 1, got None"),
     "length unit": ("length_unit", "mile", "length_unit: expected one of angstrom, .*got 'mile'"),
@@ -109,14 +108,14 @@ BAD_FILES = {
     "alpha NaN": ("alpha", np.nan, "alpha: expected a finite number, got nan"),
     "mu text": ("mu", "0.8", "mu: expected a finite number, got '0.8'"),
     "mu": ("mu", -0.8, "expected μ > 0"),
-    "horizon": ("horizon", -20.0, "horizon: expected a length > 0"),
-    "degree": ("degree", 3, "degree: expected 4 for 5 coefficients, got 3"),
-    "degree text": ("degree", "4", "degree: expected 4 for 5 coefficients, got '4'"),
+    "horizon": ("horizon", -20.0, "horizon: expected a number > 0"),
+    "degree": ("degree", 3, "degree: expected 4, got 3"),
+    "degree text": ("degree", "4", "degree: expected 4, got '4'"),
     "D short": ("D", [1.0], "coefficients, got"),
     "D a number": ("D", 1.0, "D: expected a list, got 1.0"),
-    "D text": ("D", ["a"] * 5, "D: expected a finite number, got 'a'"),
-    "D NaN": ("D", [np.nan] * 5, "D: expected a finite number, got nan"),
-    "D nested": ("D", [[1.0], [1.0, 2.0]], "D: expected a finite number"),
+    "D text": ("D", ["a"] * 5, "D: expected float values"),
+    "D NaN": ("D", [np.nan] * 5, "D: expected finite values, got nan"),
+    "D nested": ("D", [[1.0], [1.0, 2.0]], "D: expected an array"),
     "quadrature": ("quadrature", {"degree": 3, "singularity": 3}, "quadrature: expected"),
     "spacings": ("certified_on", 5.0, "certified_on: expected a list, got 5.0"),
     "certificate": ("certificate", [], r"certificate: expected an object, got \[\]"),
@@ -131,7 +130,7 @@ def test_a_wrong_file_is_refused_by_name(path, key, value, words):
         del content[key]
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match=words) as caught:
-        load_model(path)
+        Model.load(path)
     assert str(caught.value).startswith(f"{path}: ")
 
 
@@ -141,17 +140,17 @@ def test_a_wrong_file_is_refused_by_name(path, key, value, words):
 def test_what_is_no_json_is_refused(path, text):
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     with pytest.raises(InputError, match="not a readable JSON file"):
-        load_model(path)
+        Model.load(path)
 
 
 def test_what_is_no_model_is_refused(tmp_path):
-    with pytest.raises(InputError, match="nowhere.json: no such model file"):
-        load_model(tmp_path / "nowhere.json")
+    with pytest.raises(InputError, match="nowhere.json: no such file"):
+        Model.load(tmp_path / "nowhere.json")
     with pytest.raises(InputError, match="not a readable JSON file"):
-        load_model(tmp_path)
+        Model.load(tmp_path)
     (tmp_path / "list.json").write_text("[]")
     with pytest.raises(InputError, match="expected a JSON object, got list"):
-        load_model(tmp_path / "list.json")
+        Model.load(tmp_path / "list.json")
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(path):
@@ -178,18 +177,18 @@ def test_a_file_that_names_no_units_is_in_angstrom_and_terapascal(path):
     del content["length_unit"], content["stress_unit"], content["sha256"]
     path.write_text(json.dumps(content))
     with pytest.warns(UserWarning, match="names no units: taken as Å and TPa"):
-        assert load_model(path).units == ("angstrom", "TPa")
+        assert Model.load(path).units == ("angstrom", "TPa")
 
 
 def test_a_model_carries_its_units_and_converts(path, tmp_path):
-    model = load_model(path)
+    model = Model.load(path)
     there = model.in_units(("nm", "GPa"))
     assert there.mu == pytest.approx(1000 * model.mu)
     assert there.horizon == pytest.approx(model.horizon / 10)
     assert there.certified_on == pytest.approx([h / 10 for h in model.certified_on])
     there.save(tmp_path / "there.json")
     assert json.loads((tmp_path / "there.json").read_text())["length_unit"] == "nm"
-    again = load_model(tmp_path / "there.json", units=("angstrom", "TPa"))
+    again = load(tmp_path / "there.json", units=("angstrom", "TPa"))
     assert (again.mu, again.lam) == pytest.approx((model.mu, model.lam))
     assert again.units == ("angstrom", "TPa")
     with pytest.raises(InputError, match="no factor leads from"):

@@ -12,8 +12,8 @@ from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, sol
 from warp_peri import InputError, certify
 from warp_peri.losses.full import FullLoss, sample_weights
 from warp_peri.losses.reduced import reduce
+from warp_peri.models.lps import stiffnesses
 from warp_peri.models.shapes import gaussian, table
-from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.optimum import Problem
 from warp_peri.regression.parameters import Parameters

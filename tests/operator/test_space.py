@@ -13,7 +13,7 @@ from tests.support.problems import difference
 from warp_peri import load, save
 from warp_peri.errors import InputError
 from warp_peri.methods import Solid
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import NodeOperator, lps_force
 from warp_peri.operator.matrices import matrices
@@ -185,7 +185,7 @@ def test_forces_turn_with_the_lattice_and_follow_the_units(tmp_path):
 def test_a_model_knows_its_dimension_in_its_file_and_on_points(tmp_path):
     model = solid(2.0, lam=-0.5)  # λ + μ < 2μ/3 is a solid, λ + 2μ/3 > 0 is asked
     model.save(tmp_path / "m.json")
-    assert load_model(tmp_path / "m.json").dimension == 3
+    assert Model.load(tmp_path / "m.json").dimension == 3
     with pytest.raises(InputError, match="μ > 0 and λ \\+ 2μ/3 > 0"):
         solid(2.0, lam=-0.6)
     with pytest.raises(InputError, match="expected 2 dimensions, the model's"):

@@ -6,15 +6,12 @@ import torch
 import warp as wp
 
 from tests.support.problems import GRADIENT, ROUNDING, kernel, lattice, manufactured, noise
-from tests.support.solving import solve
 from warp_peri import InputError
 from warp_peri.losses.full import sample_weights
 from warp_peri.losses.reduced import reduce
 from warp_peri.methods import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
-from warp_peri.operator.stencil import Torus
-from warp_peri.statics.preconditioners import dst, odd_dst
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
@@ -50,21 +47,6 @@ def test_the_tape_that_a_gpu_uses_gives_the_gathered_gradient(device, monkeypatc
 
 
 @pytest.mark.parametrize("device", DEVICES)
-@pytest.mark.parametrize("method", ["sine", "multigrid"])
-def test_solves_recover_a_manufactured_solution(device, method):
-    points = manufactured(MODEL, lattice(48, HORIZON), 1)  # more nodes than the coarsest level
-    u = solve(
-        MODEL,
-        points,
-        points.b,
-        points.u,
-        method=method,
-        iteration=dict(tolerance=1e-11, device=device),
-    )
-    np.testing.assert_allclose(u, points.u, rtol=0, atol=1e-8)
-
-
-@pytest.mark.parametrize("device", DEVICES)
 def test_the_reduced_loss_is_that_of_the_processor(device):
     points = manufactured(MODEL, lattice(5, HORIZON), 3)
     weight = sample_weights([points], normalise=False)[0]
@@ -73,24 +55,6 @@ def test_the_reduced_loss_is_that_of_the_processor(device):
     np.testing.assert_allclose(there.T @ there, here.T @ here, rtol=0, atol=1e-10 * here.max() ** 2)
 
 
-def test_a_gpu_transforms_sines_as_the_processor_does():
-    field = torch.from_numpy(np.random.default_rng(0).normal(size=(2, 6, 9)))
-    for inverse in (False, True):
-        expected = dst(field, inverse=inverse)
-        np.testing.assert_allclose(odd_dst(field, inverse=inverse), expected, atol=1e-13)
-
-
-def test_a_torus_transforms_alike_with_torch_and_scipy():
-    here = Torus((6, 9), torch.device("cpu"))
-    field = torch.from_numpy(np.random.default_rng(0).normal(size=(2, 5, 7)))
-    wave, back = here.forward(field), here.backward(here.forward(field))
-    np.testing.assert_allclose(torch.fft.rfft2(field, s=here.shape), wave, atol=1e-13)
-    np.testing.assert_allclose(torch.fft.irfft2(wave, s=here.shape), back, atol=1e-13)
-
-
 def test_a_device_that_is_not_there_is_named():
     with pytest.raises(InputError, match="device: expected one of .*cpu.*got 'cuda:99'"):
         LPSOperator(MODEL, lattice(3, HORIZON), device="cuda:99")
-    none, tpu = np.zeros((225, 2)), dict(device="tpu")
-    with pytest.raises(InputError, match="device: expected one of"):
-        solve(MODEL, lattice(3, HORIZON), none, none, method="sine", iteration=tpu)

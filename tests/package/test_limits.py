@@ -14,7 +14,6 @@ from tests.support.solving import solve, solve_periodic
 from warp_peri import Bernstein, InputError, Model, Points, certify
 from warp_peri.learning.fit import learn as fit
 from warp_peri.models.influence import bernstein_basis
-from warp_peri.models.lps import load_model
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.strain import largest_strain
 from warp_peri.statics.body import Coupling, solve_body
@@ -75,7 +74,7 @@ def test_a_solution_strained_beyond_the_training_data_warns(tmp_path):
     model = fit(points, horizon=2.5, kernel=Bernstein(2)).material
     assert model.trained_strain == pytest.approx(largest_strain(points, points.u))
     model.save(tmp_path / "m.json")
-    assert load_model(tmp_path / "m.json").trained_strain == model.trained_strain
+    assert Model.load(tmp_path / "m.json").trained_strain == model.trained_strain
     solve(model, points, points.b, points.u)
     with pytest.warns(UserWarning, match="strain: the solution reaches"):
         solve(model, points, 3 * points.b, 3 * points.u)

@@ -16,10 +16,10 @@ from tests.support.mutations import good_data, good_model
 from tools.lammps_session import LammpsSession
 from tools.samples import read_sample
 from warp_peri import InputError
+from warp_peri.core import record
 from warp_peri.files.archive import read_arrays
 from warp_peri.learning.checkpoint import Checkpoint
-from warp_peri.models import lps as model
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model
 from warp_peri.points.dataset_file import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent
@@ -135,13 +135,13 @@ def test_a_changed_model_is_noticed_and_one_without_a_hash_is_taken(tmp_path, mo
     content = json.loads(path.read_text())
     path.write_text(json.dumps(content | {"mu": 0.81}))
     with pytest.raises(InputError, match="sha256: the contents are not what was written; remove"):
-        load_model(path)
+        Model.load(path)
     content.pop("sha256")
     path.write_text(json.dumps(content | {"mu": 0.81}))
-    assert load_model(path).mu == 0.81
-    monkeypatch.setattr(model, "LARGEST_FILE", 100)
-    with pytest.raises(InputError, match="expected a model file of at most 100 bytes"):
-        load_model(path)
+    assert Model.load(path).mu == 0.81
+    monkeypatch.setattr(record, "LARGEST_FILE", 100)
+    with pytest.raises(InputError, match="expected a file of at most 100 bytes"):
+        Model.load(path)
 
 
 def archive(path, **entries):

@@ -25,9 +25,8 @@ from warp_peri.methods import (
     fit_uncertainty,
     sweep,
 )
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.operator.nonlinear import NonlinearOperator
-from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, check_units, factors
@@ -143,7 +142,7 @@ def swept(units, path):
     asked = {"horizons": (2.0 * h, 2.5 * h), "degrees": (0, 2), "jobs": 1}
     train, val = (there(manufactured(TRUE, LATTICE, 5, seed=n), units) for n in (0, 1))
     found = sweep(train, val, path / units[0], progress=False, **asked)
-    best = load_model(path / units[0] / found.cheapest.model)
+    best = Model.load(path / units[0] / found.cheapest.model)
     return np.append(numbers(best), found.average)
 
 

@@ -12,7 +12,7 @@ from tests.support.problems import AXIS
 from tests.support.sheets import hgo_dictionary, square
 from warp_peri import Dataset, InputError, Points, Samples, evaluate
 from warp_peri.cli.main import main
-from warp_peri.models.nonlinear import load_nonlinear
+from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.points import axis
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.tissue.operator import HyperelasticOperator
@@ -84,7 +84,7 @@ def test_an_older_model_file_says_that_points_state_it_now(tmp_path):
     (tmp_path / "m.json").write_text(json.dumps(content))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        load_nonlinear(tmp_path / "m.json")
+        NonlinearModel.load(tmp_path / "m.json")
     (tmp_path / "m.json").write_text(json.dumps(content | {"axis": 0.3}))
     with pytest.warns(UserWarning, match=r"axis: the file has 0.3 rad"):
-        load_nonlinear(tmp_path / "m.json")
+        NonlinearModel.load(tmp_path / "m.json")

@@ -10,7 +10,7 @@ from tests.prediction.test_predict import family, far  # noqa: F401 (a fixture)
 from tests.support.problems import lattice, smooth
 from warp_peri.points.every_second import EverySecond
 from warp_peri.prediction.learning import short_where_held
-from warp_peri.prediction.spectrum import Record
+from warp_peri.prediction.spectrum import ErrorSpectrum
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 WIDE = 6.0
@@ -141,7 +141,7 @@ def test_a_first_answer_tells_how_far_it_is(both, wave, most):
 
 def test_clamped_bodies_are_held_elsewhere_on_every_second_node(both):
     """Data go on smoothly into the collar; a clamped field does not, and moves where it is held."""
-    told = replace(both, record=Record(np.array([2.0, 4.0, 8.0]), np.full(3, 1e-4)))
+    told = replace(both, record=ErrorSpectrum(np.array([2.0, 4.0, 8.0]), np.full(3, 1e-4)))
     nodes = lattice(9, WIDE)
     short = short_where_held(told, told.factors.left, nodes)
     other = replace(told, factors=replace(told.factors, short=7.0))

@@ -26,7 +26,7 @@ from warp_peri.prediction import (
     stress,
 )
 from warp_peri.prediction.placed import BEYOND, pulled
-from warp_peri.prediction.spectrum import Record, Spectrum
+from warp_peri.prediction.spectrum import ErrorSpectrum, Spectrum
 from warp_peri.proofs import certify, uniqueness
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
@@ -51,7 +51,7 @@ def family():
     rich = replace(model, linear=linear)
     rich = replace(rich, proven={"1": uniqueness(rich, spacing=1.0).figures()})
     halves = scaled(rich, APART), scaled(rich, -APART)
-    record = Record(np.array([2.0, 4.0, 8.0]), np.array([0.3, 0.1, 0.0]))
+    record = ErrorSpectrum(np.array([2.0, 4.0, 8.0]), np.array([0.3, 0.1, 0.0]))
     return Members(rich, scaled(rich, 0.01), halves, record, Factors(1.2, 1.48, 2.0))
 
 
@@ -295,7 +295,7 @@ def test_shares_find_the_wavelength():
     found = Spectrum(points, knots).shares(u)
     assert found.argmax() == 1
     assert found.sum() == pytest.approx(1, abs=0.02)
-    assert Record(knots, np.array([0.0, 0.1, 0.0])).of(found) == pytest.approx(0.1, rel=0.15)
+    assert ErrorSpectrum(knots, np.array([0.0, 0.1, 0.0])).of(found) == pytest.approx(0.1, rel=0.15)
     assert Spectrum(points, knots).shares(1e-3 * points.x).sum() < 1e-9
 
 

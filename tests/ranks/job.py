@@ -23,12 +23,12 @@ from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.prediction import Members
-from warp_peri.prediction.spectrum import Record
+from warp_peri.prediction.spectrum import ErrorSpectrum
 from warp_peri.proofs import uniqueness
 from warp_peri.ranks import lattice, spread, together, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
-from warp_peri.statics import nonlinear as fixed_point
+from warp_peri.statics import equilibria as fixed_point
 
 H = 0.5
 
@@ -61,7 +61,7 @@ def family(rich):
     for share in (1.01, 1.02, 0.98):
         scaled = replace(linear, lam=linear.lam * share, mu=linear.mu * share)
         others.append(scaled if rich is linear else replace(rich, linear=scaled))
-    record = Record(H * np.array([2.0, 8.0, 32.0]), np.array([0.3, 0.1, 0.01]), 4 * H)
+    record = ErrorSpectrum(H * np.array([2.0, 8.0, 32.0]), np.array([0.3, 0.1, 0.01]), 4 * H)
     second, *halves = others
     return Members(rich, second, tuple(halves), record, strain=0.001)
 

@@ -5,7 +5,8 @@ import pytest
 
 from tests.support.problems import GRADIENT, KERNELS, difference, kernel
 from warp_peri import InputError
-from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.models.lps import stiffnesses
+from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.stability.conditions import CONDITIONS, Conditions, LatticeConditions, ZoneSearch
 

@@ -9,11 +9,12 @@ from scipy.sparse.linalg import splu
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import lattice, noise
 from warp_peri.core.groups import lattice_group
+from warp_peri.models.lps import stencil_of, stiffnesses
+from warp_peri.models.uniqueness import curvature_bound, largest_parts, proven_kappa
 from warp_peri.operator.nonlinear import NonlinearOperator
-from warp_peri.operator.symbol import stencil_of, stiffnesses, symbol, zone_wedge
+from warp_peri.operator.symbol import symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import uniqueness
-from warp_peri.stability.uniqueness import curvature_bound, largest_parts, proven_kappa
 
 HORIZON = 3.0
 SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))

@@ -9,7 +9,7 @@ from tests.support.plates import plate
 from warp_peri import Model
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import make_mesh
-from warp_peri.statics import bulk
+from warp_peri.statics import linear
 from warp_peri.statics.body import Coupling, solve_body
 from warp_peri.statics.body_gradient import body_gradient
 from warp_peri.statics.rim import Moduli, Rim, RimProblem
@@ -92,7 +92,7 @@ def difference(measure, step, mesh):
 )
 @pytest.mark.filterwarnings("ignore:mesh. no triangle")
 def test_the_gradient_is_the_difference(monkeypatch, mesh, direct, groups):
-    monkeypatch.setattr(bulk, "DIRECT", direct)
+    monkeypatch.setattr(linear, "DIRECT", direct)
     rng = np.random.default_rng(1)
     half = mesh.x.max() * 0.9
     x = rng.uniform(-half, half, (60, 2))

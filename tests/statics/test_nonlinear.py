@@ -12,8 +12,8 @@ from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.proofs import uniqueness
-from warp_peri.statics import nonlinear as statics
-from warp_peri.statics.nonlinear import NonlinearRecord
+from warp_peri.statics import equilibria, linear, newton
+from warp_peri.statics.equilibria import NonlinearRecord
 
 HORIZON = 3.0
 
@@ -65,13 +65,13 @@ def test_answers_beyond_the_proven_strain_come_with_a_warning():
 def test_newton_goes_where_the_fixed_point_does_not(monkeypatch):
     model = replace(proven("energy"), proven={})
     points, u, b = problem(model, 0.03, interior=0)
-    monkeypatch.setattr(statics, "MOST_STEPS", 2)
+    monkeypatch.setattr(equilibria, "MOST_STEPS", 2)
     records: list[NonlinearRecord] = []
     with pytest.warns(UserWarning, match="no strain, for want of a certificate"):
         solved = solve_nonlinear(model, points, b, u, records=records)
     assert records[0].method == "newton"
     assert np.abs(solved - u).max() <= 1e-6 * np.abs(u).max()
-    monkeypatch.setattr(statics, "MOST_NEWTON", 1)
+    monkeypatch.setattr(newton, "MOST", 1)
     with pytest.raises(InputError, match="sample 0: no equilibrium was found: residual"):
         solve_nonlinear(model, points, 40 * b, u)
 
@@ -80,7 +80,7 @@ def test_iterative_linear_solves_give_the_same_answer(monkeypatch):
     model = proven("filtered")
     points, u, b = problem(model, 0.004)
     solved = solve_nonlinear(model, points, b, u)
-    monkeypatch.setattr(statics, "choose_method", lambda *points, **options: "lu")
+    monkeypatch.setattr(linear, "cheapest_method", lambda *points, **options: "lu")
     expected = solve_nonlinear(model, points, b, u)
     assert np.abs(solved - expected).max() <= 1e-6 * np.abs(expected).max()
 

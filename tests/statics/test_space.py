@@ -8,7 +8,7 @@ import warp_peri
 from tests.support.cubes import cube, field, load, periodic_cube, solid
 from tests.support.problems import difference, fitted_order
 from tests.support.solving import solve
-from warp_peri import Krylov
+from warp_peri import Direct, Krylov
 from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
 from warp_peri.learning.evaluate import without_rigid_part
@@ -89,23 +89,47 @@ def test_errors_in_space_leave_rigid_motions_out():
     assert report.asymmetry < 1e-12
 
 
+def test_a_solid_is_certified_in_space():
+    certificate = warp_peri.certify(solid(2.0), spacing=1.0)
+    expected = tensors_of(solid(2.0), 1.0).certificate
+    assert certificate.symbol_bound == expected.proven > 0
+    assert "nodes of the cubic lattice" in certificate.statement
+    assert "7-point Laplacian" in certificate.statement
+
+
 def test_what_is_made_for_sheets_is_refused_in_space():
     points = cube(2, 2.0)
     zero = np.zeros_like(points.x)
-    operator = solid(2.0).on(points, allow_uncertified=True)
-    with pytest.raises(InputError, match="expected one of 2 dimensions.*tensors_of"):
-        warp_peri.certify(solid(2.0), spacing=1.0)
     samples = warp_peri.Samples(points, zero[None], zero[None])
     with pytest.raises(InputError, match="expected a sheet; in space LPS and Micromodulus"):
         warp_peri.fit(samples, warp_peri.ThirdOrder(warp_peri.LPS(2.0)))
-    sheet = solid(2.0).on(periodic_cube((6, 6, 6)), allow_uncertified=True)
-    with pytest.raises(InputError, match="expected a sheet for a periodic solve"):
-        warp_peri.solve(sheet, warp_peri.Periodic(sheet.points, np.zeros((216, 3))))
-    with pytest.raises(InputError, match="expected lu in three dimensions"):
-        operator.rest(zero, zero, Krylov(preconditioner="sine"))
-    large = cube(16, 2.0)
-    with pytest.raises(InputError, match="at most 4000 unknown nodes in three dimensions"):
-        solid(2.0).on(large, allow_uncertified=True).rest(0 * large.x, 0 * large.x)
+
+
+@pytest.mark.parametrize("lam", [0.9, 50.0])
+def test_iteration_finds_what_a_factorisation_does_in_space(lam):
+    points = cube(5, 2.0)
+    operator = solid(2.0, lam=lam).on(points, allow_uncertified=True)
+    b, u = np.random.default_rng(0).normal(size=(2, *points.x.shape))
+    first = operator.rest(b, u, Direct()).u
+    for method in ("sine", "multigrid", "strip"):
+        found = operator.rest(b, u, Krylov(method, tolerance=1e-11))
+        np.testing.assert_allclose(found.u, first, atol=1e-8 * np.abs(first).max())
+
+
+def test_large_cubes_and_periods_are_solved_in_space():
+    large, model = cube(16, 2.0), solid(2.0)
+    operator = model.on(large, allow_uncertified=True)
+    b = np.random.default_rng(0).normal(size=large.x.shape)
+    solution = operator.rest(b, 0 * b)
+    assert solution.method == "sine"
+    inside = large.interior
+    left = operator(solution.u) - b[inside]
+    assert np.linalg.norm(left) <= 1.1e-8 * np.linalg.norm(b[inside])
+    cell = model.on(periodic_cube((6, 6, 6)), allow_uncertified=True)
+    u = np.random.default_rng(1).normal(size=(216, 3))
+    u -= u.mean(axis=0)
+    found = warp_peri.solve(cell, warp_peri.Periodic(cell.points, cell(u))).u
+    np.testing.assert_allclose(found, u, atol=1e-10)
 
 
 def test_the_direct_solve_is_differentiable_in_space():

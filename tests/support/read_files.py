@@ -6,7 +6,7 @@ import sys
 import time
 
 from warp_peri import InputError
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model
 from warp_peri.points.dataset_file import content_hash, load_dataset
 
 
@@ -26,7 +26,7 @@ def main():
             if path.endswith(".h5"):
                 said["read"] = content_hash(load_dataset(path))
             else:
-                load_model(path)
+                Model.load(path)
                 with open(path, encoding="utf-8") as file:
                     said["read"] = json.dumps(json.load(file), sort_keys=True)
         except InputError as error:

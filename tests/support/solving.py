@@ -4,11 +4,11 @@ import numpy as np
 
 from warp_peri import Direct, Dirichlet, Krylov, Newton, Periodic, Points, move
 from warp_peri import solve as solved
-from warp_peri.statics.dirichlet import PRECONDITIONERS
+from warp_peri.statics.settings import PRECONDITIONERS
 
 
 def solve(model, points, b, u, *, method="auto", iteration=None, quadrature_degree=None, **options):
-    """Displacement; the method by its name, `iteration` as tolerance, device and records."""
+    """Displacement; the method by its name, `iteration` as tolerance and records."""
     iteration = dict(iteration or {})
     records = iteration.pop("records", None)
     solver = None

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import everything, hgo_dictionary
-from warp_peri import InputError
+from warp_peri import InputError, Model
 from warp_peri.tissue.solid import (
     Dictionary,
     HyperelasticSolid,
     Term,
     half_family,
-    load_hyperelastic,
     strain_weights,
 )
 
@@ -34,7 +33,7 @@ def test_a_file_keeps_the_solid(tmp_path):
     c = np.random.default_rng(0).normal(size=len(dictionary))
     solid = HyperelasticSolid(dictionary, c, 0.05, 1.4, {"element": "linear"})
     solid.save(tmp_path / "solid.json")
-    loaded = load_hyperelastic(tmp_path / "solid.json")
+    loaded = HyperelasticSolid.load(tmp_path / "solid.json")
     assert loaded.dictionary == dictionary
     assert np.array_equal(loaded.coefficients, c)
     assert (loaded.spacing, loaded.stretch, loaded.provenance) == (0.05, 1.4, {"element": "linear"})
@@ -71,11 +70,13 @@ def test_what_no_solid_has_is_refused(tmp_path):
         Dictionary(3.0, (), ((-1, 0),))
     with pytest.raises(InputError, match="at least one energy"):
         Dictionary()
-    with pytest.raises(InputError, match="expected 7 finite numbers"):
+    with pytest.raises(InputError, match="coefficients: expected finite values, got nan"):
         HyperelasticSolid(hgo_dictionary(), np.full(7, np.nan), 0.1)
-    (tmp_path / "other.json").write_text('{"format": "warp_peri.model"}')
-    with pytest.raises(InputError, match="expected a file of format"):
-        load_hyperelastic(tmp_path / "other.json")
+    with pytest.raises(InputError, match="coefficients: expected 7 numbers"):
+        HyperelasticSolid(hgo_dictionary(), np.ones(6), 0.1)
+    Model(0.3, 0.8, 1.0, [1.0], 3.0).save(tmp_path / "other.json")
+    with pytest.raises(InputError, match="expected a HyperelasticSolid, got a Model"):
+        HyperelasticSolid.load(tmp_path / "other.json")
 
 
 @pytest.mark.parametrize("name", ["corner", "ripple"])
@@ -84,7 +85,7 @@ def test_flags_of_a_file_are_true_or_false(name, tmp_path):
     HyperelasticSolid(hgo_dictionary(), np.ones(7), 0.1).save(path)
     path.write_text(path.read_text().replace(f'"{name}": false', f'"{name}": "no"'))
     with pytest.raises(InputError, match=f"{name}: expected true or false, got 'no'"):
-        load_hyperelastic(path)
+        HyperelasticSolid.load(path)
 
 
 def test_ripples_of_fibres_are_no_family():

@@ -12,7 +12,7 @@ import torch
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Points, evaluate
-from warp_peri.models.lps import load_model, model_content
+from warp_peri.models.lps import Model
 from warp_peri.points.collar import carried_horizon
 from warp_peri.points.families import families_of
 from warp_peri.proofs import critical_time_step
@@ -40,12 +40,12 @@ def file(tmp_path, monkeypatch):
 def again(file):
     """The transfer as another process would ask for it."""
     kept._memory.clear()
-    return on_lattice(load_model(file), **ASKED)
+    return on_lattice(Model.load(file), **ASKED)
 
 
 def hashes(*models):
     """How many different contents there are."""
-    return len({model_content(model)["sha256"] for model in models})
+    return len({model.content()["sha256"] for model in models})
 
 
 def test_the_second_call_reads_what_the_first_wrote(file, monkeypatch):
@@ -57,7 +57,7 @@ def test_the_second_call_reads_what_the_first_wrote(file, monkeypatch):
     begin = time.perf_counter()
     second = again(file)
     assert time.perf_counter() - begin < 0.1
-    assert hashes(second, first, load_model(beside)) == 1
+    assert hashes(second, first, Model.load(beside)) == 1
 
 
 def test_what_is_no_number_is_refused():
@@ -78,11 +78,11 @@ def test_what_is_damaged_or_of_another_model_is_made_again(file):
     first = again(file)
     (beside,) = (file.parent / "model.lattices").glob("*.json")
     beside.write_text(beside.read_text()[:-40])
-    assert hashes(again(file), first, load_model(beside)) == 1
+    assert hashes(again(file), first, Model.load(beside)) == 1
     replace(HOME, mu=0.9).save(file)
     assert again(file).mu > 1.05 * first.mu
     record = json.loads(beside.read_text())["provenance"]["transfer"]
-    assert record["home"] == model_content(load_model(file))["sha256"]
+    assert record["home"] == Model.load(file).content()["sha256"]
 
 
 @pytest.fixture
@@ -95,7 +95,7 @@ def points():
 
 
 def test_everything_takes_points_of_another_spacing(points, file):
-    model = load_model(file)
+    model = Model.load(file)
     there = on_lattice(model, spacing=0.8)
     with pytest.warns(UserWarning, match="transferred from 1 Å to 0.8 Å"):
         u = solve(model, points, points.b, points.u)
@@ -149,4 +149,4 @@ def test_nodes_around_a_free_edge_are_told_of_it(file, spacing):
     inside = (np.abs(x - x.mean(axis=0)) < 5.5 * spacing).all(axis=1)
     holed = Points(x=x, interior=inside, spacing=spacing)
     with pytest.raises(InputError, match=r"edges.* Body"):
-        solve(load_model(file), holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))
+        solve(Model.load(file), holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))

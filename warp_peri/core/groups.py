@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
+from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -147,7 +148,14 @@ def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
     """
     if orientation is None:
         return np.eye(dimension)
-    given = np.asarray(orientation, dtype=float)
+    try:
+        given = np.asarray(orientation, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        given = np.array(np.nan)
+    if not np.isfinite(given).all():
+        raise InputError(
+            f"orientation: expected degrees, or a rotation's matrix, got {orientation!r:.50}"
+        )
     if given.shape == ():
         cos, sin = np.cos(np.radians(given)), np.sin(np.radians(given))
         return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])[:dimension, :dimension]
@@ -213,9 +221,16 @@ def canonical(
 
 
 def orbit_grid(intervals: int, group: np.ndarray, dimension: int) -> np.ndarray:
-    """Points of a grid on [−π, π]^d, one of each orbit, without 0, shape [K, d]."""
+    """Points of a grid on [−π, π]^d, one of each orbit, without 0, shape [K, d]; read only."""
+    return _orbits(intervals, group.astype(np.int64).tobytes(), dimension)
+
+
+@lru_cache(maxsize=8)
+def _orbits(intervals: int, bytes_of_group: bytes, dimension: int) -> np.ndarray:
+    group = np.frombuffer(bytes_of_group, np.int64).reshape(-1, dimension, dimension)
     line = np.arange(-intervals, intervals + 1)
     grid = np.array(list(itertools.product(line, repeat=dimension)))
     grid = grid[canonical(grid.astype(float), group) & grid.any(axis=1)]
     wave: np.ndarray = grid * (np.pi / intervals)
+    wave.flags.writeable = False
     return wave

@@ -18,7 +18,9 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.groups import canonical
+from warp_peri.core.record import Stress
 from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
+from warp_peri.errors import InputError
 from warp_peri.launch import in_blocks
 
 SAMPLE = {2: 240, 3: 24}
@@ -31,7 +33,7 @@ FIRST = 8
 """Cells along an axis of the zone, or of a face of directions."""
 DEEPEST = 24
 MOST_CELLS = {2: 400_000, 3: 3_000_000}
-AT_ONCE = 500
+AT_ONCE = 100
 """Waves or cells of a block, of which ranks share many."""
 LONG_SHARE = 0.9995
 """Of the smallest sampled Λmin Q(e)/|e|² that is proven for long waves."""
@@ -65,9 +67,9 @@ class Proof:
         seconds: that took.
     """
 
-    proven: float
-    sampled: float
-    long_waves: float
+    proven: Stress
+    sampled: Stress
+    long_waves: Stress
     cells: int
     seconds: float
 
@@ -91,6 +93,20 @@ class Proof:
     def content(self) -> dict[str, Any]:
         """Plain values for a file."""
         return asdict(self)
+
+    def check_of(self, stencil: Stencil, group: np.ndarray) -> None:
+        """Raise InputError unless this is proven of a stencil: the cells are gone through again."""
+        stiff = _lattice_units(stencil)
+        long, _ = _long_waves(stiff, group)
+        believed = 0 <= self.long_waves <= long * (1 + FOUND) and 0 <= self.proven <= self.sampled
+        if believed and self.proven > 0:
+            weight = laplacian_stencil(1.0, stencil.dimension, stencil.tensors.shape[1])
+            left, c = long - self.proven, self.proven
+            believed = left > 0 and _positive_on_zone(stiff.minus(weight, c), group, left)[0]
+        if not believed:
+            raise InputError(
+                f"certificate: D(k) ≥ {self.proven:.6g} s(k) is not proven of these tensors"
+            )
 
 
 def prove(
@@ -290,7 +306,7 @@ def _positive_on_zone(
     radius = long_wave_radius(stencil, long)
 
     def asked(k: np.ndarray, half: float) -> np.ndarray:
-        far = ((np.abs(k) + half) ** 2).sum(axis=1) > radius**2
+        far: np.ndarray = ((np.abs(k) + half) ** 2).sum(axis=1) > radius**2
         far[far] = canonical(k[far], group, half)
         return far
 
@@ -361,7 +377,7 @@ def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERA
     then it is what was proven so far.
     """
     d, half, work, taken = stencil.dimension, np.pi / FIRST, 0, 0.0
-    rest = _most(stencil, sum(parts(stencil.tensors)))
+    rest = _most(stencil, np.sum(parts(stencil.tensors), axis=0))
     slack, corners = _slack(stencil), _corners(d)
     cells = _first_cells(np.pi, FIRST, d)
 

@@ -71,6 +71,11 @@ class Cracked:
     def body(self, material: Any, verb: str) -> LatticeBody:
         """Nodes and bonds; InputError for what has no linear part, and for other points."""
         refuse_uncut(material, "Cracked")
+        if hasattr(material, "numbers"):
+            raise InputError(
+                f"{verb}: expected a linear solid for a Cracked, got {type(material).__name__}, "
+                "whose third order no cut bond knows of; its .linear is solved alone"
+            )
         linear = offered(material, "linear", verb, "a solid with a linear part for a Cracked")
         check_same(linear.units, self.points.units)
         linear.check_dimension(self.points)

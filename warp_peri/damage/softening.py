@@ -6,11 +6,9 @@ law of bonds at another horizon that has both.
 
 from __future__ import annotations
 
-import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -19,6 +17,7 @@ from scipy.optimize import brentq
 from scipy.special import hyp1f1
 from tqdm import tqdm
 
+from warp_peri.core.record import Record
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
 from warp_peri.damage.lattice_body import (
     LatticeBody,
@@ -30,11 +29,10 @@ from warp_peri.damage.operator import bond_weights, stretch_rows
 from warp_peri.damage.stability import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model, model_content, model_from, read_content
+from warp_peri.models.lps import Model
 from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.unit_names import Units
 
-FORMAT, VERSION = "warp_peri.soft_solid", 1
 NEWTON = 40
 TOLERANCE = 1e-8
 SETTLED = 0.01
@@ -121,8 +119,8 @@ class BondLaw:
         return BondLaw(self.softness, float(earlier))
 
 
-@dataclass(frozen=True, eq=False)
-class SoftSolid:
+@dataclass(frozen=True, eq=False, repr=False)
+class SoftSolid(Record, format="warp_peri.soft_solid"):
     """A solid whose bonds soften and fail by one law (C16).
 
     Attributes:
@@ -136,6 +134,7 @@ class SoftSolid:
     law: BondLaw
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.model.lam != self.model.mu:
             raise InputError("model: expected λ = μ, bonds without a dilatation")
 
@@ -158,34 +157,6 @@ class SoftSolid:
     def units(self) -> Units:
         """Names of the units of length and stress."""
         return self.model.units
-
-    def in_units(self, units: Units) -> SoftSolid:
-        """The same solid in other units: stretches have none."""
-        return SoftSolid(self.model.in_units(units), self.law)
-
-    def content(self) -> dict[str, Any]:
-        """What the file of the solid holds."""
-        law = {k: None if np.isinf(v) else v for k, v in vars(self.law).items()}
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            "model": model_content(self.model),
-            "law": law,
-        }
-
-
-def load_soft_solid(path: str | os.PathLike[str]) -> SoftSolid:
-    """Read what `save` wrote of one; InputError naming what is wrong."""
-    content = read_content(path)
-    try:
-        if (content["format"], content["version"]) != (FORMAT, VERSION):
-            raise InputError(f"expected {FORMAT} version {VERSION}")
-        law = {k: np.inf if v is None else v for k, v in content["law"].items()}
-        return SoftSolid(model_from(content["model"]), BondLaw(**law))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: not a readable soft solid ({error})") from None
 
 
 class SoftBody:

@@ -6,28 +6,24 @@ density in TPa ps²/Å² (1 kg/m³ = 1e-8 of them).
 
 from __future__ import annotations
 
-import json
-import os
 import warnings
-from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 
+from warp_peri.core.record import Quantity, Record
 from warp_peri.damage.stability import breaking_time_step
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
-from warp_peri.models.lps import Model, model_content, model_from
+from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import Units, factors
+from warp_peri.points.unit_names import Units
 
-FORMAT, VERSION = "warp_peri.brittle_solid", 2
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
 
 
-@dataclass(frozen=True, eq=False)
-class BrittleSolid:
+@dataclass(frozen=True, eq=False, repr=False)
+class BrittleSolid(Record, format="warp_peri.brittle_solid", version=2):
     """What breaks, and when.
 
     Attributes:
@@ -43,21 +39,18 @@ class BrittleSolid:
     """
 
     model: Model
-    density: float
-    toughness: float | None = None
-    critical_stretch: float | None = None
-    critical_energy: float | None = None
+    density: Annotated[float, Quantity(length=-2, stress=1, positive=True)]
+    toughness: Annotated[float | None, Quantity(length=1, stress=1, positive=True)] = None
+    critical_stretch: Annotated[float | None, Quantity(positive=True)] = None
+    critical_energy: Annotated[float | None, Quantity(stress=1, volume=-1, positive=True)] = None
     tension_only: bool = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         given = [name for name in CRITERIA if getattr(self, name) is not None]
         if len(given) != 1:
             names = ", ".join(given) or "none"
             raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
-        for name in ("density", *given):
-            value = getattr(self, name)
-            if not (isinstance(value, (int, float, np.number)) and 0 < value < np.inf):
-                raise InputError(f"{name}: expected a number > 0, got {value!r}")
 
     @property
     def linear(self) -> Model:
@@ -89,57 +82,17 @@ class BrittleSolid:
         """Whether bonds break by their energy instead of their stretch."""
         return self.critical_energy is not None
 
-    def in_units(self, units: Units) -> BrittleSolid:
-        """The same solid in other units; that of time stays, so that ρ is a stress over length²."""
-        length, stress = factors(self.units, units)
-
-        def times(value: float | None, factor: float) -> float | None:
-            return None if value is None else value * factor
-
-        return replace(
-            self,
-            model=self.model.in_units(units),
-            density=self.density * stress / length**2,
-            toughness=times(self.toughness, stress * length),
-            critical_energy=times(self.critical_energy, stress / length**self.dimension),
-        )
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the solid as JSON, whole or not at all: the model with its units and records."""
-        write_json(path, self.content())
-
-    def content(self) -> dict[str, Any]:
-        """What the file of the solid holds."""
-        numbers = {name: getattr(self, name) for name in ("density", *CRITERIA, "tension_only")}
-        return {"format": FORMAT, "version": VERSION, "model": model_content(self.model), **numbers}
-
-
-def load_brittle_solid(path: str | os.PathLike[str]) -> BrittleSolid:
-    """Read what `BrittleSolid.save` wrote; InputError naming what is wrong.
-
-    Files of version 1 kept neither the units nor the records of the model: Å and TPa are taken,
-    with a warning.
-    """
-    try:
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-        if content["format"] != FORMAT or content["version"] not in (1, VERSION):
-            raise InputError(f"expected {FORMAT} version {VERSION}")
-        if content["version"] == VERSION:
-            model = model_from(content["model"])
-        else:
-            warnings.warn(f"{path}: it names no units: taken as Å and TPa", stacklevel=2)
-            names = ("lambda", "mu", "alpha", "D", "horizon")
-            model = Model(*(content[name] for name in names))
-        if not isinstance(content["tension_only"], bool):
-            raise InputError(f"tension_only: expected a bool, got {content['tension_only']!r:.50}")
-        criteria = {name: content[name] for name in CRITERIA}
-        return BrittleSolid(
-            model, content["density"], **criteria, tension_only=content["tension_only"]
-        )
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: not a readable brittle solid ({error})") from None
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """Files of version 1 kept neither units nor records of the model: it is in Å and TPa."""
+        if content.get("version") != 1:
+            return content
+        warnings.warn("it names no units: taken as Å and TPa", stacklevel=3)
+        names = {"lam": "lambda", "mu": "mu", "alpha": "alpha", "D": "D", "horizon": "horizon"}
+        if missing := [key for key in names.values() if key not in content]:
+            raise InputError(f"missing keys: {', '.join(missing)}")
+        model = Model(**{name: content.pop(key) for name, key in names.items()})
+        return content | {"version": cls.VERSION, "model": model.content()}
 
 
 def positive_kernel(model: Model, horizon: float) -> Model:

@@ -2,33 +2,29 @@
 
 from __future__ import annotations
 
-import json
-import os
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar
 
 import numpy as np
 
+from warp_peri.core.record import Length, Quantity, Record
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
 from warp_peri.models.influence import ALPHA_BOUND, bernstein_basis
 from warp_peri.points.samples import PointsLike
-from warp_peri.points.unit_names import USUAL, Units, check_units, unit_content, units_of
+from warp_peri.points.unit_names import USUAL, Units
 
 if TYPE_CHECKING:
     from warp_peri.diffusion.operator import Conductivity, DiffusionOperator
 
-FORMAT, VERSION = "warp_peri.conductor", 1
 
-
-@dataclass(frozen=True, eq=False)
-class Conductor:
+@dataclass(frozen=True, eq=False, repr=False)
+class Conductor(Record, format="warp_peri.conductor"):
     """Flux −κ∇φ spread over a ball, with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ).
 
     Attributes:
         horizon: δ [length].
-        conductivity: κ > 0, of where no field of it is given.
+        conductivity: κ > 0, of where no field of it is given [stress length²/time of a φ without a
+            unit].
         alpha: exponent α < 3.
         D: Bernstein coefficients, shape [M + 1]; their common scale has no effect.
         units: names of the units of length and stress that it is in, as a Model's.
@@ -36,23 +32,18 @@ class Conductor:
     Raises InputError naming the first number out of its range.
     """
 
-    horizon: float
-    conductivity: float = 1.0
+    horizon: Length
+    conductivity: Annotated[float, Quantity(length=2, stress=1, positive=True)] = 1.0
     alpha: float = 1.0
     D: np.ndarray = field(default_factory=lambda: np.ones(1))
     units: Units = USUAL
     dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "units", check_units(self.units))
-        object.__setattr__(self, "D", np.atleast_1d(np.array(self.D, dtype=float)))
-        for name in ("horizon", "conductivity"):
-            value = getattr(self, name)
-            if not (isinstance(value, (int, float, np.number)) and 0 < value < np.inf):
-                raise InputError(f"{name}: expected a number > 0, got {value!r}")
+        super().__post_init__()
         if not self.alpha < ALPHA_BOUND:
             raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
-        if self.D.ndim != 1 or not np.isfinite(self.D).all() or not self.D.any():
+        if self.D.ndim != 1 or not self.D.any():
             raise InputError("D: expected finite coefficients, one of them other than 0")
 
     def basis(self, r: np.ndarray) -> np.ndarray:
@@ -62,38 +53,8 @@ class Conductor:
         )
         return table
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the law as JSON, whole or not at all."""
-        write_json(path, self.content())
-
-    def content(self) -> dict[str, Any]:
-        """What the file of the law holds."""
-        numbers = {name: getattr(self, name) for name in ("horizon", "conductivity", "alpha", "D")}
-        return {"format": FORMAT, "version": VERSION} | unit_content(self.units) | numbers
-
     def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> DiffusionOperator:
         """The law on points, with a conductivity of its own as of DiffusionOperator."""
         from warp_peri.diffusion.operator import DiffusionOperator
 
         return DiffusionOperator(self, points, kappa=kappa)
-
-
-def load_conductor(path: str | os.PathLike[str]) -> Conductor:
-    """Read what `Conductor.save` wrote; InputError naming what is wrong.
-
-    Of a file that names no units Å and TPa are taken, with a warning.
-    """
-    try:
-        return conductor_from(json.loads(Path(path).read_text(encoding="utf-8")), f"{path}")
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: not a readable conductor ({error})") from None
-
-
-def conductor_from(content: dict[str, Any], file: str) -> Conductor:
-    """The conductor of a file's content, which is used up."""
-    if (content.pop("format"), content.pop("version")) != (FORMAT, VERSION):
-        raise InputError(f"expected {FORMAT} version {VERSION}")
-    units = units_of(content, file)
-    return Conductor(**content, units=units)

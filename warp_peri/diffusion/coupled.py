@@ -2,34 +2,32 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
+from warp_peri.core.record import Record, Stress
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
 from warp_peri.damage.stability import check_cut
-from warp_peri.diffusion.conductor import Conductor, conductor_from
+from warp_peri.diffusion.conductor import Conductor
 from warp_peri.diffusion.operator import RESIDUAL, Conductivity, DiffusionOperator, check_steps
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model, model_content, model_from, read_content
+from warp_peri.models.lps import Model
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
 from warp_peri.statics.settings import Direct, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
-FORMAT, VERSION = "warp_peri.coupled_solid", 1
 
-
-@dataclass(frozen=True, eq=False)
-class CoupledSolid:
+@dataclass(frozen=True, eq=False, repr=False)
+class CoupledSolid(Record, format="warp_peri.coupled_solid"):
     """A solid and what diffuses in it: fields are u₁, u₂ and φ, loads b₁, b₂ and the source.
 
     L u + ε Φᵗ φ = b and c ∂φ/∂t − ε ∂θ/∂t + L_κ φ = g, θ = Φ u. Φᵗ is minus the nonlocal gradient
@@ -39,24 +37,22 @@ class CoupledSolid:
         model: of the solid, one influence function.
         conductor: of φ.
         coupling: ε [stress].
-        storage: c ≥ 0.
+        storage: c ≥ 0 [stress].
 
     Raises InputError for a coupling that is not finite, a storage below 0, and other units of one.
     """
 
     model: Model
     conductor: Conductor
-    coupling: float
-    storage: float = 0.0
+    coupling: Stress
+    storage: Stress = 0.0
     dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         check_same(self.model.units, self.conductor.units)
-        if not (np.isfinite(self.coupling) and 0 <= self.storage < np.inf):
-            raise InputError(
-                f"coupling, storage: expected a finite number and one ≥ 0, got {self.coupling} and "
-                f"{self.storage}"
-            )
+        if self.storage < 0:
+            raise InputError(f"storage: expected a number ≥ 0, got {self.storage}")
 
     @property
     def horizon(self) -> float:
@@ -71,26 +67,6 @@ class CoupledSolid:
     def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> CoupledOperator:
         """The solid on a lattice, with a conductivity of its own as of DiffusionOperator."""
         return CoupledOperator(self, points, kappa=kappa)
-
-    def content(self) -> dict[str, Any]:
-        """What the file of the solid holds."""
-        parts = {"model": model_content(self.model), "conductor": self.conductor.content()}
-        numbers = {"coupling": self.coupling, "storage": self.storage}
-        return {"format": FORMAT, "version": VERSION} | parts | numbers
-
-
-def load_coupled_solid(path: str | os.PathLike[str]) -> CoupledSolid:
-    """Read what `save` wrote of one; InputError naming what is wrong."""
-    content = read_content(path)
-    try:
-        if (content["format"], content["version"]) != (FORMAT, VERSION):
-            raise InputError(f"expected {FORMAT} version {VERSION}")
-        parts = model_from(content["model"]), conductor_from(content["conductor"], f"{path}")
-        return CoupledSolid(*parts, float(content["coupling"]), float(content["storage"]))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise InputError(f"{path}: not a readable coupled solid ({error})") from None
 
 
 class CoupledOperator:
@@ -122,6 +98,11 @@ class CoupledOperator:
         self.points = diffusion.points
         body = lattice_body(self.points.x, self.points.spacing, model.horizon)
         table = body.neighbour if neighbour is None else neighbour
+        if self.points.box is not None:
+            raise InputError("box: a coupled solid is for a body that does not repeat")
+        if self.points.outside is not None:
+            gone = np.append(self.points.outside, False)
+            table = np.where(gone[table] | self.points.outside[:, None], -1, table)
         w = bond_weights(model, body.classes)
         rows = diffusion.rows
         self.rows = rows

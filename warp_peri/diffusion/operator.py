@@ -83,7 +83,8 @@ class DiffusionOperator:
         # broken bonds count in m and carry nothing
         self._owner_all, self._r_all, self._weight_all = self._owner, self.r, weight
         self._kept = kept
-        self.v = (4 * K * weight / self._volume[self._owner])[kept]
+        scale = 2 * self.points.dimension
+        self.v = (scale * K * weight / self._volume[self._owner])[kept]
         # weights of scattered points are negative here and there, of any kernel
         signed = self.v if families.lattice is not None else (K / self._volume[self._owner])[kept]
         self._changes_sign = bool((signed < 0).any())
@@ -144,13 +145,13 @@ class DiffusionOperator:
         return self(v)
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
-        """h² (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
+        """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
         if self.points.spacing == 0:
             return None
         u, inside = np.asarray(u, dtype=float), self.points.interior
         own, collar = (self(np.where(mask, u, 0.0)) for mask in (inside, ~inside))
         density = u[..., self.rows] * (own / 2 + collar)
-        return np.asarray(self.points.spacing**2 * density.sum(axis=-1))
+        return np.asarray(self.points.spacing**self.points.dimension * density.sum(axis=-1))
 
     def stress(self, u: np.ndarray) -> None:
         """None: there is a flux instead."""
@@ -258,7 +259,9 @@ class DiffusionOperator:
         basis = self.model.basis(self._r_all)
         K, weight, m = basis @ self.model.D, self._weight_all, self._volume
         pulled = np.bincount(self._owner_all, on_all * K * weight, count) / m
-        by_K = 4 * weight / m[self._owner_all] * (on_all - self._r_all**2 * pulled[self._owner_all])
+        scale = 2 * self.points.dimension
+        share = on_all - self._r_all**2 * pulled[self._owner_all]
+        by_K = scale * weight / m[self._owner_all] * share
         return DiffusionGradient(
             by_phi, by_kappa.numpy(), by_K @ basis, float(-(by_K * K) @ np.log(self._r_all))
         )

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import eigsh, splu
 
+from warp_peri.core.grid import Grid, grid_of
 from warp_peri.dressed.bases import composed, half, spread
 from warp_peri.dressed.broken import key, pairs
 from warp_peri.dressed.grains import Grains, grains_of
@@ -18,7 +19,6 @@ from warp_peri.dressed.outline import cut_elements
 from warp_peri.dressed.rest import at_rest
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.points.arrays import checked
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.points import Points
@@ -92,6 +92,17 @@ class Body:
                 "dtype: expected float64, or float32 of a sheet with or without maps that nothing "
                 f"cuts, got {self.dtype}"
             )
+
+    def stiffest_wave(self) -> float:
+        """A bound on the eigenvalues of L [stress / length²], for time steps.
+
+        Of sheets and blocks with maps alone it is proven, the even solid's times the largest map;
+        of others the largest eigenvalue, to a thousandth.
+        """
+        if self._even:
+            return float(self.factors.max()) * self.model.stiffest_wave()
+        value = eigsh(self.L, 1, which="LA", tol=1e-4, return_eigenvectors=False)
+        return float(1.001 * value[0])
 
     def _neighbours(self, steps: np.ndarray) -> np.ndarray:
         """Numbers of the nodes that steps lead to, −1 where none is, [N, n]."""
@@ -263,12 +274,12 @@ class Body:
         return [self._dressing(g) for g in np.stack([law.tensors for law in self.laws], axis=1)]
 
     @cached_property
-    def _sweep(self) -> tuple[Nodes, ByLayers] | None:
+    def _sweep(self) -> tuple[Grid, ByLayers] | None:
         """L by rows, of sheets that nothing cuts."""
         law = self.model
         if not (self._even and law.layered and law.dimension == 2):
             return None
-        nodes = lay_out(self.points, law.crystal.steps)
+        nodes = grid_of(self.points, law.crystal.steps)
         factors = np.ones((len(self.factors), int(np.prod(nodes.shape))))
         factors[:, nodes.place] = self.factors[:, nodes.near]
         factors = factors.reshape(-1, *nodes.shape)
@@ -306,7 +317,7 @@ class Body:
         """L u at the interior nodes [stress/length], shape [..., N, d] to [..., I, d]."""
         if self._sweep is not None:
             nodes, sweep = self._sweep
-            found = nodes.take_up(sweep(nodes.lay_out(self.fields(u), self.dtype)))
+            found = nodes.gather(sweep(nodes.scatter(self.fields(u), self.dtype)))
             return found.reshape(*np.shape(u)[:-2], *found.shape[1:])
         flat = self.flat(u)
         force = (self.L @ flat.T).T.reshape(*np.shape(u)) @ self.axes.T

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -10,36 +10,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.core.elastic import plane_isotropic
+from warp_peri.core.record import Length, Record, Stress
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
-from warp_peri.models.lps import read_content
 from warp_peri.models.nonlinear import CUBIC
-from warp_peri.points.arrays import is_number
+from warp_peri.models.uniqueness import curvature_bound, largest_parts
 from warp_peri.points.samples import PointsLike
-from warp_peri.points.unit_names import (
-    USUAL,
-    Units,
-    check_units,
-    factors,
-    shown_moduli,
-    symbols,
-)
-from warp_peri.shown import as_table, in_rows
-from warp_peri.stability.uniqueness import curvature_bound, largest_parts
+from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 
 if TYPE_CHECKING:
     from warp_peri.dressed.finite_body import FiniteBody
 
-FORMAT, VERSION = "warp_peri.dressed_finite", 1
 STEPS = np.array([[0, 1], [1, 0], [1, -1], [1, 1]])
 """One half of the neighbours of G: along the axes, and across."""
-NUMBERS = ("spacing", "lam", "mu", "along", "across", "share", *CUBIC)
 MARGIN, HALVINGS = 0.999, 60
 """Part of the stiffness that curvature may take; steps of the search for the strain."""
 
 
-@dataclass(frozen=True, eq=False)
-class FiniteSolid:
+@dataclass(frozen=True, eq=False, repr=False)
+class FiniteSolid(Record, format="warp_peri.dressed_finite"):
     """A sheet with the energy Ψ₂(E(∇G u)) + Ψ₃(E(∇F u)), E the Green strain (D14).
 
     Attributes:
@@ -56,26 +45,21 @@ class FiniteSolid:
     Raises InputError for what is no finite number, and a spacing or moduli that are no solid's.
     """
 
-    spacing: float
-    lam: float
-    mu: float
+    spacing: Length
+    lam: Stress
+    mu: Stress
     along: float
     across: float
     share: float
-    t3: float
-    tq2: float
-    q3: float
+    t3: Stress
+    tq2: Stress
+    q3: Stress
     units: Units = USUAL
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in NUMBERS:
-            value = getattr(self, name)
-            if not (is_number(value) and np.isfinite(value)):
-                raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
-            object.__setattr__(self, name, float(value))
-        object.__setattr__(self, "units", check_units(self.units))
-        if not (self.spacing > 0 and self.mu > 0 and self.lam + self.mu > 0):
+        super().__post_init__()
+        if not (self.mu > 0 and self.lam + self.mu > 0):
             raise InputError(
                 "moduli: expected spacing, μ and λ + μ > 0, got "
                 f"{self.spacing:g}, {self.mu:g} and {self.lam + self.mu:g}"
@@ -148,12 +132,6 @@ class FiniteSolid:
             ("proven", proven),
         ]
 
-    def __repr__(self) -> str:
-        return in_rows("FiniteSolid", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
-
     def on(self, points: PointsLike) -> FiniteBody:
         """The operator on nodes of the law's own spacing, with a collar or periodic.
 
@@ -162,46 +140,6 @@ class FiniteSolid:
         from warp_peri.dressed.finite_body import FiniteBody
 
         return FiniteBody(self, points)
-
-    def in_units(self, units: Units) -> FiniteSolid:
-        """The same solid in other units. Raises InputError where no factor leads to them."""
-        length, stress = factors(self.units, units)
-        there = {name: getattr(self, name) * stress for name in ("lam", "mu", *CUBIC)}
-        return replace(self, spacing=self.spacing * length, units=check_units(units), **there)
-
-    def content(self) -> dict[str, Any]:
-        """What a file holds, plain values."""
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            "length_unit": self.units[0],
-            "stress_unit": self.units[1],
-            **{name: getattr(self, name) for name in (*NUMBERS, "provenance")},
-        }
-
-    @classmethod
-    def of_content(cls, content: Any) -> FiniteSolid:
-        """The solid that a file holds. Raises InputError naming what is wrong."""
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise InputError(f"format: expected {FORMAT!r}")
-        if content.get("version") != VERSION:
-            raise InputError(f"version: expected {VERSION}, got {content.get('version')!r:.50}")
-        known = {*NUMBERS, "format", "version", "length_unit", "stress_unit", "provenance"}
-        if missing := sorted(known - set(content)):
-            raise InputError(f"missing: {', '.join(missing)}")
-        if unknown := sorted(set(content) - known):
-            raise InputError(f"unknown keys: {', '.join(unknown)}")
-        units = content["length_unit"], content["stress_unit"]
-        numbers = {name: content[name] for name in NUMBERS}
-        return cls(**numbers, units=units, provenance=dict(content["provenance"] or {}))
-
-
-def load_finite(path: Any) -> FiniteSolid:
-    """Read a file that `save` wrote. Raises InputError naming the file and what is wrong."""
-    try:
-        return FiniteSolid.of_content(read_content(path))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def third_derivatives(t3: float, tq2: float, q3: complex) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -19,15 +18,14 @@ from warp_peri.points.axis import axis_of
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike
 from warp_peri.stability.solvability import smallest_eigenvalue
-from warp_peri.statics.direct import factorised
-from warp_peri.statics.nonlinear import NonlinearRecord, anderson, figures_of, warn_beyond
+from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, warn_beyond
+from warp_peri.statics.linear import Linear
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 CORNERS = np.array(list(itertools.product((0, 1), repeat=2)))
 WEIGHT = 1 / 4
 """Of a Gauss point, in parts of h²."""
-MOST_NEWTON, MOST_HALVINGS = 30, 20
 
 
 class Slopes:
@@ -173,19 +171,16 @@ class FiniteBody:
         return np.asarray(np.max(sizes, axis=(0, 2)).reshape(np.shape(u)[:-2]))
 
     @cached_property
-    def _at_rest(self) -> sp.csr_array:
-        return self.tangent(np.zeros(self.points.x.shape))
+    def _at_rest(self) -> Linear:
+        return Linear(self.model.at_rest.crystal.stencil, self.points)
 
     def straight(self, u: ArrayLike) -> np.ndarray:
-        """The tangent at rest along u, shape [..., I, 2]."""
-        fields = self._fields(u)
-        rates = self._at_rest @ fields.reshape(len(fields), -1).T
-        return np.asarray(rates.T.reshape(*np.shape(u)[:-2], -1, 2))
+        """The force of the solid at rest, shape [..., I, 2]."""
+        return self._at_rest(self._fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
 
     def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """In equilibrium with b on the interior, u given on the collar, shape [..., N, 2].
 
-        Steps of the tangent at rest, mixed (Anderson); where they stall, Newton's method.
         A UserWarning says where |H| exceeds the proven strain. The details of the solution are a
         NonlinearRecord for each sample.
 
@@ -199,15 +194,14 @@ class FiniteBody:
             raise InputError("interior: expected some nodes that are held, got none")
         held = np.where(inside[:, None], 0.0, np.asarray(u, dtype=float))
         answers, loads = self._fields(held).copy(), self._fields(b)[:, inside]
-        inverse = self._inverse(np.zeros(self.points.x.shape))
+        inverse = self._at_rest.cheapest_inverse(SOLVES * len(answers))
+        way = Equilibria(lambda field: self._force(field[None])[0], self.straight, inverse, inside)
         records, proven = [], self.model.proven_strain(self.points.spacing)
         for number, (field, load) in enumerate(zip(answers, loads)):
-            record = self._solve(field, load, inverse, asked.tolerance)
-            if not record.residual <= asked.tolerance:
-                raise InputError(
-                    f"sample {number}: no equilibrium was found: residual {record.residual:.1e} of "
-                    "the right-hand side; the load may be more than the solid bears"
-                )
+            try:
+                field[:], record = way.solve(load, field, asked.tolerance)
+            except InputError as error:
+                raise InputError(f"sample {number}: {error}") from None
             record.largest_gradient = float(self.largest_gradient(field))
             record.unique = record.largest_gradient <= proven
             if asked.eigenvalues:
@@ -220,7 +214,7 @@ class FiniteBody:
             self.points,
             self,
             self.load(np.asarray(b)),
-            "newton" if any(record.method == "newton" for record in records) else "fixed point",
+            ", ".join(sorted({record.method for record in records})),
             tuple(record.solves for record in records),
             sure if all(record.unique for record in records) else None,
             details=tuple(records),
@@ -234,51 +228,6 @@ class FiniteBody:
     def _unknowns(self, field: np.ndarray) -> sp.csc_array:
         free = np.repeat(self.points.interior, 2)
         return sp.csc_array(self.tangent(field).tocsc()[:, free])
-
-    def _inverse(self, field: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        factors = factorised(self._unknowns(field))
-        return lambda right: np.asarray(factors.solve(right.ravel()).reshape(-1, 2))
-
-    def _solve(
-        self,
-        field: np.ndarray,
-        load: np.ndarray,
-        inverse: Callable[[np.ndarray], np.ndarray],
-        tolerance: float,
-    ) -> NonlinearRecord:
-        """Fills the unknowns of a field whose collar is given."""
-        inside, record = self.points.interior, NonlinearRecord()
-        right = load - self.straight(field)
-        size = float(np.linalg.norm(right))
-        if size == 0:
-            record.residual = 0.0
-            return record
-
-        def left(inner: np.ndarray) -> np.ndarray:
-            field[inside] = inner
-            with np.errstate(all="ignore"):  # of a step that ran away
-                return np.asarray((load - self._force(field[None])[0]) / size)
-
-        def correction(residual: np.ndarray) -> np.ndarray:
-            record.solves += 1
-            return inverse(residual * size)
-
-        inner, record.residual = anderson(left, correction, correction(right / size), tolerance)
-        for _ in range(MOST_NEWTON):
-            residual = left(inner)
-            if np.linalg.norm(residual) <= tolerance:
-                break
-            record.method, record.solves = "newton", record.solves + 1
-            step, share = self._inverse(field)(residual * size), 1.0
-            for _ in range(MOST_HALVINGS):
-                if np.linalg.norm(left(inner + share * step)) < np.linalg.norm(residual):
-                    break
-                share /= 2
-            else:  # no step helps
-                break
-            inner = inner + share * step
-        record.residual = float(np.linalg.norm(left(inner)))
-        return record
 
     def _fields(self, u: ArrayLike) -> np.ndarray:
         """Fields [S, N, 2] of finite numbers."""

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from warp_peri.core.elastic import from_voigt
-from warp_peri.dressed.finite import NUMBERS, FiniteSolid, stress, third_derivatives
+from warp_peri.dressed.finite import FiniteSolid, stress, third_derivatives
 from warp_peri.dressed.finite_body import FiniteBody, Slopes, gathered, gradients
 from warp_peri.dressed.learning import third_order_moduli
 from warp_peri.errors import InputError
@@ -66,8 +66,8 @@ def fit_finite(samples: Samples, moduli: Any) -> FiniteFit:
     if C.shape != (2,) * 4 or abs(C[0, 0, 0, 0] - pair[0] - 2 * pair[1]) > ISOTROPIC * pair[1]:
         raise InputError("moduli: expected those of an isotropic sheet")
     record = found.settle(pair) | {"from": "fields", "samples": len(samples.u), "numbers": 6}
-    numbers = dict(zip(NUMBERS, (samples.spacing, *pair, *found.q, *found.constants)))
-    solid = FiniteSolid(**numbers, units=samples.points.units, provenance={"fit": record})
+    own: dict[str, Any] = {"units": samples.points.units, "provenance": {"fit": record}}
+    solid = FiniteSolid(samples.spacing, *pair, *found.q, *found.constants, **own)
     body = FiniteBody(solid, samples.points)
     wrong = np.linalg.norm((body(samples.u) - found.b).reshape(len(found.b), -1), axis=1)
     history = record | {

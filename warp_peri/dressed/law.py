@@ -5,30 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.core.elastic import from_voigt, voigt
+from warp_peri.core.grid import Grid
 from warp_peri.core.groups import Symmetry
 from warp_peri.core.proof import Proof
+from warp_peri.core.record import Length, Quantity, Record
+from warp_peri.core.stencil import Stencil
 from warp_peri.dressed.bases import AXIS_WEIGHT, Base, base, composed, half, spread
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.nodes import Nodes
-from warp_peri.models.lps import Model, read_content
-from warp_peri.points.arrays import checked
+from warp_peri.models.lps import Model
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import USUAL, Units, check_units, factors
-from warp_peri.shown import as_table, in_rows
-
-FORMAT, VERSION = "warp_peri.dressed", 1
+from warp_peri.points.unit_names import USUAL, Units
 
 
-@dataclass(frozen=True, eq=False)
-class DressedSolid:
+@dataclass(frozen=True, eq=False, repr=False)
+class DressedSolid(Record, format="warp_peri.dressed"):
     """The law of a solid on one square or cubic lattice of nodes.
 
     Attributes:
@@ -50,29 +48,26 @@ class DressedSolid:
     tensors that are none.
     """
 
-    spacing: float
+    spacing: Length
     base: str
-    elastic: np.ndarray
-    steps: np.ndarray
-    tensors: np.ndarray
+    elastic: Annotated[np.ndarray, Quantity(stress=1)]
+    steps: Annotated[np.ndarray, Quantity(key="neighbours")]
+    tensors: Annotated[np.ndarray, Quantity(key="dressing")]
     units: Units = USUAL
     symmetry: Symmetry = ""
     orientation: Any = None
     certificate: Proof | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
-    dilatation: float = AXIS_WEIGHT
+    dilatation: Annotated[float, Quantity(later=True)] = AXIS_WEIGHT
+    ORDER = ("spacing", "symmetry", "orientation", "certificate", "provenance", "base", "elastic",
+             "neighbours", "dressing", "dilatation")  # fmt: skip
 
     def __post_init__(self) -> None:
-        set_ = object.__setattr__
-        tensors = checked("tensors", self.tensors, float)
-        elastic = checked("elastic", self.elastic, float)
-        steps = checked("steps", self.steps, float)
+        super().__post_init__()
+        set_, steps, tensors = object.__setattr__, self.steps, self.tensors
         if steps.ndim != 2 or (np.rint(steps) != steps).any():
             raise InputError(f"steps: expected whole numbers of shape [H, d], got {steps!r:.60}")
-        set_(self, "elastic", elastic)
         set_(self, "steps", steps.astype(int))
-        set_(self, "tensors", tensors)
-        set_(self, "units", check_units(self.units))
         shape = (len(steps), self.dimension, self.dimension)
         if steps.shape[1:] != (self.dimension,) or tensors.shape[1:] != shape:
             raise InputError(
@@ -116,6 +111,16 @@ class DressedSolid:
             self.spacing, steps, tensors / self.spacing**2, self.units, self.symmetry,
             self.orientation, self.certificate, self.provenance,
         )  # fmt: skip
+
+    @property
+    def stencil(self) -> Stencil:
+        """That of the even solid."""
+        return self.crystal.stencil
+
+    @property
+    def group(self) -> np.ndarray:
+        """What nodes and crystal share, as of a Crystal."""
+        return self.crystal.group
 
     @property
     def layered(self) -> bool:
@@ -162,27 +167,9 @@ class DressedSolid:
         proven = "nothing" if self.certificate is None else self.certificate.statement
         return [base, dressing, *self.crystal.rows()[:-1], ("proven", proven)]
 
-    def __repr__(self) -> str:
-        return in_rows("DressedSolid", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
-
     def certified(self) -> DressedSolid:
         """The law with its certificate; `certificate.holds` says whether one was found."""
         return replace(self, certificate=self.crystal.certified().certificate)
-
-    def in_units(self, units: Units) -> DressedSolid:
-        """The same law in other units. Raises InputError where no factor leads to them."""
-        length, stress = factors(self.units, units)
-        proof = self.crystal.in_units(units).certificate
-        return replace(
-            self,
-            spacing=self.spacing * length,
-            elastic=self.elastic * stress,
-            units=check_units(units),
-            certificate=proof,
-        )
 
     def on(
         self,
@@ -222,7 +209,7 @@ class DressedSolid:
             )
         law = self.crystal
 
-        def layers(nodes: Nodes, dtype: Any) -> ByLayers:
+        def layers(nodes: Grid, dtype: Any) -> ByLayers:
             return ByLayers(
                 nodes, self.steps, self.tensors[0], self.parts, self.spacing, dtype=dtype
             )
@@ -231,66 +218,9 @@ class DressedSolid:
             f"; give a collar {law.horizon:g} wide, or edges=True where the body itself ends there"
         )
         return Operator(
-            law.fitting(points), law.spacing, law.steps, law.tensors, self.tensor(), why=why,
+            law.fitting(points), law.stencil, self.tensor(), why=why,
             model=self, dtype=dtype, product=layers if self.layered else None,
         )  # fmt: skip
-
-    def content(self) -> dict[str, Any]:
-        """What a file holds, plain values."""
-        own = self.crystal.content()
-        del own["steps"], own["tensors"]
-        return own | {
-            "format": FORMAT,
-            "version": VERSION,
-            "base": self.base,
-            "elastic": self.elastic.tolist(),
-            "neighbours": self.steps.tolist(),
-            "dressing": self.tensors.tolist(),
-            "dilatation": self.dilatation,
-        }
-
-    @classmethod
-    def of_content(cls, content: Any) -> DressedSolid:
-        """The law that a file holds. Raises InputError naming what is wrong."""
-        needed = {"spacing", "base", "elastic", "neighbours", "dressing", "symmetry"}
-        known = needed | {"format", "version", "length_unit", "stress_unit", "orientation",
-                          "certificate", "provenance", "dilatation"}  # fmt: skip
-        if not isinstance(content, dict) or content.get("format") != FORMAT:
-            raise InputError(f"format: expected {FORMAT!r}")
-        if content.get("version") != VERSION:
-            raise InputError(f"version: expected {VERSION}, got {content.get('version')!r:.50}")
-        if missing := sorted(needed - set(content)):
-            raise InputError(f"missing: {', '.join(missing)}")
-        if unknown := sorted(set(content) - known):
-            raise InputError(f"unknown keys: {', '.join(unknown)}")
-        symmetry, proof = content["symmetry"], content.get("certificate")
-        try:
-            return cls(
-                content["spacing"],
-                content["base"],
-                np.asarray(content["elastic"], dtype=float),
-                np.asarray(content["neighbours"]),
-                np.asarray(content["dressing"], dtype=float),
-                (content.get("length_unit", USUAL[0]), content.get("stress_unit", USUAL[1])),
-                symmetry if isinstance(symmetry, str) else np.asarray(symmetry, dtype=float),
-                content.get("orientation"),
-                None if proof is None else Proof(**proof),
-                dict(content.get("provenance") or {}),
-                float(content.get("dilatation", AXIS_WEIGHT)),
-            )
-        except InputError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise InputError(f"expected numbers in rows ({error})") from None
-
-
-def load_dressed(path: Any) -> DressedSolid:
-    """Read a file that `save` wrote. Raises InputError naming the file and what is wrong."""
-    content = read_content(path)
-    try:
-        return DressedSolid.of_content(content)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def held(tensor: np.ndarray) -> np.ndarray:

@@ -6,12 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
-from warp_peri.launch import DEVICE
 from warp_peri.statics.conjugate_gradients import definite
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
@@ -41,7 +39,7 @@ def at_rest(body: Body, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> So
     if solver is None:
         iterated = body.points.x.shape[1] == 3 and int(inside.sum()) > MOST_DIRECT
     asked = solver if isinstance(solver, Krylov) else Krylov()
-    if asked.preconditioner not in (None, "cg") or asked.device != DEVICE:
+    if asked.preconditioner is not None:
         raise InputError(
             "solver: expected Krylov(tolerance=…) alone for a dressed body, whose "
             f"preconditioner is its own diagonal, got {asked!r:.100}"
@@ -80,19 +78,19 @@ def _iterated(
     def alone(r: np.ndarray) -> np.ndarray:
         return np.asarray(r - rigid @ (rigid.T @ r))
 
-    def product(v: torch.Tensor) -> torch.Tensor:
-        return torch.from_numpy(alone(mask * body.in_turn(alone(v.numpy()))))
+    def product(v: np.ndarray) -> np.ndarray:
+        return alone(mask * body.in_turn(alone(v)))
 
-    def precondition(r: torch.Tensor) -> torch.Tensor:
-        return torch.from_numpy(alone(inverse * alone(r.numpy())))
+    def precondition(r: np.ndarray) -> np.ndarray:
+        return alone(inverse * alone(r))
 
     flat, start = (f.reshape(len(f), -1).T for f in (loads, np.where(unknown[:, None], 0.0, held)))
     right = mask * (_balanced(flat, rigid) - body.in_turn(start))
     try:
-        found, record = definite(product, precondition, torch.from_numpy(right), tolerance)
+        found, record = definite(product, precondition, right, tolerance)
     except InputError as error:  # L ⪰ 0: a direction without energy is a part that is loose
         raise InputError(f"the body falls apart, or nearly: {error}") from None
-    answer = (start + found.numpy()).T.reshape(shape)
+    answer = (start + found).T.reshape(shape)
     return answer, record.residual, record.iterations
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import warp as wp
 from scipy.ndimage import maximum_filter
 
+from warp_peri.core.grid import Grid
+from warp_peri.core.sweeps import FASTER, SCALARS, entries, row_pieces
 from warp_peri.dressed.bases import Base, half
 from warp_peri.kernels.dressed.bonds import bonds
 from warp_peri.kernels.dressed.elements import elements
 from warp_peri.kernels.micromodulus.rows import rows
 from warp_peri.launch import DEVICE, floats, ints, launch_slices
-from warp_peri.micromodulus.nodes import Nodes
-from warp_peri.micromodulus.sweeps import FASTER, SCALARS, entries, row_pieces
 
 MODES = {"elements": 5, "bonds": 1}
 """What a site leaves for its nodes: modes of a square element that are not rigid; a dilatation."""
@@ -35,7 +35,7 @@ class ByLayers:
 
     def __init__(
         self,
-        nodes: Nodes,
+        nodes: Grid,
         steps: np.ndarray,
         tensors: np.ndarray,
         base: Base,

@@ -57,6 +57,15 @@ class GaussianProcess:
     mean: float
     size: float
 
+    def __post_init__(self) -> None:
+        n, d = self.X.shape if self.X.ndim == 2 else (0, 0)
+        shapes = {"y": (n,), "noise": (n, n)[: self.noise.ndim], "log_lengths": (d,)}
+        shapes |= {"centre": (d,), "scale": (d,)}
+        if wrong := [name for name, shape in shapes.items() if getattr(self, name).shape != shape]:
+            raise InputError(f"process: {', '.join(wrong)} do not fit {n} inputs of {d} numbers")
+        if self.kernel not in KERNELS:
+            raise InputError(f"kernel: expected one of {', '.join(KERNELS)}, got {self.kernel!r}")
+
     def standard(self, X: np.ndarray) -> np.ndarray:
         """Inputs in lengths of the kernel."""
         return np.asarray((X - self.centre) / self.scale / np.exp(self.log_lengths))
@@ -154,7 +163,7 @@ def fit_process(
     start = np.concatenate([[0.0], np.full(d, 0.7), [0.0, np.log(0.1)]])
     bounds = [(-5, 6), *[LENGTHS] * d, (-6, 4), (-12, 1)]
     optimum = minimize(
-        _unlikelihood, start, (Z, f, kernel, given), jac=True, bounds=bounds,
+        unlikelihood, start, (Z, f, kernel, given), jac=True, bounds=bounds,
         method="L-BFGS-B", options={"maxiter": iterations},
     )  # fmt: skip
     theta = optimum.x
@@ -165,7 +174,7 @@ def fit_process(
     )  # fmt: skip
 
 
-def _unlikelihood(
+def unlikelihood(
     theta: np.ndarray, Z: np.ndarray, f: np.ndarray, kernel: str, noise: np.ndarray | None
 ) -> tuple[float, np.ndarray]:
     """(F18) and its gradient by log amplitude, log lengths, log weight of pairs, log noise."""
@@ -200,29 +209,6 @@ def _unlikelihood(
     if noise is None:
         gradient[-1] = 2 * np.exp(2 * theta[-1]) * np.trace(G)
     return float(value), gradient
-
-
-def curvature_of(process: GaussianProcess, step: float = 1e-3) -> tuple[np.ndarray, np.ndarray]:
-    """Log amplitude and lengths θ of a fit, and the second derivatives of (F18) there (F38).
-
-    By differences of the exact gradient on the points that were fitted, and 1 added for each: a
-    prior within a factor e of the fit. Directions that the data do not bend upwards have the prior.
-    """
-    d, n = len(process.log_lengths), len(process.y)
-    keep = np.unique(np.linspace(0, n - 1, min(SUBSET, n)).astype(int))
-    Z = ((process.X - process.centre) / process.scale)[keep]
-    f = ((process.y - process.mean) / process.size)[keep]
-    noise = process.noise / process.size**2
-    noise = noise[keep] if noise.ndim == 1 else noise[np.ix_(keep, keep)]
-    theta = np.concatenate([[process.log_amplitude], process.log_lengths, [process.log_pairs, 0.0]])
-
-    def gradient(moved: np.ndarray) -> np.ndarray:
-        return _unlikelihood(moved, Z, f, process.kernel, noise)[1][: 1 + d]
-
-    shifts = step * np.eye(len(theta))[: 1 + d]
-    H = np.array([gradient(theta + e) - gradient(theta - e) for e in shifts]) / (2 * step)
-    value, vector = np.linalg.eigh((H + H.T) / 2)
-    return theta[: 1 + d], (vector * (np.maximum(value, 0) + 1)) @ vector.T
 
 
 def greedy(Z: np.ndarray, count: int) -> np.ndarray:

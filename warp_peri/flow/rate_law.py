@@ -18,7 +18,7 @@ from scipy.interpolate import CubicSpline
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud
 from warp_peri.flow.gaussian_process import GaussianProcess, bar, fit_process
-from warp_peri.flow.law_content import law_content
+from warp_peri.flow.learned import FORMAT, LearnedLaw
 from warp_peri.flow.pairs import Pairs, start_pairs
 from warp_peri.flow.planar import IDENTITY, carried
 from warp_peri.flow.protocols import Ensembles, listed
@@ -38,7 +38,7 @@ def inputs(K: Any, s: Any) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class RateLaw:
+class RateLaw(LearnedLaw, format=FORMAT, kind="rate"):
     """Three processes, and what is known beside them.
 
     Args:
@@ -53,11 +53,15 @@ class RateLaw:
     outside: str = "warn"
     provenance: dict[str, Any] = field(default_factory=dict, repr=False)
 
-    def content(self) -> dict[str, Any]:
-        """What the file of the law holds; tables are made again."""
-        return law_content(
-            "rate", self.processes, self.outside, self.provenance, kinematics=self.kinematics
-        )
+    @property
+    def learned_from(self) -> tuple[GaussianProcess, ...]:
+        """Its processes."""
+        return self.processes
+
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """As it is: processes are a field of their own."""
+        return content
 
     @property
     def name(self) -> str:

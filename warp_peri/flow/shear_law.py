@@ -12,14 +12,14 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud
 from warp_peri.flow.gaussian_process import GaussianProcess, bar, fit_process
-from warp_peri.flow.law_content import law_content
+from warp_peri.flow.learned import FORMAT, LearnedLaw
 from warp_peri.flow.pairs import start_pairs
 from warp_peri.flow.planar import IDENTITY
 from warp_peri.flow.protocols import Ensembles, listed
 
 
 @dataclass(frozen=True)
-class ShearLaw:
+class ShearLaw(LearnedLaw, format=FORMAT, kind="shear"):
     """A process of (s_xy, K_xy); other components are not known and stay as they are.
 
     Args:
@@ -33,12 +33,7 @@ class ShearLaw:
     kinematics: bool
     outside: str = "warn"
     provenance: dict[str, Any] = field(default_factory=dict, repr=False)
-
-    def content(self) -> dict[str, Any]:
-        """What the file of the law holds; tables are made again."""
-        return law_content(
-            "shear", (self.process,), self.outside, self.provenance, kinematics=self.kinematics
-        )
+    PROCESSES = ("process",)
 
     @property
     def name(self) -> str:

@@ -8,18 +8,19 @@ dumbbells are exact: the function is zero.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, field
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import brentq
 
+from warp_peri.core.record import Quantity
 from warp_peri.errors import InputError
 from warp_peri.flow.cloud import Cloud, Gradients
 from warp_peri.flow.gaussian_process import GaussianProcess, condensed
-from warp_peri.flow.law_content import law_content
+from warp_peri.flow.learned import FORMAT, LearnedLaw, fastest, fastest_of
 from warp_peri.flow.planar import (
     IDENTITY,
     carried,
@@ -59,7 +60,7 @@ def resting(stiffness: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class SpringLaw:
+class SpringLaw(LearnedLaw, format=FORMAT, kind="spring"):
     """A process of log(S_i/c_i).
 
     Args:
@@ -71,18 +72,19 @@ class SpringLaw:
 
     process: GaussianProcess
     outside: str = "warn"
-    gradients: Gradients | None = None
+    gradients: Annotated[Gradients | None, Quantity(key="fastest", later=True)] = None
     provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+    ORDER = (*LearnedLaw.ORDER, "gradients")
+    PROCESSES = ("process",)
 
-    def content(self) -> dict[str, Any]:
-        """What the file of the law holds; tables are made again."""
-        spring = (self.process,)
-        return self.with_gradients(law_content("spring", spring, self.outside, self.provenance))
+    def derived(self) -> dict[str, Any]:
+        """As of others, and the velocity gradients of the data."""
+        return super().derived() | {"gradients": fastest(self.gradients)}
 
-    def with_gradients(self, content: dict[str, Any]) -> dict[str, Any]:
-        """The content of a file, with the velocity gradients of the data."""
-        known = None if self.gradients is None else list(astuple(self.gradients))
-        return content | {"gradients": known}
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """As of others, with the velocity gradients of the data."""
+        return super().today(content | {"fastest": fastest_of(content)})
 
     @property
     def name(self) -> str:

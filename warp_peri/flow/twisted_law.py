@@ -20,8 +20,8 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import homogeneous
 from warp_peri.flow.gaussian_process import GaussianProcess, condensed
-from warp_peri.flow.law_content import law_content
 from warp_peri.flow.laws import FENEP
+from warp_peri.flow.learned import FORMAT, LearnedLaw, fastest
 from warp_peri.flow.planar import IDENTITY, carried, eigenvalues, from_frame, in_frame, trace
 from warp_peri.flow.protocols import Ensembles, listed
 from warp_peri.flow.spring_law import (
@@ -47,7 +47,7 @@ SPREAD, LEAST_SPREAD = 0.03, 0.003
 
 
 @dataclass(frozen=True)
-class TwistedSpringLaw:
+class TwistedSpringLaw(LearnedLaw, format=FORMAT, kind="twisted"):
     """A learned spring, and what turns it.
 
     Args:
@@ -63,14 +63,34 @@ class TwistedSpringLaw:
     excess: GaussianProcess
     b: float
     provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+    ORDER = SpringLaw.ORDER
+    PROCESSES = ("first", "process", "excess")
 
-    def content(self) -> dict[str, Any]:
-        """What the file of the law holds; tables are made again."""
-        base = self.spring_law
-        processes = (base.process, self.process, self.excess)
-        return base.with_gradients(
-            law_content("twisted", processes, base.outside, self.provenance, b=self.b)
-        )
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _ = self.twin  # an InputError where b is none
+
+    @property
+    def outside(self) -> str:
+        """What happens far from the data, as of the spring."""
+        return self.spring_law.outside
+
+    @property
+    def first(self) -> GaussianProcess:
+        """The spring's."""
+        return self.spring_law.process
+
+    def derived(self) -> dict[str, Any]:
+        """As of others, and the velocity gradients of the data."""
+        return super().derived() | {"gradients": fastest(self.spring_law.gradients)}
+
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """With the spring as a law of its own."""
+        own = super().today(content | {"gradients": content.get("gradients")})
+        spring = content | {"kind": "spring", "b": None, "provenance": {}}
+        spring = spring | {"processes": [own.pop("first")]}
+        return own | {"spring_law": {k: v for k, v in spring.items() if k != "sha256"}}
 
     @property
     def name(self) -> str:

@@ -22,6 +22,7 @@ from warp_peri.losses.full import sample_weights
 from warp_peri.losses.nonlinear import GradientLoss, reduce_nonlinear
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.models.smoothing import Smoothing
+from warp_peri.models.uniqueness import uniqueness
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
@@ -30,7 +31,6 @@ from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
-from warp_peri.stability.uniqueness import uniqueness
 
 MOST_PASSES, SETTLED = 30, 1e-7
 """λ, μ and the weights of the energy form are carried over from pass to pass, until they change by

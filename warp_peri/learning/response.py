@@ -15,9 +15,8 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.losses.reduced import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
-from warp_peri.models.lps import Model
+from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.symbol import stiffnesses
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.wave_number import WAVE_VECTOR

@@ -20,7 +20,7 @@ from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein
 from warp_peri.learning.options import DEGREES, HORIZONS
-from warp_peri.models.lps import load_model
+from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
@@ -245,7 +245,7 @@ def _read(file: Path) -> Trial | None:
     """A finished trial; None when there is none or its files cannot be read."""
     try:
         trial = Trial(**json.loads(file.read_text(encoding="utf-8")))
-        load_model(file.parent / trial.model)
+        Model.load(file.parent / trial.model)
     except (OSError, ValueError, TypeError):
         return None
     return trial

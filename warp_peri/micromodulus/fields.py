@@ -7,8 +7,8 @@ import itertools
 import numpy as np
 
 from warp_peri.core.basis import Basis
+from warp_peri.core.grid import Grid, grid_of
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.nodes import Nodes, lay_out
 from warp_peri.micromodulus.regression import compressed
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
@@ -27,9 +27,9 @@ def rows(samples: Samples, bonds: Basis, *, normalise: bool = False) -> tuple[np
         bonds: the family.
         normalise: divide each sample by ‖b‖.
 
-    Raises InputError as nodes.lay_out does, and for samples without loads.
+    Raises InputError as grid_of does, and for samples without loads.
     """
-    nodes = lay_out(samples.points, bonds.steps)
+    nodes = grid_of(samples.points, bonds.steps)
     b = samples.loads[:, samples.interior] @ nodes.axes
     count = bonds.basis.shape[0]
     weight = np.ones(len(b))
@@ -48,9 +48,9 @@ def rows(samples: Samples, bonds: Basis, *, normalise: bool = False) -> tuple[np
     return R, y
 
 
-def _features(u: np.ndarray, nodes: Nodes, bonds: Basis) -> np.ndarray:
+def _features(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
     """L u of every basis tensor at the interior nodes, shape [S, I, d, P]."""
-    planes = nodes.lay_out(u)
+    planes = nodes.scatter(u)
     asked = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
     order = np.argsort(np.argsort(nodes.interior))
     middle = planes[(slice(None), slice(None), *nodes.core)][:, :, asked]

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
-import os
 import warnings
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -18,11 +16,10 @@ from warp_peri.core.groups import (
     shared_with_nodes,
 )
 from warp_peri.core.proof import Proof, largest, prove
+from warp_peri.core.record import Length, Quantity, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
 from warp_peri.micromodulus.operator import Operator
-from warp_peri.points.arrays import checked, is_positive
 from warp_peri.points.axis import unsaid
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
@@ -32,26 +29,21 @@ from warp_peri.points.unit_names import (
     USUAL,
     Units,
     check_same,
-    check_units,
     factors,
     shown_moduli,
     symbols,
 )
-from warp_peri.shown import as_table, in_rows
 
 SAME_AXIS = 1e-3
 """Of the directions of a crystal, as rotations, that count as one."""
-FORMAT, VERSION = "warp_peri.micromodulus", 1
-LARGEST_FILE = 2**26
-"""Bytes of a file that are read at most."""
 SAME_SPACING = 1e-6
 """Relative, of spacings that are taken as the same."""
 BROKEN = 1e-8
 """Relative, that tensors may break a symmetry they are said to have."""
 
 
-@dataclass(frozen=True, eq=False)
-class Crystal:
+@dataclass(frozen=True, eq=False, repr=False)
+class Crystal(Record, format="warp_peri.micromodulus"):
     """The law of one crystal on one square or cubic lattice of nodes.
 
     Steps and tensors are along the axes of the nodes; C(−ξ) = C(ξ).
@@ -73,20 +65,19 @@ class Crystal:
     or do not have the symmetry they are said to have.
     """
 
-    spacing: float
+    spacing: Length
     steps: np.ndarray
-    tensors: np.ndarray
+    tensors: Annotated[np.ndarray, Quantity(length=-2, stress=1)]
     units: Units = USUAL
     symmetry: Symmetry = ""
     orientation: Any = None
     certificate: Proof | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
-    stress: np.ndarray | None = None
+    stress: Annotated[np.ndarray | None, Quantity(stress=1, omit=True)] = None
 
     def __post_init__(self) -> None:
-        if not is_positive(self.spacing):
-            raise InputError(f"spacing: expected a number > 0, got {self.spacing!r}")
-        steps = np.asarray(self.steps)
+        super().__post_init__()
+        steps, tensors, stress = self.steps, self.tensors, self.stress
         if steps.ndim != 2 or steps.shape[1] not in (2, 3) or not len(steps):
             raise InputError(f"steps: expected shape [H, 2] or [H, 3], got {list(steps.shape)}")
         whole = np.rint(steps).astype(np.int64)
@@ -94,7 +85,6 @@ class Crystal:
         if (whole != steps).any() or len(both) != 2 * len(whole) or not whole.any(axis=1).all():
             raise InputError("steps: expected whole numbers, one of ξ and −ξ, each once and not 0")
         d = steps.shape[1]
-        tensors = checked("tensors", self.tensors, float)
         if tensors.shape != (len(steps), d, d):
             raise InputError(
                 f"tensors: expected shape [{len(steps)}, {d}, {d}], got {list(tensors.shape)}"
@@ -105,14 +95,9 @@ class Crystal:
         set_ = object.__setattr__
         set_(self, "steps", whole)
         set_(self, "tensors", (tensors + tensors.transpose(0, 2, 1)) / 2)
-        set_(self, "spacing", float(self.spacing))
-        set_(self, "units", check_units(self.units))
         set_(self, "orientation", checked_orientation(self.orientation, d))
-        if self.stress is not None:
-            stress = checked("stress", self.stress, float)
-            if stress.shape != (d, d) or not np.array_equal(stress, stress.T):
-                raise InputError(f"stress: expected a symmetric matrix [{d}, {d}]")
-            set_(self, "stress", stress)
+        if stress is not None and not (stress.shape == (d, d) and np.array_equal(stress, stress.T)):
+            raise InputError(f"stress: expected a symmetric matrix [{d}, {d}]")
         if isinstance(self.symmetry, str) and not self.symmetry:
             set_(self, "symmetry", {2: "1", 3: "-1"}[d])
         if self._asymmetry() > BROKEN:
@@ -218,12 +203,6 @@ class Crystal:
             ("proven", "nothing" if self.certificate is None else self.certificate.statement),
         ]
 
-    def __repr__(self) -> str:
-        return in_rows("Crystal", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
-
     def describe(self, unit: str | None = None) -> dict[str, Any]:
         """Moduli as they are read: symmetry, constants, anisotropy, extremes of E and ν.
 
@@ -273,22 +252,6 @@ class Crystal:
         """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
         return largest(self.stencil, self.group)
 
-    def in_units(self, units: Units) -> Crystal:
-        """The same law in other units. Raises InputError where no factor leads to them."""
-        length, stress = factors(self.units, units)
-        proof = self.certificate
-        if proof is not None:
-            moved = {k: getattr(proof, k) * stress for k in ("proven", "sampled", "long_waves")}
-            proof = replace(proof, **moved)
-        return replace(
-            self,
-            spacing=self.spacing * length,
-            tensors=self.tensors * (stress / length**2),
-            units=check_units(units),
-            certificate=proof,
-            stress=None if self.stress is None else self.stress * stress,
-        )
-
     def on(
         self, points: Points | Samples, *, method: str = "auto", dtype: Any = np.float64
     ) -> Operator:
@@ -308,9 +271,7 @@ class Crystal:
         nodes = self.fitting(points)
         return Operator(
             nodes,
-            self.spacing,
-            self.steps,
-            self.tensors,
+            self.stencil,
             self.tensor(),
             method=method,
             dtype=dtype,
@@ -379,66 +340,3 @@ class Crystal:
             "bonds": self.bonds,
             "certificate": None if self.certificate is None else self.certificate.content(),
         }
-
-    def content(self) -> dict[str, Any]:
-        """What a file holds, plain values."""
-        named = isinstance(self.symmetry, str)
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            "length_unit": self.units[0],
-            "stress_unit": self.units[1],
-            "spacing": self.spacing,
-            "steps": self.steps.tolist(),
-            "tensors": self.tensors.tolist(),
-            "symmetry": self.symmetry if named else np.asarray(self.symmetry).tolist(),
-            "orientation": np.asarray(self.orientation).tolist(),
-            "certificate": None if self.certificate is None else self.certificate.content(),
-            "provenance": self.provenance,
-        } | ({} if self.stress is None else {"stress": self.stress.tolist()})
-
-    @classmethod
-    def of_content(cls, content: Any) -> Crystal:
-        """The law that a file holds. Raises InputError naming what is wrong."""
-        if not isinstance(content, dict):
-            raise InputError(f"expected a JSON object, got {type(content).__name__}")
-        for key, expected in {"format": FORMAT, "version": VERSION}.items():
-            if content.get(key) != expected:
-                raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r:.60}")
-        missing = [key for key in ("spacing", "steps", "tensors", "symmetry") if key not in content]
-        if missing:
-            raise InputError(f"missing: {', '.join(missing)}")
-        symmetry, proof = content["symmetry"], content.get("certificate")
-        try:
-            return cls(
-                content["spacing"],
-                np.asarray(content["steps"]),
-                np.asarray(content["tensors"], dtype=float),
-                (content.get("length_unit", USUAL[0]), content.get("stress_unit", USUAL[1])),
-                symmetry if isinstance(symmetry, str) else np.asarray(symmetry, dtype=float),
-                content.get("orientation"),
-                None if proof is None else Proof(**proof),
-                dict(content.get("provenance") or {}),
-                content.get("stress"),
-            )
-        except InputError:
-            raise
-        except (TypeError, ValueError) as error:
-            raise InputError(f"expected numbers in rows ({error})") from None
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file, whole or not at all."""
-        write_json(path, self.content())
-
-
-def load_crystal(path: str | os.PathLike[str]) -> Crystal:
-    """Read a file that `save` wrote. Raises InputError naming the file and what is wrong."""
-    try:
-        if os.path.getsize(path) > LARGEST_FILE:
-            raise InputError(f"expected at most {LARGEST_FILE} bytes")
-        with open(path, encoding="utf-8") as file:
-            return Crystal.of_content(json.load(file))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (InputError, OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: {error}") from None

@@ -9,15 +9,14 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from warp_peri.core.grid import Grid
+from warp_peri.core.stencil import Stencil
+from warp_peri.core.sweeps import Product
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.nodes import Nodes, lay_out
-from warp_peri.micromodulus.statics import solve
-from warp_peri.micromodulus.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, Product
 from warp_peri.points.points import Points
+from warp_peri.statics.linear import Linear
 from warp_peri.statics.settings import Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
-
-METHODS = ("auto", "rows", "fft")
 
 
 class Operator:
@@ -27,7 +26,7 @@ class Operator:
 
     Args:
         points: lattice nodes with a collar, or periodic.
-        spacing, steps, tensors: of the law.
+        stencil: of the law.
         elastic: C_ijkl along the nodes' axes [stress], for `stress`.
         method: "rows", "fft", or "auto", which takes what is faster.
         dtype: float64 or float32.
@@ -35,40 +34,26 @@ class Operator:
         model: the law, as it is told.
         product: of these nodes and dtype, in place of rows of the law's own bonds.
 
-    Raises InputError as nodes.lay_out does.
+    Raises InputError as grid_of does.
     """
 
     def __init__(
         self,
         points: Points,
-        spacing: float,
-        steps: np.ndarray,
-        tensors: np.ndarray,
+        stencil: Stencil,
         elastic: np.ndarray,
         *,
         method: str = "auto",
         dtype: Any = np.float64,
         why: str = "",
         model: Any = None,
-        product: Callable[[Nodes, Any], Product] | None = None,
+        product: Callable[[Grid, Any], Product] | None = None,
     ) -> None:
-        if method not in METHODS:
-            raise InputError(f"method: expected one of {', '.join(METHODS)}, got {method!r}")
-        if np.dtype(dtype) not in SCALARS:
-            raise InputError(f"dtype: expected float64 or float32, got {np.dtype(dtype)}")
-        self.points, self.spacing, self.model = points, spacing, model
-        self.steps, self.tensors, self.elastic = steps, tensors, elastic
-        self.nodes: Nodes = lay_out(points, steps, why=why)
-        self.dtype = np.dtype(dtype)
-        if method == "auto":
-            method = "fft" if len(steps) >= FFT_BONDS[self.nodes.dimension] else "rows"
-        self.method = method
-        make = ByFFT if method == "fft" else ByRows
-        self.pull: Product = (
-            product(self.nodes, self.dtype)
-            if product is not None and method == "rows"
-            else make(self.nodes, steps, tensors, self.dtype)
-        )
+        self.points, self.spacing, self.model = points, stencil.spacing, model
+        self.elastic = elastic
+        self.linear = Linear(stencil, points, by=method, dtype=dtype, why=why, product=product)
+        self.nodes, self.pull, self.dtype = self.linear.grid, self.linear.pull, self.linear.dtype
+        self.steps, self.tensors, self.method = stencil.steps, stencil.tensors, self.linear.by
 
     def __call__(self, u: ArrayLike) -> np.ndarray:
         """L u, minus the internal force density [stress/length], at the interior nodes.
@@ -77,7 +62,7 @@ class Operator:
         shape or values that are not finite.
         """
         fields, lead = self.checked(u)
-        force = self.nodes.take_up(self.pull(self.nodes.lay_out(fields, self.dtype)))
+        force = self.linear(fields)
         return force.reshape(*lead, *force.shape[1:])
 
     def load(self, b: ArrayLike) -> np.ndarray:
@@ -89,17 +74,21 @@ class Operator:
 
         Args:
             b, u: on all nodes; b counts on the interior, u on the collar.
-            solver: Krylov(preconditioner, tolerance), the first a name of statics.METHODS or None.
+            solver: Krylov(preconditioner, tolerance), or None.
 
-        Raises InputError as statics.solve does.
+        Raises InputError as Linear.solve does.
         """
         refuse_solver(solver, (Krylov,), "a law of micromodulus tensors")
         asked = solver if isinstance(solver, Krylov) else Krylov()
-        method = asked.preconditioner or "auto"
-        inside = self.points.interior[:, None]
-        given, load = np.where(inside, 0.0, u), np.where(inside, b, 0.0)
-        answer, record = solve(self, load, given, method=method, tolerance=asked.tolerance)
+        fields, lead = self.checked(np.where(self.points.interior[:, None], 0.0, u))
+        loads = self.checked(np.where(self.points.interior[:, None], b, 0.0))[0]
+        if loads.shape != fields.shape:
+            raise InputError(f"b: expected shape {list(fields.shape)}, got {list(loads.shape)}")
         proof = getattr(self.model, "certificate", None)
+        if proof is None or not proof.holds:
+            self.linear.check_definite()
+        found, took = self.linear.solve(loads, fields, asked.tolerance, asked.preconditioner)
+        answer = found.reshape(*lead, *found.shape[1:])
         proven = None
         if proof is not None and proof.holds:
             proven = f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
@@ -108,11 +97,11 @@ class Operator:
             self.points,
             self,
             self.load(b),
-            record.method,
-            (record.iterations,),
+            took[0].method,
+            tuple(each.iterations for each in took),
             proven,
-            details=record,
-            measured=record.residual,
+            details=tuple(took),
+            measured=max(each.residual for each in took),
         )
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
@@ -129,7 +118,7 @@ class Operator:
         Its derivative to the interior displacement is h^d L u. (In the plane for a unit thickness.)
         """
         fields, lead = self.checked(u)
-        planes = self.nodes.lay_out(fields)
+        planes = self.nodes.scatter(fields)
         nodes, r = self.nodes, self.nodes.reach
         asked = np.zeros(nodes.wide, bool)
         core = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
@@ -152,7 +141,7 @@ class Operator:
     def gradient(self, u: ArrayLike) -> np.ndarray:
         """∂u_a/∂x_b at the interior nodes by least squares over the family, [..., I, d, d]."""
         fields, lead = self.checked(u)
-        planes, nodes, r = self.nodes.lay_out(fields), self.nodes, self.nodes.reach
+        planes, nodes, r = self.nodes.scatter(fields), self.nodes, self.nodes.reach
         d = nodes.dimension
         xi = self.spacing * self.steps
         inverse = np.linalg.inv(2 * xi.T @ xi)

@@ -1,40 +1,35 @@
-"""A crystal of micromodulus tensors with third-order constants, and its file (theory.md, N22–N27).
+"""A crystal of micromodulus tensors with third-order constants, and its file (theory.md, N22–N25).
 
 Of sheets whose long waves are isotropic: crystals with three- or sixfold axes, as graphene.
 """
 
 from __future__ import annotations
 
-import os
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.core.record import Length, Record, Stress
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
 from warp_peri.micromodulus.law import SAME_SPACING, Crystal
-from warp_peri.models.lps import content_hash, read_content
 from warp_peri.models.nonlinear import CUBIC
 from warp_peri.models.smoothing import Smoothing, fitted_weights
-from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.models.uniqueness import Uniqueness, check_strain, uniqueness_of
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import PointsLike
-from warp_peri.points.unit_names import Units, factors, shown_moduli
-from warp_peri.shown import as_table, in_rows
-from warp_peri.stability.uniqueness import uniqueness_of
+from warp_peri.points.unit_names import Units, shown_moduli
 
 if TYPE_CHECKING:
     from warp_peri.micromodulus.third_order_operator import PlacedCrystal
 
-FORMAT, VERSION = "warp_peri.third_order_crystal", 1
 FORMS = ("filtered", "energy")
 ISOTROPIC = 1e-6
 """Relative, by which moduli of long waves may miss C11 = C12 + 2 C44."""
 
 
-@dataclass(frozen=True, eq=False)
-class ThirdOrderCrystal:
+@dataclass(frozen=True, eq=False, repr=False)
+class ThirdOrderCrystal(Record, format="warp_peri.third_order_crystal"):
     """A law of micromodulus tensors and the energy Ψ of a displacement gradient (N22).
 
     Attributes:
@@ -53,27 +48,20 @@ class ThirdOrderCrystal:
     """
 
     linear: Crystal
-    t3: float
-    tq2: float
-    q3: float
+    t3: Stress
+    tq2: Stress
+    q3: Stress
     smoothing: Smoothing
     form: str
-    reach: float
+    reach: Length
     proven: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
+    ORDER = ("linear", *CUBIC, "form", "reach", "proven", "provenance", "smoothing")
 
     def __post_init__(self) -> None:
-        for name in CUBIC:
-            value = getattr(self, name)
-            if not (is_number(value) and np.isfinite(value)):
-                raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
-            object.__setattr__(self, name, float(value))
+        super().__post_init__()
         if self.form not in FORMS:
             raise InputError(f"form: expected one of {', '.join(FORMS)}, got {self.form!r:.50}")
-        if not isinstance(self.smoothing, Smoothing):
-            raise InputError(f"smoothing: expected Smoothing(…), got {self.smoothing!r:.50}")
-        if not is_positive(self.reach):
-            raise InputError(f"reach: expected a length > 0, got {self.reach!r:.50}")
         if self.linear.dimension != 2:
             raise InputError("linear: third-order constants are for sheets, got a law in space")
         C = self.linear.tensor()
@@ -91,12 +79,6 @@ class ThirdOrderCrystal:
         if self.proven.get("strain"):
             rows.append(("proven", f"one solution up to |H| = {self.proven['strain']:.2%}"))
         return rows + self.linear.rows()
-
-    def __repr__(self) -> str:
-        return in_rows("ThirdOrderCrystal", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
 
     @property
     def dimension(self) -> int:
@@ -143,9 +125,20 @@ class ThirdOrderCrystal:
         proof = self.linear.certificate
         if proof is None or not proof.holds:
             return self
+        return replace(self, proven=self._unique().figures())
+
+    def _unique(self) -> Uniqueness:
         classes = bond_classes(self.spacing, self.reach)
-        unique = uniqueness_of(self, self.linear.stencil, self.linear.group, classes)
-        return replace(self, proven=unique.figures())
+        return uniqueness_of(self, self.linear.stencil, self.linear.group, classes)
+
+    def check_proofs(self) -> None:
+        """As of a Record, of the strain up to which solutions are said to be unique."""
+        if self.proven:
+            check_strain(self.proven, self._unique)
+
+    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+        """Of what is proven the strain, which has no unit, goes along."""
+        return {"proven": {k: v for k, v in self.proven.items() if k == "strain"}}
 
     def on(self, points: PointsLike, **options: Any) -> PlacedCrystal:
         """The law on a lattice, carried over to its spacing; as PlacedCrystal."""
@@ -153,79 +146,10 @@ class ThirdOrderCrystal:
 
         return PlacedCrystal(self, points, **options)
 
-    def in_units(self, units: Units) -> ThirdOrderCrystal:
-        """The same law in other units; of what is proven the strain, which has none, goes along.
-
-        Raises InputError where no factor leads to them.
-        """
-        if units == self.units:
-            return self
-        length, stress = factors(self.units, units)
-        strain = {"strain": self.proven["strain"]} if "strain" in self.proven else {}
-        return replace(
-            self,
-            linear=self.linear.in_units(units),
-            **{name: getattr(self, name) * stress for name in CUBIC},
-            smoothing=replace(self.smoothing, radius=self.smoothing.radius * length),
-            reach=self.reach * length,
-            proven=strain,
-        )
-
     def summary(self) -> dict[str, Any]:
         """Constants, moduli and guarantee as plain values."""
         own = {name: getattr(self, name) for name in (*CUBIC, "form", "reach", "proven")}
         return own | {"moduli": self.linear.moduli(), "bonds": self.linear.bonds}
-
-    def content(self) -> dict[str, Any]:
-        """What a file holds, plain values."""
-        names = (*CUBIC, "form", "reach", "proven", "provenance")
-        content: dict[str, Any] = {"format": FORMAT, "version": VERSION}
-        content["linear"] = self.linear.content()
-        content |= {name: getattr(self, name) for name in names}
-        content["smoothing"] = asdict(self.smoothing)
-        content["sha256"] = content_hash(content)
-        return content
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file, whole or not at all."""
-        write_json(path, self.content())
-
-    @classmethod
-    def of_content(cls, content: dict[str, Any]) -> ThirdOrderCrystal:
-        """The law that a file holds. Raises InputError naming what is wrong."""
-        names = {*CUBIC, "form", "reach", "proven", "provenance", "linear", "smoothing"}
-        if missing := sorted(names - set(content)):
-            raise InputError(f"missing keys: {', '.join(missing)}")
-        if unknown := sorted(set(content) - names - {"format", "version", "sha256"}):
-            raise InputError(f"unknown keys: {', '.join(unknown)}")
-        for key in ("proven", "provenance"):
-            if not isinstance(content[key], dict):
-                raise InputError(f"{key}: expected an object, got {content[key]!r:.50}")
-        smoothing = content["smoothing"]
-        if not isinstance(smoothing, dict) or set(smoothing) != {"radius", "ridge"}:
-            raise InputError(f"smoothing: expected a radius and a ridge, got {smoothing!r:.50}")
-        if "sha256" in content and content["sha256"] != content_hash(content):
-            raise InputError(
-                "sha256: the contents are not what was written; remove this key to accept them"
-            )
-        try:
-            linear = Crystal.of_content(content["linear"])
-        except InputError as error:
-            raise InputError(f"linear: {error}") from None
-        given = {name: content[name] for name in names - {"linear", "smoothing"}}
-        return cls(linear, smoothing=Smoothing(**smoothing), **given)
-
-
-def load_third_order_crystal(path: str | os.PathLike[str]) -> ThirdOrderCrystal:
-    """Read a file that `save` wrote. Raises InputError naming the file and what is wrong."""
-    content = read_content(path)
-    kind = content.get("format") if isinstance(content, dict) else None
-    try:
-        if kind != FORMAT or content.get("version") != VERSION:
-            raise InputError(f"format: expected {FORMAT!r}, version {VERSION}, got {kind!r:.50}")
-        return ThirdOrderCrystal.of_content(content)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 def gradient_weights(

@@ -10,6 +10,7 @@ from scipy.optimize import root
 
 from warp_peri.core.basis import Basis, invariant_basis
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
+from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import (
     Symmetry,
     checked_orientation,
@@ -19,7 +20,6 @@ from warp_peri.core.groups import (
 from warp_peri.errors import InputError
 from warp_peri.losses.nonlinear import CONSTANTS, NonlinearFeatures
 from warp_peri.micromodulus import fields
-from warp_peri.micromodulus.nodes import lay_out
 from warp_peri.micromodulus.regression import Learned, compressed
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal, gradient_weights
 from warp_peri.micromodulus.third_order_operator import PlacedCrystal
@@ -76,7 +76,7 @@ def fit_third_order(
     have no load.
     """
     begin = time.perf_counter()
-    axes = lay_out(
+    axes = grid_of(
         samples.points, invariant_basis(horizon / samples.spacing, np.eye(2)[None]).steps
     ).axes
     turn = np.eye(2) if orientation is None else axes.T @ checked_orientation(orientation, 2)
@@ -178,7 +178,7 @@ def _rows(
     samples: Samples, bonds: Basis, extra: np.ndarray, values: np.ndarray, kept: np.ndarray
 ) -> _Rows:
     """Each sample over its load; test fields, shape [V, n], on nodes by number."""
-    nodes = lay_out(samples.points, bonds.steps)
+    nodes = grid_of(samples.points, bonds.steps)
     b = samples.loads[:, samples.interior] @ nodes.axes
     size = np.linalg.norm(b.reshape(len(b), -1), axis=1)
     if not (size > 0).all():

@@ -17,7 +17,6 @@ from warp_peri.kernels.nonlinear.tensors import tensor_rows
 from warp_peri.launch import floats
 from warp_peri.micromodulus.law import SAME_SPACING
 from warp_peri.micromodulus.operator import Operator
-from warp_peri.micromodulus.statics import solve
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.waves import transferred
 from warp_peri.models.nonlinear import energy_density
@@ -29,9 +28,9 @@ from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.equilibrium import Inverse
-from warp_peri.statics.lps import choose_method
-from warp_peri.statics.nonlinear import SOLVES, PlacedThirdOrder, factorised_tangent
+from warp_peri.statics.equilibria import SOLVES
+from warp_peri.statics.linear import Inverse
+from warp_peri.statics.nonlinear import PlacedThirdOrder
 
 _known: dict[tuple[object, ...], ThirdOrderCrystal] = {}
 
@@ -165,16 +164,7 @@ class PlacedCrystal(PlacedThirdOrder):
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of the tensors, of a load on the interior: factorised, or by iteration."""
-        if choose_method(self.points, plain=True, loads=SOLVES * loads) == "lu":
-            return factorised_tangent(self)
-        inside, nothing = self.points.interior, np.zeros_like(self.points.x)
-
-        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
-            b = nothing.copy()
-            b[inside] = right
-            return np.asarray(solve(self.straight, b, nothing, tolerance=tolerance)[0][inside])
-
-        return solved
+        return self.straight.linear.cheapest_inverse(SOLVES * loads)
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """Of the energy form [stress · length²], shape [...], up to what the collar alone has: its

@@ -2,59 +2,42 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import os
 import warnings
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.core.groups import lattice_group
+from warp_peri.core.proof import Proof, prove
+from warp_peri.core.record import Length, Quantity, Record, Stress, taken
+from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import plain, write_json
-from warp_peri.models.influence import ALPHA_BOUND, LARGEST_DEGREE, bernstein_basis
+from warp_peri.models.influence import ALPHA_BOUND, CANCELLED, LARGEST_DEGREE, bernstein_basis
 from warp_peri.models.solid import Solid
 from warp_peri.points.arrays import is_number
+from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
-from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
-from warp_peri.shown import as_table, error_rows, in_rows, proven_rows
+from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
+from warp_peri.shown import error_rows, proven_rows
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.points.samples import PointsLike
     from warp_peri.statics.lps import PlacedLPS
 
-FORMAT, VERSION = "warp_peri.model", 1
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
-_NUMBERS = {"lambda": "lam", "mu": "mu", "alpha": "alpha", "horizon": "horizon"}
 SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
+NOTHING = 1e-14
+"""Relative, of tensors that are rounding."""
 LARGEST_MODULUS = 1e100
 """[TPa]; products of larger ones soon are no numbers."""
-LARGEST_FILE = 2**24
-"""Bytes of a model file that are read at most."""
-_OPTIONAL = {"trained_strain", "largest_wave_number", "dimension", "sha256"}
-_RECORDS = ("certificate", "errors", "provenance", "versions")
-_KEYS = {
-    "format",
-    "version",
-    "length_unit",
-    "stress_unit",
-    "degree",
-    "D",
-    "D_dilatation",
-    "quadrature",
-    "trained_on",
-    "certified_on",
-    *_NUMBERS,
-    *_RECORDS,
-}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Model:
+class Model(Record, format="warp_peri.model"):
     """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9, V1–V3).
 
     Attributes:
@@ -82,51 +65,44 @@ class Model:
     Raises InputError naming the first number out of its range.
     """
 
-    lam: float
-    mu: float
+    lam: Annotated[float, Quantity(stress=1, key="lambda")]
+    mu: Stress
     alpha: float
     D: np.ndarray
-    horizon: float
+    horizon: Length
     D_dilatation: np.ndarray | None = None
-    trained_on: tuple[float, ...] = ()
-    certified_on: tuple[float, ...] = ()
-    trained_strain: float | None = None
-    largest_wave_number: float | None = None
+    trained_on: Annotated[tuple[float, ...], Quantity(length=1)] = ()
+    certified_on: Annotated[tuple[float, ...], Quantity(length=1)] = ()
+    trained_strain: Annotated[float | None, Quantity(omit=True)] = None
+    largest_wave_number: Annotated[float | None, Quantity(length=-1, positive=True, omit=True)] = (
+        None
+    )
     certificate: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
-    file: Path | None = None
-    dimension: int = 2
+    file: Annotated[Path | None, Quantity(kept=False)] = None
+    dimension: Annotated[int, Quantity(omit=True)] = 2
+    ORDER = ("lambda", "mu", "alpha", "horizon", "degree", "D", "D_dilatation", "quadrature",
+             "trained_on", "certified_on", "certificate", "errors", "provenance", "versions",
+             "trained_strain", "largest_wave_number", "dimension")  # fmt: skip
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "units", check_units(self.units))
-        length, stress = symbols(self.units)
-        if self.dimension not in (2, 3) or isinstance(self.dimension, bool):
+        super().__post_init__()
+        stress = symbols(self.units)[1]
+        if self.dimension not in (2, 3):
             raise InputError(f"dimension: expected 2 or 3, got {self.dimension!r:.50}")
-        for name in ("lam", "mu", "alpha", "horizon"):
-            object.__setattr__(self, name, _number(name, getattr(self, name)))
         if self.D_dilatation is None:
             object.__setattr__(self, "D_dilatation", self.D)
-        for name in ("D", "D_dilatation", "trained_on", "certified_on"):
-            value = np.array(_numbers(name, getattr(self, name)))
-            object.__setattr__(self, name, value if name[0] == "D" else tuple(value.tolist()))
-        for name in ("trained_strain", "largest_wave_number"):
-            if getattr(self, name) is not None:
-                object.__setattr__(self, name, _number(name, getattr(self, name)))
-        if self.largest_wave_number is not None and not self.largest_wave_number > 0:
-            raise InputError(
-                f"largest_wave_number: expected more than 0, got {self.largest_wave_number}"
-            )
+        if self.D.ndim != 1 or self.dilatation.ndim != 1:
+            raise InputError("D: expected a list of numbers, got lists")
         if len(self.D) == 0:
             raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
         if len(self.D) > LARGEST_DEGREE + 1:
             raise InputError(f"D: expected at most {LARGEST_DEGREE + 1}, got {len(self.D)} of them")
         if not self.alpha < ALPHA_BOUND:
             raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
-        if not self.horizon > 0:
-            raise InputError(f"horizon: expected a length > 0 {length}, got {self.horizon}")
         if not max(abs(self.lam), abs(self.mu)) <= LARGEST_MODULUS:
             raise InputError(
                 f"lambda, mu: expected at most {LARGEST_MODULUS:g} {stress}, got {self.lam}, "
@@ -241,36 +217,41 @@ class Model:
         spacing = record.get("from_spacing") if isinstance(record, dict) else None
         return float(spacing) if isinstance(spacing, (int, float)) else None
 
-    def in_units(self, units: Units) -> Model:
-        """The same material with its numbers in other units.
+    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+        """Figures of the certificate go along, for a transfer asks for as much as is proven.
 
-        K keeps its coefficients, whose common scale has no effect. The figures of the certificate
-        go along, for a transfer asks for as much as is proven; its statement and records of errors
-        and provenance stay in the units that they were made in, which the provenance then names.
-
-        Raises InputError for units that are not known, or that no factor leads to.
+        K keeps its coefficients, whose common scale has no effect; the provenance names the units
+        that its statement and records of errors and of the fit stay in.
         """
-        length, stress = factors(self.units, units)
-        if self.units == tuple(units):
-            return self
-        shortest = self.largest_wave_number
-        return replace(
-            self,
-            lam=self.lam * stress,
-            mu=self.mu * stress,
-            horizon=self.horizon * length,
-            trained_on=tuple(spacing * length for spacing in self.trained_on),
-            certified_on=tuple(spacing * length for spacing in self.certified_on),
-            largest_wave_number=None if shortest is None else shortest / length,
-            certificate={
+        return {
+            "certificate": {
                 f"{h * length:g}": _figures_in(self.certificate[f"{h:g}"], length, stress)
                 for h in dict.fromkeys((*self.certified_on, *self.trained_on))
                 if f"{h:g}" in self.certificate
             },
-            provenance={**self.provenance, "units_before": list(self.units)},
-            units=check_units(units),
-            file=None,
-        )
+            "provenance": {**self.provenance, "units_before": list(self.units)},
+            "file": None,
+        }
+
+    def derived(self) -> dict[str, Any]:
+        """Degree and quadrature, which a file names."""
+        return {"degree": self.degree, "quadrature": QUADRATURE}
+
+    def check_proofs(self) -> None:
+        """As of a Record, on every spacing that the model is said to be certified on."""
+        figures = by_spacing("certificate", self.certificate, self.certified_on)
+        group = lattice_group(self.dimension)
+        for spacing in dict.fromkeys((*self.certified_on, *figures)):
+            each, stencil = figures.get(spacing, {}), lps_stencil(self, spacing)
+            if (bound := each.get("symbol_bound")) is not None:
+                numbers = (bound, each.get("symbol_min", bound))
+                proven, least = (taken("certificate", float, each) for each in numbers)
+                Proof(proven, least, 0.0, 0, 0.0).check_of(stencil, group)
+            elif spacing in self.certified_on and not prove(stencil, group).holds:
+                raise InputError(f"certified_on: nothing is proven on {spacing:g}")
+
+    def _read_from(self, path: Path | None) -> Model:
+        return replace(self, file=path)
 
     def on(self, points: PointsLike, **options: Any) -> PlacedLPS:
         """The model on points: transferred there, certified, its bonds built when first needed.
@@ -286,10 +267,6 @@ class Model:
         from warp_peri.statics.lps import PlacedLPS
 
         return PlacedLPS(self, points, **options)
-
-    def content(self) -> dict[str, Any]:
-        """What the file of the model holds."""
-        return model_content(self)
 
     def summary(self) -> dict[str, Any]:
         """Constants, lattices and errors, as plain values."""
@@ -318,15 +295,21 @@ class Model:
         rows.append(("certified on", ", ".join(spacings) or "no lattice"))
         return rows + proven_rows(self.certificate) + error_rows(self.errors)
 
-    def __repr__(self) -> str:
-        return in_rows("Model", self.rows())
 
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
+def by_spacing(
+    key: str, figures: dict[str, Any], known: tuple[float, ...]
+) -> dict[float, dict[str, Any]]:
+    """Figures of a certificate by the spacing that they are of, one of those known to all digits.
 
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model as JSON, whole or not at all."""
-        write_json(path, self.content())
+    Raises InputError naming the key for figures of none.
+    """
+    exact, found = {f"{h:g}": h for h in known}, {}
+    for name, each in figures.items():
+        try:
+            found[exact.get(name) or float(each.get("spacing", name))] = each
+        except (AttributeError, TypeError, ValueError):
+            raise InputError(f"{key}: expected figures of a spacing, got {name!r:.50}") from None
+    return found
 
 
 def _figures_in(figures: Any, length: float, stress: float) -> Any:
@@ -341,126 +324,57 @@ def _figures_in(figures: Any, length: float, stress: float) -> Any:
     }
 
 
-def model_content(model: Model) -> dict[str, Any]:
-    """What the file of a model holds."""
-    content: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "length_unit": model.units[0],
-        "stress_unit": model.units[1],
-    }
-    content |= {key: getattr(model, name) for key, name in _NUMBERS.items()}
-    content |= {"degree": model.degree, "D": model.D, "D_dilatation": model.D_dilatation}
-    content["quadrature"] = QUADRATURE
-    content |= {key: getattr(model, key) for key in ("trained_on", "certified_on", *_RECORDS)}
-    for key in ("trained_strain", "largest_wave_number"):
-        if getattr(model, key) is not None:
-            content[key] = getattr(model, key)
-    if model.dimension != 2:  # files of sheets name none
-        content["dimension"] = model.dimension
-    content["sha256"] = content_hash(content)
-    return content
+def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndarray, float]:
+    """v and z [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
 
-
-def read_content(path: str | os.PathLike[str]) -> Any:
-    """The JSON of a model file; InputError where there is none."""
-    try:
-        with open(path, "rb") as file:
-            raw = file.read(LARGEST_FILE + 1)
-        if len(raw) > LARGEST_FILE:
-            raise InputError(f"{path}: expected a model file of at most {LARGEST_FILE} bytes")
-        return json.loads(raw.decode("utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such model file") from None
-    except InputError:
-        raise
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not a readable JSON file ({error})") from None
-
-
-def load_model(path: str | os.PathLike[str], *, units: Units | None = None) -> Model:
-    """Read the file of a linear model, in the units that it names, or converted to others.
-
-    Raises InputError naming what is wrong: not JSON, another format, version or quadrature, units
-    that are not known or cannot be converted, missing or unknown keys, numbers out of range,
-    contents that are not what was written.
+    Raises InputError for an influence function whose weighted volume is zero, and a lattice of
+    another dimension than the model's.
     """
-    content = read_content(path)
-    try:
-        model = replace(model_from(content), file=Path(path))
-        return model if units is None else model.in_units(units)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
-def model_from(content: Any) -> Model:
-    """The model of a file's content, as `load_model`."""
-    if not isinstance(content, dict):
-        raise InputError(f"expected a JSON object, got {type(content).__name__}")
-    for key, expected in {"format": FORMAT, "version": VERSION}.items():
-        if content.get(key) != expected:
-            raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r}")
-    if "kind" in content:
+    if classes.steps.shape[1] != model.dimension:
         raise InputError(
-            f"kind: expected a linear model, got a {content['kind']!r:.50} one; "
-            "warp_peri.load_nonlinear reads nonlinear models"
+            f"model: expected one of {classes.steps.shape[1]} dimensions, those of the lattice, "
+            f"got {model.dimension}; in space micromodulus.tensors_of(model, spacing) is proven"
         )
-    written = content
-    if not {"length_unit", "stress_unit"} & set(content):
-        warnings.warn("the model names no units: taken as Å and TPa", stacklevel=3)
-        content = {**content, "length_unit": USUAL[0], "stress_unit": USUAL[1]}
-    if missing := sorted(_KEYS - set(content)):
-        raise InputError(f"missing keys: {', '.join(missing)}")
-    if unknown := sorted(set(content) - _KEYS - _OPTIONAL):
-        raise InputError(f"unknown keys: {', '.join(unknown)}")
-    if content["quadrature"] != QUADRATURE:
-        raise InputError(f"quadrature: expected {QUADRATURE!r}, got {content['quadrature']!r}")
-    for key in ("D", "D_dilatation", "trained_on", "certified_on"):
-        if not isinstance(content[key], list):
-            raise InputError(f"{key}: expected a list, got {content[key]!r}")
-    for key in _RECORDS:
-        if not isinstance(content[key], dict):
-            raise InputError(f"{key}: expected an object, got {content[key]!r}")
-    model = Model(
-        **{name: content[key] for key, name in _NUMBERS.items()},
-        **{
-            key: content[key]
-            for key in ("D", "D_dilatation", "trained_on", "certified_on", *_RECORDS)
-        },
-        trained_strain=content.get("trained_strain"),
-        largest_wave_number=content.get("largest_wave_number"),
-        units=(content["length_unit"], content["stress_unit"]),
-        dimension=content.get("dimension", 2),
-    )
-    if content["degree"] != model.degree:
-        raise InputError(
-            f"degree: expected {model.degree} for {len(model.D)} coefficients, "
-            f"got {content['degree']!r}"
-        )
-    if "sha256" in content and content["sha256"] != content_hash(written):
-        raise InputError(
-            "sha256: the contents are not what was written; remove this key to accept them"
-        )
-    return model
+    tables = []
+    r = classes.r * (model.nominal_spacing(classes.spacing) / classes.spacing)
+    for K in (model.influence(r), model.influence_dilatation(r)):
+        kw = K * classes.weight
+        terms = classes.count * kw * classes.r**2
+        if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
+            raise InputError(
+                "influence function: its weighted volume m (theory.md, 5) is zero on the lattice "
+                f"of spacing {classes.spacing:g}: positive and negative parts cancel"
+            )
+        tables.append(model.mu * kw / terms.sum())
+    return tables[0], tables[1], (model.lam - model.mu) / model.mu**2
 
 
-def content_hash(content: dict[str, Any]) -> str:
-    """SHA-256 of everything else in a model file."""
-    kept = {key: value for key, value in content.items() if key != "sha256"}
-    return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()
+def lps_stencil(model: Model, spacing: float, *, degree: int = DEGREE) -> Stencil:
+    """The LPS on a lattice as a stencil of twice its range, exactly (theory.md, T17).
+
+    Raises InputError as `stiffnesses` does, and for a spacing without bonds.
+    """
+    classes = bond_classes(spacing, model.horizon, dimension=model.dimension, degree=degree)
+    return stencil_of(classes, *stiffnesses(model, classes))
 
 
-def _number(name: str, value: Any) -> float:
-    real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
-    try:
-        number = float(value) if real else np.nan
-    except OverflowError:  # a whole number beyond floating point
-        number = np.inf
-    if not np.isfinite(number):
-        raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
-    return number
-
-
-def _numbers(name: str, values: Any) -> list[float]:
-    flat = list(values) if isinstance(values, (list, tuple)) or np.ndim(values) == 1 else [values]
-    return [_number(name, value) for value in flat]
+def stencil_of(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float) -> Stencil:
+    """Stiffnesses of bond classes as a stencil: products of dilatations make bonds of range 2δ."""
+    d = classes.steps.shape[1]
+    reach = int(np.abs(classes.steps).max())
+    near, of, xi = tuple((classes.steps + reach).T), classes.bond_class, classes.xi
+    C = np.zeros((d * (2 * reach + 1,)) + (d, d))
+    each = 2 * d * (d + 2) * v[of] / (xi**2).sum(axis=1)
+    C[near] = each[:, None, None] * (xi[:, :, None] * xi[:, None])
+    if kappa:  # φ is odd: minus φ φᵗ of the symbol (18) is a convolution of its stencil with itself
+        phi = np.zeros((*C.shape[:d], d))
+        phi[near] = d * z[of, None] * xi
+        C = np.pad(C, d * [(reach, reach)] + 2 * [(0, 0)])
+        for step, other in zip(classes.steps + reach, d * kappa * z[of, None] * xi):
+            C[tuple(slice(n, n + len(phi)) for n in step)] += other[:, None] * phi[..., None, :]
+    steps = np.indices(C.shape[:d]).reshape(d, -1).T - C.shape[0] // 2
+    tensors = C.reshape(-1, d, d)
+    half = np.arange(len(steps)) > len(steps) // 2
+    kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors[half]).max())
+    both = (tensors + tensors.transpose(0, 2, 1)) / 2
+    return Stencil(classes.spacing, steps[kept], both[kept])

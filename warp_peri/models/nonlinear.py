@@ -2,46 +2,34 @@
 
 from __future__ import annotations
 
-import os
 import warnings
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
+from warp_peri.core.record import Quantity, Record, Stress
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
-from warp_peri.models.lps import (
-    FORMAT,
-    VERSION,
-    Model,
-    content_hash,
-    model_content,
-    model_from,
-    read_content,
-)
+from warp_peri.models.lps import Model, by_spacing
 from warp_peri.models.smoothing import Smoothing
-from warp_peri.points.arrays import is_number
-from warp_peri.points.unit_names import Units, factors, shown_moduli, symbols
-from warp_peri.shown import as_table, error_rows, in_rows
+from warp_peri.models.uniqueness import check_strain, uniqueness
+from warp_peri.points.unit_names import Units, shown_moduli, symbols
+from warp_peri.shown import error_rows
 
 if TYPE_CHECKING:  # families load Warp
     from warp_peri.points.families import BondClasses
     from warp_peri.points.samples import PointsLike
     from warp_peri.statics.nonlinear import PlacedThirdOrder
 
-KIND = "nonlinear"
 OWN = 1e-4
 """What Σ n r² p of a `gradient` may miss 1 by on the lattice that it was made for."""
 CUBIC = ("t3", "tq2", "q3")
-_RECORDS = ("proven", "errors", "provenance")
-_OPTIONAL = {"sha256", "gradient", "axis"}
-_KEYS = {"format", "version", "kind", "linear", "smoothing", *_OPTIONAL, *CUBIC, *_RECORDS}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class NonlinearModel:
+class NonlinearModel(Record, format="warp_peri.model", kind="nonlinear"):
     """A linear peridynamic solid and the energy Ψ of a displacement gradient (theory.md, N1–N6).
 
     Attributes:
@@ -61,15 +49,16 @@ class NonlinearModel:
     """
 
     linear: Model
-    t3: float
-    tq2: float
-    q3: float
+    t3: Stress
+    tq2: Stress
+    q3: Stress
     smoothing: Smoothing | None = None
     proven: dict[str, Any] = field(default_factory=dict)
     errors: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
-    gradient: tuple[float, ...] | None = None
+    gradient: Annotated[tuple[float, ...] | None, Quantity(length=-2, omit=True)] = None
     dimension: ClassVar[int] = 2
+    ORDER = ("linear", *CUBIC, "proven", "errors", "provenance", "smoothing", "gradient")
 
     @property
     def units(self) -> Units:
@@ -77,21 +66,9 @@ class NonlinearModel:
         return self.linear.units
 
     def __post_init__(self) -> None:
-        for name in CUBIC:
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
-                raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
-            if not np.isfinite(value):
-                raise InputError(f"{name}: expected a finite number, got {value!r:.50}")
-            object.__setattr__(self, name, float(value))
-        if self.gradient is None:
-            return
-        if self.smoothing is not None:
+        super().__post_init__()
+        if self.gradient is not None and self.smoothing is not None:
             raise InputError("gradient: expected None beside a smoothing")
-        p = np.asarray(self.gradient, float)
-        if p.ndim != 1 or not np.isfinite(p).all():
-            raise InputError(f"gradient: expected finite weights, got {self.gradient!r:.60}")
-        object.__setattr__(self, "gradient", tuple(p.tolist()))
 
     @property
     def form(self) -> str:
@@ -154,32 +131,35 @@ class NonlinearModel:
             raise InputError("points: a nonlinear model is for lattices, got scattered points")
         self.linear.check_spacing(spacing, allow_uncertified=allow_uncertified)
 
-    def in_units(self, units: Units) -> NonlinearModel:
-        """The same solid with its numbers in other units.
-
-        Proven strains, which have no unit, go along with their spacings; other figures and records
-        stay as they are, as in Model.in_units.
-
-        Raises InputError for units that are not known, or that no factor leads to.
-        """
-        length, stress = factors(self.units, units)
-        linear, smoothing, gradient = self.linear.in_units(units), self.smoothing, self.gradient
-        if linear is self.linear:
-            return self
-        return replace(
-            self,
-            linear=linear,
-            t3=self.t3 * stress,
-            tq2=self.tq2 * stress,
-            q3=self.q3 * stress,
-            smoothing=smoothing and replace(smoothing, radius=smoothing.radius * length),
-            gradient=gradient and tuple(p / length**2 for p in gradient),
-            proven={
+    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+        """What is proven goes along with its spacing, in the units that it was made in."""
+        return {
+            "proven": {
                 f"{spacing * length:g}": self.proven[f"{spacing:g}"]
                 for spacing in self.linear.certified_on
                 if f"{spacing:g}" in self.proven
-            },
-        )
+            }
+        }
+
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """Without the axis that files of before had of the points that they were learned on."""
+        if axis := content.pop("axis", None):
+            warnings.warn(
+                f"axis: the file has {axis!r:.20} rad of the points that it was learned on; "
+                "points state their own now, Points(…, axis=degrees)",
+                stacklevel=3,
+            )
+        return content
+
+    def check_proofs(self) -> None:
+        """As of a Record, on every spacing that solutions are said to be unique on."""
+        on = (*self.linear.certified_on, *self.linear.trained_on)
+        for spacing, each in by_spacing("proven", self.proven, on).items():
+            check_strain(each, partial(uniqueness, self, spacing=spacing))
+
+    def _read_from(self, path: Path | None) -> NonlinearModel:
+        return replace(self, linear=self.linear._read_from(path))
 
     def on(
         self, points: PointsLike, *, transfer: bool = True, allow_uncertified: bool = False
@@ -189,10 +169,6 @@ class NonlinearModel:
 
         asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
         return PlacedThirdOrder(self, points, **asked)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the model as JSON, whole or not at all."""
-        write_json(path, self.content())
 
     def summary(self) -> dict[str, Any]:
         """Constants, guarantee and errors, and those of the linear part, as plain values."""
@@ -209,23 +185,6 @@ class NonlinearModel:
                 unique = f"one solution up to |H| = {figures['strain']:.2%}"
                 rows.append((f"proven on {spacing} {length}", unique))
         return rows + error_rows(self.errors) + self.linear.rows()
-
-    def __repr__(self) -> str:
-        return in_rows("NonlinearModel", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
-
-    def content(self) -> dict[str, Any]:
-        """What the file of the model holds."""
-        content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "kind": KIND}
-        content["linear"] = model_content(self.linear)
-        content |= {name: getattr(self, name) for name in (*CUBIC, *_RECORDS)}
-        content["smoothing"] = None if self.smoothing is None else asdict(self.smoothing)
-        if self.gradient is not None:
-            content["gradient"] = list(self.gradient)
-        content["sha256"] = content_hash(content)
-        return content
 
 
 def energy_density(H: np.ndarray, numbers: np.ndarray) -> np.ndarray:
@@ -245,65 +204,3 @@ def energy_density(H: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]
     cubic = t3 * t**3 + tq2 * t * np.abs(q) ** 2 + (complex(*turned) * q**3).real
     return np.asarray(density + cubic)
-
-
-def nonlinear_from(content: dict[str, Any]) -> NonlinearModel:
-    """The model of a file's content.
-
-    Raises InputError naming what is wrong: missing or unknown keys, numbers that are none, contents
-    that are not what was written.
-    """
-    if missing := sorted(_KEYS - _OPTIONAL - set(content)):
-        raise InputError(f"missing keys: {', '.join(missing)}")
-    if unknown := sorted(set(content) - _KEYS):
-        raise InputError(f"unknown keys: {', '.join(unknown)}")
-    for key in _RECORDS:
-        if not isinstance(content[key], dict):
-            raise InputError(f"{key}: expected an object, got {content[key]!r}")
-    kept = content["smoothing"]
-    smoothing = None
-    if kept is not None:
-        if not isinstance(kept, dict) or set(kept) != {"radius", "ridge"}:
-            raise InputError(f"smoothing: expected a radius and a ridge, got {kept!r:.50}")
-        smoothing = Smoothing(**kept)
-    if "sha256" in content and content["sha256"] != content_hash(content):
-        raise InputError(
-            "sha256: the contents are not what was written; remove this key to accept them"
-        )
-    numbers = {name: content[name] for name in (*CUBIC, *_RECORDS)}
-    if content.get("axis"):
-        warnings.warn(
-            f"axis: the file has {content['axis']!r:.20} rad of the points that it was learned on; "
-            "points state their own now, Points(…, axis=degrees)",
-            stacklevel=3,
-        )
-    gradient = content.get("gradient")
-    if not (gradient is None or (isinstance(gradient, list) and all(map(is_number, gradient)))):
-        raise InputError(f"gradient: expected a list of numbers, got {gradient!r:.50}")
-    try:
-        linear = model_from(content["linear"])
-    except InputError as error:
-        raise InputError(f"linear: {error}") from None
-    own = None if gradient is None else tuple(gradient)
-    return NonlinearModel(linear, smoothing=smoothing, gradient=own, **numbers)
-
-
-def load_nonlinear(path: str | os.PathLike[str]) -> NonlinearModel:
-    """Read the file of a nonlinear model; InputError as for load_model."""
-    model: Any = load_any(path)
-    if model.linear is model:
-        raise InputError(f"{path}: kind: expected a nonlinear model, got a linear one")
-    return model  # type: ignore[no-any-return]
-
-
-def load_any(path: str | os.PathLike[str]) -> Model | NonlinearModel:
-    """Read a model file of either kind; InputError as for load_model."""
-    content = read_content(path)
-    nonlinear = isinstance(content, dict) and content.get("kind") == KIND
-    try:
-        if nonlinear:
-            solid = nonlinear_from(content)
-            return replace(solid, linear=replace(solid.linear, file=Path(path)))
-        return replace(model_from(content), file=Path(path))
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None

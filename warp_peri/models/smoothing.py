@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.special import j0
 
+from warp_peri.core.record import Length
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number, is_positive
 
@@ -37,7 +38,7 @@ class Smoothing:
     Raises InputError for a radius that is not > 0 or a ridge that is not ≥ 0.
     """
 
-    radius: float = 10.0
+    radius: Length = 10.0
     ridge: float = 0.1
 
     def __post_init__(self) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import binascii
 import hashlib
 import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,83 @@ import h5py
 import numpy as np
 import torch
 
+from warp_peri.core import record
+from warp_peri.core.record import Length, Positive
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import write_json
-from warp_peri.models.lps import LARGEST_FILE, content_hash, read_content
 from warp_peri.neural.material import Operator
 from warp_peri.points.unit_names import Units
 
-FORMAT, VERSION = "warp_peri.neural", 2
 PRECISIONS = ("float16", "float32", "float64")
-FITS = LARGEST_FILE * 3 // 4 - 2**16
+FITS = record.LARGEST_FILE * 3 // 4 - 2**16
 """Bytes of weights whose file is read again."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NeuralFile(record.Record, format="warp_peri.neural", version=2):
+    """What a file says of an operator.
+
+    Attributes:
+        horizon, influence, state, anisotropic, proportional, strain, scale, units, provenance: of
+            the operator.
+        precision: of the weights.
+        weights: by name, in base 64; of files of version 1 the name and hash of a file beside.
+    """
+
+    horizon: Length
+    influence: tuple[int, int]
+    state: tuple[int, int]
+    anisotropic: bool
+    proportional: bool
+    strain: Positive
+    scale: float
+    provenance: dict[str, Any]
+    precision: str
+    weights: dict[str, str]
+    units: Units
+    ORDER = ("horizon", "influence", "state", "anisotropic", "proportional", "strain", "scale",
+             *record.UNITS, "provenance", "precision", "weights")  # fmt: skip
+
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """Files of version 1 have weights in HDF5 beside them, of any precision."""
+        if content.get("version") != 1:
+            return content
+        beside = {"beside": content.get("weights"), "hash": content.pop("hash", None)}
+        return content | {"version": 2, "precision": PRECISIONS[-1], "weights": beside}
+
+    def _read_from(self, path: Path | None) -> Operator:  # type: ignore[override]
+        material = Operator(
+            self.horizon,
+            self.influence,
+            self.state,
+            anisotropic=self.anisotropic,
+            proportional=self.proportional,
+            strain=self.strain,
+            units=self.units,
+        ).double()
+        material.scale, material.provenance = self.scale, self.provenance
+        wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
+        try:
+            if "beside" in self.weights:
+                weights = _beside(path, self.weights, wanted)
+            else:
+                raw = {key: binascii.a2b_base64(self.weights[key]) for key in wanted}
+                flat = {key: np.frombuffer(each, self.dtype) for key, each in raw.items()}
+                weights = {key: flat[key].reshape(shape) for key, shape in wanted.items()}
+        except InputError:
+            raise
+        except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
+            raise InputError(f"not a readable neural operator ({error!r:.400})") from None
+        _check_finite(weights)
+        material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
+        return material
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the weights; InputError for a precision that is none."""
+        if self.precision not in PRECISIONS:
+            raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
+        return np.dtype(self.precision).newbyteorder("<")
 
 
 def save(material: Operator, path: str | os.PathLike[str], *, precision: str | None = None) -> None:
@@ -41,20 +109,18 @@ def save(material: Operator, path: str | os.PathLike[str], *, precision: str | N
         raise InputError(f"{path}: expected a name that ends in .json")
     weights = {key: part.detach().numpy() for key, part in material.state_dict().items()}
     precision = precision or next(iter(weights.values())).dtype.name
-    if precision not in PRECISIONS:
-        raise InputError(f"precision: expected one of {PRECISIONS}, got {precision!r}")
-    dtype = np.dtype(precision).newbyteorder("<")
-    written = {key: part.astype(dtype) for key, part in weights.items()}
-    _check_finite(path, written)
+    own = {key: value for key, value in material.content().items() if key not in record.UNITS}
+    said = NeuralFile(**own, precision=precision, weights={}, units=material.units)
+    written = {key: part.astype(said.dtype) for key, part in weights.items()}
+    _check_finite(written)
     size = sum(part.nbytes for part in written.values())
     if size > FITS:
         raise InputError(f"{path}: expected at most {FITS} bytes of weights, got {size}: precision")
-    content = {"format": FORMAT, "version": VERSION, **material.content(), "precision": precision}
-    content["weights"] = {
+    coded = {
         key: binascii.b2a_base64(part.tobytes(), newline=False).decode()
         for key, part in written.items()
     }
-    write_json(path, content | {"sha256": content_hash(content)})
+    replace(said, weights=coded).save(path)
 
 
 def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operator:
@@ -65,70 +131,32 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operato
     Raises InputError for what is no such file, for weights that are missing, of other shapes, not
     finite, or not those that were written.
     """
-    path = Path(path)
-    content = read_content(path)
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{path}: expected a file of format {FORMAT}")
-    version = content.get("version")
-    if version not in (1, VERSION):
-        raise InputError(f"{path}: expected version {VERSION}, got {version!r:.40}")
-    if version == VERSION and content.get("sha256") != content_hash(content):
-        raise InputError(f"{path}: sha256: the contents are not what was written")
-    try:
-        material = Operator(
-            float(content["horizon"]),
-            tuple(content["influence"]),
-            tuple(content["state"]),
-            anisotropic=content["anisotropic"],
-            proportional=content["proportional"],
-            strain=float(content["strain"]),
-            units=(content["length_unit"], content["stress_unit"]),
-        ).double()
-        material.scale = float(content["scale"])
-        material.provenance = dict(content["provenance"])
-        wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
-        weights = (_beside if version == 1 else _inside)(path, content, wanted)
-    except InputError:
-        raise
-    except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
-        raise InputError(f"{path}: not a readable neural operator ({error!r:.400})") from None
-    if not np.isfinite(material.scale):
-        raise InputError(f"{path}: expected a finite scale")
-    _check_finite(path, weights)
-    material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
+    material: Operator = record.load(path)
     return material if units is None else material.in_units(units)
 
 
-def _inside(path: Path, content: dict[str, Any], wanted: dict[str, Any]) -> dict[str, np.ndarray]:
-    """The weights of a file of version 2."""
-    dtype = np.dtype(PRECISIONS[PRECISIONS.index(content["precision"])]).newbyteorder("<")
-    return {
-        key: np.frombuffer(binascii.a2b_base64(content["weights"][key]), dtype).reshape(shape)
-        for key, shape in wanted.items()
-    }
-
-
-def _beside(path: Path, content: dict[str, Any], wanted: dict[str, Any]) -> dict[str, np.ndarray]:
+def _beside(
+    path: Path | None, said: dict[str, Any], wanted: dict[str, Any]
+) -> dict[str, np.ndarray]:
     """The weights of a file of version 1."""
-    name, found, whole = str(content["weights"]), {}, hashlib.sha256()
-    if Path(name).name != name:
-        raise InputError(f"{path}: expected weights in a file beside it")
+    name, found, whole = str(said["beside"]), {}, hashlib.sha256()
+    if path is None or Path(name).name != name:
+        raise InputError("weights: expected a file beside it")
     with h5py.File(path.with_name(name), "r") as file:
         for key, shape in sorted(wanted.items()):
             stored = file[key]
             if stored.shape != shape or stored.dtype.name not in PRECISIONS:
                 raise InputError(
-                    f"{path}: {key}: expected shape {[*shape]}, got {[*stored.shape]} of "
-                    f"{stored.dtype}"
+                    f"{key}: expected shape {[*shape]}, got {[*stored.shape]} of {stored.dtype}"
                 )
             found[key] = np.asarray(stored[:])
             whole.update(key.encode() + np.ascontiguousarray(found[key]).tobytes())
-    if whole.hexdigest() != content["hash"]:
-        raise InputError(f"{path.with_name(name)}: these are not the weights of {path.name}")
+    if whole.hexdigest() != said["hash"]:
+        raise InputError(f"{name}: these are not the weights of {path.name}")
     return found
 
 
-def _check_finite(path: Path, weights: dict[str, np.ndarray]) -> None:
+def _check_finite(weights: dict[str, np.ndarray]) -> None:
     for key, part in weights.items():
         if not np.isfinite(part).all():
-            raise InputError(f"{path}: {key}: expected finite numbers")
+            raise InputError(f"{key}: expected finite numbers")

@@ -26,6 +26,8 @@ if TYPE_CHECKING:  # the operator stands above its numbers
 
 STRAIN = 0.1
 """Extensions and dilatations are counted in this strain as the networks' inputs."""
+WIDEST = 10_000
+"""Numbers of a hidden layer at most."""
 COUNT = 201
 """Points of an exported curve."""
 
@@ -92,8 +94,11 @@ class Operator(torch.nn.Module):
             if not is_positive(value):
                 raise InputError(f"{name}: expected a number > 0, got {value!r}")
         for name, widths in (("influence", influence), ("state", state)):
-            if np.shape(widths) != (2,) or not all(is_positive(w) and w % 1 == 0 for w in widths):
-                raise InputError(f"{name}: expected two whole numbers ≥ 1, got {widths!r}")
+            whole = np.shape(widths) == (2,) and all(is_positive(w) and w % 1 == 0 for w in widths)
+            if not (whole and max(widths) <= WIDEST):
+                raise InputError(
+                    f"{name}: expected two whole numbers from 1 to {WIDEST}, got {widths!r:.60}"
+                )
         self.horizon, self.strain, self.units = float(horizon), float(strain), check_units(units)
         self.anisotropic, self.proportional = bool(anisotropic), bool(proportional)
         self.scale = 1.0

@@ -95,7 +95,9 @@ class Placed:
         """ω, ω |ξ| / Σ ω |ξ|² and |ξ| of the bonds of a family, each of shape [B]."""
         bonds = self.bonds
         net = self.material
-        xi = torch.as_tensor(bonds.xi, dtype=dtype)
+        turn = np.radians(self.points.axis or 0.0)  # directions are those of the material
+        along = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+        xi = torch.as_tensor(bonds.xi @ along, dtype=dtype)
         r = torch.as_tensor(bonds.lengths, dtype=dtype)
         if net.anisotropic:
             omega = net.omega(xi)

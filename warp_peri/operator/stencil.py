@@ -1,4 +1,4 @@
-"""The operator of a lattice as one stencil, and its products on a torus of nodes by FFT.
+"""The operator of a lattice as one stencil, differentiable in the numbers of the solid.
 
 With full families everywhere (9) is the convolution (L u)_i = Σ_n A(n) u_{i+n}, A(n) = A(−n). On
 any finite set of unknowns the operator is a block of the same convolution on a torus so large that
@@ -7,19 +7,12 @@ nothing reaches around it (theory.md, 53–54).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
-import scipy.fft
 import torch
 
-from warp_peri.launch import threads
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.solid import Solid
 from warp_peri.points.families import BondClasses
-
-TorusSymbol = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
-"""D11, D22 and D12 at the wave vectors of a torus, as its transforms order them."""
 
 
 def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
@@ -53,77 +46,3 @@ def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
     bulk = convolved(phi, phi.flip(*range(2, 2 + d)), padding=2 * reach)
     whole: torch.Tensor = torch.nn.functional.pad(gamma, 2 * d * [reach]) - (lam - mu) * bulk
     return whole
-
-
-def long_wave(A: torch.Tensor, spacing: float) -> tuple[float, float, float]:
-    """C11, C44 and C12 + C44 [TPa] of a stencil, from its second moments (theory.md, 22)."""
-    reach = A.shape[-1] // 2
-    n = spacing * torch.arange(-reach, reach + 1, dtype=A.dtype)
-    along, across = (A[0, 0] * n[:, None] ** 2).sum(), (A[0, 0] * n**2).sum()
-    return -float(along) / 2, -float(across) / 2, -float((A[0, 1] * n[:, None] * n).sum())
-
-
-@dataclass(frozen=True)
-class Torus:
-    """Fields on a torus of nodes, and products with symmetric stencils.
-
-    Attributes:
-        shape: nodes along the two axes.
-        device: of the fields, as torch names it. On the processor SciPy transforms, on as many
-            threads as the sweeps (torch's transforms take twice as long there).
-    """
-
-    shape: tuple[int, int]
-    device: torch.device
-
-    def forward(self, field: torch.Tensor) -> torch.Tensor:
-        """Transform of fields [..., n₁, n₂] that fill a corner of the torus, zero elsewhere."""
-        if self.device.type != "cpu":
-            wave: torch.Tensor = torch.fft.rfft2(field, s=self.shape)
-            return wave
-        return torch.from_numpy(scipy.fft.rfft2(field.numpy(), s=self.shape, workers=threads()))
-
-    def backward(self, wave: torch.Tensor) -> torch.Tensor:
-        """Fields on the torus of their transforms; what is in `wave` is lost."""
-        if self.device.type != "cpu":
-            field: torch.Tensor = torch.fft.irfft2(wave, s=self.shape)
-            return field
-        field = scipy.fft.irfft2(wave.numpy(), s=self.shape, workers=threads(), overwrite_x=True)
-        return torch.from_numpy(field)
-
-    def symbol(self, A: torch.Tensor) -> TorusSymbol:
-        """The symbol of a stencil."""
-        reach = A.shape[-1] // 2
-        folded = torch.zeros(3, *self.shape, dtype=A.dtype, device=self.device)
-        corner = folded[:, : 2 * reach + 1, : 2 * reach + 1]
-        corner[:] = torch.stack([A[0, 0], A[1, 1], A[0, 1]]).to(self.device)
-        d11, d22, d12 = self.forward(folded.roll((-reach, -reach), dims=(1, 2))).real.contiguous()
-        return d11, d22, d12
-
-    def product(self, D: TorusSymbol, field: torch.Tensor) -> torch.Tensor:
-        """Convolution of a field [2, n₁, n₂] with the stencil of a symbol, on the whole torus."""
-        d11, d22, d12 = D
-        first, second = self.forward(field)
-        wave = torch.stack([d11 * first, d22 * second])
-        wave[0] += d12 * second
-        wave[1] += d12 * first
-        return self.backward(wave)
-
-    def correlation(self, a: torch.Tensor, b: torch.Tensor, reach: int) -> torch.Tensor:
-        """Σ_i a_i ⊗ b_{i+n} of fields [2, n₁, n₂] for |n₁|, |n₂| ≤ reach, laid out as a stencil."""
-        pairs = self.forward(a).conj_physical()[:, None] * self.forward(b)
-        stencil = self.backward(pairs).roll((reach, reach), dims=(2, 3))
-        return stencil[:, :, : 2 * reach + 1, : 2 * reach + 1].contiguous()
-
-
-def smallest_ratio(D: TorusSymbol, torus: Torus) -> float:
-    """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the wave vectors of a torus but k = 0."""
-    d11, d22, d12 = D
-    along, across = (
-        4 * torch.sin(torch.pi * torch.arange(n, device=torus.device, dtype=d11.dtype) / n) ** 2
-        for n in torus.shape
-    )
-    s = along[:, None] + across[: d11.shape[1]]
-    smallest = (d11 + d22) / 2 - torch.hypot((d11 - d22) / 2, d12)
-    smallest[0, 0] = torch.inf
-    return float((smallest / s).min())

@@ -61,7 +61,8 @@ def checked(
 
 def is_number(value: Any) -> bool:
     """Whether it is one real number."""
-    return np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
+    ragged = isinstance(value, (list, tuple))  # which NumPy may refuse to look at
+    return not ragged and np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
 
 
 def is_positive(value: Any) -> bool:

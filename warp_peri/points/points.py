@@ -117,6 +117,14 @@ class Points:
             spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
         )
 
+    def differs_from(self, other: Points) -> str:
+        """What these points have another than others: the first that differs by name, or none."""
+        for name in ("spacing", "units", "box", "axis", "x", "interior", "outside"):
+            mine, theirs = getattr(self, name), getattr(other, name)
+            if (mine is None) != (theirs is None) or not np.array_equal(mine, theirs):
+                return name
+        return ""
+
     @property
     def dimension(self) -> int:
         """2 in the plane, 3 in space."""

@@ -15,7 +15,7 @@ from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.strain import largest_strain
-from warp_peri.prediction.spectrum import KNOTS, Record, Spectrum
+from warp_peri.prediction.spectrum import KNOTS, ErrorSpectrum, Spectrum
 
 if TYPE_CHECKING:
     from warp_peri.prediction.members import Members
@@ -306,13 +306,13 @@ def _by_rows(points: Any, material: Any) -> tuple[Any, Any]:
     return nodes, nodes.nodes.operator(material)
 
 
-def _spectrum(points: Points, record: Record | None, spacing: float) -> Spectrum:
+def _spectrum(points: Points, record: ErrorSpectrum | None, spacing: float) -> Spectrum:
     """What part of a field on these points has which wavelength, by a record where there is one."""
     return Spectrum(points, spacing * KNOTS if record is None else record.wavelength)
 
 
 def _told(
-    points: Any, record: Record | None, known: PlacedMembers | OnCoarse, u: np.ndarray
+    points: Any, record: ErrorSpectrum | None, known: PlacedMembers | OnCoarse, u: np.ndarray
 ) -> tuple[float | None, float]:
     """The error that a record gives u on these points, and the share that it has not seen."""
     if record is None or points.spacing == 0:

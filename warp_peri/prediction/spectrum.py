@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated
 
 import numpy as np
 import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
+from warp_peri.core.record import Quantity
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike
 
@@ -20,7 +21,7 @@ KNOTS = 2.0 * 2.0 ** (np.arange(12) / 2)
 
 
 @dataclass(frozen=True)
-class Record:
+class ErrorSpectrum:
     """The relative error of a material's answers by wavelength.
 
     Attributes:
@@ -31,23 +32,9 @@ class Record:
             is known stands for one that is not.
     """
 
-    wavelength: np.ndarray
+    wavelength: Annotated[np.ndarray, Quantity(length=1)]
     error: np.ndarray
-    shortest: float = 0.0
-
-    def longer(self, factor: float) -> Record:
-        """The same with lengths in a unit so many times smaller."""
-        return Record(self.wavelength * factor, self.error, self.shortest * factor)
-
-    def content(self) -> dict[str, Any]:
-        """What a file holds of it."""
-        return {name: np.asarray(value).tolist() for name, value in vars(self).items()}
-
-    @classmethod
-    def of_content(cls, content: dict[str, Any]) -> Record:
-        """The record of such content."""
-        wavelength, error = (np.array(content[n], float) for n in ("wavelength", "error"))
-        return cls(wavelength, error, float(content["shortest"]))
+    shortest: Annotated[float, Quantity(length=1)] = 0.0
 
     def of(self, shares: np.ndarray) -> float:
         """The error of a field with those shares, relative to the field."""
@@ -112,7 +99,7 @@ class Spectrum:
         return np.asarray(found / size if size > 0 else found)
 
 
-def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> Record:
+def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> ErrorSpectrum:
     """The root mean square of the errors of samples, by what they have of a wavelength.
 
     Args:
@@ -124,4 +111,4 @@ def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> Re
     error = np.sqrt((rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(there, 1e-300))
     first = int(np.argmax(there >= min(SEEN, there.max())))
     error[:first] = error[first:][there[first:] >= min(SEEN, there.max())].max()
-    return Record(wavelength, error, float(wavelength[first]))
+    return ErrorSpectrum(wavelength, error, float(wavelength[first]))

@@ -11,11 +11,11 @@ from collections.abc import Callable
 import numpy as np
 import scipy.fft
 
+from warp_peri.core.sweeps import component
 from warp_peri.launch import threads
-from warp_peri.micromodulus.coarse import SHIFT, seen_by_coarser, shear, shifted_inverse
-from warp_peri.micromodulus.sweeps import component
 from warp_peri.ranks.processes import Comm
 from warp_peri.ranks.tiles import Halo, Tiles
+from warp_peri.statics.multigrid import SHIFT, seen_by_coarser, shear, shifted_inverse
 
 WIDTH = {2: 32, 3: 12}
 """Half the width of the inverse filter [nodes]."""

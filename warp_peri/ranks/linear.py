@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.core.elements import q1_tensors
+from warp_peri.core.sweeps import SCALARS, torus_symbol
 from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
-from warp_peri.micromodulus.coarse import coarser
-from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.states import tensors_of
-from warp_peri.micromodulus.sweeps import SCALARS, torus_symbol
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
@@ -22,11 +21,12 @@ from warp_peri.ranks.petsc import PetscCycle
 from warp_peri.ranks.processes import agreed, build
 from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
+from warp_peri.statics.multigrid import coarser
 
 if TYPE_CHECKING:
     from warp_peri.ranks.kept import Kept
     from warp_peri.ranks.pieces import Piece
-    from warp_peri.statics.equilibrium import Inverse
+    from warp_peri.statics.linear import Inverse
 
 STAGE = 1e-3
 """Of a residual, after which a solve with a checkpoint writes it."""

@@ -1,15 +1,15 @@
-"""The V-cycle of micromodulus.coarse in tiles of many ranks; where it is small, each has it all."""
+"""The V-cycle of statics.multigrid in tiles of many ranks; where it is small, each has it all."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from warp_peri.micromodulus.coarse import VCycle, coarser, prolong, restrict
-from warp_peri.micromodulus.nodes import Nodes
-from warp_peri.micromodulus.sweeps import ByRows, torus_symbol
+from warp_peri.core.grid import Grid
+from warp_peri.core.sweeps import ByRows, torus_symbol
 from warp_peri.ranks.convolution import smallest
 from warp_peri.ranks.processes import Comm
 from warp_peri.ranks.tiles import Halo, Tiles
+from warp_peri.statics.multigrid import VCycle, coarser, prolong, restrict
 
 WHOLE = 10_000
 """Most nodes of a level that every rank has all of."""
@@ -65,7 +65,7 @@ class _InTiles(VCycle):
         self.mask, self.shape, self.dense = mask, mask.shape, None
         asked = np.pad(mask, 1)
         place = np.flatnonzero(asked)
-        nodes = Nodes(np.eye(d), asked.shape, 1, False, np.arange(len(place)), place, place)
+        nodes = Grid(np.eye(d), asked.shape, 1, False, np.arange(len(place)), place, place)
         self.rows = ByRows(nodes, steps, tensors)
         diagonal = 2 * np.diag(tensors.sum(axis=0))
         self.diagonal = diagonal.reshape(d, *([1] * d))

@@ -17,26 +17,16 @@ from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.linear import RowOperator, tensors_at
-from warp_peri.ranks.newton import newton
 from warp_peri.ranks.processes import agreed
 from warp_peri.ranks.sums import total
-from warp_peri.statics.nonlinear import (
-    LINEAR_SHARE,
-    ROUGH,
-    NonlinearRecord,
-    anderson,
-    warn_beyond,
-)
+from warp_peri.statics.equilibria import ROUGH, NonlinearRecord, balanced, warn_beyond
 
 if TYPE_CHECKING:
     from warp_peri.ranks.kept import Kept
     from warp_peri.ranks.pieces import Piece
-    from warp_peri.statics.equilibrium import Inverse
+    from warp_peri.statics.linear import Inverse
 
 __all__ = ["RowNonlinear", "warn_beyond"]
-
-NEWTON_SHARE = 1e-2
-"""Of the tolerance, to which Newton's method carries the preconditioned residual, over u."""
 
 
 class RowNonlinear:
@@ -148,36 +138,23 @@ class RowNonlinear:
                 kept.keep(given + rows.take_up(v))
             return rest
 
-        def correction(residual: np.ndarray, to: float = ROUGH) -> np.ndarray:
+        def correction(residual: np.ndarray, to: float) -> np.ndarray:
             record.solves += 1
             return rows.inverted(residual * scale, to)[0]
 
-        def fitted(differences: np.ndarray, step: np.ndarray) -> np.ndarray:
-            columns = np.moveaxis(differences, -1, 0)
-            gram = [[inner.dot(a, c) for c in columns] for a in columns]
-            beside = [-inner.dot(a, step) for a in columns]
-            return np.asarray(np.linalg.lstsq(np.array(gram), np.array(beside), rcond=1e-12)[0])
-
-        def found(force: Any, start: np.ndarray) -> tuple[np.ndarray, float]:
-            step = partial(left, force)
-            return anderson(step, correction, start, tolerance, norm=inner.norm, fitted=fitted)
-
         begin = None if kept is None else kept.start()
         if begin is None:
-            start = correction(right / scale)
+            start = correction(right / scale, ROUGH)
         else:
             start = rows.lay_out(np.where(inside[:, None], begin, 0.0))
-        v, record.residual = found(self.placed, start)
-        if record.residual > tolerance and self.strain > 0:
-            record.method = "clipped"
-            v, _ = found(self.placed.clipped(self.strain), correction(right / scale))
-            record.residual = inner.norm(left(self.placed, v))
-        if record.residual > tolerance:
-            record.method = "newton"
-            exact = partial(correction, to=LINEAR_SHARE * tolerance)
-            goal = NEWTON_SHARE * tolerance * inner.norm(v)
-            v = newton(lambda w: exact(left(self.placed, w)), v, goal, inner)
-            record.residual = inner.norm(left(self.placed, v))
+
+        def clipped() -> Callable[[np.ndarray], np.ndarray] | None:
+            return partial(left, self.placed.clipped(self.strain)) if self.strain > 0 else None
+
+        v = balanced(
+            partial(left, self.placed), correction, start, tolerance, record,
+            clipped=clipped, inner=inner,
+        )  # fmt: skip
         if not record.residual <= tolerance:
             raise InputError(
                 f"no equilibrium was found: residual {record.residual:.1e} of the right-hand side "

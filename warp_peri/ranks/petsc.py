@@ -16,10 +16,10 @@ import numpy as np
 from scipy.sparse import csr_array, kron
 
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.coarse import COARSEST, DEGREE, SMOOTHED
 from warp_peri.ranks.multigrid import largest
 from warp_peri.ranks.processes import Comm, world
 from warp_peri.ranks.tiles import Halo, Tiles
+from warp_peri.statics.multigrid import COARSEST, DEGREE, SMOOTHED
 
 PREFIX = "warp_peri_coarse_"
 """Of these solves in PETSc's options database, by which PETSC_OPTIONS changes them."""

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.core.elements import q1_tensors
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.elements import q1_tensors
 from warp_peri.micromodulus.states import tensors_of
 from warp_peri.models.lps import Model
 from warp_peri.points.interpolation import FINER, NEIGHBOURS
@@ -30,7 +30,7 @@ from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
     from warp_peri.ranks.pieces import Piece
-    from warp_peri.statics.equilibrium import Inverse
+    from warp_peri.statics.linear import Inverse
 
 TOUCH = 2.0 * np.sqrt(NEIGHBOURS / np.pi)
 """Mean spacings within which a place of the lattice finds the nodes that it is interpolated from,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,9 +12,8 @@ from warp_peri.contract import linear_part, offered
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.models.lps import Model, lps_stencil
 from warp_peri.operator.matrices import matrices
-from warp_peri.operator.symbol import lps_stencil
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
 
@@ -48,6 +47,7 @@ class Certificate:
     gamma_minus_2phi_min: float | None = None
     gamma_max: float | None = None
     units: Units = USUAL
+    dimension: int = 2
 
     @property
     def holds(self) -> bool:
@@ -61,14 +61,15 @@ class Certificate:
     def statement(self) -> str:
         """What the certificate proves, in one sentence."""
         length, stress = symbols(self.units)
+        shape, points = {2: ("square", 5), 3: ("cubic", 7)}[self.dimension]
         if not self.symbol_bound > 0:
             return f"Nothing is proven on the lattice of spacing {self.spacing:g} {length}."
         return (
-            f"Every static problem on any finite set of nodes of the square lattice of spacing "
+            f"Every static problem on any finite set of nodes of the {shape} lattice of spacing "
             f"{self.spacing:g} {length}, with displacement given out to twice the horizon around "
             f"it, has exactly one solution, and the operator's smallest eigenvalue is at least "
-            f"{self.symbol_bound:.6g} {stress} times that of the 5-point Laplacian on the same "
-            "nodes."
+            f"{self.symbol_bound:.6g} {stress} times that of the {points}-point Laplacian on "
+            "the same nodes."
         )
 
     @property
@@ -89,7 +90,7 @@ class Certificate:
     def figures(self) -> dict[str, Any]:
         """The figures as plain values, in the units of the model they belong to; the statement."""
         figures = asdict(self) | {"statement": self.statement}
-        del figures["units"]
+        del figures["units"], figures["dimension"]
         return figures
 
 
@@ -117,9 +118,11 @@ def certify(
         )
     spacing = model.nominal_spacing(spacing)
     proof = prove(lps_stencil(model, spacing), lattice_group(model.dimension))
-    figures = spacing, proof.sampled, proof.proven
+    bare = Certificate(
+        spacing, proof.sampled, proof.proven, units=model.units, dimension=model.dimension
+    )
     if points is None:
-        return Certificate(*figures, units=model.units)
+        return bare
 
     parts = matrices(model, points)
     unknown = np.repeat(points.interior, 2)
@@ -133,5 +136,11 @@ def certify(
         values = eigh(phi.T @ phi, gamma, eigvals_only=True)
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
-    dense = (gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1]))
-    return Certificate(*figures, *dense, units=model.units)
+    return replace(
+        bare,
+        gamma_min=gamma_min,
+        inf_sup_min=inf_sup,
+        inf_sup_rank=rank,
+        gamma_minus_2phi_min=float(schwarz[0]),
+        gamma_max=float(schwarz[-1]),
+    )

@@ -27,7 +27,7 @@ from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.points.unit_names import symbols
 from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.body_loads import check_part, loads_on
-from warp_peri.statics.bulk import MARGIN, Bulk, PlacedBulk, bulk_points, cubic, on_all
+from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic, on_all
 from warp_peri.statics.bulk_lattice import Tried, bulk_lattice
 from warp_peri.statics.rim import Field, Moduli, Rim, RimProblem, Traction
 from warp_peri.statics.schwarz import Exchange, Schwarz
@@ -172,17 +172,16 @@ def solve_body(
     """
     loads = loads_on(mesh, displacement, traction, b)
     springs = _springs(edge or {}, mesh)
-    make: type[Bulk] | type[PlacedBulk]
     if isinstance(model, Model):
         _refuse_dimension(2, mesh)
         model, spacing, tried = _on_lattice(
             model, mesh, loads.b, coupling, allowed=allow_uncertified
         )
-        stiff, make = long_wave(model, spacing), Bulk
+        stiff = long_wave(model, spacing)
         reach, usual = 2 * model.horizon, OVERLAP * model.horizon
     else:
         stiff, spacing, tried = _of_crystal(model, mesh, coupling), model.spacing, ()
-        make, reach, usual = PlacedBulk, model.horizon, CRYSTAL_OVERLAP * spacing
+        reach, usual = model.horizon, CRYSTAL_OVERLAP * spacing
     overlap = usual if coupling.overlap is None else coupling.overlap
     lattice = bulk_points(mesh, spacing, reach, units=model.units)
     collar = reach + MARGIN * spacing
@@ -209,7 +208,7 @@ def solve_body(
     points, cell = lattice
     if not isinstance(model, Model):  # the mesh lies as the nodes of the law do
         points = replace(points, axis=_axis_of(model))
-    bulk = make(model, points)
+    bulk = Bulk(model, points)
     elements = Rim(mesh, np.ones(len(mesh.cells), bool), degree=1)
     whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
     to_bulk = rim.probe(points.x[bulk.collar], cell[bulk.collar])

@@ -2,30 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from scipy.ndimage import distance_transform_edt
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.operator.matrices import matrices
-from warp_peri.operator.stencil import stencil
 from warp_peri.operator.stress import node_fields
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.statics.definiteness import refuse_indefinite
-from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.dirichlet import Dirichlet
-from warp_peri.statics.domain import domain
-from warp_peri.statics.settings import Krylov
+from warp_peri.statics.equilibrium import lps_linear
 
-DIRECT = 4_000
-"""Most unknown nodes whose operator is factorised."""
+EXCHANGES = 40
+"""Solves that a coupling takes, for which the inverse is set up."""
 MARGIN = 0.25
 """Distance of collar nodes from the outline, in spacings: room for what curves between corners."""
 SAMPLED = 0.1
@@ -84,83 +78,26 @@ def check_extent(mesh: Mesh | Tetrahedra, spacing: float, units: Units = USUAL) 
 
 
 class Bulk:
-    """L u = b on the unknown nodes, for any load and collar.
+    """L u = b on the unknown nodes of a linear material, for any load and collar.
 
     Args:
-        model: certified on the lattice of the points, or allowed there.
+        model: the material, on its own lattice, or a model that is certified or allowed there.
         points: the unknown nodes and their collar.
 
     Raises InputError for an operator that is singular or indefinite.
     """
 
-    def __init__(self, model: Model, points: Points) -> None:
-        self.model, self.points = model, points
-        self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
-        self.problem: MatrixProblem | None = None
-        if len(self.inside) <= DIRECT:
-            parts = matrices(model, points)
-            self.problem = MatrixProblem(parts.operator(model.lam, model.mu), points.interior)
-            refuse_indefinite(points, model.horizon, model.solid, self.problem.stiffness)
-            return
-        self.domain = domain(
-            points, model.horizon, bond_based=model.bond_based, device=torch.device("cpu")
-        )
-        with torch.no_grad():
-            A = stencil(self.domain.classes, model.solid)
-            self.system = Dirichlet(self.domain, A, "multigrid")
-
-    def pull(self, collar: np.ndarray) -> np.ndarray:
-        """L of what the collar moves, shape [C, 2], on the unknown nodes [TPa/Å], shape [I, 2]."""
-        if self.problem is not None:
-            return np.asarray(self.problem.collar @ collar.ravel()).reshape(-1, 2)
-        field = torch.zeros(len(self.points.x), 2, dtype=torch.float64)
-        field[self.collar] = torch.from_numpy(np.ascontiguousarray(collar))
-        pulled = self.system.pull(self.domain.gather_near(field) * self.domain.collar)
-        return self.domain.scatter_free(pulled).numpy()
-
-    def push(self, inner: np.ndarray) -> np.ndarray:
-        """The transpose of pull: [I, 2] to [C, 2]."""
-        if self.problem is not None:
-            return np.asarray(self.problem.collar.T @ inner.ravel()).reshape(-1, 2)
-        wide = self.domain.widen(self.domain.gather_free(torch.from_numpy(inner)))
-        pulled = self.domain.torus.product(self.system.symbol, wide)
-        return self.domain.scatter_near(pulled, len(self.points.x)).numpy()[self.collar]
-
-    def apply(self, inner: np.ndarray) -> np.ndarray:
-        """L_II of displacements of the unknown nodes, shape [I, 2]."""
-        if self.problem is not None:
-            return np.asarray(self.problem.stiffness @ inner.ravel()).reshape(-1, 2)
-        field = self.domain.gather_free(torch.from_numpy(inner))
-        return self.domain.scatter_free(self.system.product(field)).numpy()
-
-    def solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
-        """L_II⁻¹ of a right-hand side [TPa/Å], shape [I, 2], well within a tolerance."""
-        if self.problem is not None:
-            flat = right.reshape(-1, 1)
-            solution = self.problem.factors.solve(flat)
-            self.problem.check(solution, flat)
-            return np.asarray(solution).reshape(-1, 2)
-        field = self.domain.gather_free(torch.from_numpy(np.ascontiguousarray(right)))
-        solution, _ = self.system.solve(field, min(LOOSEST, SHARE * tolerance))
-        return self.domain.scatter_free(solution).numpy()
-
-    def stress(self, u: np.ndarray) -> np.ndarray:
-        """σ [TPa] at the unknown nodes, shape [I, 2, 2]."""
-        return np.asarray(node_fields(self.model, self.points, u).stress[0])
-
-
-class PlacedBulk:
-    """The same of any linear law on a lattice, by its own operator and solves.
-
-    Args:
-        model: the law.
-        points: the unknown nodes and their collar.
-    """
-
     def __init__(self, model: Any, points: Points) -> None:
         self.model, self.points = model, points
-        self.placed = model.on(points)
+        self.stress: Callable[[np.ndarray], np.ndarray]
+        if isinstance(model, Model):
+            self.linear = lps_linear(points, model.solid, model.horizon)
+            self.stress = lambda u: np.asarray(node_fields(model, points, u).stress[0])
+        else:
+            placed = model.on(points)
+            self.linear, self.stress = placed.linear, placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
+        self.inverse = self.linear.cheapest_inverse(EXCHANGES)
 
     def pull(self, collar: np.ndarray) -> np.ndarray:
         """L of what the collar moves, shape [C, d], on the unknown nodes, shape [I, d]."""
@@ -172,24 +109,16 @@ class PlacedBulk:
 
     def push(self, inner: np.ndarray) -> np.ndarray:
         """The transpose of pull: [I, d] to [C, d]."""
-        rows = self.placed.matrix().T @ inner.ravel()
-        return np.asarray(rows.reshape(self.points.x.shape)[self.collar])
+        return np.asarray(self.linear.push(inner)[self.collar])
 
     def solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
         """L_II⁻¹ of a right-hand side, shape [I, d], well within a tolerance."""
-        b = np.zeros(self.points.x.shape)
-        b[self.inside] = right
-        asked = Krylov(tolerance=min(LOOSEST, SHARE * tolerance))
-        return np.asarray(self.placed.rest(b, np.zeros_like(b), asked).u[self.inside])
-
-    def stress(self, u: np.ndarray) -> np.ndarray:
-        """σ at the unknown nodes, shape [I, d, d]."""
-        return np.asarray(self.placed.stress(u))
+        return np.asarray(self.inverse(right, min(LOOSEST, SHARE * tolerance)))
 
     def _force(self, some: np.ndarray, values: np.ndarray) -> np.ndarray:
         u = np.zeros(self.points.x.shape)
         u[some] = values
-        return np.asarray(self.placed(u))
+        return np.asarray(self.linear(u[None])[0])
 
 
 def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
@@ -225,7 +154,7 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
     return sp.csr_array(sp.coo_array(entries, shape=shape))
 
 
-def on_all(bulk: Bulk | PlacedBulk, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
+def on_all(bulk: Bulk, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
     """Displacement of the unknown nodes and of the collar on all nodes, shape [N, d]."""
     u = np.empty_like(bulk.points.x)
     u[bulk.inside], u[bulk.collar] = inner, collar

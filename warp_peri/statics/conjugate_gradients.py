@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from warp_peri.errors import InputError
-
-if TYPE_CHECKING:
-    import torch
 
 MOST_ITERATIONS = 1500
 RESTARTS = 2
 """Times that a solve goes on from where the true residual was found too large."""
 Field = Callable[[Any], Any]
-"""Of tensors to tensors, or of arrays to arrays."""
 
 
 class Inner(NamedTuple):
@@ -29,17 +25,18 @@ class Inner(NamedTuple):
     add: Callable[[Any, float, Any], Any]
 
 
-def _dot(a: torch.Tensor, b: torch.Tensor) -> float:
-    return float(a.flatten().dot(b.flatten()))
+def _add(u: np.ndarray, a: float, p: np.ndarray) -> np.ndarray:
+    u += a * p
+    return u
 
 
 HERE = Inner(
-    _dot,
-    lambda a: float(a.norm()),
-    lambda a: float(a.abs().max()) if a.numel() else 0.0,
-    lambda u, a, p: u.add_(p, alpha=a),
+    lambda a, b: float(np.vdot(a, b)),
+    lambda a: float(np.linalg.norm(a)),
+    lambda a: float(np.abs(a).max(initial=0.0)),
+    _add,
 )
-"""Of tensors that this process has the whole of."""
+"""Of arrays that this process has the whole of."""
 
 
 @dataclass
@@ -71,7 +68,7 @@ def definite(
     Args:
         product: L of a field.
         precondition: z ≈ L⁻¹ r, in memory of its own.
-        right: of any shape, on the processor; a tensor, or what else `inner` is for.
+        right: of any shape; an array, or what else `inner` is for.
         tolerance: of ‖L u − right‖ / ‖right‖.
         begin: where a search for L u = r starts; zero by default.
         inner: how fields are measured.
@@ -80,46 +77,28 @@ def definite(
     Raises InputError when a direction has no positive energy, or the search stalls above the
     tolerance.
     """
-    with _one_thread():
-        record = SolveRecord()
-        largest = inner.largest(right)
-        u = right - right  # zeros
-        if largest == 0:
-            return u, record
-        right = right / largest  # squares of very small and very large loads are no numbers
-        size, left = inner.norm(right), right
-        for _ in range(1 + RESTARTS):
-            start = None if begin is None else begin(left)
-            goal = 0.9 * tolerance * size
-            u += _descend(product, precondition, left, goal, record, start, inner, where)
-            left = right - product(u)
-            record.residual = inner.norm(left) / size
-            if record.residual <= tolerance:
-                return u * largest, record
-            if record.iterations >= MOST_ITERATIONS:
-                break
+    record = SolveRecord()
+    largest = inner.largest(right)
+    u = right - right  # zeros
+    if largest == 0:
+        return u, record
+    right = right / largest  # squares of very small and very large loads are no numbers
+    size, left = inner.norm(right), right
+    for _ in range(1 + RESTARTS):
+        start = None if begin is None else begin(left)
+        goal = 0.9 * tolerance * size
+        u += _descend(product, precondition, left, goal, record, start, inner, where)
+        left = right - product(u)
+        record.residual = inner.norm(left) / size
+        if record.residual <= tolerance:
+            return u * largest, record
+        if record.iterations >= MOST_ITERATIONS:
+            break
     raise InputError(
         f"the solve stalled: residual {record.residual:.1e} of the right-hand side after "
         f"{record.iterations} iterations, {tolerance:.1e} was asked for; the operator{where} is "
         f"nearly singular{hint}"
     )
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """On shared cores torch's threads wait for one another at every small operation (3 to 20 times
-    as long in all); transforms and kernels, most of the work, have their own.
-    """
-    torch = sys.modules.get("torch")  # not loaded for threads alone: ranks do without
-    if torch is None:
-        yield
-        return
-    count = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(count)
 
 
 def _descend(

@@ -3,43 +3,39 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 
 import numpy as np
+import scipy.fft
 import scipy.sparse as sp
-import torch
 
+from warp_peri.core.stencil import Stencil
+from warp_peri.core.sweeps import torus_symbol
 from warp_peri.errors import InputError
-from warp_peri.models.solid import Solid
-from warp_peri.operator.stencil import smallest_ratio, stencil
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.points.quadrature import DEGREE
 from warp_peri.stability.inertia import definite_factors
 from warp_peri.stability.solvability import smallest_eigenvalue
-from warp_peri.statics.domain import domain
+from warp_peri.statics.linear import smallest_ratio
 
 
 def refuse_indefinite(
     points: Points,
-    horizon: float,
-    solid: Solid,
     stiffness: sp.csc_array,
+    stencil: Callable[[], Stencil],
     *,
-    degree: int = DEGREE,
     allowed: bool = False,
 ) -> None:
     """Raise InputError when L_II is not positive definite, on lattices and where bonds are broken.
 
-    On plain lattices by the symbol, and where that proves nothing, as in space, by the smallest
-    eigenvalue. Where
+    On plain lattices by the symbol, and where that proves nothing by the smallest eigenvalue. Where
     bonds are broken, its symmetric part decides: a kernel that changes sign seldom bears that
     (theory.md, B9). Elsewhere nothing is asked.
 
     Args:
         points: the nodes.
-        horizon: δ [Å].
-        solid: of the operator.
-        stiffness: L_II [TPa/Å²].
-        degree: of the quadrature.
+        stiffness: L_II [stress/length²].
+        stencil: gives that of the operator on a plain lattice.
         allowed: warn, where bonds are broken, instead.
     """
     if points.outside is not None:
@@ -48,15 +44,10 @@ def refuse_indefinite(
         return
     if not points.is_plain_lattice:
         return
-    if points.dimension == 2:
-        laid = domain(
-            points, horizon, bond_based=solid.bond_based, degree=degree, device=torch.device("cpu")
-        )
-        with torch.no_grad():
-            A = stencil(laid.classes, solid)
-        if smallest_ratio(laid.torus.symbol(A), laid.torus) > 0:
-            return
-    elif definite_factors(stiffness) is not None:
+    sides = np.ptp(lattice_steps(points)[0], axis=0) + 1
+    torus = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in sides)
+    whole = stencil()
+    if smallest_ratio(torus_symbol(torus, whole.steps, whole.tensors), torus) > 0:
         return
     smallest = smallest_eigenvalue(stiffness)
     if not smallest > 0:

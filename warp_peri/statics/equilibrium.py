@@ -4,130 +4,130 @@ u_I = L_II⁻¹ (b_I − L_IC u_C). With g the derivative of a scalar to u and L
 
     b̄ = w,   ū_C = g_C − L_ICᵗ w,   and to any parameter p of the model  −wᵗ (∂L/∂p) u:
 
-one more solve, and one gradient of the operator. On lattices that gradient is the correlation of w
-and u, which autograd takes from the stencil to λ, μ, α and D.
+one more solve, and one gradient of the operator.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any, TypeAlias
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
+from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
+from warp_peri.models.lps import Model, lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.launches import influence
 from warp_peri.operator.lps import lps_force
 from warp_peri.operator.matrices import assemble
-from warp_peri.operator.stencil import stencil
+from warp_peri.points.families import families_of
+from warp_peri.points.points import Points
+from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.dirichlet import Dirichlet
-from warp_peri.statics.domain import Domain, domain
-from warp_peri.statics.settings import PRECONDITIONERS, TOLERANCE
-
-Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
-"""An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""
+from warp_peri.statics.linear import METHODS, Linear
+from warp_peri.statics.settings import TOLERANCE
 
 
-class _OnLattice(torch.autograd.Function):
-    """Stencil, load [S, N, 2] and collar [S, N, 2] to displacement [S, N, 2]."""
+class _System(Protocol):
+    """A linear problem of some nodes."""
+
+    def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """u [S, N, d] with L u = b on the interior, as given elsewhere."""
+        ...
+
+    def adjoint(self, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """L_II⁻ᵗ of g [S, I, d], and Lᵗ of that on all nodes, [S, N, d]."""
+        ...
+
+
+class _Iterated:
+    """By conjugate gradients of a stencil."""
+
+    def __init__(
+        self, linear: Linear, method: str, tolerance: float, records: list[SolveRecord]
+    ) -> None:
+        linear.check_definite()
+        self.linear, self.method, self.tolerance = linear, method, tolerance
+        self.records = records
+
+    def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        solved, records = self.linear.solve(b, u, self.tolerance, self.method)
+        self.records += records
+        return solved
+
+    def adjoint(self, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        w = np.stack([self.linear.inverse(one, self.tolerance, self.method)[0] for one in g])
+        return w, np.stack([self.linear.push(one) for one in w])
+
+
+class _Factorised:
+    """By a factorisation, on any points."""
+
+    def __init__(self, bonds: Bonds, points: PointsLike, solid: Solid) -> None:
+        alpha, D, own = (bonds.floats(v) for v in (solid.alpha, solid.D, solid.dilatation))
+        tables = [*influence(bonds, alpha, D), *influence(bonds, alpha, own)]
+        L = assemble(bonds, tables).operator(float(solid.lam[0]), float(solid.mu[0]))
+        self.problem, nodes = MatrixProblem(L, points.interior), nodes_of(points)
+
+        def stencil() -> Stencil:
+            return solid_stencil(nodes, solid, bonds.horizon)
+
+        refuse_indefinite(nodes, self.problem.stiffness, stencil)
+
+    def solve(self, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        return self.problem.solve(b, u)
+
+    def adjoint(self, g: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        problem, flat = self.problem, np.ascontiguousarray(g.reshape(len(g), -1).T)
+        w = problem.factors.solve(flat, "T").T
+        pushed = np.zeros((len(g), len(problem.unknown)))
+        pushed[:, ~problem.unknown] = (problem.collar.T @ w.T).T
+        return w.reshape(g.shape), pushed.reshape(len(g), -1, g.shape[-1])
+
+
+class _AtRest(torch.autograd.Function):
+    """Load [S, N, d], collar [S, N, d] and parameters to displacement [S, N, d]."""
 
     @staticmethod
     def forward(
         ctx: Any,
-        system: Dirichlet,
-        tolerance: float,
-        records: list[SolveRecord],
-        *tensors: torch.Tensor,
+        system: _System,
+        bonds: Callable[[], Bonds],
+        interior: np.ndarray,
+        b: torch.Tensor,
+        u: torch.Tensor,
+        *parameters: torch.Tensor,
     ) -> torch.Tensor:
-        A, b, u = tensors
-        solved, domain = u.clone(), system.domain
-        for s in range(len(b)):
-            right = domain.gather_free(b[s][domain.interior])
-            right -= system.pull(domain.gather_near(u[s]) * domain.collar)
-            inner, record = system.solve(right, tolerance)
-            records.append(record)
-            solved[s, domain.interior] = domain.scatter_free(inner)
-        ctx.system, ctx.tolerance = system, tolerance
-        ctx.save_for_backward(solved)
-        ctx.reach = A.shape[-1] // 2
+        solved = torch.from_numpy(system.solve(b.detach().numpy(), u.detach().numpy()))
+        ctx.system, ctx.bonds, ctx.interior = system, bonds, interior
+        ctx.save_for_backward(solved, *parameters)
         return solved
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        (g,), (solved,), system = upstream, ctx.saved_tensors, ctx.system
-        domain, wanted = system.domain, ctx.needs_input_grad[3:]
-        by_b, by_u, by_A = torch.zeros_like(g), g.clone(), None
-        for s in range(len(g)):
-            w, _ = system.solve(domain.gather_free(g[s][domain.interior]), ctx.tolerance)
-            by_b[s, domain.interior] = domain.scatter_free(w)
-            wide = domain.widen(w)
-            if wanted[2]:
-                pulled = domain.torus.product(system.symbol, wide)
-                by_u[s] -= domain.scatter_near(pulled, len(g[s]))
-            if wanted[0]:
-                part = domain.torus.correlation(wide, domain.gather_near(solved[s]), ctx.reach)
-                by_A = -part if by_A is None else by_A - part
-        by_u[:, domain.interior] = 0
-        return None, None, None, by_A, by_b, by_u
-
-
-class _ByLU(torch.autograd.Function):
-    """The same on any points: the parameters go through the gradient of L u."""
-
-    @staticmethod
-    def forward(
-        ctx: Any,
-        bonds: Bonds,
-        points: PointsLike,
-        b: torch.Tensor,
-        u: torch.Tensor,
-        *parameters: torch.Tensor,
-    ) -> torch.Tensor:
-        solid = Solid(*(value.detach().numpy() for value in parameters))
-        alpha, D, own = (bonds.floats(v) for v in (solid.alpha, solid.D, solid.dilatation))
-        tables = [*influence(bonds, alpha, D), *influence(bonds, alpha, own)]
-        L = assemble(bonds, tables).operator(float(solid.lam[0]), float(solid.mu[0]))
-        problem = MatrixProblem(L, points.interior)
-        solved = problem.solve(b.detach().numpy(), u.detach().numpy())
-        refuse_indefinite(nodes_of(points), bonds.horizon, solid, problem.stiffness)
-        ctx.bonds, ctx.problem = bonds, problem
-        result = torch.from_numpy(solved)
-        ctx.save_for_backward(result, *parameters)
-        return result
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        solved, *parameters = ctx.saved_tensors
-        flat = upstream[0].numpy().reshape(len(solved), -1)
-        problem, unknown = ctx.problem, ctx.problem.unknown
-        w = problem.factors.solve(np.ascontiguousarray(flat[:, unknown].T), "T").T
-        by_b, by_u = np.zeros_like(flat), np.zeros_like(flat)
-        by_b[:, unknown] = w
-        by_u[:, ~unknown] = flat[:, ~unknown] - (problem.collar.T @ w.T).T
-        shape = solved.shape
+        (g,), (solved, *parameters) = upstream, ctx.saved_tensors
+        w, pushed = ctx.system.adjoint(g.numpy()[:, ctx.interior])
+        by_b, by_u = torch.zeros_like(g), g - torch.from_numpy(pushed)
+        by_b[:, ctx.interior], by_u[:, ctx.interior] = torch.from_numpy(w), 0.0
         found_by: Sequence[torch.Tensor | None] = [None] * len(parameters)
-        if any(ctx.needs_input_grad[4:]):
+        if any(ctx.needs_input_grad[5:]):
             with torch.enable_grad():
                 leaves = [value.detach().requires_grad_() for value in parameters]
-                force = lps_force(ctx.bonds, solved, Solid(*leaves))
-                pull = torch.from_numpy(-w.reshape(shape[0], -1, shape[-1]).copy())
+                force = lps_force(ctx.bonds(), solved, Solid(*leaves))
+                pull = torch.from_numpy(-np.ascontiguousarray(w))
                 found_by = torch.autograd.grad(force, leaves, pull, allow_unused=True)
-        fields = (torch.from_numpy(field.reshape(shape)) for field in (by_b, by_u))
-        return None, None, *fields, *found_by
+        return None, None, None, by_b, by_u, *found_by
 
 
-_on_lattice: Callable[..., torch.Tensor] = _OnLattice.apply
-_by_lu: Callable[..., torch.Tensor] = _ByLU.apply
+_at_rest: Callable[..., torch.Tensor] = _AtRest.apply
 
 
 def equilibrium(
@@ -140,21 +140,21 @@ def equilibrium(
     method: str,
     tolerance: float = TOLERANCE,
     records: list[SolveRecord] | None = None,
+    linear: Linear | None = None,
 ) -> torch.Tensor:
     """Displacement in equilibrium (theory.md, 29), differentiable in all tensors.
 
     Args:
         points: a lattice, or for the method lu any points.
-        b: body force density [TPa/Å], shape [S, N, d] or [N, d]; only interior values count. The
-            iterative methods run on its device, "lu" on the processor.
+        b: body force density [TPa/Å], shape [S, N, d] or [N, d]; only interior values count.
         u_collar: displacement [Å], same shape; only collar values count.
         solid: numbers, arrays or tensors. Where λ and μ are equal the problem is bond-based, and
             its derivatives to them are those of (42).
         horizon: δ [Å].
-        method: "lu", or on lattices "sine" (rectangles), "multigrid", "strip"
-            (λ ≫ μ), "fft", "cg".
+        method: "lu", or on lattices one of linear.METHODS.
         tolerance: of iterative solves, true residual over right-hand side.
         records: takes one SolveRecord for each sample of an iterative solve.
+        linear: of these points and this solid, where it is there already.
 
     Returns:
         u [Å], shape as given: u_collar on the collar, the solution on the interior.
@@ -163,51 +163,49 @@ def equilibrium(
     or, on a lattice without broken bonds, indefinite.
     """
     solid = solid.map(lambda v: torch.as_tensor(v, dtype=torch.float64).reshape(-1).cpu())
-    shape = b.shape
-    b, u = (field.double().reshape(-1, *points.x.shape) for field in (b, u_collar))
-    inside = torch.from_numpy(points.interior)[:, None].to(b.device)
+    shape, device = b.shape, b.device
+    b, u = (field.double().cpu().reshape(-1, *points.x.shape) for field in (b, u_collar))
+    inside = torch.from_numpy(points.interior)[:, None]
     b, u = b.where(inside, 0.0), u.where(~inside, 0.0)
+
+    def bonds() -> Bonds:
+        return Bonds(points, horizon, bond_based=solid.bond_based)
+
+    plain = solid.map(lambda v: v.detach().numpy())
+    system: _System
     if method == "lu":
-        bonds = Bonds(points, horizon, bond_based=solid.bond_based)
-        solved = _by_lu(bonds, points, b.cpu(), u.cpu(), *solid.values())
-        return solved.reshape(shape).to(b.device)
-    if method not in PRECONDITIONERS:
-        raise InputError(f"method: expected lu, {', '.join(PRECONDITIONERS)}, got {method!r}")
-    if points.spacing == 0:
-        raise InputError(f"method: {method} is for lattices, got scattered points; try lu")
-    nodes = domain(points, horizon, bond_based=solid.bond_based, device=b.device)
-    return on_domain(nodes, b, u, solid, method, tolerance, records).reshape(shape)
+        placed = bonds()
+        system, made = _Factorised(placed, points, plain), lambda: placed
+    else:
+        if method not in METHODS:
+            raise InputError(f"method: expected lu, {', '.join(METHODS)}, got {method!r}")
+        if points.spacing == 0:
+            raise InputError(f"method: {method} is for lattices, got scattered points; try lu")
+        linear = linear or lps_linear(points, plain, horizon)
+        system = _Iterated(linear, method, tolerance, [] if records is None else records)
+        made = bonds
+    solved = _at_rest(system, made, points.interior, b, u, *solid.values())
+    return solved.reshape(shape).to(device)
 
 
-def on_domain(
-    nodes: Domain,
-    b: torch.Tensor,
-    u: torch.Tensor,
-    solid: Solid,
-    method: str,
-    tolerance: float,
-    records: list[SolveRecord] | None = None,
-) -> torch.Tensor:
-    """Equilibrium on a lattice laid out before; b is zero on the collar, u on the interior."""
-    A = stencil(nodes.classes, solid)
-    system = Dirichlet(nodes, A.detach(), method)
-    A = A.to(b.device)
-    return _on_lattice(system, tolerance, [] if records is None else records, A, b, u)
+def lps_linear(points: PointsLike, solid: Solid, horizon: float, *, degree: int = DEGREE) -> Linear:
+    """The stencil of a linear peridynamic solid on the nodes of a lattice.
 
-
-def iterated_inverse(points: PointsLike, horizon: float, solid: Solid, method: str) -> Inverse:
-    """L⁻¹ on the unknown nodes of a plain lattice by conjugate gradients, set up once.
-
-    Raises InputError as Dirichlet does.
+    Raises InputError as families_of does, for the same point sets.
     """
-    where = domain(points, horizon, device=torch.device("cpu"))
-    with torch.no_grad():
-        A = stencil(where.classes, solid)
-    system = Dirichlet(where, A, method)
+    nodes = nodes_of(points)
+    try:
+        stencil = solid_stencil(nodes, solid, horizon, degree)
+        return Linear(stencil, nodes, least=2 * int(horizon / nodes.spacing + 1e-6))
+    except InputError:
+        families_of(nodes, horizon, bond_based=solid.bond_based, degree=degree)
+        raise
 
-    def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
-        field, _ = system.solve(where.gather_free(torch.from_numpy(right)), tolerance)
-        free: np.ndarray = where.scatter_free(field).numpy()
-        return free
 
-    return solved
+def solid_stencil(nodes: Points, solid: Solid, horizon: float, degree: int = DEGREE) -> Stencil:
+    """The stencil of numbers, arrays or tensors that make a linear peridynamic solid."""
+    numbers = solid.map(lambda value: np.asarray(value, dtype=float).ravel())
+    lam, mu, alpha = (float(value[0]) for value in (numbers.lam, numbers.mu, numbers.alpha))
+    own, d = numbers.dilatation, nodes.dimension
+    model = Model(lam, mu, alpha, numbers.D, horizon, D_dilatation=own, dimension=d)
+    return lps_stencil(model, nodes.spacing, degree=degree)

@@ -13,21 +13,21 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.errors import InputError
-from warp_peri.launch import DEVICE, known_device
+from warp_peri.launch import DEVICE
+from warp_peri.models.lps import lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields
-from warp_peri.operator.symbol import stiffnesses, symbol
-from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
-from warp_peri.points.strain import largest_strain, lattice_strain
+from warp_peri.points.strain import largest_strain
 from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
-from warp_peri.statics.equilibrium import Inverse, equilibrium, iterated_inverse
+from warp_peri.statics.equilibrium import equilibrium, lps_linear
+from warp_peri.statics.linear import BONDS, DIRECT, STIFF, Inverse, Linear, cheapest_method
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.statics.settings import TOLERANCE, Direct, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -35,21 +35,8 @@ from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.transfer.operator import LPSOperator
 
 T = TypeVar("T")
-DIRECT, LARGEST_LU = 4_000, 40_000
-"""Most unknown nodes that are factorised, on lattices and on other point sets."""
-FLAT = 40_000
-"""Unknown nodes from which multigrid, whose iterations do not grow, is worth its set-up."""
-PAYS = {"sine": 1700, "fft": 3500}
-"""A factorisation pays from 2 + n B/1700 loads on n nodes with B bonds where the sine transform
-does, from 2 + n B/3500 elsewhere."""
-BONDS = 34
-"""Where nobody says how many: between δ = 2.5 and 4 spacings."""
-LARGEST_SOLID = 4_000
-"""Most unknown nodes in space, where factors fill up."""
-STIFF = 30.0
-"""λ/μ from which the strip at the edge costs less than the iterations that it saves."""
-SINGULAR = 1e-13
-"""Eigenvalues of the symbol below this fraction of the largest count as zero."""
+LARGEST_LU = 40_000
+"""Most unknown nodes off lattices that are factorised whole."""
 
 
 class PlacedLPS(LPSOperator):
@@ -68,6 +55,11 @@ class PlacedLPS(LPSOperator):
     def through(self) -> ThroughLattice:
         """The assembled operator on scattered points."""
         return ThroughLattice(self.home, self.points)
+
+    @cached_property
+    def linear(self) -> Linear:
+        """Its stencil on the nodes of a lattice."""
+        return lps_linear(self.nodes, self.model.solid, self.model.horizon)
 
     @property
     def proven(self) -> str | None:
@@ -135,17 +127,44 @@ class PlacedLPS(LPSOperator):
         return self._told(field, self.load(load), method, records)
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
-        """Equilibrium of a periodic sheet under a load whose mean is removed, as sheet_at_rest."""
+        """Equilibrium on a period under a load whose mean is removed; u has zero mean.
+
+        Args:
+            b: body force density [stress/length], shape [N, d] or [S, N, d].
+            solver: None.
+
+        Raises InputError for points that do not fill a period, a load that does not fit, and an
+        operator that is not positive definite there.
+        """
         refuse_solver(solver, (), "a periodic sheet, which has one way")
-        return sheet_at_rest(self, b)
+        nodes = self.nodes
+        if nodes.box is None or not nodes.interior.all():
+            raise InputError(
+                "points: expected a lattice with a box, all of its nodes interior, for a periodic "
+                "problem; see Points.sheet"
+            )
+        load, field = checked_fields(nodes, b, np.zeros_like(np.asarray(b, dtype=float)))
+        count = int(np.prod(np.rint(np.divide(nodes.box, nodes.spacing))))
+        if len(nodes.x) != count:
+            raise InputError(
+                f"points: expected {count} nodes that fill the box, got {len(nodes.x)}"
+            )
+        self.linear.check_definite()
+        flat = field.reshape(-1, *nodes.x.shape)
+        u, records = self.linear.solve(load.reshape(flat.shape), flat, TOLERANCE)
+        warn_beyond(self.model, lambda: largest_strain(nodes, u))
+        load = load - load.mean(axis=-2, keepdims=True)
+        return self._told(u.reshape(field.shape), load, "fft", list(records))
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of what the operator equals on the interior [I, d], to a relative residual; set up
         once for so many loads, on scattered points by a factorisation."""
         if self.carrier is not None:
             return self.through.problem.inverse
-        if (method := self._method(None, loads)) not in ("lu", "gmres"):
-            return iterated_inverse(self.nodes, self.model.horizon, self.model.solid, method)
+        if self.nodes.is_plain_lattice and self.quadrature_degree == DEGREE:
+            return self.linear.cheapest_inverse(
+                loads, bonds_within(self.model.horizon, self.nodes.spacing)
+            )
         parts = matrices(self.model, self.nodes, bonds=self.bonds)
         L = parts.operator(self.model.lam, self.model.mu)
         return MatrixProblem(L, self.nodes.interior).inverse
@@ -194,9 +213,11 @@ class PlacedLPS(LPSOperator):
         parts = matrices(model, nodes, quadrature_degree=degree, bonds=own)
         problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
         answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
-        stiffness, allowed = problem.stiffness, self.allowed
         refuse_indefinite(
-            nodes, model.horizon, model.solid, stiffness, degree=degree, allowed=allowed
+            nodes,
+            problem.stiffness,
+            lambda: lps_stencil(model, nodes.spacing, degree=degree),
+            allowed=self.allowed,
         )
         return answer
 
@@ -210,25 +231,16 @@ class PlacedLPS(LPSOperator):
     ) -> np.ndarray:
         """The solution by conjugate gradients, where they are asked to run."""
         asked = solver if isinstance(solver, Krylov) else self._unasked()
-        there = known_device(asked.device)
-        with torch.no_grad():
-            answer = equilibrium(
-                self.nodes,
-                torch.from_numpy(load).to(there),
-                torch.from_numpy(u).to(there),
-                self.model.solid,
-                horizon=self.model.horizon,
-                method=method,
-                tolerance=asked.tolerance,
-                records=records,
-            )
-        return answer.cpu().numpy()
+        self.linear.check_definite()
+        answer, took = self.linear.solve(load, u, asked.tolerance, method)
+        records += took
+        return answer
 
     def _unasked(self) -> Krylov:
         """Settings of an iteration that nobody asked for: closer than a factorisation is held to,
         where one would have been possible."""
         few = np.count_nonzero(self.points.interior) <= DIRECT
-        return Krylov(tolerance=RESIDUAL / 10 if few else TOLERANCE, device=self.device)
+        return Krylov(tolerance=RESIDUAL / 10 if few else TOLERANCE)
 
     def _through_lattice(self, load: np.ndarray, u: np.ndarray, solver: Solver) -> Solution:
         """The solution on scattered points by the operator of a certified lattice."""
@@ -253,7 +265,8 @@ class PlacedLPS(LPSOperator):
         options["tolerance"] = asked.tolerance
 
         def solved(method: str) -> torch.Tensor:
-            return equilibrium(self.nodes, b, u, solid, method=method, **options)
+            linear = None if method == "lu" or parameters is not None else self.linear
+            return equilibrium(self.nodes, b, u, solid, method=method, linear=linear, **options)
 
         answer, method = self._chosen(solver, b[..., 0, 0].numel(), solved)
         inside = torch.from_numpy(self.points.interior).to(b.device)
@@ -315,33 +328,12 @@ def choose_method(
         bonds: of a node, about.
     """
     nodes = int(np.count_nonzero(points.interior))
-    if points.x.shape[1] == 3:
-        if nodes > LARGEST_SOLID:
-            raise InputError(
-                f"points: expected at most {LARGEST_SOLID} unknown nodes in three dimensions, "
-                f"which are solved for directly, got {nodes}; on lattices "
-                "micromodulus.tensors_of(model, spacing) is solved on more"
-            )
-        return "lu"
     if not plain:
         return "lu" if nodes <= LARGEST_LU else "gmres"
     inside = lattice_steps(points)[0][points.interior]
-    rectangle = bool(np.prod(np.ptp(inside, axis=0) + 1) == nodes)
-    return cheapest_method(nodes, rectangle=rectangle, stiff=stiff, loads=loads, bonds=bonds)
-
-
-def cheapest_method(
-    nodes: int, *, rectangle: bool, stiff: bool = False, loads: int = 1, bonds: float = BONDS
-) -> str:
-    """The cheapest method for so many unknown nodes of a plain sheet; as choose_method."""
-    pays = 2 + nodes * bonds / PAYS["sine" if rectangle else "fft"]
-    if nodes <= DIRECT and loads and (stiff or loads > pays):
-        return "lu"
-    if stiff:
-        return "strip"
-    if rectangle:
-        return "sine"
-    return "fft" if nodes <= FLAT else "multigrid"
+    box = bool(np.prod(np.ptp(inside, axis=0) + 1) == nodes)
+    space = points.x.shape[1] == 3
+    return cheapest_method(nodes, box=box, space=space, stiff=stiff, loads=loads, bonds=bonds)
 
 
 def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -359,60 +351,3 @@ def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray
     solution = np.stack(columns, axis=1)
     problem.check(solution, right)
     return problem.filled(u, solution)
-
-
-def sheet_at_rest(operator: PlacedLPS, b: ArrayLike) -> Solution:
-    """Displacement of a periodic sheet under a load of zero mean, by FFT of the symbol.
-
-    Args:
-        operator: of a lattice with a box, all of whose nodes are interior.
-        b: body force density [TPa/Å], shape [N, 2] or [S, N, 2]; its mean is removed.
-
-    Returns:
-        A solution whose u [Å] has zero mean.
-
-    Raises InputError for other points, a load that does not fit, or a symbol that is singular at a
-    wave vector of the sheet.
-    """
-    nodes, model = operator.nodes, operator.model
-    if nodes.dimension != 2:
-        raise InputError("points: expected a sheet for a periodic solve, got three dimensions")
-    steps, sides = whole_sheet(nodes)
-    load, _ = checked_fields(nodes, b, np.zeros_like(np.asarray(b, dtype=float)))
-    grid = np.empty((*load.shape[:-2], *sides, 2))
-    place = (..., *steps.T, slice(None))
-    grid[place] = load
-    classes = bond_classes(nodes.spacing, model.horizon)
-    waves = [2 * np.pi * np.fft.fftfreq(n, nodes.spacing) for n in sides]
-    k = np.stack(np.meshgrid(*waves, indexing="ij"), axis=-1).reshape(-1, 2)
-    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
-    d11[0] = d22[0] = 1.0  # k = 0: a mean load has no answer; the transform below is zeroed there
-    D = np.stack([d11, d12, d12, d22], axis=1).reshape(*sides, 2, 2)
-    transform = np.fft.fftn(grid, axes=(-3, -2))
-    transform[..., 0, 0, :] = 0
-    size = np.abs(np.linalg.eigvalsh(D))
-    if not size.min() > SINGULAR * size.max():
-        raise InputError("the symbol is singular at a wave vector of this sheet")
-    wave = np.linalg.solve(D, transform[..., None])[..., 0]
-    field = np.fft.ifftn(wave, axes=(-3, -2)).real
-    warn_beyond(model, lambda: lattice_strain(field, nodes.spacing))
-    u = np.ascontiguousarray(field[place])
-    load = load - load.mean(axis=-2, keepdims=True)
-    return Solution(u, operator.points, operator, load, "fft", proven=operator.proven)
-
-
-def whole_sheet(nodes: Points) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Places [N, 2] in lattice steps, and sides in steps, of a full periodic sheet.
-
-    Raises InputError for points without a box, with a collar, or with holes.
-    """
-    if nodes.box is None or nodes.spacing == 0 or not nodes.interior.all():
-        raise InputError(
-            "points: expected a lattice with a box, all of its nodes interior, for a periodic "
-            "problem; see Points.sheet"
-        )
-    sides = tuple(int(n) for n in np.rint(np.divide(nodes.box, nodes.spacing)))
-    steps = np.rint((nodes.x - nodes.x.min(axis=0)) / nodes.spacing).astype(int)
-    if len(nodes.x) != np.prod(sides) or (steps >= sides).any():
-        raise InputError(f"points: expected {np.prod(sides)} nodes that fill the box")
-    return steps, sides

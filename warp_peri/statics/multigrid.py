@@ -1,124 +1,254 @@
-"""One multigrid V-cycle for the local limit of an operator on any set of lattice nodes.
+"""Approximate inverses of L on unknown nodes, in two and three dimensions (theory.md, T15).
 
-The operator of a level is the Q1 finite-element stencil of the long-wave moduli, zero outside the
-level's nodes. A coarser level has every second node; it is rediscretised, not multiplied out. In
-two dimensions the Q1 stencil does not depend on the spacing, so all levels share it.
+Fields are planes [d, *box], zero where nothing is unknown; all is in units of stress: L h².
+Filters work in single precision and hand back double.
 """
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
-import torch
-import warp as wp
+import scipy.fft
+import scipy.linalg
 
-from warp_peri.kernels.multigrid import residual
-from warp_peri.launch import launch_slices
+from warp_peri.core.elements import q1_tensors
+from warp_peri.core.grid import Grid
+from warp_peri.core.sweeps import (
+    ByRows,
+    convolved,
+    inverse,
+    torus_shape,
+    torus_symbol,
+)
+from warp_peri.launch import threads
 
+Filter = Callable[[np.ndarray], np.ndarray]
+SINE_SHIFT, SHIFT = 0.4, 1.0
+"""Of the short-range filters beside the sine transform and beside multigrid, in shear moduli."""
 COARSEST = 400
-"""Most nodes of the coarsest level, whose matrix is inverted."""
-SMOOTHED = 4.0
-"""A smoother covers the eigenvalues from 1/SMOOTHED of the largest up to it."""
+"""Most nodes of a level whose matrix is inverted."""
+DEGREE, SMOOTHED = 2, 4.0
+"""Of the Chebyshev smoother, which covers eigenvalues from 1/SMOOTHED of the largest."""
+POWER_STEPS = 12
 
 
-def q1_stencil(C11: float, C44: float, mixed: float) -> torch.Tensor:
-    """Q1 elements of C11 ∂₁² + C44 ∂₂² and so on, mixed = C12 + C44; shape [2, 2, 3, 3] [TPa]."""
-    stiff, mass, slope = np.array([[-1, 2, -1], [1 / 6, 4 / 6, 1 / 6], [-0.5, 0, 0.5]])
-    along, across = np.outer(stiff, mass), np.outer(mass, stiff)
-    cross = -mixed * np.outer(slope, slope)
-    return torch.from_numpy(
-        np.array([[C11 * along + C44 * across, cross], [cross, C44 * along + C11 * across]])
-    )
+def shear(elastic: np.ndarray) -> float:
+    """A mean shear modulus: of C_ijij − C_iijj/d, over the number of shears."""
+    d = elastic.shape[0]
+    full, trace = np.einsum("ijij", elastic), np.einsum("iijj", elastic)
+    return float((full - trace / d) / (d * (d + 1) - 2))
 
 
-def coarser(mask: torch.Tensor) -> torch.Tensor:
-    """Nodes of a box that its coarser level keeps: every second, from the second on."""
-    return mask[1::2, 1::2]
+def torus_inverse(
+    nodes: Grid, steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float = 0.0
+) -> Filter:
+    """(D(k) + shift I)⁻¹ on the torus around the nodes, cut off at them."""
+    torus = torus_shape(nodes)
+    kind = np.float64 if nodes.periodic else np.float32  # on a period it is the whole inverse
+    table = shifted_inverse(torus, steps, tensors, shift).astype(kind)
+    mask = nodes.mask()
+    inside = tuple(slice(0, n) for n in nodes.shape)
+
+    def apply(r: np.ndarray) -> np.ndarray:
+        z = convolved(table, r.astype(kind), torus)
+        return np.asarray(z[(slice(None), *inside)] * mask, dtype=np.float64)
+
+    return apply
 
 
-def restrict(field: torch.Tensor) -> torch.Tensor:
-    """Pᵗ: sums of a field [2, n₁, n₂] with weights 1, 1/2, 1/4 around the coarser nodes."""
-    for axis in (1, 2):
-        n = field.shape[axis] // 2
-        even, odd = (_every_second(field, axis, first) for first in (0, 1))
-        field = odd + even.narrow(axis, 0, n) / 2
-        after = even.shape[axis] - 1  # the last coarser node may have no finer one beyond it
-        field.narrow(axis, 0, after).add_(even.narrow(axis, 1, after), alpha=0.5)
+def shifted_inverse(
+    torus: tuple[int, ...], steps: np.ndarray, tensors: np.ndarray, shift: np.ndarray | float
+) -> np.ndarray:
+    """(D(k) + shift I)⁻¹ at the waves of a torus, packed as torus_symbol packs D."""
+    symbol = torus_symbol(torus, steps, tensors)
+    d = len(torus)
+    for n, (i, j) in enumerate(itertools.combinations_with_replacement(range(d), 2)):
+        if i == j:
+            symbol[n] += shift
+    return inverse(symbol)
+
+
+def seen_by_coarser(torus: tuple[int, ...]) -> np.ndarray:
+    """p = Π (1 + cos k_a h)/2 at the waves of a torus: what P makes of a wave."""
+    seen = np.ones(())
+    for n in torus[:-1]:
+        seen = seen[..., None] * ((1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2)
+    last = np.arange(torus[-1] // 2 + 1)
+    return np.asarray(seen[..., None] * ((1 + np.cos(2 * np.pi * last / torus[-1])) / 2))
+
+
+def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
+    """For boxes: the symbol's diagonal in the sine basis at long waves, all of it at short ones.
+
+    z = H ∗ r + S D_a⁻¹ shift (D_a + shift)⁻¹ S r, S the DST-I, D_a = D_aa at its waves.
+    """
+    d, core = nodes.dimension, nodes.core
+    shift = SINE_SHIFT * shear(elastic)
+    short = torus_inverse(nodes, steps, tensors, shift)
+    sizes = [len(range(*part.indices(n))) for part, n in zip(core, nodes.wide)]
+    angles = [np.pi * np.arange(1, n + 1) / (n + 1) for n in sizes]
+    D = np.zeros((d, *sizes))
+    diagonal = tensors[:, np.arange(d), np.arange(d)]
+    for step, c in zip(steps, diagonal):
+        # the mean over signs of the waves: a product of cosines
+        wave = np.ones(())
+        for angle, s in zip(angles, step):
+            wave = wave[..., None] * np.cos(angle * s)
+        D += 2 * c.reshape(d, *([1] * d)) * (1 - wave)
+    gain = (shift / (D * (D + shift))).astype(np.float32)
+    axes = tuple(range(1, d + 1))
+
+    def apply(r: np.ndarray) -> np.ndarray:
+        z = short(r)
+        inner = r[(slice(None), *core)].astype(np.float32)
+        wave = scipy.fft.dstn(inner, type=1, axes=axes, workers=threads()) * gain
+        z[(slice(None), *core)] += scipy.fft.idstn(wave, type=1, axes=axes, workers=threads())
+        return z
+
+    return apply
+
+
+def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
+    """For any mask: short waves by a filter on the torus, long ones by a V-cycle, added.
+
+    z = mask (H ∗ r + P V(Pᵗ r)), H = (D + shift p(k))⁻¹ with p of `seen_by_coarser`; V is a V-cycle
+    for Q1 elements of the same moduli on every second node.
+    """
+    seen = seen_by_coarser(torus_shape(nodes))
+    short = torus_inverse(nodes, steps, tensors, SHIFT * shear(elastic) * seen)
+    mask = nodes.mask()[nodes.core]
+    coarse = coarser(mask)
+    if not coarse.any():
+        return short
+    d = nodes.dimension
+    cycle = VCycle(*q1_tensors(elastic * 2.0 ** (d - 2)), coarse)
+    core = (slice(None), *nodes.core)
+
+    def apply(r: np.ndarray) -> np.ndarray:
+        z = short(r)
+        long = cycle(restrict(r[core]) * coarse)
+        z[core] += prolong(long, mask.shape) * mask
+        return z
+
+    return apply
+
+
+def coarser(mask: np.ndarray) -> np.ndarray:
+    """Grid that a coarser level keeps: every second along each axis, from the second on."""
+    return mask[(slice(1, None, 2),) * mask.ndim]
+
+
+def restrict(field: np.ndarray) -> np.ndarray:
+    """Pᵗ: sums of planes [d, …] with weights 1 and 1/2 along each axis around the coarser nodes."""
+    for axis in range(1, field.ndim):
+        moved = np.moveaxis(field, axis, 0)
+        odd, even = moved[1::2], moved[0::2]
+        n = len(odd)
+        summed = odd + 0.5 * even[:n]
+        after = min(n, len(even) - 1)
+        summed[:after] += 0.5 * even[1 : after + 1]
+        field = np.moveaxis(summed, 0, axis)
     return field
 
 
-def prolong(field: torch.Tensor, shape: torch.Size) -> torch.Tensor:
-    """P: separable linear interpolation of a coarser field to a box of the given shape."""
-    for axis in (2, 1):
-        size = list(field.shape)
-        n, size[axis] = size[axis], shape[axis - 1]
-        fine = field.new_zeros(size)
-        even, odd = (_every_second(fine, axis, first) for first in (0, 1))
-        odd.copy_(field)
-        even.narrow(axis, 0, n).add_(field, alpha=0.5)
-        after = even.shape[axis] - 1
-        even.narrow(axis, 1, after).add_(field.narrow(axis, 0, after), alpha=0.5)
-        field = fine
+def prolong(field: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """P: linear interpolation along each axis of coarser planes to a box of the given shape."""
+    for axis in range(1, field.ndim):
+        moved = np.moveaxis(field, axis, 0)
+        fine = np.zeros((shape[axis - 1], *moved.shape[1:]), field.dtype)
+        n = len(moved)
+        fine[1::2] = moved
+        fine[0 : 2 * n : 2] += 0.5 * moved
+        after = len(fine[2::2])
+        fine[2::2] += 0.5 * moved[:after]
+        field = np.moveaxis(fine, 0, axis)
     return field
-
-
-def _every_second(field: torch.Tensor, axis: int, first: int) -> torch.Tensor:
-    return field[(slice(None),) * axis + (slice(first, None, 2),)]
 
 
 class VCycle:
-    """z ≈ A⁻¹ r for the Q1 stencil A on the nodes of a mask; symmetric and positive.
+    """z ≈ A⁻¹ r for a stencil of nearest cells on a mask; symmetric and positive.
 
-    Args:
-        stencil: of q1_stencil.
-        mask: the nodes, shape [n₁, n₂] bool.
-
-    Chebyshev polynomials of degree two smooth, the same before and after the coarser level. Single
-    precision.
+    The operator of each coarser level is the same stencil times 2^(d − 2).
     """
 
-    def __init__(self, stencil: torch.Tensor, mask: torch.Tensor) -> None:
-        self.mask = mask.contiguous()
-        self.stencil = stencil.to(mask.device, torch.float32)
-        largest = float(stencil.abs().sum(dim=(1, 2, 3)).max())  # Gershgorin
-        low, high = largest / SMOOTHED, largest
-        self.middle, self.half = (high + low) / 2, (high - low) / 2
-        self.next: VCycle | None = None
-        if min(mask.shape) > 1 and int(mask.sum()) > COARSEST:
-            self.next = VCycle(stencil, coarser(mask))
-        else:
-            self.place = mask.repeat(2, 1, 1).flatten().nonzero()[:, 0]
-            self.inverse = torch.linalg.inv(self._dense()).float()
+    def __init__(self, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray) -> None:
+        d = mask.ndim
+        self.mask, self.shape = mask, mask.shape
+        wide = tuple(n + 2 for n in mask.shape)
+        asked = np.zeros(wide, bool)
+        asked[(slice(1, -1),) * d] = mask
+        place = np.flatnonzero(asked)
+        nodes = Grid(np.eye(d), wide, 1, False, np.arange(len(place)), place, place)
+        self.rows = ByRows(nodes, steps, tensors)
+        self.coarser: VCycle | None = None
+        self.dense: Any = None
+        if len(place) <= COARSEST or min(mask.shape) < 3:
+            self.dense = scipy.linalg.cho_factor(self._matrix(steps, tensors))
+            return
+        self.diagonal = 2 * np.diag(tensors.sum(axis=0)).reshape(d, *([1] * d))
+        self.largest = self._largest()
+        coarse = coarser(mask)
+        if coarse.any():
+            self.coarser = VCycle(steps, tensors * 2.0 ** (d - 2), coarse)
 
-    def _dense(self) -> torch.Tensor:
-        zero = torch.zeros(2, *self.mask.shape, device=self.mask.device)
-        columns = []
-        for place in self.place:
-            unit = zero.clone()
-            unit.view(-1)[place] = -1
-            columns.append(self.residual(zero, unit).flatten()[self.place].double())
-        return torch.stack(columns)
+    def _matrix(self, steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
+        d = self.mask.ndim
+        number = np.full(tuple(n + 2 for n in self.shape), -1)
+        number[(slice(1, -1),) * d][self.mask] = np.arange(self.mask.sum())
+        here = np.argwhere(number >= 0)
+        own = number[tuple(here.T)]
+        K = np.zeros((len(own), d, len(own), d))
+        K[own, :, own, :] = 2 * tensors.sum(axis=0)
+        for step, C in zip(np.concatenate([steps, -steps]), np.concatenate([tensors] * 2)):
+            other = number[tuple((here + step).T)]
+            K[own[other >= 0], :, other[other >= 0], :] = -C
+        return K.reshape(len(own) * d, -1)
 
-    def residual(self, r: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
-        """r − A u on the mask, zero outside it."""
-        out = torch.empty_like(r)
-        fields = [wp.from_torch(field) for field in (self.stencil, self.mask, r, u, out)]
-        launch_slices(residual, self.mask.numel(), fields[:4], fields[4:])
-        return out
+    def product(self, field: np.ndarray) -> np.ndarray:
+        """The level's operator on planes [d, …]."""
+        d = self.mask.ndim
+        wide = np.pad(field, [(0, 0)] + [(1, 1)] * d)
+        inner = (0, slice(None)) + (slice(1, -1),) * d
+        return np.asarray(self.rows(wide[None])[inner])
 
-    def _smooth(self, r: torch.Tensor) -> torch.Tensor:
-        """p(A) r, p the Chebyshev iteration of degree two from zero."""
-        first = r / self.middle
-        rho = 1 / (2 * self.middle / self.half - self.half / self.middle)
-        gain = 1 + rho * self.half / self.middle
-        return (gain * first).add_(self.residual(r, first), alpha=2 * rho / self.half)
+    def _largest(self) -> float:
+        """Largest eigenvalue of the operator over its diagonal, with a margin."""
+        x = np.random.default_rng(0).normal(size=(self.mask.ndim, *self.shape)) * self.mask
+        size = 1.0
+        for _ in range(POWER_STEPS):
+            x = self.product(x) / self.diagonal
+            size = float(np.linalg.norm(x))
+            x /= size
+        return 1.1 * size
 
-    def __call__(self, r: torch.Tensor) -> torch.Tensor:
-        """One cycle from zero, of a right-hand side [2, n₁, n₂] that is zero outside the mask."""
-        if self.next is None:
-            z = torch.zeros_like(r).flatten()
-            z[self.place] = self.inverse @ r.flatten()[self.place]
-            return z.reshape(r.shape)
-        z = self._smooth(r)
-        left = restrict(self.residual(r, z)) * self.next.mask
-        z += prolong(self.next(left), r.shape[1:]) * self.mask
-        return z.add_(self._smooth(self.residual(r, z)))
+    def _smoothed(self, r: np.ndarray, z: np.ndarray | None) -> np.ndarray:
+        """Chebyshev iterations of the operator over its diagonal, from z or from zero."""
+        high, low = self.largest, self.largest / SMOOTHED
+        middle, radius = (high + low) / 2, (high - low) / 2
+        left = r if z is None else r - self.product(z)
+        step = left / self.diagonal / middle
+        z = step if z is None else z + step
+        last = radius / middle
+        for _ in range(DEGREE - 1):
+            now = 1 / (2 * middle / radius - last)
+            left = r - self.product(z)
+            step = now * last * step + 2 * now / radius * (left / self.diagonal)
+            z = z + step
+            last = now
+        return z
+
+    def __call__(self, r: np.ndarray) -> np.ndarray:
+        """z ≈ A⁻¹ r for r zero outside the mask."""
+        if self.dense is not None:
+            z = np.zeros_like(r)
+            values = r[:, self.mask].T.ravel()
+            z[:, self.mask] = scipy.linalg.cho_solve(self.dense, values).reshape(-1, len(r)).T
+            return z
+        z = self._smoothed(r, None)
+        if self.coarser is not None:
+            left = restrict(r - self.product(z)) * self.coarser.mask
+            z = z + prolong(self.coarser(left), self.shape) * self.mask
+        return self._smoothed(r, z)

@@ -10,7 +10,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from warp_peri.errors import InputError
-from warp_peri.statics.bulk import Bulk, PlacedBulk
+from warp_peri.statics.bulk import Bulk
 from warp_peri.statics.rim import RimProblem
 from warp_peri.statics.whole_body import WholeBody
 
@@ -59,7 +59,7 @@ class Schwarz:
     def __init__(
         self,
         rim: RimProblem,
-        bulk: Bulk | PlacedBulk,
+        bulk: Bulk,
         inner: np.ndarray,
         to_rim: sp.csr_array,
         to_bulk: sp.csr_array,

@@ -8,13 +8,12 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.launch import DEVICE
 from warp_peri.points.arrays import is_number
 from warp_peri.points.quadrature import DEGREE
 
 TOLERANCE = 1e-8
 """Of iterative solves: true residual over right-hand side."""
-PRECONDITIONERS = ("multigrid", "sine", "strip", "fft", "cg")
+PRECONDITIONERS = ("multigrid", "sine", "strip")
 """Of conjugate gradients on lattices, by name."""
 PETSC = "petsc"
 """On ranks alone: multigrid whose coarse problem PETSc solves."""
@@ -43,18 +42,16 @@ class Krylov:
     """Conjugate gradients on a lattice.
 
     Attributes:
-        preconditioner: "sine" for rectangles, "multigrid" for any nodes, "strip" where λ ≫ μ;
-            "fft", the inverse symbol, and "cg", none, are there to compare. None chooses. On ranks
-            "multigrid", or "petsc" for a coarse problem by PETSc (docs/ranks.md).
+        preconditioner: "sine" for boxes of nodes, "multigrid" for any nodes, "strip" where λ ≫ μ;
+            None chooses. On ranks "multigrid", or "petsc" for a coarse problem by PETSc
+            (docs/ranks.md).
         tolerance: true residual over right-hand side.
-        device: where they run, as Warp names it.
 
     Raises InputError for another preconditioner, or a tolerance outside (0, 1).
     """
 
     preconditioner: str | None = None
     tolerance: float = TOLERANCE
-    device: str = DEVICE
 
     def __post_init__(self) -> None:
         if self.preconditioner not in (None, *PRECONDITIONERS, PETSC):

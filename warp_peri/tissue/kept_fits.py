@@ -14,7 +14,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.displacement_search import DisplacementFit
-from warp_peri.tissue.solid import load_hyperelastic
+from warp_peri.tissue.solid import HyperelasticSolid
 from warp_peri.tissue.thickness import Thickness
 
 RECORD = ".fit.json"
@@ -68,7 +68,7 @@ def _read(record: Path, model: Path) -> DisplacementFit | None:
         content = json.loads(record.read_text(encoding="utf-8"))
         thickness = content["thickness"]
         errors = np.array(content["errors"], float)
-        fit = DisplacementFit(load_hyperelastic(model), **(content | {"errors": errors}))
+        fit = DisplacementFit(HyperelasticSolid.load(model), **(content | {"errors": errors}))
         return replace(fit, thickness=thickness and Thickness(**thickness))
     except (OSError, ValueError, TypeError, KeyError, InputError):
         return None

@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
+from warp_peri.core.record import Length, Quantity, Record
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import read_json, write_json
-from warp_peri.points.unit_names import (
-    USUAL,
-    Units,
-    check_units,
-    factors,
-    shown_moduli,
-    symbols,
-    unit_content,
-    units_of,
-)
-from warp_peri.shown import as_table, in_rows
+from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.points.samples import PointsLike, Samples
     from warp_peri.tissue.displacement_search import DisplacementFit
     from warp_peri.tissue.energy_fit import EnergyFit
     from warp_peri.tissue.placed import PlacedSheet
-
-FORMAT, VERSION = "warp_peri.hyperelastic", 1
 
 BONDS = {"square": 0, "cube": 1, "tension": 2, "tension_cube": 3, "log": 4, "compression": 5}
 """Bond energies ψ(s) by number: s²/2, s³/3, ⟨s⟩²/2, ⟨s⟩³/3, s − ½ ln(1 + 2s), ⟨−s⟩²/2."""
@@ -97,11 +84,11 @@ class Term:
     """
 
     kind: str
-    angle: float = 0.0
-    exponent: float = 0.0
-    ripple: bool = False
-    across: tuple[int, int] | None = None
-    corner: bool = False
+    angle: Annotated[float, Quantity(later=True)] = 0.0
+    exponent: Annotated[float, Quantity(later=True)] = 0.0
+    ripple: Annotated[bool, Quantity(later=True)] = False
+    across: Annotated[tuple[int, int] | None, Quantity(later=True)] = None
+    corner: Annotated[bool, Quantity(later=True)] = False
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -230,7 +217,7 @@ class Dictionary:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class HyperelasticSolid:
+class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
     """A dictionary with its coefficients.
 
     Attributes:
@@ -244,25 +231,21 @@ class HyperelasticSolid:
     Raises InputError for coefficients of another number or not finite, and units not known.
     """
 
-    dictionary: Dictionary
-    coefficients: np.ndarray
-    spacing: float
+    dictionary: Annotated[Dictionary, Quantity(flat=True)]
+    coefficients: Annotated[np.ndarray, Quantity(stress=1)]
+    spacing: Length
     stretch: float | None = None
     provenance: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
     dimension: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "units", check_units(self.units))
-        values = np.array(self.coefficients, float)
-        if values.shape != (len(self.dictionary),) or not np.isfinite(values).all():
+        super().__post_init__()
+        if self.coefficients.shape != (len(self.dictionary),):
             raise InputError(
-                f"coefficients: expected {len(self.dictionary)} finite numbers, "
-                f"got shape {list(values.shape)}"
+                f"coefficients: expected {len(self.dictionary)} numbers, "
+                f"got shape {list(self.coefficients.shape)}"
             )
-        if not (np.isfinite(self.spacing) and self.spacing > 0):
-            raise InputError(f"spacing: expected a length > 0, got {self.spacing!r}")
-        object.__setattr__(self, "coefficients", values)
 
     @property
     def sparse(self) -> HyperelasticSolid:
@@ -279,21 +262,9 @@ class HyperelasticSolid:
 
         return PlacedSheet(self, points, thickness=thickness)
 
-    def in_units(self, units: Units) -> HyperelasticSolid:
-        """The same solid with its numbers in other units; records stay as they are.
-
-        Raises InputError for units that are not known, or that no factor leads to.
-        """
-        length, stress = factors(self.units, units)
-        if self.units == tuple(units):
-            return self
-        return replace(
-            self,
-            coefficients=self.coefficients * stress,
-            spacing=self.spacing * length,
-            provenance={**self.provenance, "units_before": list(self.units)},
-            units=check_units(units),
-        )
+    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+        """The provenance names the units that its records stay in."""
+        return {"provenance": {**self.provenance, "units_before": list(self.units)}}
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, energies by the size of their coefficients."""
@@ -312,63 +283,10 @@ class HyperelasticSolid:
         ]
         return rows
 
-    def __repr__(self) -> str:
-        return in_rows("HyperelasticSolid", self.rows())
-
-    def _repr_html_(self) -> str:
-        return as_table(self.rows())
-
     @property
     def horizon(self) -> float:
         """δ on the lattice it was learned on [length]."""
         return self.dictionary.reach * self.spacing
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file, whole or not at all."""
-        write_json(path, self.content())
-
-    def content(self) -> dict[str, Any]:
-        """What the file of the solid holds."""
-        dictionary = self.dictionary
-        return {
-            "format": FORMAT,
-            "version": VERSION,
-            **unit_content(self.units),
-            "reach": dictionary.reach,
-            "bonds": list(dictionary.bonds),
-            "deviations": [list(step) for step in dictionary.deviations],
-            "terms": [vars(term) for term in dictionary.terms],
-            "coefficients": self.coefficients,
-            "spacing": self.spacing,
-            "stretch": self.stretch,
-            "provenance": self.provenance,
-        }
-
-
-def load_hyperelastic(path: str | os.PathLike[str]) -> HyperelasticSolid:
-    """Read such a file; InputError for one that is none, or holds what no solid has.
-
-    Of a file that names no units Å and TPa are taken, with a warning.
-    """
-    content = read_json(path, FORMAT, VERSION)
-    try:
-        dictionary = Dictionary(
-            float(content["reach"]),
-            tuple(content["bonds"]),
-            tuple(tuple(map(int, step)) for step in content["deviations"]),  # type: ignore[misc]
-            tuple(Term(**term) for term in content["terms"]),
-        )
-        stretch = content["stretch"]
-        return HyperelasticSolid(
-            dictionary,
-            np.array(content["coefficients"], float),
-            float(content["spacing"]),
-            None if stretch is None else float(stretch),
-            dict(content["provenance"]),
-            units_of(content, f"{path}"),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: {error}") from None
 
 
 @cache

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model, load_model, model_content
+from warp_peri.models.lps import Model
 from warp_peri.points.arrays import is_number
 from warp_peri.transfer.lattice import RECIPE, new_lattice
 
@@ -49,7 +49,7 @@ def on_lattice(
             f"on_lattice: expected a linear peridynamic solid, got {type(model).__name__}; "
             "micromodulus.transferred(law, spacing) carries a crystal"
         )
-    home = model_content(model)["sha256"]
+    home = model.content()["sha256"]
     named = {"spacing": spacing, **asked}
     name = "_".join(f"{key}_{value:.9g}" for key, value in named.items() if value is not None)
     if (home, name) in _memory:
@@ -118,7 +118,7 @@ def _places(model: Model, home: str, name: str) -> list[Path]:
 def _read(path: Path, home: str) -> Model | None:
     """A transfer that was made of this very model, by this recipe."""
     try:
-        kept = load_model(path)
+        kept = Model.load(path)
     except InputError:  # not there, or damaged: it is made again
         return None
     record: Any = kept.provenance.get("transfer")

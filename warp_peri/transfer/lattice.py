@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model, model_content
+from warp_peri.models.lps import Model
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.optimum import constrained_optimum
@@ -305,7 +305,7 @@ def _record(
     return {
         "from_spacing": home.spacing,
         "from_horizon": home.model.horizon,
-        "home": model_content(home.model)["sha256"],
+        "home": home.model.content()["sha256"],
         "recipe": RECIPE,
         "bonds": bonds,
         "fitted_to": 2 * np.pi / band,

@@ -6,12 +6,12 @@ import dataclasses
 
 import numpy as np
 
-from warp_peri.models.lps import Model, model_content
+from warp_peri.models.lps import Model
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.models.smoothing import fitted_weights
+from warp_peri.models.uniqueness import Uniqueness, uniqueness
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike
-from warp_peri.stability.uniqueness import Uniqueness, uniqueness
 from warp_peri.transfer.lattice import home_of
 from warp_peri.transfer.points import model_for
 
@@ -55,7 +55,7 @@ def nonlinear_for(
         gradient = _gradient(model, home, linear, spacing)  # else no wave is shorter than at home
     transferred = dataclasses.replace(model, linear=linear, proven={}, gradient=gradient)
     smoothing = None if model.smoothing is None else dataclasses.astuple(model.smoothing)
-    key = (model_content(linear)["sha256"], *model.numbers.tolist(), smoothing, gradient, spacing)
+    key = (linear.content()["sha256"], *model.numbers.tolist(), smoothing, gradient, spacing)
     if key not in _known:
         _known[key] = uniqueness(transferred, spacing=spacing)
     return dataclasses.replace(transferred, proven={f"{spacing:g}": _known[key].figures()})

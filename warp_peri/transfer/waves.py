@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from warp_peri.losses.reduced import ReducedLoss, class_pairs, symbol_rows
-from warp_peri.models.lps import Model
-from warp_peri.operator.symbol import stiffnesses, symbol
+from warp_peri.models.lps import Model, stiffnesses
+from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import BondClasses, bond_classes
 
 WAVES = 60

@@ -1,4 +1,4 @@
-"""Up to which gradient a nonlinear solid has one solution, proven (theory.md, N13–N19).
+"""Up to which gradient a nonlinear solid has one solution, proven (theory.md, N13–N17).
 
 With stresses of gradients projected to |H| ≤ ε, u ← u + L_LPS⁻¹ (b − L u) contracts in the energy
 norm of the linear solid by C(ε) κ_in κ_out. C bounds Ψ″ on the ball, κ_p² the ratio of |h_p(k)|² to
@@ -7,19 +7,23 @@ norm of the linear solid by C(ε) κ_in κ_out. C bounds Ψ″ on the ball, κ_p
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import Stencil, squared
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.operator.symbol import lps_stencil
+from warp_peri.errors import InputError
+from warp_peri.models.lps import lps_stencil
+from warp_peri.points.arrays import is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import USUAL, Units, symbols
+
+if TYPE_CHECKING:
+    from warp_peri.models.nonlinear import NonlinearModel
 
 DIRECTIONS = 400
 """Intervals on which homogeneous parts of Ψ are sampled along each of two angles."""
@@ -27,6 +31,8 @@ SLACKS = (1.001, 1.002, 1.005, 1.01, 1.02, 1.05, 1.1, 1.25, 1.5, 2.0, 4.0)
 """Multiples of the sampled κ² that are tried, smallest first."""
 CONTRACTION = 0.999
 """What C κ_in κ_out must stay below."""
+SAME = 1e-5
+"""Relative, that a proven strain may be above that of a proof anew."""
 
 
 @dataclass(frozen=True)
@@ -110,6 +116,13 @@ def uniqueness_of(
     return Uniqueness(
         stencil.spacing, strain, kappa_in, kappa_out, bound, tuple(parts), model.units
     )
+
+
+def check_strain(proven: dict[str, Any], unique: Callable[[], Uniqueness]) -> None:
+    """Raise InputError unless the strain that a file says to be proven is, of these numbers."""
+    said = proven.get("strain", 0.0)
+    if not (is_number(said) and 0 <= said <= (1 + SAME) * (unique().strain if said else 0.0)):
+        raise InputError(f"proven: one solution up to |H| = {said!r:.20} is not proven of these")
 
 
 def curvature_bound(parts: Sequence[float], strain: float) -> float:

@@ -9,9 +9,9 @@ import numpy as np
 import scipy.fft
 import warp as wp
 
+from warp_peri.core.grid import Grid
 from warp_peri.kernels.micromodulus.rows import rows
 from warp_peri.launch import DEVICE, floats, ints, launch_slices, threads
-from warp_peri.micromodulus.nodes import Nodes
 
 SCALARS = {np.dtype(np.float64): wp.float64, np.dtype(np.float32): wp.float32}
 FASTER = 4
@@ -43,7 +43,7 @@ class ByRows:
     """
 
     def __init__(
-        self, nodes: Nodes, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
+        self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
     ) -> None:
         self.nodes, self.dtype = nodes, np.dtype(dtype)
         self.scalar = SCALARS[self.dtype]
@@ -97,7 +97,7 @@ class ByFFT:
     """The same by convolution on a torus that nothing reaches around, exact but for rounding."""
 
     def __init__(
-        self, nodes: Nodes, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
+        self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
     ) -> None:
         self.nodes, self.dtype = nodes, np.dtype(dtype)
         self.torus = torus_shape(nodes)
@@ -114,7 +114,7 @@ class ByFFT:
         return np.asarray(out[(slice(None), slice(None), *inside)] * self.mask)
 
 
-def torus_shape(nodes: Nodes) -> tuple[int, ...]:
+def torus_shape(nodes: Grid) -> tuple[int, ...]:
     """A torus that holds the box, whose collar keeps its images apart; a period is its own."""
     if nodes.periodic:
         return nodes.shape

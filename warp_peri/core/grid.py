@@ -15,7 +15,7 @@ SPARE = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Nodes:
+class Grid:
     """Where nodes lie in a box around the unknowns that holds every node they feel.
 
     Attributes:
@@ -53,13 +53,18 @@ class Nodes:
         r = self.reach
         return tuple(slice(r, n - r) for n in self.wide)
 
+    @property
+    def is_box(self) -> bool:
+        """Whether all nodes of a box are unknown."""
+        return bool(self.periodic or self.mask()[self.core].all())
+
     def mask(self) -> np.ndarray:
         """Which places of the box are unknown, in its shape."""
         asked = np.zeros(int(np.prod(self.shape)), bool)
         asked[self.interior] = True
         return asked.reshape(self.shape)
 
-    def lay_out(self, u: np.ndarray, dtype: type = np.float64) -> np.ndarray:
+    def scatter(self, u: np.ndarray, dtype: type = np.float64) -> np.ndarray:
         """Vectors of all nodes [S, N, d] along the lattice's axes, in planes [S, d, *wide]."""
         field: np.ndarray = np.zeros((len(u), self.dimension, int(np.prod(self.shape))), dtype)
         field[:, :, self.place] = (u[:, self.near] @ self.axes).transpose(0, 2, 1)
@@ -68,19 +73,26 @@ class Nodes:
             field = np.pad(field, [(0, 0)] * 2 + [(self.reach,) * 2] * self.dimension, mode="wrap")
         return field
 
-    def take_up(self, planes: np.ndarray) -> np.ndarray:
+    def scatter_interior(self, inner: np.ndarray) -> np.ndarray:
+        """Vectors of the interior nodes [I, d] in planes [d, *shape], zero elsewhere."""
+        field: np.ndarray = np.zeros((self.dimension, int(np.prod(self.shape))))
+        field[:, self.interior] = (inner @ self.axes).T
+        return field.reshape(self.dimension, *self.shape)
+
+    def gather(self, planes: np.ndarray) -> np.ndarray:
         """Planes [S, d, *shape] at the interior nodes, along the points' axes, [S, I, d]."""
         flat = planes.reshape(*planes.shape[:2], -1)[:, :, self.interior]
         return np.ascontiguousarray(flat.transpose(0, 2, 1) @ self.axes.T.astype(planes.dtype))
 
 
-def lay_out(points: Points, steps: np.ndarray, *, why: str = "") -> Nodes:
+def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | None = None) -> Grid:
     """Lay the nodes of a lattice out for bonds of the given steps, shape [H, d] of one half.
 
     Args:
         points: lattice nodes with a collar, or periodic.
         steps: ξ/h of the bonds.
         why: said beside the error for nodes whose bonds are cut.
+        least: steps that a period must be longer than; twice the reach of the bonds by default.
 
     Raises InputError for scattered points, another dimension, nodes off the lattice or given
     twice, interior nodes without all their neighbours, and a box that bonds reach around.
@@ -93,7 +105,7 @@ def lay_out(points: Points, steps: np.ndarray, *, why: str = "") -> Nodes:
     grid, axes = lattice_steps(points)
     reach = int(np.abs(steps).max())
     if points.box is not None:
-        shape = _period(points, axes, reach)
+        shape = _period(points, axes, 2 * reach if least is None else least)
         grid = grid % shape
         place = np.ravel_multi_index(tuple(grid.T), shape)
         near = np.arange(len(grid))
@@ -107,26 +119,26 @@ def lay_out(points: Points, steps: np.ndarray, *, why: str = "") -> Nodes:
         place = np.ravel_multi_index(tuple((grid[near] - corner).T), shape)
     number = np.full(len(grid), -1)
     number[near] = place
-    nodes = Nodes(axes, shape, reach, points.box is not None, near, place, number[points.interior])
+    nodes = Grid(axes, shape, reach, points.box is not None, near, place, number[points.interior])
     _check(points, nodes, steps, why)
     return nodes
 
 
-def _period(points: Points, axes: np.ndarray, reach: int) -> tuple[int, ...]:
+def _period(points: Points, axes: np.ndarray, least: int) -> tuple[int, ...]:
     """Nodes of a period along the axes."""
     if np.abs(axes - np.eye(len(axes))).max() > LATTICE_TOLERANCE:
         raise InputError("box: expected the lattice's axes along the coordinates, got a turned one")
     counts = np.asarray(points.box) / points.spacing
     whole = np.rint(counts).astype(int)
-    if np.abs(counts - whole).max() > LATTICE_TOLERANCE * whole.max() or whole.min() <= 2 * reach:
+    if np.abs(counts - whole).max() > LATTICE_TOLERANCE * whole.max() or whole.min() <= least:
         raise InputError(
-            f"box: expected whole multiples of the spacing, more than {2 * reach} of them, got "
+            f"box: expected whole multiples of the spacing, more than {least} of them, got "
             f"{', '.join(f'{count:g}' for count in counts)}"
         )
     return tuple(whole.tolist())
 
 
-def _check(points: Points, nodes: Nodes, steps: np.ndarray, why: str) -> None:
+def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     """Refuse nodes given twice, and interior nodes whose bonds lead nowhere."""
     there = np.zeros(int(np.prod(nodes.shape)), np.int32)
     np.add.at(there, nodes.place, 1)

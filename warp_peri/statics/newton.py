@@ -1,6 +1,7 @@
-"""Newton's method with GMRES on differences, of fields that ranks have pieces of.
+"""Newton's method with GMRES on differences of a preconditioned residual.
 
-Scalar products are those of `Inner`, and so the answer has the same bits on any number of ranks.
+Of fields that ranks have pieces of too: scalar products are those of `Inner`, and so the answer has
+the same bits on any number of ranks.
 """
 
 from __future__ import annotations

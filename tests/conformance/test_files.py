@@ -1,0 +1,197 @@
+"""What the file of every material must do: be whole, be believed only where it is proven."""
+
+import contextlib
+import copy
+import json
+import shutil
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from warp_peri.core.record import HOMES, content_hash
+
+FOLDER = Path(__file__).parent.parent / "frozen"
+FILES = sorted(path.stem for path in FOLDER.glob("*.json") if path.stem != "record")
+"""Files of every material that an earlier version wrote, most of them without a hash."""
+OTHER = ("nm", "GPa")
+HOSTILE = ([], {}, "x", None, True, -1, 0.5, 10**400, -(10**30), np.nan, np.inf, {"x": 1},
+           [[1.0], [1.0, 2.0]], [None], ["x"], [[[1.0]]], [10**400])  # fmt: skip
+PROVEN = ("proven", "symbol_bound", "strain", "long_waves")
+"""Keys of what is said to be proven, in a certificate."""
+RECORDS = ("provenance", "errors", "versions", "certificate", "proven")
+"""Entries that may hold anything, or are not looked into where nothing is proven."""
+
+
+@pytest.fixture(params=FILES)
+def material(request, tmp_path):
+    """A material, and where it is written anew."""
+    for path in FOLDER.glob(f"{request.param}.*"):
+        shutil.copy(path, tmp_path)
+    found, path = wp.load(tmp_path / f"{request.param}.json"), tmp_path / "m.json"
+    wp.save(path, found)
+    return found, path
+
+
+def test_every_format_is_among_them():
+    formats = {json.loads((FOLDER / f"{name}.json").read_text())["format"] for name in FILES}
+    assert formats == {*HOMES}
+
+
+def places(content, path=()):
+    """Every entry of a content, however deep: its path and what it holds."""
+    for key, value in content.items() if isinstance(content, dict) else enumerate(content):
+        yield (*path, key), value
+        if isinstance(value, (dict, list)):
+            yield from places(value, (*path, key))
+
+
+def changed(content, path, value):
+    """A copy with another value at a place."""
+    other = part = copy.deepcopy(content)
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = value
+    return other
+
+
+def hashed(content):
+    """With hashes of what it holds now, as one who forges a file writes them."""
+    if isinstance(content, list):
+        return [hashed(each) for each in content]
+    if not isinstance(content, dict):
+        return content
+    content = {key: hashed(value) for key, value in content.items()}
+    return content | ({"sha256": content_hash(content)} if "sha256" in content else {})
+
+
+def read(path, content):
+    path.write_text(json.dumps(content))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return wp.load(path)
+
+
+def refused(path, content, words=None):
+    with pytest.raises(wp.InputError, match=words) as caught:
+        read(path, content)
+    assert str(caught.value).startswith(f"{path}: ")
+
+
+def test_what_is_written_ends_with_its_hash_and_no_number_changes_unseen(material):
+    _, path = material
+    content = json.loads(path.read_text())
+    assert [*content][-1] == "sha256"
+    values = dict(places(content))
+    numbers = [at for at, value in values.items() if type(value) in (int, float)]
+    for n in np.random.default_rng(0).permutation(len(numbers))[:25]:
+        value = values[numbers[n]]
+        refused(path, changed(content, numbers[n], value * 1.1 + (value == 0)))
+
+
+def test_a_file_without_a_hash_is_read_and_gets_one(material):
+    found, path = material
+    content = json.loads(path.read_text())
+    del content["sha256"]
+    again = read(path, content)
+    assert type(again) is type(found)
+    wp.save(path, again)
+    assert json.loads(path.read_text())["sha256"]
+
+
+def test_what_is_not_proven_is_not_believed(material):
+    """Higher bounds, and bounds of another solid, under hashes that are right."""
+    _, path = material
+    content = json.loads(path.read_text())
+    values, owners = dict(places(content)), set()
+    for at, value in values.items():
+        record = next((key for key in ("certificate", "proven") if key in at[:-1]), None)
+        if record and at[-1] in PROVEN and isinstance(value, float) and value:
+            refused(path, hashed(changed(content, at, 1.5 * value)), "is not proven")
+            refused(path, hashed(changed(content, at, "1")))
+            owners.add(at[: at.index(record)])
+    for owner in owners:
+        softer = {"tensors": 0.5, "elastic": 0.5, "mu": 0.5, "t3": 5.0}
+        for at in {(*owner, key) for key in softer} & {*values}:
+            other = (softer[at[-1]] * np.array(values[at])).tolist()
+            refused(path, hashed(changed(content, at, other)), "is not proven")
+
+
+def test_a_crystal_that_is_not_stable_is_not_proven_by_the_certificate_of_another(tmp_path):
+    steps, path = [[0, 1], [1, 0], [1, 1], [1, -1]], tmp_path / "m.json"
+    good = wp.micromodulus.Crystal(1.0, steps, [np.eye(2)] * 4, symmetry="1").certified().content()
+    assert read(path, good).certificate.holds
+    tensors = (np.array([1, 1, -0.6, -0.6])[:, None, None] * np.eye(2)).tolist()
+    refused(path, hashed(good | {"tensors": tensors}), "certificate: .* is not proven")
+
+
+def test_a_model_is_certified_only_where_that_is_proven(tmp_path):
+    path = tmp_path / "m.json"
+    bad, good = ([1.0, -0.9, 0.3], [1.0])
+    content = wp.Model(0.3, 0.8, 1.0, bad, 3.0, certified_on=(1.0,)).content()
+    refused(path, content, "certified_on: nothing is proven on 1")
+    content = wp.Model(0.3, 0.8, 1.0, good, 3.0, certified_on=(1.0,)).content()
+    assert read(path, content).certified_on == (1.0,)
+
+
+def test_keys_that_are_not_known_are_refused(material):
+    _, path = material
+    content = json.loads(path.read_text())
+    inner = [at for at, value in places(content) if isinstance(value, dict) and "format" in value]
+    for at in [(), *inner]:
+        refused(path, hashed(changed(content, (*at, "colour"), "red")), "unknown keys: colour")
+
+
+def bare(content):
+    """Without proven strains, which take a while to prove again."""
+    if isinstance(content, list):
+        return [bare(each) for each in content]
+    if not isinstance(content, dict):
+        return content
+    strains = {"proven": {}} if isinstance(content.get("proven"), dict) else {}
+    return {key: bare(value) for key, value in content.items()} | strains
+
+
+def test_what_is_no_value_is_one_error(material):
+    _, path = material
+    content = hashed(bare(json.loads(path.read_text())))
+    for key in content:
+        for value in HOSTILE:
+            with contextlib.suppress(wp.InputError):  # another error ends the test
+                read(path, hashed(content | {key: value}))
+        if key not in (*RECORDS, "sha256"):
+            refused(path, hashed(content | {key: {"x": 10**400}}))
+    refused(path, content | {"sha256": {}}, "sha256")
+
+
+@pytest.mark.parametrize("value", HOSTILE, ids=repr)
+def test_a_format_is_a_name(value, tmp_path):
+    refused(tmp_path / "m.json", {"format": value})
+    refused(tmp_path / "m.json", {"format": "warp_peri.model", "version": 1, "kind": value or [1]})
+
+
+def test_other_units_there_and_back_are_the_same(material):
+    found, path = material
+    if isinstance(found, wp.flow.SpringLaw):
+        with pytest.raises(wp.InputError, match="reduced units"):
+            found.in_units(OTHER)
+        return
+    wp.save(path, found.in_units(OTHER))
+    there, back = wp.load(path), path.with_name("back.json")
+    assert there.units == OTHER
+    wp.save(back, there.in_units(found.units))
+    wp.save(path, found)
+    one, two = (dict(places(json.loads(each.read_text()))) for each in (path, back))
+    own = {*RECORDS, "sha256", "weights", "hash"}
+    assert {at for at in {*one} ^ {*two} if not own & {*at}} == set()
+    for at, value in one.items():
+        if isinstance(value, float) and not own & {*at}:
+            assert two[at] == pytest.approx(value, rel=1e-12, abs=0), at
+
+
+def test_every_material_shows_itself(material):
+    found, _ = material
+    assert repr(found).startswith(type(found).__name__)
+    assert found._repr_html_().startswith("<table>")

@@ -1,0 +1,493 @@
+"""A material as a value: its fields say types and units, and file, units and looks are one.
+
+    @dataclass(frozen=True, eq=False, repr=False)
+    class Crystal(Record, format="warp_peri.micromodulus"):
+        spacing: Length
+        tensors: Annotated[np.ndarray, Quantity(length=-2, stress=1)]
+        certificate: Proof | None = None
+
+is checked when it is made, has `save`, `content`, `in_units` and a table of what it is, and `load`
+reads its files. What a file says to be proven is proven again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    ClassVar,
+    Self,
+    TypeAlias,
+    Union,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import plain, write_json
+from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
+from warp_peri.shown import as_table, in_rows
+
+LARGEST_FILE = 2**26
+"""Bytes of a file that are read at most."""
+UNITS = ("length_unit", "stress_unit")
+HEAD = ("format", "version", "kind", *UNITS, "sha256")
+KINDS: dict[tuple[str, str | None], Callable[[Any, Path | None], Any]] = {}
+"""Readers of a content by the format and the kind that it names."""
+HOMES = {
+    "warp_peri.model": "models.nonlinear",
+    "warp_peri.third_order_crystal": "micromodulus.third_order",
+    "warp_peri.brittle_solid": "damage.solid",
+    "warp_peri.soft_solid": "damage.softening",
+    "warp_peri.micromodulus": "micromodulus.law",
+    "warp_peri.dressed": "dressed.law",
+    "warp_peri.dressed_finite": "dressed.finite",
+    "warp_peri.hyperelastic": "tissue.solid",
+    "warp_peri.neural": "neural.file",
+    "warp_peri.conductor": "diffusion.conductor",
+    "warp_peri.coupled_solid": "diffusion.coupled",
+    "warp_peri.flow_law": "flow",
+    "warp_peri.family": "prediction.members",
+}
+"""Modules below warp_peri that a format's reader is in; those of others are loaded already."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Of a field, as ``Annotated[float, Quantity(stress=1)]``.
+
+    Attributes:
+        length, stress: powers of the units that it is in.
+        volume: power of length^d, beside that of the length.
+        positive: whether a number is to be above zero.
+        key: in the file, where that is not the field's name.
+        omit: whether a file leaves it out where it has its default.
+        later: whether files of before may lack it.
+        flat: whether the fields of its value stand in the file in its place.
+        kept: whether it is in the file at all.
+    """
+
+    length: int = 0
+    stress: int = 0
+    volume: int = 0
+    positive: bool = False
+    key: str = ""
+    omit: bool = False
+    later: bool = False
+    flat: bool = False
+    kept: bool = True
+
+
+Positive: TypeAlias = Annotated[float, Quantity(positive=True)]
+Length: TypeAlias = Annotated[float, Quantity(length=1, positive=True)]
+Stress: TypeAlias = Annotated[float, Quantity(stress=1)]
+
+
+@dataclass(frozen=True)
+class Field:
+    """What is known of a field: its name, that in a file, its type, what it says, its default."""
+
+    name: str
+    key: str
+    hint: Any
+    says: Quantity
+    default: Any
+
+
+def fields_of(value: Any) -> tuple[Field, ...]:
+    """Of a dataclass or one of its values, but for `units`, which a file names at its head."""
+    return _fields_of(value if isinstance(value, type) else type(value))
+
+
+@cache
+def _fields_of(kind: Any) -> tuple[Field, ...]:
+    hints, found = get_type_hints(kind, include_extras=True), []
+    for each in fields(kind):
+        hint = hints[each.name]
+        says = get_args(hint)[1] if get_origin(hint) is Annotated else Quantity()
+        default = each.default if each.default_factory is MISSING else each.default_factory
+        found.append(Field(each.name, says.key or each.name, hint, says, default))
+    return tuple(each for each in found if each.name != "units")
+
+
+class Record:
+    """What a material can do as a value; its class adds its own checks and its physics.
+
+    A class names its `format`, and its `version` and `kind` where it has them. `ORDER` are the keys
+    of its file, where they are not its fields in their order. In `__post_init__` it calls that of
+    here first, which turns what is given into the types of the fields.
+    """
+
+    FORMAT: ClassVar[str]
+    VERSION: ClassVar[int]
+    KIND: ClassVar[str | None]
+    ORDER: ClassVar[tuple[str, ...]] = ()
+    if TYPE_CHECKING:
+
+        @property
+        def units(self) -> Units: ...
+        @property
+        def dimension(self) -> int: ...
+
+    def __init_subclass__(cls, format: str = "", version: int = 1, kind: str | None = None) -> None:
+        if not format:  # what several formats share, or one with tables that no file has
+            return
+        cls.FORMAT, cls.VERSION, cls.KIND = format, version, kind
+        KINDS[format, kind] = lambda content, path: cls.of_content(
+            content, f"{path}: " if path else ""
+        )._read_from(path)
+
+    def __post_init__(self) -> None:
+        for each in fields_of(self):
+            value = taken(each.name, each.hint, getattr(self, each.name))
+            object.__setattr__(self, each.name, value)
+        if _has_units(self):
+            object.__setattr__(self, "units", check_units(self.units))
+
+    def derived(self) -> dict[str, Any]:
+        """Entries of a file that are no fields; what a reader finds there must be the same."""
+        return {}
+
+    def content(self) -> dict[str, Any]:
+        """What a file holds, plain values; the last is a hash of the others."""
+        found: dict[str, Any] = {"format": self.FORMAT, "version": self.VERSION}
+        found |= {"kind": self.KIND} if self.KIND else {}
+        units = dict(zip(UNITS, self.units)) if _has_units(self) else {}
+        found |= {} if UNITS[0] in self.ORDER else units
+        own = _entries(self) | self.derived() | units
+        found |= {key: own[key] for key in self.ORDER or own if key in own}
+        return found | {"sha256": content_hash(found)}
+
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """The content of a file of before in the keys of now."""
+        return content
+
+    @classmethod
+    def of_content(cls, content: Any, where: str = "") -> Self:
+        """What a file holds; `where` begins warnings.
+
+        Raises InputError naming what is wrong: another format or version, keys that are missing or
+        unknown, values that are none, contents that are not what was written, a proof of others.
+        """
+        if not isinstance(content, dict):
+            raise InputError(f"expected a JSON object, got {type(content).__name__}")
+        written, content = content, cls.today(dict(content))
+        head = {"format": cls.FORMAT, "version": cls.VERSION, "kind": cls.KIND}
+        for key, expected in head.items():
+            if content.get(key) != expected:
+                raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r:.60}")
+        own, values = {k: v for k, v in content.items() if k not in HEAD}, {}
+        if _has_units(cls):
+            if not set(UNITS) & set(content):
+                warnings.warn(f"{where}it names no units: taken as Å and TPa", stacklevel=3)
+                content |= dict(zip(UNITS, USUAL))
+            if missing := [key for key in UNITS if key not in content]:
+                raise InputError(f"missing keys: {', '.join(missing)}")
+            values["units"] = check_units([content[key] for key in UNITS])
+        values |= _values(cls, own, tuple(key for key in cls.ORDER if key not in HEAD))
+        made = cls(**values)
+        for key, value in made.derived().items():
+            if key in own and own[key] != plain(value):
+                raise InputError(f"{key}: expected {plain(value)!r:.60}, got {own[key]!r:.60}")
+        if "sha256" in written and written["sha256"] != content_hash(written):
+            raise InputError(
+                "sha256: the contents are not what was written; remove this key to accept them"
+            )
+        made.check_proofs()
+        return made
+
+    def check_proofs(self) -> None:
+        """Prove again what a file says to be proven; InputError where it is not.
+
+        Of a core.proof.Proof among the fields, which is of `stencil` under `group`.
+        """
+        for each in fields_of(self):
+            proof = getattr(self, each.name)
+            if hasattr(proof, "check_of"):
+                proof.check_of(self.stencil, self.group)  # type: ignore[attr-defined]
+
+    def _read_from(self, path: Path | None) -> Self:
+        return self
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Self:
+        """Read a file of this kind; InputError for one of another, and as `of_content`."""
+        found = load(path)
+        if not isinstance(found, cls):
+            what = f"expected a {cls.__name__}, got a {type(found).__name__}"
+            raise InputError(f"{path}: {what}")
+        return found
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a JSON file, whole or not at all."""
+        write_json(path, self.content())
+
+    def in_units(self, units: Any) -> Self:
+        """The same with its numbers in other units; records of how it came to be stay.
+
+        Raises InputError for units that are not known, or that no factor leads to.
+        """
+        by = factors(self.units, units)
+        if self.units == (units := check_units(units)):
+            return self
+        moved = {e.name: self._scaled(e.hint, getattr(self, e.name), by, units)
+                 for e in fields_of(self)}  # fmt: skip
+        if _has_units(self):
+            moved["units"] = units
+        return replace(self, **moved | self.elsewhere(*by))  # type: ignore[type-var]
+
+    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+        """Fields in other units that their types do not tell, given the factors."""
+        return {}
+
+    def _scaled(self, hint: Any, value: Any, by: Any, units: Any, says: Any = None) -> Any:
+        """A value in other units."""
+        if get_origin(hint) is Annotated:
+            hint, says = get_args(hint)[:2]
+        if isinstance(value, Record):
+            return value.in_units(units)
+        if hasattr(value, "__dataclass_fields__"):
+            parts = (
+                self._scaled(e.hint, getattr(value, e.name), by, units) for e in fields_of(value)
+            )
+            return replace(value, **dict(zip((e.name for e in fields_of(value)), parts)))
+        if isinstance(value, tuple):
+            inner = next(iter(_members(hint)), Any)
+            return tuple(self._scaled(inner, one, by, units, says) for one in value)
+        if value is None or says is None or not isinstance(value, (float, np.ndarray)):
+            return value
+        power = says.length + says.volume * self.dimension if says.volume else says.length
+        size, stress = by[0] ** abs(power), by[1] ** says.stress
+        return value * (stress * size if power >= 0 else stress / size)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value; of what has no words of its own its numbers."""
+        found = []
+        for each in fields_of(self):
+            value, power = getattr(self, each.name), (each.says.length, each.says.stress)
+            if isinstance(value, Record):
+                found += value.rows()
+            elif isinstance(value, float) and power == (0, 1):
+                found.append((each.name, shown_moduli(self.units, (value,))))
+            elif isinstance(value, (float, str, bool)):
+                unit = f" {symbols(self.units)[0]}" if power == (1, 0) else ""
+                shown = f"{value:.4g}" if isinstance(value, float) else str(value)
+                found.append((each.name, shown + unit))
+        return found
+
+    def __repr__(self) -> str:
+        return in_rows(type(self).__name__, self.rows())
+
+    def _repr_html_(self) -> str:
+        return as_table(self.rows())
+
+
+def _has_units(kind: Any) -> bool:
+    return "units" in kind.__dataclass_fields__
+
+
+def _members(hint: Any) -> list[Any]:
+    """Of `tuple[…]`, or of the alternative to None that is one."""
+    if get_origin(hint) in (Union, UnionType):
+        hint = next(each for each in get_args(hint) if each is not NoneType)
+    return [each for each in get_args(hint) if each is not Ellipsis]
+
+
+def _entries(value: Any) -> dict[str, Any]:
+    """Entries of a file for the fields of a record, or of a part of one."""
+    found: dict[str, Any] = {}
+    for each in fields_of(value):
+        one = getattr(value, each.name)
+        if each.says.flat:
+            found |= _entries(one)
+        elif each.says.kept and not (each.says.omit and _same(one, each.default)):
+            found[each.key] = _plain(one)
+    return found
+
+
+def _same(value: Any, default: Any) -> bool:
+    return value is default or (isinstance(value, (int, float, str)) and value == default)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if hasattr(value, "FORMAT"):
+        return value.content()
+    if is_dataclass(value):
+        return _entries(value)
+    return None if isinstance(value, float) and np.isinf(value) else plain(value)
+
+
+def _values(kind: Any, content: dict[str, Any], order: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Values of the fields of a dataclass from what a file holds, of which no key is left over.
+
+    Args:
+        kind: the dataclass.
+        content: entries.
+        order: keys of its file, of which those that are no fields' are there too.
+    """
+    given, found, missing = dict(content), {}, set(order)
+    for each in fields_of(kind):
+        if each.says.flat:
+            part = get_args(each.hint)[0]
+            mine = {one.key: given.pop(one.key) for one in fields_of(part) if one.key in given}
+            found[each.name] = part(**_values(part, mine))
+            continue
+        missing.discard(each.key)
+        if not each.says.kept:
+            continue
+        if each.key in given:
+            value = given.pop(each.key)
+            if value is None and each.default == np.inf:
+                value = np.inf
+            found[each.name] = taken(each.key, each.hint, value, read=True)
+        elif not (each.says.omit or each.says.later):
+            missing.add(each.key)
+    if missing := missing - set(given):
+        raise InputError(f"missing keys: {', '.join(sorted(missing))}")
+    if unknown := set(given) - set(order):
+        raise InputError(f"unknown keys: {', '.join(sorted(unknown))}")
+    return found
+
+
+def taken(key: str, hint: Any, value: Any, read: bool = False, says: Any = None) -> Any:
+    """A value as its field has it; InputError naming the key for what is none.
+
+    Args:
+        key: for errors.
+        hint: type of the field.
+        value: as it is given, or as JSON has it.
+        read: whether it is from a file: parts are made of what it holds.
+        says: of the field.
+    """
+    if get_origin(hint) is Annotated:
+        hint, says = get_args(hint)[:2]
+    origin, parts = get_origin(hint), get_args(hint)
+    if origin in (Union, UnionType):
+        if (value is None and NoneType in parts) or (isinstance(value, str) and str in parts):
+            return value
+        hint = next(each for each in parts if each not in (NoneType, str))
+        return taken(key, hint, value, read, says)
+    if origin is tuple:
+        if not isinstance(value, (list, tuple, np.ndarray)):
+            raise InputError(f"{key}: expected a list, got {value!r:.50}")
+        kinds = parts if parts[-1] is not Ellipsis else parts[:1] * len(value)
+        if len(kinds) != len(value):
+            raise InputError(f"{key}: expected {len(kinds)} of them, got {len(value)}")
+        return tuple(taken(key, kind, one, read, says) for kind, one in zip(kinds, value))
+    hint = origin or hint
+    if hint is float:
+        return _number(key, value, bool(says and says.positive))
+    if hint is np.ndarray:
+        if not isinstance(value, (list, tuple)) and np.ndim(value) == 0:
+            raise InputError(f"{key}: expected a list, got {value!r:.50}")
+        if _holds_bool(value):
+            raise InputError(f"{key}: expected finite numbers, got true or false")
+        return checked(key, value, float).copy()
+    if hint in WORDS:
+        if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
+            raise InputError(f"{key}: expected {WORDS[hint]}, got {value!r:.50}")
+        return value
+    if hint is Any and read and isinstance(value, dict) and "format" in value:
+        return _within(key, lambda: read_content(value))
+    if read and "__dataclass_fields__" in vars(hint):
+        if issubclass(hint, Record):
+            return _within(key, lambda: hint.of_content(value))
+        return _within(key, lambda: hint(**_values(hint, taken(key, dict, value))))
+    if hint is not Any and not isinstance(value, hint):
+        raise InputError(f"{key}: expected {hint.__name__}(…), got {value!r:.50}")
+    return value
+
+
+WORDS: dict[Any, str] = {
+    bool: "true or false",
+    int: "a whole number",
+    str: "a name",
+    dict: "an object",
+}
+
+
+def _number(key: str, value: Any, positive: bool) -> float:
+    found = float(value) if is_number(value) else np.nan
+    if not (0 < found < np.inf if positive else np.isfinite(found)):
+        what = "a number > 0" if positive else "a finite number"
+        raise InputError(f"{key}: expected {what}, got {value!r:.50}")
+    return found
+
+
+def _holds_bool(value: Any) -> bool:
+    return any(map(_holds_bool, value)) if isinstance(value, list) else isinstance(value, bool)
+
+
+def _within(key: str, made: Callable[[], Any]) -> Any:
+    try:
+        return made()
+    except InputError as error:
+        raise InputError(f"{key}: {error}") from None
+
+
+def content_hash(content: dict[str, Any]) -> str:
+    """SHA-256 of everything else in a file."""
+    kept = {key: value for key, value in content.items() if key != "sha256"}
+    return hashlib.sha256(json.dumps(plain(kept), sort_keys=True).encode()).hexdigest()
+
+
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """What a JSON file holds; InputError where there is none."""
+    try:
+        with open(path, "rb") as file:
+            raw = file.read(LARGEST_FILE + 1)
+        if len(raw) > LARGEST_FILE:
+            raise InputError(f"{path}: expected a file of at most {LARGEST_FILE} bytes")
+        return json.loads(raw.decode("utf-8"))
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except InputError:
+        raise
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not a readable JSON file ({error})") from None
+
+
+def read_content(content: Any, path: Path | None = None) -> Any:
+    """A material of what a file holds, of any format."""
+    if not isinstance(content, dict):
+        raise InputError(f"expected a JSON object, got {type(content).__name__}")
+    kind = content.get("format"), content.get("kind")
+    if isinstance(kind[0], str) and kind[0] in HOMES:
+        import_module(f"warp_peri.{HOMES[kind[0]]}")
+    for key, value in zip(("format", "kind"), kind):
+        if not isinstance(value, (str, NoneType)):
+            raise InputError(f"{key}: expected a name, got {value!r:.50}")
+    if kind not in KINDS:
+        known = sorted({*HOMES, *(name for name, _ in KINDS)})
+        names = known, [str(each) for name, each in KINDS if name == kind[0]]
+        n = int(kind[0] in known)
+        what = f"{('format', 'kind')[n]}: expected one of {', '.join(names[n])}"
+        raise InputError(f"{what}, got {kind[n]!r:.50}")
+    return KINDS[kind](content, path)
+
+
+def load(path: str | os.PathLike[str]) -> Any:
+    """Read the file of a material; InputError naming the file and what is wrong with it."""
+    content = read_json(path)
+    try:
+        return read_content(content, Path(path))
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None

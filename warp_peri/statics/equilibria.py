@@ -1,0 +1,310 @@
+"""Equilibria of one force on one body: mixed steps of the solid at rest, Newton, parts of a load.
+
+u ← u + L₀⁻¹ (b − f(u)), L₀ the solid at rest, whose inverse is all that is asked of a material
+beside its force. The last steps are mixed (D. G. Anderson, 1965). Where that stalls, clipped
+gradients make it a contraction if a strain is proven (theory.md, N13–N15); then Newton's method
+with GMRES on the same preconditioned residual; then the load in parts.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Protocol
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.statics.conjugate_gradients import HERE, Inner
+from warp_peri.statics.linear import Inverse
+from warp_peri.statics.newton import newton
+
+ROUGH, LINEAR_SHARE = 1e-3, 1e-2
+"""Iterative linear solves of mixed steps are carried to this, far below what a step leaves; those
+of Newton's method, which differences them, to this share of the tolerance."""
+NEWTON_SHARE = 1e-2
+"""Of the tolerance, to which Newton's method carries the preconditioned residual, over u."""
+SOLVES = 2
+"""What the solves of mixed steps cost at the least, in whole iterative solves."""
+MEMORY = 5
+"""Differences that Anderson acceleration mixes."""
+MOST_STEPS, PATIENCE = 60, 8
+"""Of the fixed point; it is given up after so many steps without a smaller residual."""
+PARTS = (2, 4, 8)
+"""Equal parts that a load and what is given on the collar are applied in, until all are found."""
+
+
+class Correction(Protocol):
+    """The step that answers a residual, to a relative residual of its own."""
+
+    def __call__(self, residual: np.ndarray, to: float) -> np.ndarray: ...
+
+
+Force = Callable[[np.ndarray], np.ndarray]
+"""A field of all nodes [N, d] to the force on the interior [I, d]."""
+
+
+@dataclass
+class NonlinearRecord:
+    """What the solve of one sample took, and what is known of its answer.
+
+    Attributes:
+        solves: linear solves in all.
+        method: "fixed point", "clipped" or "newton", whatever gave the answer.
+        residual: ‖L u − b‖ over the linear right-hand side.
+        largest_gradient: largest |H| within δ of the unknowns.
+        unique: whether |H| stays below the proven strain, so that no other solution does.
+        eigenvalue: smallest eigenvalue of the symmetric part of the tangent at the answer
+            [TPa/Å²]; above zero the answer is stable. None where not asked for, and above DIRECT
+            nodes.
+    """
+
+    solves: int = 0
+    method: str = "fixed point"
+    residual: float = np.inf
+    largest_gradient: float = 0.0
+    unique: bool = False
+    eigenvalue: float | None = None
+
+
+class Equilibria:
+    """Where a force on the interior is a load, for many loads.
+
+    Args:
+        force: of a field of all nodes.
+        straight: the same of the solid at rest.
+        inverse: of the solid at rest, of a load on the interior.
+        inside: unknown nodes, shape [N] bool.
+        clipped: gives the force with gradients clipped to a proven strain, where one is.
+    """
+
+    def __init__(
+        self,
+        force: Force,
+        straight: Force,
+        inverse: Inverse,
+        inside: np.ndarray,
+        clipped: Callable[[], Force] | None = None,
+    ) -> None:
+        self.force, self.straight, self.inverse = force, straight, inverse
+        self.inside, self._clipped = inside, clipped
+
+    def solve(
+        self, load: np.ndarray, given: np.ndarray, tolerance: float
+    ) -> tuple[np.ndarray, NonlinearRecord]:
+        """u [N, d] with force = load [I, d] and u as given elsewhere, on the branch from rest.
+
+        Raises InputError where nothing finds an equilibrium.
+        """
+        record = NonlinearRecord()
+        field = np.where(self.inside[:, None], 0.0, given)
+        right = load - self.straight(field)
+        scale = float(np.linalg.norm(right))
+        if scale == 0:
+            record.residual = 0.0
+            return field, record
+        begin = self.inverse(right, ROUGH)
+        record.solves += 1
+        inner = self._found(load, field, begin, scale, tolerance, record)
+        if not record.residual <= tolerance:
+            inner = self._in_parts(load, field, inner, scale, tolerance, record)
+        if not record.residual <= tolerance:
+            raise InputError(
+                f"no equilibrium was found: residual {record.residual:.1e} of the right-hand side "
+                f"after {record.solves} linear solves; the load may be more than the solid bears"
+            )
+        field[self.inside] = inner
+        return field, record
+
+    def solve_from(
+        self, load: np.ndarray, start: np.ndarray, tolerance: float
+    ) -> tuple[np.ndarray, NonlinearRecord]:
+        """The same from a start near it, shape [N, d], by Newton's method; it may not come there.
+
+        The residual of the record is relative to that of the start with a zero interior.
+        """
+        record, field = NonlinearRecord(method="newton"), start.copy()
+        zero = np.where(self.inside[:, None], 0.0, start)
+        scale = float(np.linalg.norm(load - self.force(zero))) or 1.0
+        begin = start[self.inside]
+        field[self.inside] = self._found(
+            load, field.copy(), begin, scale, tolerance, record, mixes=False
+        )
+        return field, record
+
+    def _found(
+        self,
+        load: np.ndarray,
+        field: np.ndarray,
+        begin: np.ndarray,
+        scale: float,
+        tolerance: float,
+        record: NonlinearRecord,
+        *,
+        mixes: bool = True,
+    ) -> np.ndarray:
+        """The interior as far as it comes; the record's residual tells how far."""
+
+        def left(force: Force, inner: np.ndarray) -> np.ndarray:
+            field[self.inside] = inner
+            with np.errstate(all="ignore"):  # of a step that ran away
+                return np.asarray((load - force(field)) / scale)
+
+        def correction(residual: np.ndarray, to: float) -> np.ndarray:
+            record.solves += 1
+            return self.inverse(residual * scale, to)
+
+        def clipped() -> Callable[[np.ndarray], np.ndarray] | None:
+            return None if self._clipped is None else partial(left, self._clipped())
+
+        return balanced(
+            partial(left, self.force), correction, begin, tolerance, record,
+            clipped=clipped, mixes=mixes,
+        )  # fmt: skip
+
+    def _in_parts(
+        self,
+        load: np.ndarray,
+        field: np.ndarray,
+        best: np.ndarray,
+        scale: float,
+        tolerance: float,
+        record: NonlinearRecord,
+    ) -> np.ndarray:
+        """The interior by a load that grows in equal parts, each begun where the last leads to."""
+        residual = record.residual
+        for parts in PARTS:
+            inner = self.inverse((load - self.straight(field)) / parts, ROUGH)
+            for part in range(1, parts + 1):
+                share = part / parts
+                inner = self._found(
+                    share * load, share * field, inner, share * scale, tolerance, record
+                )
+                if not record.residual <= tolerance:
+                    break
+                if part == parts:
+                    record.method = "parts"
+                    return inner
+                inner = (part + 1) / part * inner
+        record.residual = residual
+        return best
+
+
+def balanced(
+    left: Callable[[np.ndarray], np.ndarray],
+    correction: Correction,
+    start: np.ndarray,
+    tolerance: float,
+    record: NonlinearRecord,
+    *,
+    clipped: Callable[[], Callable[[np.ndarray], np.ndarray] | None] = lambda: None,
+    inner: Inner = HERE,
+    mixes: bool = True,
+) -> np.ndarray:
+    """The field whose residual vanishes, as far as it comes; the record tells how far, and how.
+
+    Args:
+        left: residual of a field, relative.
+        correction: the step that answers a residual, to a relative residual of its own.
+        start: a field.
+        tolerance: of the residual's norm.
+        record: takes method and residual.
+        clipped: gives the residual with clipped gradients, or None.
+        inner: how fields are measured, over all ranks.
+        mixes: False begins with Newton's method.
+    """
+    v, size = start, np.inf
+    if mixes:
+        rough = partial(correction, to=ROUGH)
+        v, size = anderson(left, rough, start, tolerance, inner=inner)
+        if size > tolerance and (small := clipped()) is not None:
+            record.method = "clipped"
+            v, _ = anderson(small, rough, start, tolerance, inner=inner)
+            size = inner.norm(left(v))
+    if not size <= tolerance:
+        record.method = "newton"
+        exact = partial(correction, to=LINEAR_SHARE * tolerance)
+        goal = NEWTON_SHARE * tolerance * inner.norm(v)
+        v = newton(lambda w: exact(left(w)), v, goal, inner)
+        size = inner.norm(left(v))
+    record.residual = float(size)
+    return v
+
+
+def anderson(
+    left: Callable[[np.ndarray], np.ndarray],
+    correction: Callable[[np.ndarray], np.ndarray],
+    start: np.ndarray,
+    tolerance: float,
+    *,
+    inner: Inner = HERE,
+) -> tuple[np.ndarray, float]:
+    """u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson, 1965).
+
+    Args:
+        left: residual of a field, relative.
+        correction: the step that answers a residual.
+        start: a field.
+        tolerance: of the residual's norm.
+        inner: how fields are measured, over all ranks.
+
+    Returns:
+        The field of the smallest residual, and that residual's norm.
+    """
+    u, best = start, (start, np.inf)
+    steps: list[np.ndarray] = []
+    fields: list[np.ndarray] = []
+    waited = 0
+    for _ in range(MOST_STEPS):
+        residual = left(u)
+        size = inner.norm(residual)
+        waited = 0 if size < best[1] else waited + 1
+        if size < best[1]:
+            best = (u, size)
+        if size <= tolerance or waited > PATIENCE or not np.isfinite(size):
+            break
+        steps.append(correction(residual))
+        fields.append(u)
+        del steps[: -MEMORY - 1], fields[: -MEMORY - 1]
+        u = u + steps[-1]
+        if len(steps) > 1:
+            by_step = np.stack([earlier - steps[-1] for earlier in steps[:-1]], axis=-1)
+            by_field = np.stack([earlier - fields[-1] for earlier in fields[:-1]], axis=-1)
+            u = u + (by_step + by_field) @ _mixture(by_step, steps[-1], inner)
+    return best
+
+
+def _mixture(differences: np.ndarray, step: np.ndarray, inner: Inner) -> np.ndarray:
+    """How much of differences [..., k] comes closest to minus a step, shape [k]."""
+    if inner is HERE:
+        flat = differences.reshape(-1, differences.shape[-1])
+        return np.asarray(np.linalg.lstsq(flat, -step.ravel(), rcond=1e-12)[0])
+    columns = np.moveaxis(differences, -1, 0)
+    gram = [[inner.dot(a, c) for c in columns] for a in columns]
+    beside = [-inner.dot(a, step) for a in columns]
+    return np.asarray(np.linalg.lstsq(np.array(gram), np.array(beside), rcond=1e-12)[0])
+
+
+def figures_of(records: tuple[NonlinearRecord, ...]) -> dict[str, Any]:
+    """Most solves, largest gradient, and whether all answers are the only ones."""
+    return {
+        "linear_solves": max(record.solves for record in records),
+        "largest_gradient": max(record.largest_gradient for record in records),
+        "unique": all(record.unique for record in records),
+    }
+
+
+def warn_beyond(records: list[NonlinearRecord], proven: float) -> None:
+    """A UserWarning where answers go beyond the proven strain."""
+    beyond = [n for n, record in enumerate(records) if not record.unique]
+    if not beyond:
+        return
+    largest = max(record.largest_gradient for record in records)
+    known = f"|H| = {proven:.2%}" if proven > 0 else "no strain, for want of a certificate"
+    warnings.warn(
+        f"strain: solutions are proven unique up to {known}; {len(beyond)} of {len(records)} "
+        f"samples go beyond it, to {largest:.2%}, where others may exist",
+        stacklevel=3,
+    )

@@ -1,0 +1,322 @@
+"""A stencil on the nodes of one body: its products, and what inverts it (theory.md, T15).
+
+L_II is a block of the operator of a torus, so the smallest eigenvalue of that operator's symbol
+bounds it from below: above zero, conjugate gradients find the one answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from warp_peri.core.elastic import elastic_from_brackets
+from warp_peri.core.grid import Grid, grid_of
+from warp_peri.core.stencil import Stencil
+from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, Product, convolved
+from warp_peri.errors import InputError
+from warp_peri.points.points import Points
+from warp_peri.stability.inertia import definite_factors
+from warp_peri.statics.conjugate_gradients import SolveRecord, definite
+from warp_peri.statics.direct import factorised
+from warp_peri.statics.edge import Edge, block
+from warp_peri.statics.multigrid import Filter, multigrid, sine, torus_inverse
+
+Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
+"""An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""
+METHODS = ("sine", "multigrid", "strip", "fft")
+"""What stands before conjugate gradients; "fft", the inverse symbol, where nodes are few."""
+FEW = DIRECT = 4_000
+"""Most unknown nodes for which multigrid, whose iterations do not grow, is not worth its set-up;
+and most that are factorised."""
+FEW_IN_SPACE = 500
+"""Most unknown nodes in space whose factors, which fill up there, cost less than iteration."""
+PAYS = {"sine": 1700, "fft": 3500}
+"""A factorisation pays from 2 + n B/1700 loads on n nodes with B bonds where the sine transform
+does, from 2 + n B/3500 elsewhere."""
+BONDS = 34
+"""Where nobody says how many: between δ = 2.5 and 4 spacings."""
+STIFF = 30.0
+"""λ/μ from which the strip at the edge costs less than the iterations that it saves."""
+SINGULAR = 1e-13
+"""A bound of the smallest eigenvalue below this fraction of the largest is no bound."""
+WAVES = 1 << 17
+"""Of a torus, whose eigenvalues are taken at once."""
+
+
+@dataclass
+class Solved(SolveRecord):
+    """What solves took, the worst of all fields, and the method."""
+
+    method: str = ""
+
+
+class Linear:
+    """L of one stencil on the nodes of one body or of one period, all bonds whole.
+
+    Args:
+        stencil: of the solid.
+        points: lattice nodes with a collar of its reach, or periodic.
+        by: "rows", "fft", or "auto", which takes what is faster; how products are taken.
+        dtype: float64 or float32.
+        why, least: of grid_of.
+        product: of these nodes and dtype, in place of rows of the stencil's bonds.
+
+    Raises InputError as grid_of does.
+    """
+
+    def __init__(
+        self,
+        stencil: Stencil,
+        points: Points,
+        *,
+        by: str = "auto",
+        dtype: Any = np.float64,
+        why: str = "",
+        least: int | None = None,
+        product: Callable[[Grid, Any], Product] | None = None,
+    ) -> None:
+        self.stencil, self.points = stencil, points
+        self.grid = grid_of(points, stencil.steps, why=why, least=least)
+        if np.dtype(dtype) not in SCALARS:
+            raise InputError(f"dtype: expected float64 or float32, got {np.dtype(dtype)}")
+        self.dtype = np.dtype(dtype)
+        if by == "auto":
+            by = "fft" if len(stencil.steps) >= FFT_BONDS[self.grid.dimension] else "rows"
+        self.by = by
+        make = ByFFT if by == "fft" else ByRows
+        self.pull: Product = (
+            product(self.grid, self.dtype)
+            if product is not None and by == "rows"
+            else make(self.grid, stencil.steps, stencil.tensors, self.dtype)
+        )
+        self._filters: dict[str, Filter] = {}
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """L of fields [S, N, d] at the interior nodes, [S, I, d]."""
+        return self.grid.gather(self.pull(self.grid.scatter(u, self.dtype)))
+
+    @cached_property
+    def _torus(self) -> ByFFT:
+        if isinstance(self.pull, ByFFT) and self.dtype == np.float64:
+            return self.pull
+        return ByFFT(self.grid, self.stencil.steps, self.stencil.tensors)
+
+    def push(self, inner: np.ndarray) -> np.ndarray:
+        """Lᵗ of a field on the interior [I, d], on all nodes, [N, d]."""
+        grid, by = self.grid, self._torus
+        field = convolved(by.symbol, grid.scatter_interior(inner), by.torus)
+        field = field[(slice(None), *(slice(0, n) for n in grid.shape))]
+        out = np.zeros(self.points.x.shape)
+        out[grid.near] = field.reshape(len(field), -1)[:, grid.place].T @ grid.axes.T
+        return out
+
+    def check_definite(self) -> None:
+        """Raise InputError unless the symbol proves that L_II is positive definite."""
+        grid, by = self.grid, self._torus
+        ratio = smallest_ratio(by.symbol, by.torus)
+        # every node's Laplacian is at least that of the box's longest wave
+        sides = [n - 2 * grid.reach for n in grid.shape]
+        long = sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides)
+        if grid.periodic:
+            long = 4 * np.sin(np.pi / max(grid.shape)) ** 2
+        scale = 2 * float(self.stencil.tensors[:, 0, 0].sum())
+        if ratio * long > SINGULAR * scale:
+            return
+        kind = "singular" if abs(ratio) * long <= SINGULAR * scale else "indefinite"
+        raise InputError(
+            f"the operator on these {len(grid.interior)} nodes is {kind} or cannot be told from "
+            f"it: the smallest Λmin D(k)/s(k) is {ratio * self.stencil.spacing**2:.2e}, and static "
+            "problems of the model have no unique or no stable answer here"
+        )
+
+    def method(self, asked: str | None = None) -> str:
+        """The name of a method; InputError where it does not go with the nodes."""
+        grid = self.grid
+        if asked is not None and asked not in METHODS:
+            raise InputError(f"method: expected one of {', '.join(METHODS)}, got {asked!r}")
+        if grid.periodic:
+            return "fft"
+        if asked == "sine" and not grid.is_box:
+            raise InputError("method: sine is for boxes of nodes; try multigrid")
+        if asked is not None:
+            return asked
+        return cheapest_method(len(grid.interior), box=grid.is_box, loads=0)
+
+    def filter(self, method: str) -> Filter:
+        """z ≈ L_II⁻¹ r of planes [d, *shape], one application."""
+        if method not in self._filters:
+            stencil, h2 = self.stencil, self.stencil.spacing**2
+            args = self.grid, stencil.steps, stencil.tensors * h2
+            if method in ("sine", "multigrid"):
+                make = sine if method == "sine" else multigrid
+                inner = make(*args, elastic_from_brackets(stencil.brackets))
+            else:
+                inner = torus_inverse(*args)
+            edge = Edge(self.grid, stencil) if method == "strip" else None
+            product = self._product
+
+            def apply(r: np.ndarray) -> np.ndarray:
+                z = inner(r) * h2
+                return z if edge is None else z - edge(product(z))
+
+            apply.begin = edge  # type: ignore[attr-defined]
+            self._filters[method] = apply
+        return self._filters[method]
+
+    def _product(self, field: np.ndarray) -> np.ndarray:
+        """L of planes [d, *shape] that are zero off the unknowns, there."""
+        grid = self.grid
+        if grid.periodic:
+            around = [(0, 0), *[(grid.reach,) * 2] * grid.dimension]
+            field = np.pad(field, around, mode="wrap")
+        return np.asarray(self.pull(field[None])[0])
+
+    def _inverted(
+        self, right: np.ndarray, method: str, tolerance: float
+    ) -> tuple[np.ndarray, SolveRecord]:
+        """L_II⁻¹ of planes [d, *shape]."""
+        if self.dtype != np.float64:
+            raise InputError(f"dtype: expected float64 for a solve, got {self.dtype}")
+        apply = self.filter(method)
+        return definite(
+            self._product,
+            apply,
+            right,
+            tolerance,
+            begin=getattr(apply, "begin", None),
+            where=f" on these {len(self.grid.interior)} nodes",
+            hint=f", or so nearly incompressible that {method} does not come close to it: try "
+            "strip, or lu where nodes are few",
+        )
+
+    def inverse(
+        self, right: np.ndarray, tolerance: float, method: str | None = None
+    ) -> tuple[np.ndarray, SolveRecord]:
+        """L_II⁻¹ of a field on the interior [I, d], zero on the collar, and its record."""
+        planes = self.grid.scatter_interior(right)
+        z, record = self._inverted(planes, self.method(method), tolerance)
+        return self.grid.gather(z[None])[0], record
+
+    def cheapest_inverse(
+        self, loads: int, bonds: float = BONDS, *, definite: bool = True
+    ) -> Inverse:
+        """L_II⁻¹ for so many loads: factorised, or iterated to the tolerance that it is asked for.
+
+        Few nodes are factorised too where the symbol does not prove L_II definite. Raises
+        InputError as check_definite for more, and for factors that show that it is not; with
+        `definite` false, any factors will do.
+        """
+        nodes, space = len(self.grid.interior), self.grid.dimension == 3
+        how = cheapest_method(nodes, box=self.grid.is_box, space=space, loads=loads, bonds=bonds)
+        try:
+            self.check_definite()
+            if how != "lu":
+                return lambda right, tolerance: self.inverse(right, tolerance)[0]
+        except InputError:
+            matrix = block(self.stencil, self.grid.mask())
+            if nodes > DIRECT or (definite and definite_factors(matrix) is None):
+                raise
+        factors, order = factorised(block(self.stencil, self.grid.mask())), self._order
+        axes = self.grid.axes
+
+        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
+            found = np.empty_like(right)
+            found[order] = factors.solve((right @ axes)[order].ravel()).reshape(right.shape)
+            return np.asarray(found @ axes.T)
+
+        return solved
+
+    @property
+    def _order(self) -> np.ndarray:
+        """Interior nodes as they follow one another in the box."""
+        return np.argsort(self.grid.interior)
+
+    def solve(
+        self, b: np.ndarray, u: np.ndarray, tolerance: float, method: str | None = None
+    ) -> tuple[np.ndarray, list[Solved]]:
+        """Displacement with L u = b at the interior nodes and u as given elsewhere.
+
+        Args:
+            b: loads [stress/length] on all nodes, shape [S, N, d]; only the interior's are read.
+            u: displacement on all nodes, same shape; only the collar's is read. On a period nothing
+                is, and the answer's mean is zero.
+            tolerance: of the true relative residual.
+            method: one of METHODS; None takes the cheapest.
+
+        Raises InputError for a method that does not fit, or a solve that stalls.
+        """
+        asked, method = self.points.interior[:, None], self.method(method)
+        answer, records = np.where(asked, 0.0, u), []
+        for one, field in zip(b, answer):
+            right = self.grid.scatter(np.where(asked, one, 0.0)[None])
+            if self.grid.periodic:
+                right = right[(slice(None), slice(None), *self.grid.core)]
+                right = right - right.mean(axis=tuple(range(2, right.ndim)), keepdims=True)
+            else:
+                right = right - self.pull(self.grid.scatter(field[None]))
+            z, took = self._inverted(right[0], method, tolerance)
+            field[self.points.interior] = self.grid.gather(z[None])[0]
+            records.append(Solved(took.iterations, took.residual, method))
+        return answer, records
+
+
+def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
+    """Smallest Λmin D(k) / Σ_a 4 sin²(k_a h/2) over the waves of a torus but k = 0.
+
+    Args:
+        symbol: as torus_symbol packs it, [d (d + 1)/2, *torus] halved.
+        torus: nodes along each axis.
+    """
+    d = len(torus)
+    waves = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 for n in torus]
+    waves[-1] = waves[-1][: symbol.shape[-1]]
+    s = sum(w.reshape(*(-1 if a == b else 1 for b in range(d))) for a, w in enumerate(waves))
+    s = np.broadcast_to(s, symbol.shape[1:]).ravel()
+    flat, smallest = symbol.reshape(len(symbol), -1), np.inf
+    upper = np.triu_indices(d)
+    for first in range(1, len(s), WAVES):  # k = 0 is the first
+        part = slice(first, first + WAVES)
+        if d == 2:
+            a, c, b = flat[:, part]
+            low = (a + b) / 2 - np.hypot((a - b) / 2, c)
+        else:
+            D = np.empty((len(s[part]), d, d))
+            D[:, upper[0], upper[1]] = D[:, upper[1], upper[0]] = flat[:, part].T
+            low = np.linalg.eigvalsh(D)[:, 0]
+        smallest = min(smallest, float((low / s[part]).min()))
+    return smallest
+
+
+def cheapest_method(
+    nodes: int,
+    *,
+    box: bool,
+    space: bool = False,
+    stiff: bool = False,
+    loads: int = 1,
+    bonds: float = BONDS,
+) -> str:
+    """The cheapest method for so many unknown nodes of a lattice.
+
+    Args:
+        nodes: unknown.
+        box: whether they fill one.
+        space: whether it lies in space.
+        stiff: λ ≫ μ.
+        loads: how many are solved for; 0 for iteration in any case.
+        bonds: of a node, about.
+    """
+    if space and nodes <= FEW_IN_SPACE and loads:
+        return "lu"
+    pays = 2 + nodes * bonds / PAYS["sine" if box else "fft"]
+    if not space and nodes <= DIRECT and loads and (stiff or loads > pays):
+        return "lu"
+    if stiff:
+        return "strip"
+    if box:
+        return "sine"
+    return "fft" if nodes <= FEW else "multigrid"
