@@ -15,7 +15,7 @@ LARGEST = {
     "lines of tests": 30_700,
     "names of classes that stand twice": 13,
     "imports of warp_peri inside functions": 45,
-    "asserts in warp_peri": 21,
+    "asserts in warp_peri": 20,
 }
 """Whoever lowers one writes the new number here."""
 

@@ -88,10 +88,16 @@ class SheetChoice:
         return self.candidates[0]
 
     @property
+    def fit(self) -> DisplacementFit:
+        """Of the best; InputError where that failed."""
+        if self.best.fit is None:
+            raise InputError(f"frames: no material fits them; {self.best.why}")
+        return self.best.fit
+
+    @property
     def material(self) -> HyperelasticSolid:
         """The best one's; its scale is an initial stiffness of one."""
-        assert self.best.fit is not None
-        return self.best.fit.material
+        return self.fit.material
 
     def curves(
         self,
@@ -107,14 +113,13 @@ class SheetChoice:
         error that all frames share. Raises InputError where deviations, which are no material,
         explain the frames.
         """
-        fit, n = self.best.fit, len(self.others)
-        assert fit is not None
-        if (times := stiffest_deviation(fit.material)) > INTERPOLATES:
+        n = len(self.others)
+        if (times := stiffest_deviation(self.material)) > INTERPOLATES:
             raise InputError(
                 f"frames: deviations came out {times:.0f} times as stiff as the sheet at rest and "
                 "explain the frames in the place of a material, which has no curves then"
             )
-        middle = uniaxial(scaled(fit), stretches, angle)
+        middle = uniaxial(scaled(self.fit), stretches, angle)
         if n < 2:
             return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
         values = np.array([uniaxial(scaled(fit), stretches, angle) for fit in self.others])
