@@ -237,6 +237,11 @@ def test_lines_inside_are_left_out_of_files_with_a_word(tmp_path):
     with pytest.warns(UserWarning, match="edges of the outline, 1 of . are not and are left out"):
         mesh = load_mesh(tmp_path / "a.msh")
     assert {name: len(part) for name, part in mesh.parts.items()} == {"1": 2, REST: 6}
+    for wrong in ([[0, 99]], [[-1, 0]], [[0, 2]]):
+        with pytest.raises(InputError, match="part 'a': expected edges of the outline, 1 of 1"):
+            make_mesh(NINE, TRIANGLES, {"a": wrong})
+    with pytest.raises(InputError, match="part 'a': expected int values, got float64"):
+        make_mesh(NINE, TRIANGLES, {"a": [[0.0, 1.0]]})
     with pytest.raises(InputError, match="part 'a': expected faces of the surface, 1 of 1"):
         make_tetrahedra(SOLID[:8], np.arange(8)[np.array(SIXTHS)], {"a": [[0, 1, 6]]})
 

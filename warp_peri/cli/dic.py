@@ -72,10 +72,10 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         def scaled(fit: Any) -> Any:
             return fit.material if given.stress is None else _scaled(fit, frames, given)
 
-        material = scaled(choice.best.fit)
+        material = scaled(choice.fit)
         warp_peri.save(given.out / "material.json", material)
         told = NO_FORCE if given.stress is None else "are in MPa, by the stress that was given"
-        words = [*in_words(material), *_beside(choice.best.fit, material)]
+        words = [*in_words(material), *_beside(choice.fit, material)]
         words.append(f"stresses and coefficients {told}")
         try:
             save_febio(material, given.out / "material.feb")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import warnings
-from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,23 +41,12 @@ WITHIN = 1e-9
 """How far outside a cell, in its own coordinates, a position may lie that it holds."""
 
 
-class Outlined(NamedTuple):
-    """A body whose cells were checked.
-
-    Attributes:
-        x: corners [length] of some cell, shape [P, d].
-        cells: their corners, shape [T, d + 1], counter-clockwise in the plane.
-        facets: edges or faces that one cell alone has, shape [F, d], the body on their left in the
-            plane.
-        parts: numbers of facets by name.
-        middle: points halfway along curved edges [length], by the pair of corners, rising.
-    """
-
-    x: np.ndarray
-    cells: np.ndarray
-    facets: np.ndarray
-    parts: dict[str, np.ndarray]
-    middle: dict[tuple[int, int], np.ndarray]
+Outlined: TypeAlias = tuple[
+    np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray], dict[tuple[int, int], np.ndarray]
+]
+"""Corners of some cell, cells by them, facets that one cell alone has, these by name, and points
+halfway along curved edges by the pair of corners, rising. In the plane cells are counter-clockwise
+and the body is on the left of its facets."""
 
 
 def outlined(
@@ -90,7 +79,8 @@ def outlined(
     if t.min() < 0 or t.max() >= len(x):
         raise InputError(f"{name}: expected corners 0 to {len(x) - 1}, got {t.min()}, {t.max()}")
     size = np.linalg.det(x[t[:, 1:]] - x[t[:, :1]])
-    lengths = [np.linalg.norm(x[t[:, a]] - x[t[:, b]], axis=1) for a, b in _pairs(d + 1)]
+    pairs = list(itertools.combinations(range(d + 1), 2))
+    lengths = [np.linalg.norm(x[t[:, a]] - x[t[:, b]], axis=1) for a, b in pairs]
     share = np.abs(size) / np.max(lengths, axis=0) ** d
     if not (share > FLAT).all():
         raise InputError(f"{name}: number {int(np.argmin(share))} has no {measure}")
@@ -102,13 +92,9 @@ def outlined(
     t = t.reshape(-1, d + 1)
     if d == 2:
         t = np.where((size < 0)[:, None], t[:, ::-1], t)
-    every = np.concatenate([t[:, corners] for corners in FACETS[d]])
-    keys, back, count = np.unique(
-        np.sort(every, axis=1), axis=0, return_inverse=True, return_counts=True
-    )
+    every, keys, back, count = _facets(t)
     if count.max() > 2:
         raise InputError(f"{name}: expected one or two at each {facet}, some {facet} has more")
-    back = back.ravel()
     across = np.concatenate([t[:, corner] for corner in ACROSS[d]])
     side = np.linalg.det(x[np.c_[keys[back][:, 1:], across]] - x[keys[back][:, :1]])
     shared = np.argsort(back, kind="stable")
@@ -119,15 +105,22 @@ def outlined(
     rows = rows if d == 2 else rows[np.argsort(back[rows])]
     facets = every[rows] if d == 2 else keys[back[rows]]
     _refuse_covered(x, t, facets, across[rows], d)
-    named = _named(facets, {n: new[np.asarray(part)] for n, part in parts.items()}, whole, inner)
+    new = np.append(new, -1)  # of what is no corner
+    kept = {n: checked(f"part '{n}'", part, int) for n, part in parts.items() if np.size(part)}
+    kept = {n: new[np.clip(part, -1, len(new) - 1)] for n, part in kept.items()}
+    named = _named(facets, kept, whole, inner)
     ends = {pair: sorted(new[list(pair)].tolist()) for pair in middle}
-    return Outlined(
-        x, t, facets, named, {(a, b): np.asarray(middle[p], float) for p, (a, b) in ends.items()}
+    bent = {(a, b): np.asarray(middle[pair], float) for pair, (a, b) in ends.items()}
+    return x, t, facets, named, bent
+
+
+def _facets(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Facets of all cells, those that differ by rising corners, which each is, and how often."""
+    every = np.concatenate([t[:, corners] for corners in FACETS[t.shape[1] - 1]])
+    keys, back, count = np.unique(
+        np.sort(every, axis=1), axis=0, return_inverse=True, return_counts=True
     )
-
-
-def _pairs(count: int) -> Iterator[tuple[int, int]]:
-    return itertools.combinations(range(count), 2)
+    return every, keys, back.ravel(), count
 
 
 def _welded(x: np.ndarray, near: float) -> np.ndarray:
@@ -174,10 +167,7 @@ def _refuse_covered(
 def _named(
     facets: np.ndarray, parts: Mapping[str, np.ndarray], whole: str, inner: bool
 ) -> dict[str, np.ndarray]:
-    """Facets by name, each once; REST are those that have no other.
-
-    Raises InputError for parts that hold others, or warns of these.
-    """
+    """Facets by name, each once; InputError, or a warning, for parts that hold others."""
     number = {tuple(facet): n for n, facet in enumerate(np.sort(facets, axis=1).tolist())}
     named, taken = {}, np.zeros(len(facets), bool)
     for name, part in parts.items():
@@ -232,9 +222,7 @@ class Finder:
 
 def pieces(cells: np.ndarray) -> np.ndarray:
     """Number of the piece of the body that each cell belongs to; those of a piece share facets."""
-    count, d = len(cells), cells.shape[1] - 1
-    every = np.sort(np.concatenate([cells[:, corners] for corners in FACETS[d]]), axis=1)
-    facet = np.unique(every, axis=0, return_inverse=True)[1].ravel()
-    of = np.tile(np.arange(count), d + 1), count + facet
-    links = coo_array((np.ones(len(facet)), of), shape=(count + facet.max() + 1,) * 2)
+    count, (_, keys, facet, _) = len(cells), _facets(cells)
+    of = np.tile(np.arange(count), cells.shape[1]), count + facet
+    links = coo_array((np.ones(len(facet)), of), shape=(count + len(keys),) * 2)
     return np.asarray(connected_components(links, directed=False)[1][:count])

@@ -127,13 +127,13 @@ def make_mesh(
 
     Warns and raises InputError as `points.cells.outlined`.
     """
-    body = outlined(x, triangles, parts or {}, middle or {}, 2, inner=inner)
-    middles = body.x[body.facets].mean(axis=1)
-    number = {tuple(sorted(pair)): n for n, pair in enumerate(body.facets.tolist())}
-    for pair, point in body.middle.items():
-        if pair in number:
-            middles[number[pair]] = point
-    return Mesh(body.x, body.cells, body.facets, middles, body.parts)
+    corners, cells, edges, named, bent = outlined(
+        x, triangles, parts or {}, middle or {}, 2, inner=inner
+    )
+    middles = corners[edges].mean(axis=1)
+    for n, (a, b) in enumerate(edges.tolist()):
+        middles[n] = bent.get((min(a, b), max(a, b)), middles[n])
+    return Mesh(corners, cells, edges, middles, named)
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:

@@ -86,7 +86,7 @@ def make_tetrahedra(
 
     Warns and raises InputError as `points.cells.outlined`.
     """
-    body = outlined(x, cells, parts or {}, middle or {}, 3, inner=inner)
-    curved = np.array(list(body.middle), dtype=int).reshape(-1, 2)
-    points = np.array(list(body.middle.values()), dtype=float).reshape(-1, 3)
-    return Tetrahedra(*body[:4], curved, points)
+    corners, t, faces, named, bent = outlined(x, cells, parts or {}, middle or {}, 3, inner=inner)
+    curved = np.array(list(bent), dtype=int).reshape(-1, 2)
+    points = np.array(list(bent.values()), dtype=float).reshape(-1, 3)
+    return Tetrahedra(corners, t, faces, named, curved, points)

@@ -24,7 +24,7 @@ from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import SEEN, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, Units, check_units
-from warp_peri.sources.tables import factors, read_table
+from warp_peri.sources.tables import read_table
 
 LEAST = 4
 """Frames of a folder."""
@@ -72,12 +72,9 @@ def read_frame(path: str | os.PathLike[str], *, pixel: float | str = 1.0) -> She
     current frame that are named so are taken back to the reference. Raises InputError for a table
     that is not clearly one, or without points, and a pixel that is no length > 0.
     """
-    size, unit = length_of(pixel)
-    path = Path(path)
-    table = read_table(path)
-    each, unit = factors(path, table.units, size, unit)
-    x, u = each[:2] * table.x, each[2:] * table.u
-    return SheetFrame(x - u if table.current else x, u, path.name, unit)
+    path, (size, unit) = Path(path), length_of(pixel)
+    x, u, unit = read_table(path, size, unit)
+    return SheetFrame(x, u, path.name, unit)
 
 
 def length_of(pixel: float | str) -> tuple[float, str | None]:
@@ -131,7 +128,7 @@ def frames_on_lattice(
     if not frames:
         raise InputError("frames: expected at least one, got none")
     frames = in_reference(frames, positions)
-    first, lengths = frames[0].x, {frame.length for frame in frames}
+    lengths = {frame.length for frame in frames}
     if len(lengths) > 1:
         said = {frame.length: f"{frame.length or 'no unit'} in {frame.name}" for frame in frames}
         raise InputError(f"frames: expected one unit of length, got {', '.join(said.values())}")
@@ -141,24 +138,22 @@ def frames_on_lattice(
     named = check_units(units or (USUAL if length is None else (length, "MPa")))
     if length not in (None, named[0]):
         raise InputError(f"units: the frames are in {length}, expected that, got {named[0]}")
-    step = spacing_of(first) if spacing is None else float(spacing)
-    origin = first.min(axis=0)
-    counts = np.floor((np.ptp(first, axis=0)) / step + 1 + ON_LATTICE).astype(int)
+    step = spacing_of(frames[0].x) if spacing is None else float(spacing)
+    every = np.concatenate([frame.x for frame in frames])
+    counts = np.floor(np.ptp(every, axis=0) / step + 1 + ON_LATTICE).astype(int)
     if counts.min() < 4 * reach + 1 or counts.prod() > 10**7:
         raise InputError(
             f"frames: expected at least {4 * reach + 1} nodes a side, got {counts[0]} × {counts[1]}"
         )
-    nodes = np.argwhere(np.ones(counts, bool))
-    x = origin + step * nodes
+    x = every.min(axis=0) + step * np.argwhere(np.ones(counts, bool))
     each = [on_nodes(frame, x, step, radius) for frame in frames]
     fields, seen = np.stack([u for u, _ in each]), np.stack([there for _, there in each])
     there = np.isfinite(fields).all(axis=(0, 2)) & (seen.mean(axis=0) >= OFTEN)
     if mask is not None:
         from matplotlib.path import Path as Polygon
 
-        there &= Polygon(checked("mask", mask, shape=("M", 2))).contains_points(
-            x, radius=1e-9 * step
-        )
+        corners = checked("mask", mask, shape=("M", 2))
+        there &= Polygon(corners).contains_points(x, radius=1e-9 * step)
     grid = there.reshape(counts)
     a, b = np.ogrid[-reach : reach + 1, -reach : reach + 1]
     ball = a**2 + b**2 <= reach**2
@@ -170,8 +165,7 @@ def frames_on_lattice(
             f"none; {frames[count.argmin()].name} has {count.min()} nodes of {len(x)}, "
             f"{frames[count.argmax()].name} has {count.max()}"
         )
-    points = Points(x[there], interior, step, units=named)
-    seen = seen[:, there]
+    points, seen = Points(x[there], interior, step, units=named), seen[:, there]
     return Samples(points, fields[:, there], arrays={} if seen.all() else {SEEN: seen})
 
 
@@ -287,8 +281,8 @@ def on_nodes(
         value = surface(frame, around, x[n], step, radius) if len(around) >= 8 else None
         if not points:
             seen[n] = value is not None or distance[n] <= OWN * step
-        if value is None:
-            far, more = tree.query(x[n], min(AROUND, len(frame.x)))
+        if value is None and len(frame.x) >= AROUND:
+            far, more = tree.query(x[n], AROUND)
             value = surface(frame, more, x[n], step, max(radius, far.max() / step))
         if value is not None:
             fitted[n] = value

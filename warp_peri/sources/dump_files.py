@@ -31,10 +31,6 @@ OF_ASE = (".xyz", ".extxyz", ".traj")
 H5MD_LENGTHS = {"å": 1.0, "a": 1.0, "ang": 1.0} | LENGTHS
 ROUND = 1e-9
 """Part of a box's longest edge that tilts it: less is rounding."""
-WRAPPED = (
-    "atoms jump by an edge of the tilted box, so that they are wrapped: expected the columns "
-    "xu, yu, zu, or the images ix, iy, iz (image of H5MD)"
-)
 LARGEST_HEADER = 2**16
 """Bytes of a text in a binary dump."""
 
@@ -90,7 +86,9 @@ def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
                 raise ValueError("expected the ids of frame 1, got others")
             sure = frame.unwrapped or {"xu", "xsu"} & set(frame.columns)
             if frame.box is None and not sure and jumps(frame, first.x):
-                raise ValueError(WRAPPED)
+                raise ValueError(
+                    "atoms jump by an edge of the tilted box: expected xu, yu, zu, or images"
+                )
             yield frame
             number += 1
     except FileNotFoundError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -20,11 +20,8 @@ RANKS = (
     (("*", "coordinate*", "*coordinate", "coor*"), MOVES),
     (("*def", "*deformed", "*cur", "*current"), MOVES),
 )
-"""Names of positions and displacements in small letters, * for x or y, § for u or v.
-
-What stands first counts: what a stereo system says of the sheet before what it says of an image.
-The last are positions of the current frame.
-"""
+"""Names of positions and displacements in small letters, * for x or y, § for u or v: first what
+stereo systems say of the sheet, not of an image; last positions of the current frame."""
 NEGATIVE = ("sigma", "match", "corrcoef", "correlation", "zncc", "ncc")
 ZERO = ("converged", "valid", "isvalid")
 """Columns that are negative, or zero, where the correlation failed."""
@@ -43,27 +40,19 @@ NEAR, OFF, TIMES = 12, 0.01, 6.0
 differ from it, and in times of what a plane leaves of them."""
 
 
-class Table(NamedTuple):
-    """Points of a frame.
-
-    Attributes:
-        x, u: positions and displacements, shape [P, 2].
-        units: what x, y, u and v are said to be in.
-        current: whether x are positions of the current frame.
-    """
-
-    x: np.ndarray
-    u: np.ndarray
-    units: list[str | None]
-    current: bool
-
-
-def read_table(path: Path) -> Table:
-    """The points of a table whose header names its columns.
+def read_table(
+    path: Path, size: float, unit: str | None
+) -> tuple[np.ndarray, np.ndarray, str | None]:
+    """Positions in the reference and displacements, shape [P, 2], and their unit of length.
 
     Rows are left out where a number is missing or the correlation failed: by a column that says so,
-    or by a value in both components that fills in for lost points. Raises InputError for what is no
-    such table, and where it contradicts itself.
+    or by a number in both components that fills in for lost points.
+
+    Args:
+        path: of a table whose header names its columns.
+        size, unit: of a pixel, and of what is in no unit.
+
+    Raises InputError for what is no such table, and where it contradicts itself.
     """
     lines = [line.strip("\ufeff\r\n") for line in _text(path).splitlines()]
     headers = [split(re.sub(r"^[\s#%*/]+", "", line)) for line in lines[:BEFORE]]
@@ -74,45 +63,41 @@ def read_table(path: Path) -> Table:
         raise InputError(f"{path}: expected columns x, y, u and v, got {shown[:80]!r}")
     header, (fields, units, current) = headers[number], columns
     rows = [split(line) for line in lines[number + 1 :] if not re.match(r"\s*(#|%|\*{3}|$)", line)]
-    if rows and all(map(_unit, said := [dict(enumerate(rows[0])).get(n) for n in fields])):
-        units, rows = said, rows[1:]
     if long := [row for row in rows if len(row) > len(header)]:
         raise InputError(f"{path}: expected {len(header)} fields, as in its header, got {long[0]}")
+    rows = [row + [""] * (len(header) - len(row)) for row in rows]
+    if rows and all(_unit(rows[0][n]) for n in fields):
+        units, rows = [rows[0][n] for n in fields], rows[1:]
     names = [_named(field)[0] for field in header]
     below, nil = ([n for n, name in enumerate(names) if name in of] for of in (NEGATIVE, ZERO))
     asked = [*fields, *below, *nil]
-    table = np.array(
-        [[_number(path, dict(enumerate(row)).get(n, "")) for n in asked] for row in rows]
-    )
+    table = np.array([[_number(path, row[n]) for n in asked] for row in rows], float)
     table = table.reshape(-1, len(asked))
-    good = np.isfinite(table[:, :4]).all(axis=1)
-    good &= (table[:, 4 : 4 + len(below)] >= 0).all(axis=1)
-    good &= (np.nan_to_num(table[:, 4 + len(below) :]) != 0).all(axis=1)
-    table = table[good, :4]
+    ends = 4 + len(below)
+    good = np.isfinite(table[:, :4]).all(axis=1) & (table[:, 4:ends] >= 0).all(axis=1)
+    table = table[good & (np.nan_to_num(table[:, ends:]) != 0).all(axis=1), :4]
     table = table[np.sort(np.unique(table, axis=0, return_index=True)[1])]
     table = table[~filled_in(table[:, :2], table[:, 2:])]
     if not len(table):
         raise InputError(f"{path}: expected points with finite numbers, got none")
     if len(np.unique(table[:, :2], axis=0)) < len(table):
         raise InputError(f"{path}: expected one displacement for each point, some have two")
-    return Table(table[:, :2], table[:, 2:], units, current)
+    each, unit = _factors(path, units, size, unit)
+    x, u = each[:2] * table[:, :2], each[2:] * table[:, 2:]
+    return x - u if current else x, u, unit
 
 
 def _text(path: Path) -> str:
-    """A file's text: UTF-16 or UTF-8 with a mark, UTF-8, or Latin-1."""
+    """A file's text: UTF-16 or UTF-8, else Latin-1."""
     try:
         if path.stat().st_size > LARGEST_FILE:
             raise InputError(f"{path}: expected at most {LARGEST_FILE} bytes")
         data = path.read_bytes()
+        return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
-    marked = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    for encoding in ("utf-16",) if marked else ("utf-8-sig", "latin-1"):
-        try:
-            return data.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-    raise InputError(f"{path}: expected text in UTF-8, UTF-16 or Latin-1")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
 
 
 def split(line: str) -> list[str]:
@@ -132,9 +117,9 @@ def columns_of(path: Path, header: list[str]) -> tuple[list[int], list[str | Non
     None where one is missing; InputError where two say the same.
     """
     names, units = zip(*map(_named, header))
-    for rank, (positions, moves) in enumerate(RANKS):
+    for rank, kinds in enumerate(RANKS):
         found = []
-        for templates in (positions, moves):
+        for templates in kinds:
             for axis, letter in ("xu", "yv"):
                 known = [t.replace("*", axis).replace("§", letter) for t in templates]
                 places = [n for n, name in enumerate(names) if name in known]
@@ -144,8 +129,7 @@ def columns_of(path: Path, header: list[str]) -> tuple[list[int], list[str | Non
             if many := next((places for places in found if len(places) > 1), None):
                 both = " and ".join(repr(header[n]) for n in many)
                 raise InputError(f"{path}: expected one column of a kind, got {both}")
-            fields = [n for (n,) in found]
-            return fields, [units[n] for n in fields], rank == len(RANKS) - 1
+            return [n for (n,) in found], [units[n] for (n,) in found], rank == len(RANKS) - 1
     return None
 
 
@@ -154,13 +138,12 @@ def _named(header: str) -> tuple[str, str | None]:
     if found := re.fullmatch(r"(.+?)\s*[\[(](.*)[\])]", header):
         return re.sub(r"[^a-z0-9]", "", found[1].lower()), found[2].strip() or None
     plain = re.sub(r"[^a-z0-9µμ]", "", header.lower())
-    if found := re.fullmatch(r"([xyuv]|[ud][xy])(mm|cm|[uµμn]m|inch|px|pixels?)", plain):
-        return found[1], found[2]
-    return plain, None
+    found = re.fullmatch(r"([xyuv]|[ud][xy])(mm|cm|[uµμn]m|inch|px|pixels?)", plain)
+    return (found[1], found[2]) if found else (plain, None)
 
 
 def _unit(word: str | None) -> tuple[str | None, float] | None:
-    """The unit of LENGTHS that a word says, and how many of it that is; None for no unit."""
+    """The unit of LENGTHS that a word says, and how many of it; None for no unit."""
     return UNITS.get(re.sub("[µμ]", "u", (word or "").strip("[]()")).lower())
 
 
@@ -174,61 +157,45 @@ def _number(path: Path, field: str) -> float:
     raise InputError(f"{path}: expected a number, got {field!r:.60}")
 
 
-def factors(
-    path: Path, units: list[str | None], size: float, unit: str | None
+def _factors(
+    path: Path, units: list[Any], size: float, unit: str | None
 ) -> tuple[np.ndarray, str | None]:
-    """What x, y, u and v are multiplied by to be in one unit, shape [4], and its name.
+    """What x, y, u and v are multiplied by to be in the unit of x, shape [4], and its name.
 
-    Args:
-        path: of the table.
-        units: that its columns say, of which displacements take those of positions.
-        size, unit: of a pixel, and of a column that says nothing.
-
-    Raises InputError for units that are not known, that contradict the pixel's, and for columns
-    in pixels beside others where nothing says how large a pixel is.
+    What says no unit is in that of x, displacements in that of their position.
     """
-    words = [units[0], units[1] or units[0], units[2] or units[0], units[3] or units[1] or units[0]]
+    x, y, u, v = units
+    words = [x, y or x, u or x, v or y or x]
     if unknown := [word for word in words if word and not _unit(word)]:
         raise InputError(f"{path}: expected units of {', '.join(UNITS)}, got {unknown[0]!r}")
     known = [_unit(word) or (None, 1.0) for word in words]
-    named = {name for name, _ in known}
-    if None not in named and (size, unit) not in ((1.0, None), (1.0, known[0][0])):
-        raise InputError(
-            f"pixel: {path} is in {words[0]}, expected that alone, got {size:g} {unit or ''}"
-        )
-    named = {name or unit for name in named}
-    if None in named and len(named) > 1:
+    if None not in {n for n, _ in known} and (size, unit) not in ((1.0, None), (1.0, known[0][0])):
+        raise InputError(f"pixel: {path} is in {x}, expected that alone, got {size:g} {unit or ''}")
+    known = [(name, one) if name else (unit, size) for name, one in known]
+    if len({name is None for name, _ in known}) > 1:
         said = ", ".join(f"{axis} in {word or 'no unit'}" for axis, word in zip("xyuv", words))
         raise InputError(f"{path}: expected one unit, or the size of a pixel with one, got {said}")
-    first = known[0][0] or unit
-    each = [one * (size if name is None else 1.0) for name, one in known]
-    if first is not None:
-        each = [
-            f * (LENGTHS[name or unit or first] / LENGTHS[first])
-            for f, (name, _) in zip(each, known)
-        ]
-    return np.array(each), first
+    sizes = [LENGTHS.get(name or "", 1.0) for name, _ in known]
+    return np.array([one * (at / sizes[0]) for (_, one), at in zip(known, sizes)]), known[0][0]
 
 
 def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Points whose displacement is one number in both components and not that of those around.
+    """Points whose displacement is one number in both components, and not that of those around.
 
-    So programs fill in for points that they lost: 0, 0 or −1, −1. What the nearest other points
-    tell of the place, by a plane, is what a point that is there shows.
+    So programs fill in for points that they lost: 0, 0 or −1, −1. A plane through the nearest other
+    points tells what a point that is there shows.
     """
-    values, counts = np.unique(u[u[:, 0] == u[:, 1], 0], return_counts=True)
-    suspect = (u[:, 0] == u[:, 1]) & np.isin(
-        u[:, 0], [0.0, -1.0, *values[counts == counts.max(initial=0)]]
-    )
-    lost = np.zeros(len(x), bool)
-    if suspect.all() or len(x) - np.count_nonzero(suspect) < NEAR:
-        return lost
+    same = u[:, 0] == u[:, 1]
+    values, counts = np.unique(u[same, 0], return_counts=True)
+    suspect = same & np.isin(u[:, 0], [0.0, -1.0, *values[counts == counts.max(initial=0)]])
+    if not suspect.any() or np.count_nonzero(~suspect) < NEAR:
+        return np.zeros(len(x), bool)
     near = cKDTree(x[~suspect]).query(x[suspect], NEAR)[1]
     place, moved = x[~suspect][near] - x[suspect, None], u[~suspect][near] - u[suspect, None]
-    scale = np.abs(place).max(axis=(1, 2), keepdims=True)
-    design = np.concatenate([np.ones_like(place[..., :1]), place / scale], axis=2)
+    place = place / np.abs(place).max(axis=(1, 2), keepdims=True)
+    design = np.concatenate([np.ones_like(place[..., :1]), place], axis=2)
     plane = np.linalg.pinv(design) @ moved
     left = np.linalg.norm(moved - design @ plane, axis=2).max(axis=1)
     size = np.median(np.linalg.norm(moved, axis=2), axis=1)
-    lost[suspect] = np.linalg.norm(plane[:, 0], axis=1) > np.maximum(OFF * size, TIMES * left)
-    return lost
+    suspect[suspect] = np.linalg.norm(plane[:, 0], axis=1) > np.maximum(OFF * size, TIMES * left)
+    return np.asarray(suspect)

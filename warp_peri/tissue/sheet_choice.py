@@ -88,10 +88,16 @@ class SheetChoice:
         return self.candidates[0]
 
     @property
+    def fit(self) -> DisplacementFit:
+        """Of the best; InputError where that failed."""
+        if self.best.fit is None:
+            raise InputError(f"frames: no material fits them; {self.best.why}")
+        return self.best.fit
+
+    @property
     def material(self) -> HyperelasticSolid:
         """The best one's; its scale is an initial stiffness of one."""
-        assert self.best.fit is not None
-        return self.best.fit.material
+        return self.fit.material
 
     def curves(
         self,
@@ -102,26 +108,18 @@ class SheetChoice:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band.
 
-        The band is of each learned frame left out, by Student's distribution, and of the relative
-        misfit of frames that were never seen, so that it is not narrower than that. It knows no
-        error that all frames share.
-
-        Args:
-            stretches: along the direction.
-            angle: of it [rad].
-            level: of the band.
-            scaled: a fit's material in the scale that is asked for; its own by default.
-
-        Raises InputError where deviations, which are no material, explain the frames.
+        In the scale of `scaled`, by default the material's own. The band is of each learned frame
+        left out, by Student's distribution, and of the misfit of frames that were never seen: no
+        error that all frames share. Raises InputError where deviations, which are no material,
+        explain the frames.
         """
-        fit, n = self.best.fit, len(self.others)
-        assert fit is not None
-        if (times := stiffest_deviation(fit.material)) > INTERPOLATES:
+        n = len(self.others)
+        if (times := stiffest_deviation(self.material)) > INTERPOLATES:
             raise InputError(
                 f"frames: deviations came out {times:.0f} times as stiff as the sheet at rest and "
                 "explain the frames in the place of a material, which has no curves then"
             )
-        middle = uniaxial(scaled(fit), stretches, angle)
+        middle = uniaxial(scaled(self.fit), stretches, angle)
         if n < 2:
             return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
         values = np.array([uniaxial(scaled(fit), stretches, angle) for fit in self.others])
