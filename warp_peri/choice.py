@@ -261,7 +261,8 @@ def choose_model(
     home to at the scene's shortest wave. Costs are the measured ones: of factorisations grown with
     the power 1.5 of the unknowns, of all else in proportion to them, of conjugate gradients from a
     large domain, where the horizon hardly matters. Of two that cost the same the more accurate is
-    taken.
+    taken; a nonlinear solid, whose solves are made of linear ones, only where no linear one keeps
+    the tolerance.
 
     Raises InputError for a wave shorter than any that was measured, or a tolerance that is no
     number above zero or that nothing in the table keeps.
@@ -289,7 +290,8 @@ def choose_model(
             f"tolerance: no measured model comes within {100 * tolerance:g} % on such loads; the "
             f"best has {100 * best:.2g} %"
         )
-    way = min(good)
+    enough = [way for way in good if way.answer != "nonlinear"]
+    way = min(enough if any(way.answer == "linear" for way in good) else good)
     row = table["rows"][way.number]
     kind = "short waves" if short else "long waves"
     at = "" if scene.strain is None else f" at |H| = {100 * scene.strain:.2g} %"

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered, placed, taken
 from warp_peri.dynamics.motion import Motion
+from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -85,7 +86,8 @@ class Periodic:
         """The material at rest, with a displacement of zero mean."""
         operator = placed(material, nodes_of(self.points), **options)
         rest = offered(operator, "rest_periodic", "solve", "a law that solves periodic problems")
-        return rest(self.b, solver)  # type: ignore[no-any-return]
+        load = checked("b", self.b, float, (..., *self.points.x.shape))
+        return rest(load, solver)  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import meshio
 import numpy as np
 import pytest
 
@@ -77,3 +78,26 @@ def test_a_crystal_is_certified_and_solved_by_its_commands(folder, tmp_path, cap
         load_dataset(p)["test"].u for p in (tmp_path / "solved.h5", f"{folder}/crystal.h5")
     )
     np.testing.assert_allclose(found, true, atol=1e-8 * np.abs(true).max())
+
+
+def test_what_is_placed_on_no_nodes_is_refused_in_words(folder, tmp_path, capsys):
+    linear = wp.Model(0.8, 0.8, 1.0, [1.0], horizon=2.0)
+    wp.save(tmp_path / "brittle.json", wp.damage.BrittleSolid(linear, 2.0, toughness=0.01))
+    square = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+    triangles = [("triangle", np.array([[0, 1, 2], [0, 2, 3]]))]
+    meshio.write(tmp_path / "plate.vtu", meshio.Mesh(np.array(square, float), triangles))
+    data = str(folder / "crystal.h5")
+    for name, kind in (("brittle.json", "BrittleSolid"), ("plate.vtu", "Mesh")):
+        given, out = str(tmp_path / name), str(tmp_path / "out")
+        for words in (
+            ["evaluate", given, data],
+            ["export", "fields", given, "--data", data, "--out", out],
+            ["solve", given, data, "--out", out + ".h5"],
+        ):
+            assert main(words) != 0
+            err = capsys.readouterr().err
+            assert f"expected a material that is placed on nodes, got {kind}" in err
+    wp.save(tmp_path / "heat.json", wp.diffusion.Conductor(2.0))
+    main(["evaluate", str(tmp_path / "heat.json"), data, "--json"])
+    printed = capsys.readouterr()
+    assert "b: expected shape" in printed.out + printed.err

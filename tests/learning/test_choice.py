@@ -196,6 +196,16 @@ def test_strain_loads_and_kinds_of_answers_decide():
     assert many.seconds > choose_model(tolerance=0.05, scene=SMALL, table=linear).seconds
 
 
+def test_a_linear_solid_that_is_enough_is_taken_before_a_nonlinear_one():
+    rows = [
+        row("rest", 5.0, 20.0, 0.002, 0.01) | {"kind": "third order", "label": "bent"},
+        row("lu", 5.0, 20.0, 0.01, 0.05),
+    ]
+    table = TABLE | {"rows": rows}
+    assert choose_model(tolerance=0.03, scene=SMALL, table=table).answer == "linear"
+    assert choose_model(tolerance=0.005, scene=SMALL, table=table).answer == "nonlinear"
+
+
 def test_the_command_plans(tmp_path, capsys):
     points = lattice(20, 2.5, spacing=5.0)
     b = 1e-4 * np.cos(2 * np.pi * points.x[None, :, :1] / 60.0) * [0.0, 1.0]

@@ -236,8 +236,11 @@ def test_training_prints_errors_in_percent_as_evaluate_does(samples, tmp_path, c
     words = ["train", tmp_path / "d.h5", "--out", tmp_path / "o", "--horizon", HORIZON]
     assert main([*map(str, words), "--degree", "2"]) == 0
     lines = capsys.readouterr().out.splitlines()
+    assert not any(line.startswith("not_evaluated") for line in lines)
     kept = json.loads((tmp_path / "o" / "metrics.json").read_text())
-    printed = float(lines[lines.index("E_res [%]:") + 1].split(":")[1])
+    printed = float(
+        lines[lines.index("E_res [%], of forces, which amplify short waves:") + 1].split(":")[1]
+    )
     assert printed == pytest.approx(100 * kept["E_res"]["train"], rel=1e-5)
     start = lines.index("shares of the squared residual [%]:")
     shares = [float(line.split(":")[1]) for line in lines[start + 1 : start + 6]]

@@ -84,8 +84,8 @@ def test_what_is_refused():
             wp.methods.PolakRibiere(**asked)
     asked = wp.methods.PolakRibiere()
     for b, given, words in (
-        (u[:3], u, "b, u: expected shape"),
-        (None, u[:3], "b, u: expected shape"),
+        (u[:3], u, "b: expected shape"),
+        (None, u[:3], "u: expected shape"),
         (np.nan * u, u, "finite"),
         (u, np.nan * u, "finite"),
     ):

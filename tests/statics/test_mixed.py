@@ -177,14 +177,25 @@ def test_fluids_and_loads_that_make_no_sense_are_refused():
     body, model = plate(12, 12), solid().model
     points = Points(body.x, np.abs(body.x).max(axis=1) <= 5, 1.0)
     crack = [[(-3, 0), (3, 0)]]
-    for stress in ([[0.0, 1.0], [0.0, 0.0]], np.full((2, 2), np.inf)):
-        with pytest.raises(InputError, match="stress: expected a finite, symmetric one"):
+    for stress, words in (
+        ([[0.0, 1.0], [0.0, 0.0]], "stress: expected a finite, symmetric one"),
+        (np.full((2, 2), np.inf), "pressure: expected finite values, got inf"),
+        (np.eye(3), "pressure: expected shape"),
+    ):
+        with pytest.raises(InputError, match=words):
             solve(model, Cracked(points, cracks=crack, pressure=stress))
     with pytest.raises(InputError, match="normal: expected one along an axis"):
         opening_volume(solve(model, Cracked(points, cracks=crack)), (0.7, 0.7))
     for halves in ([3.0, 2.0], [1.0], []):
         with pytest.raises(InputError, match="half lengths that rise"):
             Injected(points, halves)
+    room = np.abs(points.x).max() - 1
+    Injected(points, [room])
+    for beyond in (room + 0.5, 10 * room):
+        with pytest.raises(InputError, match="crack: expected half lengths up to"):
+            Injected(points, [2.0, beyond])
+    with pytest.raises(InputError, match="crack: expected float values"):
+        Injected(points, "ab")
     with pytest.raises(InputError, match="leak, compressibility: expected numbers ≥ 0"):
         Injected(points, [2.0], leak=-1.0)
     with pytest.raises(InputError, match="expected a BrittleSolid with a toughness"):

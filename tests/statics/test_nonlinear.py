@@ -88,7 +88,7 @@ def test_iterative_linear_solves_give_the_same_answer(monkeypatch):
 def test_wrong_input_is_refused():
     model = proven("energy")
     points = lattice(2, HORIZON)
-    with pytest.raises(InputError, match=r"b, u_collar: expected shape \[S, 196, 2\]"):
+    with pytest.raises(InputError, match=r"b: expected shape \[196, 2\], got \[5, 2\]"):
         solve_nonlinear(model, points, noise(points)[:5], noise(points))
-    with pytest.raises(InputError, match="b, u_collar: expected finite values"):
+    with pytest.raises(InputError, match="b: expected finite values"):
         solve_nonlinear(model, points, np.nan * noise(points), noise(points))

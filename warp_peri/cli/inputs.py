@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 import warp_peri
+from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.points.arrays import checked
@@ -104,6 +105,7 @@ def influence_table(path: str) -> tuple[np.ndarray, np.ndarray]:
 
 def data_for(given: argparse.Namespace, model: Any) -> Dataset:
     """The data in the units of a model, with the axis of its crystal where one was typed."""
+    offered(model, "on", given.command, "a material that is placed on nodes")
     data = load_dataset(given.data, units=model.units)
     if given.axis is None:
         return data

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import io
+import re
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
@@ -12,7 +14,7 @@ import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, plain, whole_file, write_json, write_text
-from warp_peri.sources.dump_files import LARGEST_HEADER
+from warp_peri.sources.dump_files import LARGEST_HEADER, MARKS, encoding_of, unpacked
 from warp_peri.storage import save
 
 
@@ -64,9 +66,10 @@ def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any
 
 
 def read_structure(path: Path) -> Any:
-    """The last structure of a file that ASE reads; InputError for any other.
+    """The last structure of a file that ASE reads, packed or not; InputError for any other.
 
-    Of a dump that names no elements ASE would take the types for atomic numbers.
+    Of a dump that names no elements, or a data file of LAMMPS without masses, ASE would take the
+    types for atomic numbers.
     """
     import ase.io
 
@@ -75,12 +78,31 @@ def read_structure(path: Path) -> Any:
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     with path.open("rb") as file:
-        head = file.read(LARGEST_HEADER)
-    if head.startswith(b"ITEM:") and b" element" not in head:
-        raise InputError(f"{path}: expected a structure with its elements, got a dump without")
-    try:
-        found: Any = ase.io.read(path, index=-1)
-    except Exception as error:  # ASE's readers raise whatever their parsing runs into
-        why = f"{type(error).__name__}: {error}"
-        raise InputError(f"{path}: ASE reads no structure from it ({why})") from None
+        start = file.read(LARGEST_HEADER)
+    with tempfile.TemporaryDirectory() as folder:
+        readable = path
+        try:
+            with unpacked(path, start) as stream:
+                head = stream.read(LARGEST_HEADER)
+                if head != start or head.startswith(MARKS):  # ASE goes by the ending alone
+                    readable = (
+                        Path(folder) / path.with_suffix("" if head != start else path.suffix).name
+                    )
+                    whole = head + stream.read()
+                    if whole.startswith(MARKS):
+                        whole = whole.decode(encoding_of(whole)).encode()
+                    readable.write_bytes(whole)
+                    head = whole[:LARGEST_HEADER]
+            if head.startswith(b"ITEM:") and b" element" not in head:
+                raise InputError("expected a structure with its elements, got a dump without")
+            of_lammps = re.search(rb"xlo\s+xhi", head) is not None
+            if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
+                raise InputError("expected the masses of the types in a LAMMPS data file, got none")
+            asked = {"format": "lammps-data"} if of_lammps else {}
+            found: Any = ase.io.read(readable, index=-1, **asked)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+        except Exception as error:  # ASE's readers raise whatever their parsing runs into
+            why = f"{type(error).__name__}: {error}"
+            raise InputError(f"{path}: ASE reads no structure from it ({why})") from None
     return found

@@ -35,6 +35,9 @@ HORIZON, DEGREE = 20.0, 10
 SHEET = {"thickness": 3.35, "density": 2200.0}
 """Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
 
+ERRORS = {"E_res": "of forces, which amplify short waves", "E_u": "of displacement, once solved"}
+"""Errors that training prints, and what they are of."""
+
 TYPED_BOX = 1e-3
 """Relative difference of a typed period from that of the dump."""
 
@@ -190,8 +193,10 @@ def in_percent(metrics: Result) -> Result:
     shown: Result = {}
     units = tuple(metrics["units"])
     for key, value in metrics.items():
-        if key in ("E_res", "E_u"):
-            shown[f"{key} [%]"] = {
+        if key == "not_evaluated" and not value:
+            continue
+        if key in ERRORS:
+            shown[f"{key} [%], {ERRORS[key]}"] = {
                 name: "–" if error is None else 100 * error for name, error in value.items()
             }
         elif key == "residual":

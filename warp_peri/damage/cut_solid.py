@@ -16,6 +16,7 @@ from warp_peri.damage.operator import bond_weights, cut_matrix
 from warp_peri.damage.stability import check_cut, check_horizon
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
+from warp_peri.points.arrays import checked
 from warp_peri.stability import inertia
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.solution import Solution
@@ -96,14 +97,10 @@ class CutSolid:
         Raises InputError for other shapes and for what is not finite.
         """
         shape = self.body.x.shape
-        load = np.zeros(shape) if b is None else np.asarray(b, dtype=float)
-        for name, field in (("u", np.asarray(u, dtype=float)), ("b", load)):
-            if field.shape != shape:
-                raise InputError(f"{name}: expected shape {list(shape)}, got {list(field.shape)}")
-        solved, load = np.array(u, dtype=float).ravel(), load.ravel()
-        solved[self.free] = 0
-        if not (np.isfinite(solved).all() and np.isfinite(load).all()):
-            raise InputError("u, b: expected finite numbers where displacement or load is given")
+        load = np.zeros(shape) if b is None else checked("b", b, float, shape)
+        given = np.ones(load.size, bool)
+        given[self.free] = False
+        solved = np.where(given, checked("u", u, float, shape, given.reshape(shape)).ravel(), 0.0)
         answer = self._problem.solve(load.reshape(1, *shape), solved.reshape(1, *shape))
         self.left = self._problem.left
         return np.asarray(answer[0])

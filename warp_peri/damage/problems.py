@@ -19,6 +19,7 @@ from warp_peri.damage.slow_growth import grow
 from warp_peri.damage.softening import SoftBody
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.settings import Direct, refuse_solver
@@ -89,10 +90,12 @@ class Cracked:
         taken(options, "solve")
         body = self.body(material, "solve")
         cut = CutSolid(material, body, self.held, cracks=self.cracks)
-        load = np.zeros_like(body.x) if self.b is None else np.asarray(self.b, dtype=float)
+        x = body.x
+        load = np.zeros_like(x) if self.b is None else checked("b", self.b, float, x.shape)
         if self.pressure is not None:
-            load = load + crack_load(cut, np.asarray(self.pressure, dtype=float))
-        u = cut.solve(load, np.zeros_like(body.x) if self.u is None else np.asarray(self.u))
+            d = x.shape[1]
+            load = load + crack_load(cut, checked("pressure", self.pressure, float, (d, d)))
+        u = cut.solve(load, np.zeros_like(x) if self.u is None else self.u)
         return Solution(u, self.points, cut, load[cut.inside], "lu", measured=cut.left)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
@@ -128,7 +131,11 @@ class Cracked:
         )
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
-        u = np.zeros_like(body.x) if self.u is None else np.asarray(self.u, dtype=float)
+        u = (
+            np.zeros_like(body.x)
+            if self.u is None
+            else checked("u", self.u, float, body.x.shape, self.held)
+        )
         if "events" in options:
             (how,) = taken(options, "move", grow, given=("cracks",))
             return grow(material.linear, body, self.held, u, cracks=self.cracks, **how)
@@ -174,10 +181,18 @@ class Injected:
                 "leak, compressibility: expected numbers ≥ 0, got "
                 f"{self.leak} and {self.compressibility}"
             )
-        h, halves = self.points.spacing, self.halves
+        h, halves = self.points.spacing, checked("crack", self.halves, float, ("n",))
         if not (len(halves) > 0 and halves[0] > h and (np.diff(halves) > 0).all()):
+            given = halves.tolist()
             raise InputError(
-                f"crack: expected half lengths that rise from more than {h:g}, got {list(halves)}"
+                f"crack: expected half lengths that rise from more than {h:g}, got {given}"
+            )
+        flat = np.delete(self.points.x, 1, axis=1)  # the plane of the crack
+        room = float(np.minimum(-flat.min(axis=0), flat.max(axis=0)).min()) - h
+        if halves[-1] > room:
+            raise InputError(
+                f"crack: expected half lengths up to {room:g}, a spacing less than the body's, got "
+                f"{halves[-1]:g}"
             )
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:

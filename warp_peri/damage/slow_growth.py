@@ -19,6 +19,7 @@ from warp_peri.damage.stability import check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
+from warp_peri.points.arrays import check_whole
 
 TOGETHER = 1e-6
 """Bonds so close to the most stretched one break with it: mirror images, to rounding."""
@@ -55,6 +56,7 @@ def grow(
 
     Raises InputError for a body that CutSolid refuses, and another `no_fail`.
     """
+    check_whole("events", events, 1)
     check_breakable(model, body.classes)
     neighbour = cracked(body, cracks)
     xi, r = body.xi, body.r

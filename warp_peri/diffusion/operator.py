@@ -18,7 +18,7 @@ from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
-from warp_peri.points.arrays import check_positive, check_whole
+from warp_peri.points.arrays import check_positive, check_whole, checked, checked_fields
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.series import mean_inverse
@@ -139,7 +139,8 @@ class DiffusionOperator:
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """The source on the interior nodes, [..., I]."""
-        return np.asarray(b, dtype=float)[..., self.rows]
+        inside = self.points.interior
+        return checked("b", b, float, (..., len(inside)), inside)[..., self.rows]
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative along v, which is L v for every φ."""
@@ -169,9 +170,8 @@ class DiffusionOperator:
         singular, as of a piece that nothing touches, or has eigenvalues below zero (`inner`).
         """
         refuse_solver(solver, (Direct,), "diffusion")
-        phi = np.array(u, dtype=float)
-        load = self.load(self._checked("b", np.zeros_like(phi) if b is None else b, phi.shape))
-        self._checked("u", phi, phi.shape)
+        b, phi = checked_fields(self.points, b, u, (len(self.points.x),))
+        load = self.load(b)
         matrix, inner, left = self.matrix(), self.inner(), 0.0
         count = len(self.points.x)
         try:
@@ -216,35 +216,22 @@ class DiffusionOperator:
         """
         check_steps(step, steps)
         shape, rows = (len(self.points.x),), self.rows
-        now = self._checked("u", np.array(u, dtype=float), shape, whole=True)
-        source = self.load(self._checked("b", np.zeros(shape) if b is None else b, shape))
+        now = checked("u", u, float, shape).copy()
+        source = self.load(checked_fields(self.points, b, now, shape)[0])
         matrix, gain = self.matrix(), step * source
         factors = splu(sp.csc_matrix(sp.eye_array(len(rows)) + step / 2 * self.inner()))
         kept = [now]
         for number in range(1, steps + 1):
             later = now.copy()
             if collar is not None:
-                later = self._checked("collar", np.array(collar(number * step)), shape)
+                outer = ~self.points.interior
+                later = checked("collar", collar(number * step), float, shape, outer).copy()
             later[rows] = 0
             right = now[rows] - step / 2 * (matrix @ now + matrix @ later) + gain
             later[rows] = factors.solve(right)
             now = later
             kept.append(now)
         return Motion(step * np.arange(steps + 1), now, None, {"u": np.stack(kept)})
-
-    def _checked(
-        self, name: str, values: ArrayLike, shape: tuple[int, ...], *, whole: bool = False
-    ) -> np.ndarray:
-        """Values of this shape; finite on the interior (b), off it (φ), or everywhere."""
-        field, count = np.asarray(values, dtype=float), len(self.points.x)
-        if field.shape != shape or field.shape[-1:] != (count,) or field.ndim > 2:
-            raise InputError(
-                f"{name}: expected shape [{count}] or [S, {count}], got {list(field.shape)}"
-            )
-        read = self.points.interior if name == "b" else ~self.points.interior
-        if not np.isfinite(field if whole else field[..., read]).all():
-            raise InputError(f"{name}: expected finite values where they are given")
-        return field
 
     def gradient(self, phi: np.ndarray, seed: np.ndarray) -> DiffusionGradient:
         """Derivatives of seed · L φ, seed of shape [I]."""
@@ -315,7 +302,7 @@ def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.nd
             return np.broadcast_to(values, len(near))
 
         return np.asarray(1 / mean_inverse(along))
-    values = np.asarray(kappa, dtype=float)
+    values = checked("conductivity", kappa)
     if values.shape not in ((), (len(points.x),)):
         raise InputError(
             f"conductivity: expected a number, a function, or shape [{len(points.x)}], got "

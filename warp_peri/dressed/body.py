@@ -348,12 +348,7 @@ class Body:
 
     def fields(self, u: ArrayLike) -> np.ndarray:
         """Fields [S, N, d] of finite numbers."""
-        values = checked("u", u, float)
-        if values.ndim < 2 or values.shape[-2:] != self.points.x.shape:
-            raise InputError(
-                f"u: expected shape [..., {', '.join(map(str, self.points.x.shape))}], got "
-                f"{list(values.shape)}"
-            )
+        values = checked("u", u, float, (..., *self.points.x.shape))
         return values.reshape(-1, *self.points.x.shape)
 
     def flat(self, u: ArrayLike) -> np.ndarray:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from warp_peri.dressed.finite import STEPS, FiniteSolid, curvature, density, strains, stress
 from warp_peri.dressed.finite_sweeps import ByElements
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.axis import axis_of
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike
@@ -192,7 +192,8 @@ class FiniteBody:
         inside = self.points.interior
         if inside.all():
             raise InputError("interior: expected some nodes that are held, got none")
-        held = np.where(inside[:, None], 0.0, np.asarray(u, dtype=float))
+        b, u = checked_fields(self.points, b, u)
+        held = np.where(inside[:, None], 0.0, u)
         answers, loads = self._fields(held).copy(), self._fields(b)[:, inside]
         inverse = self._at_rest.cheapest_inverse(SOLVES * len(answers))
         way = Equilibria(lambda field: self._force(field[None])[0], self.straight, inverse, inside)
@@ -213,7 +214,7 @@ class FiniteBody:
             answers.reshape(np.shape(u)),
             self.points,
             self,
-            self.load(np.asarray(b)),
+            self.load(b),
             ", ".join(sorted({record.method for record in records})),
             tuple(record.solves for record in records),
             sure if all(record.unique for record in records) else None,

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked_fields
 from warp_peri.statics.conjugate_gradients import definite
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
@@ -44,6 +45,7 @@ def at_rest(body: Body, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> So
             "solver: expected Krylov(tolerance=…) alone for a dressed body, whose "
             f"preconditioner is its own diagonal, got {asked!r:.100}"
         )
+    b, u = checked_fields(body.points, b, u)
     turned, pulled = (body.fields(field) @ body.axes for field in (u, b))
     alive = body.stiffness.any(axis=1)
     dead = np.abs(pulled[:, inside & ~alive]).max(initial=0.0)

@@ -20,6 +20,7 @@ from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.models.lps import lps_stencil
 from warp_peri.points.arrays import check_positive, check_whole
+from warp_peri.points.arrays import checked as read
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.transfer.cache import model_at
@@ -233,14 +234,9 @@ def checked(
     """
     shape = points.x.shape
     arrays = {
-        name: np.zeros(shape) if field is None else np.array(field, dtype=float)
+        name: np.zeros(shape) if field is None else read(name, field, float, shape).copy()
         for name, field in fields.items()
     }
-    for name, field in arrays.items():
-        if field.shape != shape or not np.isfinite(field).all():
-            raise InputError(
-                f"{name}: expected finite values of shape {list(shape)}, got {list(field.shape)}"
-            )
     check_positive("step", step)
     check_whole("steps", steps, 1)
     check_whole("every", every, 1)

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from warp_peri.core.grid import Grid
 from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import Product
-from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.points import Points
 from warp_peri.statics.linear import Linear
 from warp_peri.statics.settings import Krylov, Solver, refuse_solver
@@ -80,10 +80,9 @@ class Operator:
         """
         refuse_solver(solver, (Krylov,), "a law of micromodulus tensors")
         asked = solver if isinstance(solver, Krylov) else Krylov()
+        b, u = checked_fields(self.points, b, u)
         fields, lead = self.checked(np.where(self.points.interior[:, None], 0.0, u))
         loads = self.checked(np.where(self.points.interior[:, None], b, 0.0))[0]
-        if loads.shape != fields.shape:
-            raise InputError(f"b: expected shape {list(fields.shape)}, got {list(loads.shape)}")
         proof = getattr(self.model, "certificate", None)
         if proof is None or not proof.holds:
             self.linear.check_definite()
@@ -193,14 +192,6 @@ class Operator:
 
     def checked(self, u: ArrayLike) -> tuple[np.ndarray, tuple[int, ...]]:
         """Fields [S, N, d] and the shape of what stands before a field."""
-        values = np.asarray(u)
         shape = self.points.x.shape
-        if values.ndim < 2 or values.shape[-2:] != shape or values.dtype.kind not in "fiu":
-            raise InputError(
-                f"u: expected numbers of shape [..., {shape[0]}, {shape[1]}], got "
-                f"{values.dtype} of shape {list(values.shape)}"
-            )
-        if not np.isfinite(values).all():
-            raise InputError("u: expected finite values")
-        lead = values.shape[:-2]
-        return np.asarray(values, float).reshape(-1, *shape), lead
+        values = checked("u", u, float, (..., *shape))
+        return values.reshape(-1, *shape), values.shape[:-2]

@@ -11,8 +11,8 @@ from warp_peri.errors import InputError
 from warp_peri.neural.equilibrium import Equilibrium
 from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.placed import Placed
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import Samples
-from warp_peri.statics.lps import checked_fields
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 

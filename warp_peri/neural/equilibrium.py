@@ -12,6 +12,7 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, gmres, splu
 from warp_peri.errors import InputError
 from warp_peri.neural.matrix import matrix
 from warp_peri.neural.placed import Placed, Tangent
+from warp_peri.points.arrays import checked_fields
 from warp_peri.statics.at_rest import probed
 from warp_peri.statics.equilibria import Equilibria
 from warp_peri.statics.linear import Linear
@@ -139,9 +140,5 @@ class Equilibrium:
 
     def _checked(self, b: ArrayLike, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The load on the interior, and the field."""
-        load, field = (np.array(part, float) for part in (b, u))
-        shape = self.placed.points.x.shape
-        for name, part in (("b", load), ("u", field)):
-            if part.shape != shape:
-                raise InputError(f"{name}: expected shape {[*shape]}, got {[*part.shape]}")
+        load, field = checked_fields(self.placed.points, b, u)
         return load[self.rows], field

@@ -13,7 +13,11 @@ LARGEST = 1e100
 
 
 def checked(
-    name: str, value: Any, kind: type = float, shape: tuple[int | str, ...] | None = None
+    name: str,
+    value: Any,
+    kind: type = float,
+    shape: tuple[Any, ...] | None = None,
+    read: np.ndarray | bool = True,
 ) -> np.ndarray:
     """An array of float64, of bool, or of whole numbers, whose entries are all there.
 
@@ -21,7 +25,8 @@ def checked(
         name: of it in messages.
         value: what a user gave.
         kind: float, bool or int.
-        shape: that it must have; names stand for any length.
+        shape: that it must have; names stand for any length, a first … for any axes before.
+        read: which entries count, of a shape that broadcasts; what others hold is not looked at.
 
     Raises InputError for complex numbers, text and objects, for masked entries, for numbers that
     are not finite or beyond LARGEST, and for another shape.
@@ -33,30 +38,60 @@ def checked(
     value = np.asarray(masked.data)
     if value.dtype.kind not in {bool: "b", int: "iu"}.get(kind, "fiu"):
         raise InputError(f"{name}: expected {kind.__name__} values, got {value.dtype}")
-    if np.any(masked.mask):
-        first = np.argwhere(np.ma.getmaskarray(masked))[0].tolist()
+    if shape is not None:
+        last = shape[1:] if shape[:1] == (...,) else shape
+        there = value.shape[value.ndim - len(last) :] if last is not shape else value.shape
+        if len(there) != len(last) or any(w not in (n, str(w)) for n, w in zip(there, last)):
+            wanted = ", ".join("…" if w is ... else str(w) for w in shape)
+            raise InputError(f"{name}: expected shape [{wanted}], got {list(value.shape)}")
+    if np.any(masked.mask & read):
+        first = np.argwhere(np.ma.getmaskarray(masked) & read)[0].tolist()
         raise InputError(
             f"{name}: expected values everywhere, got {np.count_nonzero(masked.mask)} of "
             f"{value.size} masked, the first at index {first}"
         )
+    value = np.asarray(masked.filled(0)) if np.any(masked.mask) else value
     value = np.require(value, np.float64 if kind is float else value.dtype, ["C", "W"])
-    if kind is float and not np.isfinite(value).all():
-        bad = np.argwhere(~np.isfinite(value))[0].tolist()
+    if kind is float and not (
+        np.isfinite(value).all() or (np.isfinite(value) | np.logical_not(read)).all()
+    ):
+        bad = np.argwhere(~np.isfinite(value) & read)[0].tolist()
         raise InputError(f"{name}: expected finite values, got {value[tuple(bad)]} at index {bad}")
     if kind is float and value.size and np.abs(value).max() > LARGEST:
-        bad = np.unravel_index(np.abs(value).argmax(), value.shape)
-        index = [int(index) for index in bad]
-        raise InputError(
-            f"{name}: expected values below {LARGEST:g}, got {value[bad]:g} at index {index}"
-        )
-    if shape is not None and (
-        value.ndim != len(shape)
-        or any(wanted not in (n, str(wanted)) for n, wanted in zip(value.shape, shape))
-    ):
-        raise InputError(
-            f"{name}: expected shape [{', '.join(map(str, shape))}], got {list(value.shape)}"
-        )
+        size = np.where(read, np.abs(value), 0.0)
+        bad = np.unravel_index(size.argmax(), value.shape)
+        if size[bad] > LARGEST:
+            index = [int(index) for index in bad]
+            raise InputError(
+                f"{name}: expected values below {LARGEST:g}, got {value[bad]:g} at index {index}"
+            )
     return np.asarray(value)
+
+
+def checked_fields(
+    points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None, *, least: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """Load and displacement of a problem on nodes, for every material; the second a copy.
+
+    Args:
+        points: nodes; b is looked at on the interior, u on the others.
+        b: None for no load.
+        u: shape [N, d] or [S, N, d]; b has the same.
+        one: shape of one field where it is not [N, d].
+        least: S is no less.
+
+    Raises InputError as `checked`, and for other shapes.
+    """
+    one = points.x.shape if one is None else one
+    inside = points.interior.reshape(-1, *[1] * (len(one) - 1))
+    field = checked("u", u, float, (..., *one), ~inside).copy()
+    if field.ndim > len(one) + 1 or len(field) < least:
+        shown = ", ".join(map(str, one))
+        raise InputError(
+            f"u: expected shape [{shown}] or [S, {shown}], S ≥ {least}, got {list(field.shape)}"
+        )
+    load = np.zeros(field.shape) if b is None else checked("b", b, float, field.shape, inside)
+    return load, field
 
 
 def is_number(value: Any) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arrays import check_whole, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 from warp_peri.shown import Shown
 
@@ -105,7 +105,9 @@ class Points(Shown):
             units: of length and stress.
             axis: of the material, as of Points.
         """
-        grid = np.indices(sides).reshape(len(sides), -1).T
+        for side in sides:
+            check_whole("sides", side, 1)
+        grid = np.indices(tuple(map(int, sides))).reshape(len(sides), -1).T
         box = tuple(n * spacing for n in sides)
         return cls(
             spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis

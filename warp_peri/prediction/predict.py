@@ -14,11 +14,10 @@ import numpy as np
 
 from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import is_positive
+from warp_peri.points.arrays import checked_fields, is_positive
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Answer, combined
 from warp_peri.prediction.placed import GROWN, ROUGH, Parts, PlacedMembers
-from warp_peri.statics.lps import checked_fields
 
 SOLVED, SHARE = 0.03, 0.3
 """The first linear solve goes to this relative residual, or to this share of the tolerance; the

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import io
 import os
@@ -17,7 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.unit_names import LENGTHS
 
 FRAME = "ITEM: TIMESTEP"
-EXPECTED = "a LAMMPS dump (text, gzip, zstd or binary), H5MD, .extxyz, .xyz or .traj"
+EXPECTED = "a LAMMPS dump (text, gzip, bzip2, zstd or binary), H5MD, .extxyz, .xyz or .traj"
 BEFORE_FRAME = ("ITEM: UNITS", "ITEM: TIME")
 """What `dump_modify units yes` and `time yes` write ahead of a frame."""
 ANGSTROM_UNITS = ("metal", "real")
@@ -25,7 +26,10 @@ ANGSTROM_UNITS = ("metal", "real")
 POSITIONS = ("x", "xs", "xu", "xsu")
 """Columns of positions, in the order in which they are looked for."""
 IMAGES = ("ix", "iy", "iz")
-GZIP, ZSTD, HDF5, MAGIC = b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\x89HDF", b"DUMPCUSTOM"
+GZIP, BZIP2, ZSTD = b"\x1f\x8b", b"BZh", b"\x28\xb5\x2f\xfd"
+MARKS = b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf"
+"""Of text in UTF-16, either byte order, and in UTF-8."""
+HDF5, MAGIC = b"\x89HDF", b"DUMPCUSTOM"
 OF_ASE = (".xyz", ".extxyz", ".traj")
 """Endings of files that ASE reads, frame by frame."""
 H5MD_LENGTHS = {"å": 1.0, "a": 1.0, "ang": 1.0} | LENGTHS
@@ -63,8 +67,8 @@ class Frame:
 def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
     """Every frame of a trajectory, one in memory at a time.
 
-    LAMMPS dumps (`dump custom`) as text, packed by gzip or zstd, or binary; H5MD with units; and
-    .xyz, .extxyz and .traj by ASE. What it is is told from the content. Wrapped positions are
+    LAMMPS dumps (`dump custom`) as text, packed by gzip, bzip2 or zstd, or binary; H5MD with units;
+    and .xyz, .extxyz and .traj by ASE. What it is is told from the content. Wrapped positions are
     unwrapped where the file has images, and a warning says so.
 
     Args:
@@ -122,18 +126,26 @@ def _frames_of(path: str | os.PathLike[str]) -> Iterator[Frame]:
     elif str(path).endswith(OF_ASE) and not head.startswith(b"ITEM:"):
         yield from _by_ase(path)
     else:
-        with _unpacked(path, head) as stream:
+        with unpacked(path, head) as stream:
             if MAGIC in head:
                 yield from _binary(stream)
                 return
-            with io.TextIOWrapper(stream, encoding="utf-8") as lines:
+            with io.TextIOWrapper(stream, encoding=encoding_of(head)) as lines:
                 for text in _texts(lines):
                     yield _of_text(text)
 
 
-def _unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
+def encoding_of(head: bytes) -> str:
+    """Of text, by the mark that it may begin with."""
+    return "utf-16" if head.startswith(MARKS[:2]) else "utf-8-sig"
+
+
+def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
+    """The bytes of a file, packed or not, by how it begins."""
     if head.startswith(GZIP):
         return gzip.open(path, "rb")
+    if head.startswith(BZIP2):
+        return bz2.open(path, "rb")
     if head.startswith(ZSTD):
         try:
             import zstandard

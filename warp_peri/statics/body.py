@@ -25,6 +25,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.strain import edge_strain, largest_strain
 from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.points.unit_names import symbols
+from warp_peri.stability.certificate import certify
 from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.body_loads import check_part, loads_on
 from warp_peri.statics.bulk import MARGIN, Bulk, bulk_points, cubic, on_all
@@ -277,11 +278,25 @@ def _on_lattice(
     model: Model, mesh: Any, b: Field | None, coupling: Coupling, *, allowed: bool
 ) -> tuple[Model, float, tuple[Tried, ...]]:
     """The model on the bulk's lattice, its spacing, and what was tried where none was asked for."""
+    if not (model.certified_on or (allowed and coupling.spacing)):
+        model = _proven(model, coupling.spacing)
     if coupling.spacing is not None:
         here = model_at(model, coupling.spacing, allow_uncertified=allowed)
         return here, coupling.spacing, ()
     here, tried = bulk_lattice(model, mesh, b, coupling.overlap)
     return here, tried[-1].spacing, tried
+
+
+def _proven(model: Model, spacing: float | None) -> Model:
+    """A model without a certificate with one on a lattice, of a third of its horizon by default;
+    InputError where nothing is proven."""
+    home = spacing or max(model.trained_on, default=model.horizon / 3)
+    proof = certify(model, spacing=home)
+    if not proof.holds:
+        unit = symbols(model.units)[0]
+        raise InputError(f"model: nothing is proven of it on {home:g} {unit}; {proof.statement}")
+    figures = {f"{proof.spacing:g}": proof.figures()}
+    return replace(model, certified_on=(proof.spacing,), certificate=figures)
 
 
 def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str:

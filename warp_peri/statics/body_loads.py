@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
 from warp_peri.points.cells import pieces
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.tetrahedra import Tetrahedra
@@ -115,6 +116,11 @@ def loads_on(
 
     Raises InputError for a part that the mesh has not, or a body force that is no function.
     """
+    for name, given in (("displacement", displacement), ("traction", traction or {})):
+        if not isinstance(given, Mapping):
+            raise InputError(
+                f"{name}: expected values by part, as {{'left': (0, 0)}}, got {given!r:.40}"
+            )
     for name in (*displacement, *(traction or {})):
         check_part(name, mesh)
     held = {
@@ -143,18 +149,17 @@ def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False
 
     def answer(*where: np.ndarray) -> np.ndarray:
         given = value(*where) if callable(value) else value
+        vectors = checked(name, given, read=False)
+        vectors = checked(name, given, read=~(free & np.isnan(vectors)))
         try:
-            vectors = np.asarray(given, dtype=float)
             vectors = np.broadcast_to(vectors, where[0].shape) if vectors.ndim else vectors
-        except (TypeError, ValueError):
+        except ValueError:
             vectors = np.empty(0)
         if vectors.shape != where[0].shape:
             raise InputError(
                 f"{name}: expected vectors of shape {list(where[0].shape)}, got shape "
                 f"{list(np.shape(given))}" + (f" ({given!r:.40})" if np.ndim(given) == 0 else "")
             )
-        if not (np.isfinite(vectors) | (free & np.isnan(vectors))).all():
-            raise InputError(f"{name}: expected finite numbers" + (" or NaN" if free else ""))
         return vectors
 
     return answer

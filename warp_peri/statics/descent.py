@@ -12,6 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.statics.settings import PolakRibiere
 from warp_peri.statics.solution import Solution
 
@@ -95,19 +96,12 @@ def at_rest(operator: Any, b: ArrayLike | None, u: ArrayLike, asked: PolakRibier
     not fit, and for a sample without an equilibrium, naming it.
     """
     x, inside = operator.points.x, operator.points.interior
-    given = np.array(u, dtype=float)
+    given = checked("u", u, read=False)
     axes = 2 if given.ndim > 1 and given.shape[-2] == len(x) else 1
-    one, samples = given.shape[-axes:], given.shape[:-axes]
-    load = np.zeros(given.shape) if b is None else np.asarray(b, dtype=float)
-    if load.shape != given.shape or one[:1] != (len(x),) or len(samples) > 1:
-        raise InputError(
-            f"b, u: expected shape [{len(x)}, …] or [S, {len(x)}, …], "
-            f"got {[*load.shape]} and {[*given.shape]}"
-        )
+    one = (len(x), *given.shape[given.ndim - axes + 1 :])
+    load, given = checked_fields(operator.points, b, u, one)
     mask = inside.reshape(-1, *(axes - 1) * [1])
     held, loads = np.where(mask, 0.0, given).reshape(-1, *one), load.reshape(-1, *one)
-    if not (np.isfinite(held).all() and np.isfinite(loads[:, inside]).all()):
-        raise InputError("b, u: expected finite values")
     starts = _starts(asked.start, given.shape, one, len(held))
     trial = TRIAL * float(np.ptp(x, axis=0).max()) / len(x) ** (1 / x.shape[1])
     found: list[np.ndarray] = []
@@ -141,7 +135,7 @@ def _starts(
     """Where each search begins, shape [S, N, d]; None for the answer of the sample before."""
     if isinstance(start, str):
         return None
-    fields = np.zeros(one) if start is None else np.asarray(start, dtype=float)
+    fields = np.zeros(one) if start is None else checked("start", start)
     if fields.shape not in (one, shape):
         raise InputError(f"start: expected shape {[*one]} or {[*shape]}, got {[*fields.shape]}")
     return np.broadcast_to(fields.reshape(-1, *one), (count, *one))

@@ -18,6 +18,7 @@ from warp_peri.models.lps import lps_stencil
 from warp_peri.models.solid import Solid
 from warp_peri.operator.matrices import matrices
 from warp_peri.operator.stress import node_fields
+from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
@@ -106,7 +107,7 @@ class PlacedLPS(LPSOperator):
         refuse_solver(solver, (Direct, Krylov), "a linear solid")
         if isinstance(b, torch.Tensor) or isinstance(u, torch.Tensor) or parameters is not None:
             return self._differentiable(b, u, solver, parameters)
-        load, field = checked_fields(self.points, b, u)
+        load, field = checked_fields(self.points, b, u, least=0)
         if self.carrier is not None:
             return self._through_lattice(load, field, solver)
         records: list[SolveRecord] = []
@@ -143,7 +144,8 @@ class PlacedLPS(LPSOperator):
                 "points: expected a lattice with a box, all of its nodes interior, for a periodic "
                 "problem; see Points.sheet"
             )
-        load, field = checked_fields(nodes, b, np.zeros_like(np.asarray(b, dtype=float)))
+        load = checked("b", b, float, (..., *nodes.x.shape))
+        field = np.zeros(load.shape)
         count = int(np.prod(np.rint(np.divide(nodes.box, nodes.spacing))))
         if len(nodes.x) != count:
             raise InputError(
@@ -283,26 +285,6 @@ def linear_energy(operator: Any, points: Points, u: np.ndarray) -> np.ndarray:
     return np.asarray(
         points.spacing**points.dimension * (inner * (own / 2 + collar)).sum(axis=(-2, -1))
     )
-
-
-def checked_fields(
-    points: Points, b: ArrayLike | None, u_collar: ArrayLike
-) -> tuple[np.ndarray, np.ndarray]:
-    """Load and displacement as arrays, the second a copy; InputError where they do not fit."""
-    if b is None:
-        raise InputError("b: expected loads, got None")
-    load, u = np.ascontiguousarray(b, dtype=float), np.array(u_collar, dtype=float, order="C")
-    if load.shape != u.shape or load.ndim not in (2, 3) or load.shape[-2:] != points.x.shape:
-        n, d = points.x.shape
-        raise InputError(
-            f"b, u_collar: expected shape [S, {n}, {d}] or [{n}, {d}], "
-            f"got {list(load.shape)} and {list(u.shape)}"
-        )
-    free = points.interior
-    for field, used in ((load, free), (u, ~free)):  # all first, which is far quicker
-        if not (np.isfinite(field).all() or np.isfinite(field[..., used, :]).all()):
-            raise InputError("b, u_collar: expected finite values")
-    return load, u
 
 
 def bonds_within(horizon: float, spacing: float) -> float:

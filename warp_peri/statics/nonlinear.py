@@ -16,6 +16,7 @@ from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.stress import node_fields
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.equilibria import (
@@ -26,7 +27,7 @@ from warp_peri.statics.equilibria import (
 )
 from warp_peri.statics.equilibrium import lps_linear
 from warp_peri.statics.linear import DIRECT, Inverse
-from warp_peri.statics.lps import bonds_within, checked_fields, linear_energy
+from warp_peri.statics.lps import bonds_within, linear_energy
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 from warp_peri.transfer.nonlinear import nonlinear_for

@@ -80,17 +80,19 @@ class StaticProblem:
         self.pattern = TangentPattern.of(self.op) if self.direct else None
         self._laplacian, self._to_collar = laplacian(op)
         self._laplace = splu(self._laplacian.tocsc())
-        self.softest = float(
-            eigsh(
-                self._laplacian,
-                1,
-                sigma=0,
-                OPinv=_inverse(self._laplace),
-                v0=lanczos_start(len(op.interior)),
-                return_eigenvectors=False,
-                tol=1e-4,
-            )[0]
-        )
+        self.softest = float(self._laplacian.diagonal()[0])
+        if len(op.interior) > 1:
+            self.softest = float(
+                eigsh(
+                    self._laplacian,
+                    1,
+                    sigma=0,
+                    OPinv=_inverse(self._laplace),
+                    v0=lanczos_start(len(op.interior)),
+                    return_eigenvectors=False,
+                    tol=1e-4,
+                )[0]
+            )
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """u with its interior replaced by the harmonic extension of the collar."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
@@ -84,15 +84,7 @@ class PlacedSheet:
         that do not fit.
         """
         refuse_solver(solver, (Newton,), "a hyperelastic solid")
-        given = np.array(u, dtype=float)
-        if given.ndim not in (2, 3) or given.shape[-2:] != (len(self.points.x), 2):
-            count = len(self.points.x)
-            raise InputError(
-                f"u: expected shape [{count}, 2] or [S, {count}, 2], got {list(given.shape)}"
-            )
-        load = np.zeros_like(given) if b is None else np.asarray(b, dtype=float)
-        if load.shape != given.shape:
-            raise InputError(f"b: expected shape {list(given.shape)}, got {list(load.shape)}")
+        load, given = checked_fields(self.points, b, u)
         asked = solver if isinstance(solver, Newton) else Newton()
         problem, found = StaticProblem(self.energies, tolerance=asked.tolerance), []
         fields = given.reshape(-1, *given.shape[-2:])
