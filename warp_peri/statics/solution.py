@@ -53,7 +53,8 @@ class Solution(Shown):
         """Largest ‖op(u) − load‖ of a sample over ‖load − op(u of the collar alone)‖."""
         if self.measured is not None:
             return self.measured
-        assert self.points is not None
+        if self.points is None:
+            raise InputError("residual: expected points, whose residual is asked for")
         u = np.asarray(self.u, dtype=float)
         held = np.where(_spread(self.points.interior, u), 0.0, u)
         left, right = (_sizes(self.load - self.operator(f), len(self.load)) for f in (u, held))
