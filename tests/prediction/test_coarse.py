@@ -145,7 +145,9 @@ def test_clamped_bodies_are_held_elsewhere_on_every_second_node(both):
     nodes = lattice(9, WIDE)
     short = short_where_held(told, told.coarse.horizon, told.factors.left, nodes)
     other = replace(told, factors=replace(told.factors, short=7.0))
-    assert short_where_held(other, other.coarse.horizon, told.factors.left, nodes) == short  # whatever it was before
+    assert (
+        short_where_held(other, other.coarse.horizon, told.factors.left, nodes) == short
+    )  # whatever it was before
     told = replace(told, factors=replace(told.factors, short=short))
     for interior in (30, 31):
         points = lattice(interior, WIDE)
