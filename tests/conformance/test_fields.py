@@ -133,4 +133,4 @@ def test_a_plain_model_is_proven_where_a_body_needs_it():
     assert details.model.certified_on == (1.0,)
     assert details.model.certificate["1"]["symbol_bound"] > 0
     with pytest.raises(wp.InputError, match="model: nothing is proven of it on 1 Å"):
-        wp.solve(wp.Model(-5.0, 1.0, 1.0, [1.0], horizon=3.0), plate())
+        wp.solve(wp.Model(0.3, 0.8, 1.0, [1.0, -0.9, 0.3], horizon=3.0), plate())
