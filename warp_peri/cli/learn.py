@@ -98,8 +98,8 @@ def read_structure(path: Path) -> Any:
             of_lammps = re.search(rb"xlo\s+xhi", head) is not None
             if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
                 raise InputError("expected the masses of the types in a LAMMPS data file, got none")
-            asked = {"format": "lammps-data"} if of_lammps else {}
-            found: Any = ase.io.read(readable, index=-1, **asked)
+            form = "lammps-data" if of_lammps else None  # None: as ASE guesses
+            found: Any = ase.io.read(readable, index=-1, format=form)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         except Exception as error:  # ASE's readers raise whatever their parsing runs into
