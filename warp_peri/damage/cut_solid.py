@@ -87,7 +87,7 @@ class CutSolid:
     def stress(self, u: np.ndarray) -> None:
         """None: strains of nodes on a crack mean nothing."""
 
-    def solve(self, b: np.ndarray | None, u: np.ndarray) -> np.ndarray:
+    def solve(self, b: ArrayLike | None, u: ArrayLike) -> np.ndarray:
         """u at rest, shape [N, d].
 
         Args:
