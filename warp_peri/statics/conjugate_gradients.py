@@ -120,6 +120,8 @@ def _descend(
     while inner.norm(r) > goal and record.iterations < MOST_ITERATIONS:
         z = precondition(r)
         rz = inner.dot(r, z)
+        if start is not None and not rz > 0:
+            break  # rounding of what the start answered, which the next start answers
         p = 1 * z if p is None else inner.add(z, rz / last, p)
         q = product(p)
         energy = inner.dot(p, q)

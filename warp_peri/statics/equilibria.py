@@ -101,7 +101,8 @@ class Equilibria:
         record = NonlinearRecord()
         field = np.where(self.inside[:, None], 0.0, given)
         right = load - self.straight(field)
-        scale = float(np.linalg.norm(right))
+        largest = float(np.abs(right).max(initial=0.0))  # whose square may be no number
+        scale = largest and largest * float(np.linalg.norm(right / largest))
         if scale == 0:
             record.residual = 0.0
             return field, record
