@@ -69,10 +69,14 @@ def test_a_run_is_repeated_from_its_settings(trained, tmp_path, capsys):
     again = answer(capsys, "train", "--config", trained / "train.toml", "--out", tmp_path)
     first = json.loads((trained / "metrics.json").read_text())["mu"]
     assert again["mu"] == pytest.approx(first, rel=1e-12)
-    # The line goes before the file.
-    other = answer(
-        capsys, "train", "--config", trained / "train.toml", "--out", tmp_path, "--degree", "2"
-    )
+    words = ["train", "--config", trained / "train.toml", "--out", tmp_path]
+    answer(capsys, *words)  # the same once more
+    words += ["--degree", "2"]  # the line goes before the file
+    before = (tmp_path / "model.json").read_bytes()
+    assert main([str(word) for word in words]) == 2
+    assert "model.json: is there already, by other settings" in capsys.readouterr().err
+    assert (tmp_path / "model.json").read_bytes() == before
+    other = answer(capsys, *words, "--overwrite")
     assert Model.load(tmp_path / "model.json").degree == 2
     assert other["mu"] != again["mu"]
 

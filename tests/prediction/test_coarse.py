@@ -143,9 +143,11 @@ def test_clamped_bodies_are_held_elsewhere_on_every_second_node(both):
     """Data go on smoothly into the collar; a clamped field does not, and moves where it is held."""
     told = replace(both, record=ErrorSpectrum(np.array([2.0, 4.0, 8.0]), np.full(3, 1e-4)))
     nodes = lattice(9, WIDE)
-    short = short_where_held(told, told.factors.left, nodes)
+    short = short_where_held(told, told.coarse.horizon, told.factors.left, nodes)
     other = replace(told, factors=replace(told.factors, short=7.0))
-    assert short_where_held(other, told.factors.left, nodes) == short  # whatever it was before
+    assert (
+        short_where_held(other, other.coarse.horizon, told.factors.left, nodes) == short
+    )  # whatever it was before
     told = replace(told, factors=replace(told.factors, short=short))
     for interior in (30, 31):
         points = lattice(interior, WIDE)

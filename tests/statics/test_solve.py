@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
-from warp_peri import InputError, Model, Periodic, Points
+from warp_peri import Dirichlet, InputError, Model, Periodic, Points
 from warp_peri.models.lps import stiffnesses
 from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import bond_classes
@@ -138,3 +138,14 @@ def test_a_collar_that_is_too_thin_is_refused():
     zero = np.zeros((len(points.x), 2))
     with pytest.raises(InputError, match="the largest that fits is 2.82843 Å"):
         solve(kernel("1/r", HORIZON), points, zero, zero)
+
+
+def test_a_picture_says_which_of_several_loads_it_shows():
+    points, model = lattice(13, 2.5), kernel("positive", 2.5)
+    b = 1e-3 * np.stack([np.ones_like(points.x), -2 * points.x])
+    both = at_rest(model, Dirichlet(points, b, np.zeros_like(b)), allow_uncertified=True)
+    one = at_rest(model, Dirichlet(points, b[1], np.zeros_like(b[1])), allow_uncertified=True)
+    assert both.plot(1).get_title() == both.plot(-1).get_title() == "load 1 of 0 to 1"
+    assert one.plot().get_title() == ""
+    shown = both.plot(1).collections[0].get_array()
+    np.testing.assert_allclose(shown, one.plot().collections[0].get_array(), rtol=1e-8)

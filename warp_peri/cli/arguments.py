@@ -67,6 +67,9 @@ def train(command: ArgumentParser) -> None:
     """Data, kernel, method and conditions of a fit."""
     command.add_argument("data", type=Path, metavar="DATA.h5")
     command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
+    command.add_argument(
+        "--overwrite", action="store_true", help="a model that other settings gave in FOLDER"
+    )
     command.add_argument("--set", default="train", help="what to learn from")
     command.add_argument("--noise", help="set with fields of noise alone")
     units(command)

@@ -14,8 +14,8 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
 from warp_peri.storage import load
 
-OF_DATA = {"method": "auto", "axis": None, "set": "test", "transfer": True}
-OF_BODY = {"hold": [], "pull": [], "spacing": None, "overlap": None, "units": None}
+OF_DATA: dict[str, Any] = {"method": "auto", "axis": None, "set": "test", "transfer": True}
+OF_BODY: dict[str, Any] = {"hold": [], "pull": [], "spacing": None, "overlap": None, "units": None}
 """Options of the two kinds of problem that mean nothing to the other, and their defaults."""
 
 
@@ -42,7 +42,7 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
         _vectors("pull", given.pull),
         coupling=Coupling(spacing=given.spacing, overlap=given.overlap),
     )
-    asked = {"allow_uncertified": True} if given.allow_uncertified else {}
+    asked: dict[str, Any] = {"allow_uncertified": True} if given.allow_uncertified else {}
     solution = warp_peri.solve(material, problem, **asked).details
     with locked(given.out):
         largest = write_body(given.out, solution)

@@ -15,7 +15,7 @@ import tomli_w
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
 
-NOT_KEPT = ("command", "config", "json", "run", "trust", "from_file")
+NOT_KEPT = ("command", "config", "json", "run", "trust", "from_file", "overwrite")
 
 
 def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -56,12 +56,26 @@ def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> a
 
 def keep(given: argparse.Namespace, path: str | os.PathLike[str]) -> None:
     """Write the settings of a command to a file; `--config` takes it again."""
+    write_text(path, _settings(given))
+
+
+def refuse_used(given: argparse.Namespace, result: Path, settings: Path) -> None:
+    """InputError where a result is there already that other settings gave, without --overwrite."""
+    if given.overwrite or not result.exists():
+        return
+    if not settings.exists() or settings.read_text() != _settings(given):
+        raise InputError(
+            f"{result}: is there already, by other settings; name another folder, or --overwrite"
+        )
+
+
+def _settings(given: argparse.Namespace) -> str:
     table = {}
     for key, value in vars(given).items():
         if key in NOT_KEPT or value is None:
             continue
         table[key] = [_plain(item) for item in value] if isinstance(value, list) else _plain(value)
-    write_text(path, tomli_w.dumps({given.command: table}))
+    return tomli_w.dumps({given.command: table})
 
 
 def _typed(action: argparse.Action, arguments: Sequence[str] | None) -> bool:

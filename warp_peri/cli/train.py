@@ -14,7 +14,7 @@ import numpy as np
 
 import warp_peri
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
-from warp_peri.cli.settings_file import keep
+from warp_peri.cli.settings_file import keep, refuse_used
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.learning.options import DEGREES, HORIZONS
@@ -123,6 +123,7 @@ def run_train(given: argparse.Namespace) -> Result:
     from warp_peri.learning.run import train
     from warp_peri.stability.conditions import Conditions
 
+    refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)
     samples, noise = data[given.set], data[given.noise] if given.noise else None
     kernel: methods.Kernel
@@ -227,6 +228,7 @@ def run_sweep(given: argparse.Namespace) -> Result:
     )
     result: Result = {
         "fits": len(sweep.trials),
+        "units": list(data.units),
         "smallest_AvgE": dataclasses.asdict(sweep.printed),
         "cheapest": dataclasses.asdict(sweep.cheapest),
     }

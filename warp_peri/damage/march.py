@@ -194,7 +194,7 @@ class CrackRun:
                     self._record(state)
                     records = len(self.history.ledger)
                     if self.path is not None and records % self.checkpoint_every == 0:
-                        self._save(state)
+                        self._save(self.path, state)
         return state
 
     def _record(self, state: BreakingState) -> None:
@@ -278,8 +278,7 @@ class CrackRun:
                 "name another file for a shorter run"
             )
 
-    def _save(self, state: BreakingState) -> None:
-        assert self.path is not None
+    def _save(self, path: Path, state: BreakingState) -> None:
         content = {name: getattr(state, name).numpy() for name in _ARRAYS}
         content |= {"dissipated": state.dissipated, "whole": state.whole}
         content |= {"time": np.array(state.time), "steps": np.array(state.steps)}
@@ -291,7 +290,7 @@ class CrackRun:
         if self.series is not None:
             content["times"] = np.array(list(self.series.times.values()))
             content["files"] = np.array(list(self.series.times))
-        with whole_file(self.path) as temporary, open(temporary, "wb") as file:
+        with whole_file(path) as temporary, open(temporary, "wb") as file:
             np.savez(file, **content)
 
     def _resumed(self, state: BreakingState, steps: int) -> BreakingState:

@@ -233,9 +233,10 @@ def criterion(solid: BrittleSolid, body: LatticeBody) -> tuple[float | None, np.
     if solid.critical_energy is not None:
         return None, solid.critical_energy * body.classes.weight[body.classes.bond_class]
     stretch = solid.critical_stretch
-    if stretch is None:
-        assert solid.toughness is not None  # one of the three is given
+    if solid.toughness is not None:
         stretch = float(np.sqrt(solid.toughness / unit_toughness(solid.model, body.classes)))
+    if stretch is None:
+        raise InputError("solid: expected a critical stretch, an energy or a toughness")
     return stretch, stretch * body.r**2
 
 

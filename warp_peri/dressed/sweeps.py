@@ -89,7 +89,7 @@ class ByLayers:
         out = np.zeros((count, size), self.dtype)
         for number, (given, found) in enumerate(((field, first), (first, second), (second, out))):
             if number == 1 and self.maps is not None:
-                self._uneven(given, found)
+                self._uneven(self.maps, given, found)
             else:
                 self._launch(
                     self.kernels.pulled,
@@ -101,9 +101,8 @@ class ByLayers:
         force = out.reshape(count, d, *nodes.wide)
         return force[(slice(None), slice(None), *nodes.core)] if nodes.periodic else force
 
-    def _uneven(self, given: np.ndarray, found: np.ndarray) -> None:
-        assert self.maps is not None
-        (sites, inputs), nodes = self.maps, self.stages[1][0]
+    def _uneven(self, maps: tuple[Any, Any], given: np.ndarray, found: np.ndarray) -> None:
+        (sites, inputs), nodes = maps, self.stages[1][0]
         stresses = self._buffer(3, len(given), MODES[self.kind] * int(np.prod(self.nodes.wide)))
         self._launch(self.uneven.stressed, sites, inputs, given, stresses)
         if self.kind == "bonds":

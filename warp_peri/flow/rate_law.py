@@ -23,6 +23,7 @@ from warp_peri.flow.pairs import Pairs, start_pairs
 from warp_peri.flow.planar import IDENTITY, carried
 from warp_peri.flow.protocols import Ensembles, listed
 from warp_peri.flow.rate_march import RateMarch
+from warp_peri.points.arrays import check_whole
 
 PLACES = (0, 1, 2)
 """The components of s that are learned; s_zz relaxes by itself, −s_zz."""
@@ -187,12 +188,12 @@ def learn_rate(
     else:
         every = [start_pairs(record, window) for record in listed(records)]
         pairs = reduce(Pairs.joined, every).evenly(most)
-    law, s = None, pairs.s
+    law: RateLaw
+    s = pairs.s
     exact = not np.nan_to_num(pairs.noise, nan=1.0).any()
     known = None if exact or np.isnan(pairs.noise).any() else pairs.noise
+    check_whole("rounds", rounds, 1)
     for _ in bar(rounds if pairs.window > 0 else 1, progress):
-        if law is not None:
-            s = pairs.s + pairs.window / 2 * law.rate(pairs.K, pairs.s + IDENTITY)
         target = pairs.rate - (carried(pairs.K, s + IDENTITY) if kinematics else 0)
         X = inputs(pairs.K, s)
         processes = tuple(
@@ -203,5 +204,5 @@ def learn_rate(
             for place in PLACES
         )  # fmt: skip
         law = RateLaw(processes, kinematics, outside)  # type: ignore[arg-type]
-    assert law is not None
+        s = pairs.s + pairs.window / 2 * law.rate(pairs.K, pairs.s + IDENTITY)
     return law

@@ -16,6 +16,7 @@ from warp_peri.flow.learned import FORMAT, LearnedLaw
 from warp_peri.flow.pairs import start_pairs
 from warp_peri.flow.planar import IDENTITY
 from warp_peri.flow.protocols import Ensembles, listed
+from warp_peri.points.arrays import check_whole
 
 
 @dataclass(frozen=True)
@@ -108,14 +109,15 @@ def learn_shear(
     k, s, noise = pairs.K[keep, 1], pairs.s[keep, 1], pairs.noise[keep, 1]
     if not kinematics:
         noise = np.diag(noise) + _stretch_noise(record, keep, k, pairs.window)
-    middle, law = s, None
+    check_whole("rounds", rounds, 1)
+    law: ShearLaw
+    middle = s
     for _ in bar(rounds, progress):
         X = np.stack([middle, k], axis=-1)
         process = fit_process(X, target[keep], noise=noise, mean=0.0, iterations=40)
         law = ShearLaw(process, kinematics, outside)
         slope = process(np.stack([s, k], axis=-1)) + (k if kinematics else 0)
         middle = s + pairs.window / 2 * slope
-    assert law is not None
     return law
 
 

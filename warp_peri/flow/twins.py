@@ -29,6 +29,8 @@ class Twins(Dumbbells):
     Raises InputError for fewer dumbbells, and as Dumbbells does.
     """
 
+    b: float
+
     def __init__(self, ensembles: int, count: int, *, b: float, seed: int = 0) -> None:
         if count < 20:
             raise InputError(f"twins: expected 20 dumbbells or more, got {count}")
@@ -65,7 +67,6 @@ class Twins(Dumbbells):
 
     def _controlled(self) -> Moments:
         """Moments with the twin as control variate (F35), an ensemble at a time."""
-        assert self.b is not None
         values = np.empty((self.ensembles, 8))
         for i, (q, h) in enumerate(zip(self.q.numpy(), self.twin.q.numpy())):
             squares, known = products(q), products(h)

@@ -61,14 +61,14 @@ class Scale:
 
     def conditions(self, asked: Conditions) -> Conditions:
         """The conditions with their ζ [TPa]: that of the stiffness, where none was asked for."""
-        zeta = RELATIVE_ZETA * self.stiffness if asked.zeta is None else asked.zeta
-        return dataclasses.replace(asked, zeta=zeta)
+        return dataclasses.replace(asked, zeta=self._zeta(asked))
 
     def inner_conditions(self, asked: Conditions) -> Conditions:
         """The conditions in these units."""
-        conditions = self.conditions(asked)
-        assert conditions.zeta is not None
-        return dataclasses.replace(conditions, zeta=conditions.zeta / self.stress)
+        return dataclasses.replace(asked, zeta=self._zeta(asked) / self.stress)
+
+    def _zeta(self, asked: Conditions) -> float:
+        return RELATIVE_ZETA * self.stiffness if asked.zeta is None else asked.zeta
 
     def method(self, given: Method) -> Method:
         """The method with its lengths and moduli in these units."""

@@ -112,12 +112,12 @@ def reduce_nonlinear(
     spacings = sorted({points.spacing for points in sets})
     if len(spacings) != 1:
         raise InputError(f"points: expected lattices of one spacing, got {spacings}")
-    R = None
+    R = np.zeros((0, 0))
     for points, weight in zip(sets, sample_weights):
         features = Features(points, horizon)
         nonlinear = NonlinearFeatures(points, horizon, weights)
         columns = features.width + 6
-        R = np.zeros((0, columns)) if R is None else R
+        R = R if R.size else np.zeros((0, columns))
         block = max(1, _BLOCK_BYTES // (16 * columns * np.count_nonzero(points.interior)))
         for first in range(0, len(points), block):
             some = slice(first, first + block)
@@ -126,5 +126,4 @@ def reduce_nonlinear(
             parts.append(-points.loads[some][:, points.interior, None, :])
             rows = np.concatenate(parts, axis=2) * np.sqrt(weight[some, None, None, None])
             R = with_rows(R, rows.transpose(0, 1, 3, 2).reshape(-1, columns))
-    assert R is not None
     return GradientLoss(features.classes, R, features.pairs)

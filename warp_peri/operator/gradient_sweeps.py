@@ -22,6 +22,8 @@ BLOCKS = 8
 AT_ONCE = 2**22
 """Most numbers in the planes of a field and of its state; more samples follow one another."""
 
+BROKEN = "points: Ψ is not made for bodies with broken bonds"
+
 
 class GradientSweeps:
     """The launches of (N1–N10) over the interior nodes of a lattice.
@@ -42,20 +44,21 @@ class GradientSweeps:
     def __init__(self, points: PointsLike, horizon: float) -> None:
         self._families = families = families_of(points, horizon)
         self.classes: BondClasses = families.classes
-        if len(families.cut):
-            raise InputError("points: Ψ is not made for bodies with broken bonds")
         self.kernels = rows(wp.float64)
         self.rows, self.full = families.rows, families.whole
         self.nodes, self.xi = len(points.x), families.pattern
         self.neighbour = families.neighbour
         self._places = (np.array(points.x), points.box)
         self._half = np.flatnonzero(np.arange(len(self.xi)) < families.reverse)
+        if len(families.cut):
+            raise InputError(BROKEN)
 
     @cached_property
     def _laid_out(self) -> Rows:
         """The lattice in rows, with room for bonds in pairs."""
         laid = rows_of(self._families, *self._places, wp.float64, sparse=True)
-        assert laid is not None  # it has no broken bonds
+        if laid is None:
+            raise InputError(BROKEN)
         return laid
 
     @cached_property

@@ -144,24 +144,25 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
         left=left,
         floor=quantile(rows["true"], floor),
         screen=screen,
-        short=1.0 if family.coarse is None else short_where_held(bare, left, samples.points),
+        short=1.0
+        if family.coarse is None
+        else short_where_held(bare, family.coarse.horizon, left, samples.points),
     )
     return replace(family, factors=factors, record=record)
 
 
-def short_where_held(family: Members, left: float, points: Points) -> float:
+def short_where_held(family: Members, horizon: float, left: float, points: Points) -> float:
     """By how much what every second node does not see is more in a clamped square (Q15).
 
     No data tell: they go on smoothly into their collar. Twice the horizon holds a body elsewhere.
     """
-    assert family.coarse is not None
-    h, collar = points.spacing, np.ceil(2 * family.coarse.horizon / points.spacing) + APART
+    h, collar = points.spacing, np.ceil(2 * horizon / points.spacing) + APART
     x = h * np.argwhere(np.ones((CLAMPED + 2 * int(collar),) * 2)).astype(float)
     away = (x - x.mean(axis=0)) / (h * CLAMPED)
     inside = (np.abs(away) < 0.5).all(axis=1)
     placed = family.with_doubts(Points(x, inside, h, axis=0.0, units=points.units))
-    coarse, factor = placed.coarse, 1.0
-    assert coarse is not None
+    coarse: Any = placed.coarse  # there is room for it
+    factor = 1.0
     for wave in (0.0, 2 * np.pi):
         b = np.cos(wave * away) * family.linear.mu / h
         load = placed.load(b)

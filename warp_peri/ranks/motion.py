@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -141,8 +142,7 @@ class RankedRun(CrackRun):
         regions = fingerprint(self.piece.comm, self.piece.number, *masks)
         return self.every, list(self._section_of), [*self.regions, *self.watch], lines, regions
 
-    def _save(self, state: BreakingState) -> None:
-        assert self.path is not None
+    def _save(self, path: Path, state: BreakingState) -> None:
         own, piece, history = self.halo.own, self.piece, self.history
         arrays = {name: getattr(state, name).numpy()[own] for name in NODAL}
         arrays |= {"dissipated": state.dissipated[own], "whole": state.whole[own]}
@@ -157,7 +157,7 @@ class RankedRun(CrackRun):
         whole = {name: (values, piece.number, piece.count) for name, values in arrays.items()}
         numbers = {"format": FORMAT, "time": state.time, "steps": state.steps}
         whole["text"] = as_text(piece.comm, content)
-        write_arrays(self.path, piece.comm, whole, numbers)
+        write_arrays(path, piece.comm, whole, numbers)
 
     def _resumed(self, state: BreakingState, steps: int) -> BreakingState:
         comm = self.piece.comm

@@ -137,8 +137,8 @@ class _Coarse:
     """
 
     def __init__(self, piece: Piece, spacing: float, model: Model, petsc: bool) -> None:
-        assert piece.tiles is not None
-        assert piece.at is not None
+        if piece.tiles is None or piece.at is None:
+            raise InputError("points: expected scattered points by rows, got a lattice")
         comm, tiles, inside = piece.comm, piece.tiles, piece.interior
         self.shape = tiles.box(comm.rank)
         cell = np.floor(piece.at).astype(np.int64)

@@ -48,7 +48,8 @@ class ShapeCoordinates:
 
     def start(self, parameters: Parameters) -> np.ndarray:
         """y of given parameters."""
-        assert parameters.shape is not None
+        if parameters.shape is None:
+            raise InputError("parameters: expected those of a shape, got Bernstein coefficients")
         kappa = (parameters.lam - parameters.mu) / parameters.mu**2
         classes, shape = self.lattices[0], parameters.shape
         size = parameters.mu / (self._sigma[0] @ (classes.weight * shape(classes.r)))

@@ -53,7 +53,8 @@ class Solution(Shown):
         """Largest ‖op(u) − load‖ of a sample over ‖load − op(u of the collar alone)‖."""
         if self.measured is not None:
             return self.measured
-        assert self.points is not None
+        if self.points is None:
+            raise InputError("residual: expected points, whose residual is asked for")
         u = np.asarray(self.u, dtype=float)
         held = np.where(_spread(self.points.interior, u), 0.0, u)
         left, right = (_sizes(self.load - self.operator(f), len(self.load)) for f in (u, held))
@@ -94,6 +95,7 @@ class Solution(Shown):
         import matplotlib.pyplot as plt
 
         x, u = self._nodes(sample)
+        several = np.size(self.u) // u.size
         if x.shape[1] == 3:
             near = np.abs(x[:, 2] - np.median(x[:, 2])).min() + 1e-9 * np.ptp(x)
             kept = np.abs(x[:, 2] - np.median(x[:, 2])) <= near
@@ -104,6 +106,8 @@ class Solution(Shown):
         shown = ax.scatter(x[:, 0], x[:, 1], c=size, s=9, linewidths=0)
         ax.figure.colorbar(shown, ax=ax, label="φ" if u.ndim == 1 else f"|u| [{unit}]")
         ax.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
+        if several > 1:
+            ax.set(title=f"load {sample % several} of 0 to {several - 1}")
         return ax
 
     def to_pyvista(self, sample: int = 0) -> Any:

@@ -204,11 +204,12 @@ class Search:
     def _equations(self) -> tuple[np.ndarray, np.ndarray]:
         """The errors and their derivative by all unknowns in the order of `now`, reduced."""
         op, K = self.problem.op, len(self.c)
-        assert self.problem.pattern is not None
+        if (pattern := self.problem.pattern) is None:
+            raise InputError("problem: expected one whose tangent is factorised")
         triangle = np.zeros((0, len(self.now) + 1))
         for n in self.kept:
             u = self.fields[n]
-            factor = positive_factors(self.problem.pattern.matrix(u, self.c))
+            factor = positive_factors(pattern.matrix(u, self.c))
             if factor is None:
                 continue
             F = [op.features(u).reshape(-1, K)]
