@@ -39,6 +39,12 @@ HERE = Inner(
 """Of arrays that this process has the whole of."""
 
 
+def norm(field: Any, inner: Inner = HERE) -> float:
+    """‖field‖, also where the squares of very small and very large values are no numbers."""
+    largest = inner.largest(field)
+    return largest and largest * inner.norm(field / largest)
+
+
 @dataclass
 class SolveRecord:
     """What a solve took.

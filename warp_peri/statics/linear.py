@@ -119,7 +119,7 @@ class Linear:
         grid, by = self.grid, self._torus
         ratio = smallest_ratio(by.symbol, by.torus)
         # every node's Laplacian is at least that of the box's longest wave
-        halves = [n + 1 - 2 * grid.reach for n in grid.shape]
+        halves = [n + 1.0 - 2 * grid.reach for n in grid.shape]
         if grid.periodic:
             halves = [max(grid.shape) / 2]
         long = sum(4 * np.sin(np.pi / 2 / n) ** 2 for n in halves)
