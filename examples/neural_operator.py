@@ -35,11 +35,11 @@ from tools.make_hgo import SPACING
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.launch import set_threads
-from warp_peri.neural.bonds import Bonds
+from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.file import load, save
-from warp_peri.neural.material import Operator
-from warp_peri.neural.training import History, Training, train
+from warp_peri.neural.material import NeuralOperator
+from warp_peri.neural.training import Training, TrainingHistory, train
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, symbols
 
@@ -113,7 +113,9 @@ def label(given: argparse.Namespace) -> str:
     return f"hgo_{given.reach}{'_mirror' if given.mirror else ''}"
 
 
-def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Operator, History]:
+def trained(
+    given: argparse.Namespace, sets: Sets, seconds: float
+) -> tuple[NeuralOperator, TrainingHistory]:
     """A material from a fresh start, or from the checkpoint of this training."""
     chosen = experiment(given.experiment, given.reach)
     settings = {
@@ -127,7 +129,7 @@ def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Oper
         operator["strain"] = given.strain
     units = sets["train"].points.units
     material = (
-        Operator(**operator, units=units, seed=training.seed)
+        NeuralOperator(**operator, units=units, seed=training.seed)
         if given.start is None
         else started(given.start, operator, units)
     )
@@ -151,7 +153,7 @@ def trained(given: argparse.Namespace, sets: Sets, seconds: float) -> tuple[Oper
     return material, history
 
 
-def started(path: Path, operator: dict[str, Any], units: Units) -> Operator:
+def started(path: Path, operator: dict[str, Any], units: Units) -> NeuralOperator:
     """The material of a file as a start, refused where it is no such operator."""
     material = load(path, units=units).float()
     content = material.content()
@@ -163,7 +165,9 @@ def started(path: Path, operator: dict[str, Any], units: Units) -> Operator:
     return material
 
 
-def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solve: bool) -> Any:
+def errors_of(
+    material: NeuralOperator, sets: Sets, given: argparse.Namespace, *, solve: bool
+) -> Any:
     """Errors by kind and set; of held-out frames of the leaflet also each one's E_u.
 
     "stretch" is the largest |e|/|ξ| of a set; of each held-out sample with a load "each" has it,
@@ -189,9 +193,9 @@ def errors_of(material: Operator, sets: Sets, given: argparse.Namespace, *, solv
     return found
 
 
-def stretches(material: Operator, samples: Samples) -> np.ndarray:
+def stretches(material: NeuralOperator, samples: Samples) -> np.ndarray:
     """The largest |e|/|ξ| of the bonds of every sample that pull at its interior, shape [S]."""
-    bonds = Bonds(samples.points, material.horizon)
+    bonds = NetworkBonds(samples.points, material.horizon)
     e = bonds.extension(torch.as_tensor(samples.u))[:, : bonds.acting]
     largest: np.ndarray = (e.abs().numpy() / bonds.lengths[bonds.place[: bonds.acting]]).max(axis=1)
     return largest
@@ -233,7 +237,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     return report
 
 
-def draw(material: Operator, path: Path, stretch: float) -> None:
+def draw(material: NeuralOperator, path: Path, stretch: float) -> None:
     """ω, of the bond or of its length, and the force state to this stretch, as they were learned.
 
     The force state takes ω as an input and may read it with either sign, so that it is drawn

@@ -20,7 +20,7 @@ from warp_peri.core.proof import prove
 from warp_peri.core.stencil import half_ball
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.operator import Operator
+from warp_peri.micromodulus.operator import TensorOperator
 from warp_peri.micromodulus.waves import from_phonons, transferred
 from warp_peri.points.points import Points
 from warp_peri.statics.settings import TOLERANCE
@@ -55,7 +55,7 @@ def least(function: Callable[[], Any], rounds: int) -> float:
     return min(seconds)
 
 
-def numba_loop(operator: Operator) -> Callable[[np.ndarray], np.ndarray] | None:
+def numba_loop(operator: TensorOperator) -> Callable[[np.ndarray], np.ndarray] | None:
     """A plain loop of Numba over nodes and all their bonds, on one thread; None without Numba.
 
     Takes the planes of rows [1, 3, *shape] and gives theirs.

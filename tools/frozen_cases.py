@@ -367,7 +367,7 @@ def fits() -> Entries:
     law = material("neural")
     op = law.on(nodes(law, 8))
     training = wp.neural.Training(epochs=3, batch=2)
-    start = wp.neural.Operator(3.0, (6, 8), (10, 12), seed=2).double()
+    start = wp.neural.NeuralOperator(3.0, (6, 8), (10, 12), seed=2).double()
     learned, unseen = (samples_of(op, waves(op.points, n, 0.02, n)) for n in (4, 2))
     found = wp.fit(learned, start, validation=unseen, training=training, progress=False)
     yield "neural: curve", "refitted", np.array(found.history.curve)

@@ -16,7 +16,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import Closure
 from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.laws import Law
+from warp_peri.flow.laws import FlowLaw
 from warp_peri.flow.protocols import Ensembles, simulate
 
 EARLIER = 1.5
@@ -25,7 +25,7 @@ STRAIN = 0.2
 """|K| Δt of a step of replayed FENE dumbbells."""
 
 
-class LearnedLaw(Law, Protocol):
+class LearnedLaw(FlowLaw, Protocol):
     """A law that knows how far a state is from its data."""
 
     def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:

@@ -25,7 +25,7 @@ from torch.autograd.graph import saved_tensors_hooks
 import warp_peri as wp
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
-from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.equilibrium import NeuralEquilibrium
 from warp_peri.statics.descent import Descent, polak_ribiere
 
 WEIGHTS = ROOT / "examples" / "neural_weights" / "leaflet.json"
@@ -86,7 +86,7 @@ def measured() -> dict[str, Any]:
         return polak_ribiere(force, start.double(), tolerance=tolerance, most=most)
 
     began, none = time.process_time(), np.zeros_like(wanted)
-    search = Equilibrium(placed)
+    search = NeuralEquilibrium(placed)
     found = search.from_rest(none, u.numpy(), tolerance=1e-12)
     rest, kept = torch.as_tensor(found.u), Kept()
     adjoint, began = {"solve": time.process_time() - began}, time.process_time()

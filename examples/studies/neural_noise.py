@@ -30,7 +30,7 @@ from examples.studies.papers import keeper
 from tools.make_hgo import SPACING
 from warp_peri.errors import exit_status
 from warp_peri.neural.evaluation import evaluate
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.training import Training, train
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.energy_fit import fit_energy
@@ -50,10 +50,10 @@ def noisy(samples: Samples, level: float) -> Samples:
     return Samples(samples.points, samples.u + noise, samples.b)
 
 
-def learned(sets: Sets, level: float, epochs: int) -> Operator:
+def learned(sets: Sets, level: float, epochs: int) -> NeuralOperator:
     """A network that has learned from so noisy squares."""
     seen = noisy(sets["train"], level)
-    material = Operator(
+    material = NeuralOperator(
         REACH * SPACING, (32, 64), (64, 64), anisotropic=True, strain=2.0, units=seen.points.units
     )
     train(material, seen, sets["val"], Training(epochs=epochs, batch=5))

@@ -25,7 +25,7 @@ from warp_peri.launch import set_threads
 from warp_peri.neural.bonds import Gather
 from warp_peri.neural.file import load
 from warp_peri.neural.interpolation import interpolated_force
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.networks import CHUNK, units
 from warp_peri.neural.placed import Placed
 from warp_peri.neural.training import relative
@@ -34,7 +34,7 @@ from warp_peri.neural.training import relative
 def plain(placed: Placed, u: torch.Tensor) -> torch.Tensor:
     """The same force by torch alone."""
     bonds, net = placed.bonds, placed.material
-    assert isinstance(net, Operator)
+    assert isinstance(net, NeuralOperator)
     rows, whole = torch.as_tensor(bonds.rows), torch.as_tensor(bonds.whole)
     row, table = torch.as_tensor(bonds.row), torch.as_tensor(bonds.neighbour).long()
     xi = torch.as_tensor(bonds.xi, dtype=u.dtype)
@@ -62,7 +62,7 @@ def undecided(placed: Placed, u: torch.Tensor) -> float:
     omega, share, r = placed.shares(u.dtype)
     e, theta = Gather.apply(u, share, placed.bonds)
     net, parts = placed.material, list[int]()
-    assert isinstance(net, Operator)
+    assert isinstance(net, NeuralOperator)
     first: Any = net.state[0]
     for seen in placed.inputs(omega, theta, e, r):
         scales: Any = (1.0, net.strain, net.strain * seen[3], net.horizon)
@@ -95,7 +95,7 @@ def main() -> int:
     set_threads(given.threads)
     samples = neural_sets.graphene(ROOT / "data" / "graphene_0K.h5")["train"]
     material = (
-        Operator(20.0, strain=0.5)
+        NeuralOperator(20.0, strain=0.5)
         if given.fresh
         else load(ROOT / "examples" / "neural_weights" / "graphene.json").float()
     )

@@ -16,7 +16,7 @@ from examples.neural_rivals import dictionary
 from examples.prose import rows_of
 from examples.studies import paper_jafarzadeh_pictures as pictures
 from tools.make_hgo import SPACING, make_hgo
-from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.equilibrium import NeuralEquilibrium
 from warp_peri.neural.file import load
 from warp_peri.points.samples import Samples
 from warp_peri.tissue import rose_of
@@ -101,7 +101,7 @@ def predicted(material: Any, samples: Samples) -> Field:
     """u where b is given, b where u is given, beside the truth, on the interior."""
     one, placed = few(samples), material.on(samples.points)
     inside = one.interior
-    found = Equilibrium(placed).from_rest(one.loads[0], one.u[0], tolerance=1e-6)
+    found = NeuralEquilibrium(placed).from_rest(one.loads[0], one.u[0], tolerance=1e-6)
     return {
         "x": one.x[inside].tolist(),
         "converged": found.converged,

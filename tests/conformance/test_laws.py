@@ -20,7 +20,7 @@ from warp_peri.micromodulus.law import Crystal
 from warp_peri.models.influence import bernstein_basis
 from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.models.smoothing import Smoothing
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
 from warp_peri.points.families import bond_classes
@@ -199,7 +199,7 @@ def single_tensors(material, points, u):
 
 def network():
     """Springs of either sign, as untrained networks are; few numbers, so few kinks."""
-    return Operator(3.0, (6, 8), (10, 12), proportional=True).double()
+    return NeuralOperator(3.0, (6, 8), (10, 12), proportional=True).double()
 
 
 def of_network(material, H):

@@ -10,7 +10,7 @@ from tests.conformance.test_laws import LAWS, TURN, near, placed, rotation, unev
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.damage import Cracked, rectangle
 from warp_peri.diffusion import Conductor, CoupledSolid
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 
 CHANGES = {
     "axis": lambda p: replace(p, axis=(p.axis or 0.0) + 30.0),
@@ -73,7 +73,7 @@ def test_a_node_outside_pulls_nothing_of_a_coupled_solid():
 
 
 def test_directions_of_a_network_turn_with_the_axis():
-    material = Operator(3.0, (6, 8), (10, 12), anisotropic=True, proportional=True).double()
+    material = NeuralOperator(3.0, (6, 8), (10, 12), anisotropic=True, proportional=True).double()
     straight = replace(lattice(4, 3.0), axis=0.0)
     turned = replace(lattice(4, 3.0, angle=TURN), axis=np.rad2deg(TURN))
     u, R = uneven(straight), rotation(TURN)

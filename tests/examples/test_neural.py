@@ -17,7 +17,7 @@ from tests.support.problems import lattice
 from tools.make_hgo import SQUARES, square_points
 from warp_peri.errors import InputError
 from warp_peri.neural.file import load, save
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.training import Training
 from warp_peri.points.samples import Samples
 
@@ -32,7 +32,7 @@ def test_the_mirror_continues_a_straight_field_and_keeps_the_square():
         assert wide.interior.sum() == 19**2
         assert np.abs(wide.b[0][wide.interior] - 1).max() == 0
         assert (
-            Operator(reach * points.spacing, (2, 2), (2, 2), units="reduced")
+            NeuralOperator(reach * points.spacing, (2, 2), (2, 2), units="reduced")
             .on(wide.points)
             .bonds.acting
         )
@@ -43,11 +43,11 @@ def test_equations_stand_where_surroundings_are_data(square, side):
     points = square_points(square)
     assert len(points.x) == side**2
     assert points.interior.sum() == 81
-    Operator(SQUARES[square] * points.spacing, (2, 2), (2, 2), units="reduced").on(points)
+    NeuralOperator(SQUARES[square] * points.spacing, (2, 2), (2, 2), units="reduced").on(points)
 
 
 def test_the_plain_version_is_the_same_force():
-    placed = Operator(3.0, (6, 8), (10, 12)).double().on(lattice(4, 3.0))
+    placed = NeuralOperator(3.0, (6, 8), (10, 12)).double().on(lattice(4, 3.0))
     u = torch.tensor(0.05 * np.random.default_rng(0).normal(size=(2, len(placed.points.x), 2)))
     torch.testing.assert_close(plain(placed, u), placed(u), rtol=0, atol=1e-12)
 
@@ -87,7 +87,7 @@ def test_a_training_from_the_command_line(graphene, tmp_path, capsys, monkeypatc
 def test_what_the_command_tells_by_default(tmp_path, capsys, monkeypatch):
     points = lattice(4, 3.0)
     u = 0.02 * np.sin(points.x + np.arange(4)[:, None, None])
-    law = Operator(3.0, (4, 4), (8, 8), proportional=True).double()
+    law = NeuralOperator(3.0, (4, 4), (8, 8), proportional=True).double()
     b = np.zeros_like(u)
     b[:, points.interior] = law.on(points)(u)
     law.provenance = {"epochs": 7, "seconds": 14}

@@ -15,7 +15,7 @@ from warp_peri.losses.reduced import reduce
 from warp_peri.models.lps import stiffnesses
 from warp_peri.models.shapes import gaussian, table
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.optimum import Problem
+from warp_peri.regression.optimum import ConstrainedProblem
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.shape_coordinates import ShapeCoordinates
 from warp_peri.shapes import InfluenceFunction
@@ -111,7 +111,7 @@ def test_the_gradient_through_the_whole_forward_pass(shape):
     (weight,) = sample_weights([points], normalise=False)
     classes, full = bond_classes(1.0, HORIZON), FullLoss(points, HORIZON, weight)
     coordinates = ShapeCoordinates([classes], shape)
-    problem = Problem(
+    problem = ConstrainedProblem(
         [reduce(points, HORIZON, weight)],
         [LatticeConditions(classes, Conditions("direct", 0.01))],
         coordinates,

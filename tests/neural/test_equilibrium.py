@@ -6,9 +6,9 @@ import torch
 
 from tests.support.problems import lattice
 from warp_peri.errors import InputError
-from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.equilibrium import NeuralEquilibrium
 from warp_peri.neural.evaluation import evaluate
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.statics.descent import polak_ribiere
@@ -20,7 +20,7 @@ HORIZON = 3.0
 def problem(precision=torch.float64):
     """A stable material, and displacement on the collar."""
     points = lattice(4, HORIZON)
-    material = Operator(HORIZON, (6, 8), (10, 12), anisotropic=True, proportional=True)
+    material = NeuralOperator(HORIZON, (6, 8), (10, 12), anisotropic=True, proportional=True)
     placed = material.to(precision).on(points)
     u = 0.03 * np.random.default_rng(1).normal(size=points.x.shape)
     u[points.interior] = 0
@@ -35,10 +35,10 @@ def unbalanced(placed, u):
 
 def test_newton_and_conjugate_gradients_meet():
     _, placed, u = problem()
-    found = Equilibrium(placed).from_rest(np.zeros_like(u), u, tolerance=1e-11)
+    found = NeuralEquilibrium(placed).from_rest(np.zeros_like(u), u, tolerance=1e-11)
     assert found.converged
     assert found.steps < 25
-    again = Equilibrium(placed).solve(np.zeros_like(u), u, tolerance=1e-11)
+    again = NeuralEquilibrium(placed).solve(np.zeros_like(u), u, tolerance=1e-11)
     np.testing.assert_allclose(again.u, found.u, atol=1e-9 * abs(found.u).max())
     assert abs(placed(found.u)).max() < 1e-10 * abs(placed(u)).max()
     with torch.no_grad():
@@ -56,14 +56,14 @@ def test_a_load_is_balanced():
     wanted[rows] = 0.02 * np.random.default_rng(2).normal(size=(16, 2))
     b = np.zeros_like(u)
     b[rows] = placed(wanted)
-    found = Equilibrium(placed).solve(b, u, tolerance=1e-12)
+    found = NeuralEquilibrium(placed).solve(b, u, tolerance=1e-12)
     np.testing.assert_allclose(found.u, wanted, atol=1e-9)
 
 
 def test_the_way_from_rest(monkeypatch):
     """Uniform strain on the collar is found at once; where a search fails, in two parts."""
     _, placed, _ = problem()
-    search, find, calls = Equilibrium(placed), Equilibria._found, []
+    search, find, calls = NeuralEquilibrium(placed), Equilibria._found, []
     collar = ~placed.points.interior[:, None]
     stretched = placed.points.x @ np.array([[0.5, 0.1], [0.0, -0.2]])
     found = search.from_rest(0 * stretched, collar * stretched)
@@ -89,9 +89,9 @@ def test_rounding_of_single_precision_is_an_equilibrium():
     """Its residual stays above the default tolerance, and is that of the numbers themselves."""
     _, exact, u = problem()
     b = np.zeros_like(u)
-    expected = Equilibrium(exact).solve(b, u).u
+    expected = NeuralEquilibrium(exact).solve(b, u).u
     _, placed, _ = problem(torch.float32)
-    found = Equilibrium(placed).solve(b, u)
+    found = NeuralEquilibrium(placed).solve(b, u)
     assert found.converged
     np.testing.assert_allclose(found.u, expected, atol=1e-5 * abs(expected).max())
 
@@ -105,7 +105,7 @@ def gradient(material, loss):
 def test_gradients_of_an_equilibrium():
     """By the adjoint, through the steps of the search as it converges, and by differences."""
     material, placed, u = problem()
-    rows, search = placed.bonds.rows, Equilibrium(placed)
+    rows, search = placed.bonds.rows, NeuralEquilibrium(placed)
     target = torch.tensor(0.01 * np.random.default_rng(3).normal(size=(16, 2)))
 
     def loss():
@@ -147,12 +147,12 @@ def test_gradients_of_an_equilibrium():
 def test_factors_survive_other_numbers():
     """A training changes the material under the search; old factors are only slower."""
     material, placed, u = problem()
-    search = Equilibrium(placed)
+    search = NeuralEquilibrium(placed)
     with torch.no_grad():
         for part in material.parameters():
             part *= 1.3
     found = search.solve(np.zeros_like(u), u, tolerance=1e-10)
-    fresh = Equilibrium(placed).solve(np.zeros_like(u), u, tolerance=1e-10)
+    fresh = NeuralEquilibrium(placed).solve(np.zeros_like(u), u, tolerance=1e-10)
     assert found.converged
     np.testing.assert_allclose(found.u, fresh.u, atol=1e-9)
 
@@ -160,7 +160,7 @@ def test_factors_survive_other_numbers():
 def test_a_sheet_without_a_collar_is_not_solved_for():
     """Its displacement is known up to a motion; its residual is told alone."""
     points = Points(np.argwhere(np.ones((7, 7))).astype(float), np.ones(49, bool), 1.0, box=(7, 7))
-    material = Operator(HORIZON, (6, 8), (10, 12)).double()
+    material = NeuralOperator(HORIZON, (6, 8), (10, 12)).double()
     u = 0.03 * np.sin(2 * np.pi * points.x / 7)[None]
     errors = evaluate(material, Samples(points, u, 1.1 * material.on(points)(u)))
     assert errors["E_res"] == pytest.approx(1 / 11)
@@ -172,7 +172,7 @@ def test_a_sheet_without_a_collar_is_not_solved_for():
 def test_what_is_refused():
     _, placed, u = problem()
     with pytest.raises(InputError, match="b: expected shape"):
-        Equilibrium(placed).solve(np.zeros(3), u)
+        NeuralEquilibrium(placed).solve(np.zeros(3), u)
     for load, given, words in (
         (u[:3], u, "expected shape"),
         (np.stack([u, u]), u, "expected shape"),

@@ -19,7 +19,7 @@ from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
 from warp_peri.neural.file import load, save
 from warp_peri.neural.interpolation import interpolated_force
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.matrix import matrix
 from warp_peri.neural.networks import CHUNK, evaluate, network
 from warp_peri.points.points import Points
@@ -35,7 +35,7 @@ WEIGHTS = Path(__file__).parent.parent.parent / "examples" / "neural_weights"
 
 
 def small(form="isotropic", **other):
-    return Operator(HORIZON, (6, 8), (10, 12), **FORMS[form], **other).double()
+    return NeuralOperator(HORIZON, (6, 8), (10, 12), **FORMS[form], **other).double()
 
 
 def random_field(points, size=0.05, seed=0):
@@ -359,7 +359,7 @@ def test_files_that_are_not_believed(tmp_path):
         load(path)
     with pytest.raises(InputError, match="json"):
         save(small(), tmp_path / "m.h5")
-    wide = Operator(3.0, (4, 4), (2600, 2600)).double()
+    wide = NeuralOperator(3.0, (4, 4), (2600, 2600)).double()
     with pytest.raises(InputError, match="at most .* bytes of weights"):
         save(wide, path)
     save(wide, path, precision="float32")
@@ -429,7 +429,7 @@ def test_curves_are_the_networks():
 )
 def test_numbers_that_are_refused(given, words):
     with pytest.raises(InputError, match=words):
-        Operator(**{"horizon": HORIZON, **given})
+        NeuralOperator(**{"horizon": HORIZON, **given})
 
 
 def test_points_and_fields_that_are_refused():

@@ -7,9 +7,9 @@ import torch
 from tests.support.problems import lattice
 from warp_peri.errors import InputError
 from warp_peri.neural import training
-from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.equilibrium import NeuralEquilibrium
 from warp_peri.neural.evaluation import evaluate
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.training import Training, residuals, train
 from warp_peri.points.samples import Samples
 
@@ -24,7 +24,7 @@ def waves(points, seed, count):
 
 def truth():
     """A material to learn: its force state pulls back, and hardens."""
-    material = Operator(HORIZON, (6, 8), (10, 12), proportional=True, seed=5)
+    material = NeuralOperator(HORIZON, (6, 8), (10, 12), proportional=True, seed=5)
     return material.double()
 
 
@@ -38,13 +38,13 @@ def loads(seed, count=6):
 
 def frames(seed, count=3):
     points = lattice(3, HORIZON)
-    search, fields = Equilibrium(truth().on(points)), waves(points, seed, count)
+    search, fields = NeuralEquilibrium(truth().on(points)), waves(points, seed, count)
     u = [search.solve(np.zeros_like(field), field).u for field in fields]
     return Samples(points, np.array(u))
 
 
 def student(**other):
-    return Operator(HORIZON, (8, 8), (16, 16), strain=0.2, seed=1, **other).double()
+    return NeuralOperator(HORIZON, (8, 8), (16, 16), strain=0.2, seed=1, **other).double()
 
 
 @pytest.mark.parametrize("cells", [0, 12])
@@ -123,7 +123,7 @@ def test_checkpoints_of_other_trainings(tmp_path):
     with pytest.raises(InputError, match="batch"):
         goes_on(student(), loads(0), Training(epochs=2, batch=3))
     with pytest.raises(InputError, match=r"influence \[8, 8\], expected \[8, 9\]"):
-        goes_on(Operator(HORIZON, (8, 9), (16, 16), strain=0.2).double(), loads(0))
+        goes_on(NeuralOperator(HORIZON, (8, 9), (16, 16), strain=0.2).double(), loads(0))
     with pytest.raises(InputError, match="the checkpoint has samples"):
         goes_on(student(), loads(3))
     with pytest.raises(InputError, match="the checkpoint has validation"):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warp_peri.statics.body_loads import Loads
+from warp_peri.statics.body_loads import BodyLoads
 
 H = 2.5
 LINE = H * np.arange(-12, 13)
@@ -11,7 +11,7 @@ NODES = np.stack(np.meshgrid(LINE, LINE, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def felt(b, x=NODES):
-    return Loads({}, {}, b).density(x, H)
+    return BodyLoads({}, {}, b).density(x, H)
 
 
 def test_quadratic_densities_are_felt_as_they_are():
@@ -19,7 +19,7 @@ def test_quadratic_densities_are_felt_as_they_are():
         return np.stack([1 + x[:, 0] - 0.2 * x[:, 0] * x[:, 1], x[:, 1] ** 2], axis=-1)
 
     assert felt(b) == pytest.approx(b(NODES), abs=1e-9)
-    assert not Loads({}, {}, None).density(NODES, H).any()
+    assert not BodyLoads({}, {}, None).density(NODES, H).any()
 
 
 @pytest.mark.parametrize("middle", [(0.0, 0.0), (0.9, -0.4), (1.25, 1.25)])

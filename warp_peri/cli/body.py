@@ -12,6 +12,7 @@ import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
+from warp_peri.statics.settings import Coupling
 from warp_peri.storage import load
 
 OF_DATA: dict[str, Any] = {"method": "auto", "axis": None, "set": "test", "transfer": True}
@@ -25,9 +26,6 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
     Raises InputError for a data file beside the body, or neither, options of a data file, a
     material that bodies are not of, and another ending than .vtu.
     """
-    from warp_peri.export import write_body
-    from warp_peri.statics.settings import Coupling  # loads Warp
-
     if given.body is None or given.data is not None:
         raise InputError("data, body: expected one of DATA.h5 and --body MESH")
     refuse_options(given, OF_DATA, "loads of a data file, not of a body")
@@ -45,7 +43,7 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
     asked: dict[str, Any] = {"allow_uncertified": True} if given.allow_uncertified else {}
     solution = warp_peri.solve(material, problem, **asked).details
     with locked(given.out):
-        largest = write_body(given.out, solution)
+        largest = warp_peri.export.write_body(given.out, solution)
         keep(given, given.out.with_suffix(".solve.toml"))
     exchange = solution.exchange
     return {

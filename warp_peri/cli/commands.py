@@ -31,6 +31,7 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
+from warp_peri.statics.settings import Direct, Krylov
 from warp_peri.storage import load
 
 Result = dict[str, Any]
@@ -158,8 +159,6 @@ def linear_of(material: Any) -> Any:
 
 def _solver(name: str, material: Any) -> Any:
     """Settings of a solver by the name they have on the command line; nonlinear laws have one."""
-    from warp_peri.statics.settings import Direct, Krylov  # loads Warp
-
     if name == "auto":
         return None
     if not hasattr(material, "linear") or material.linear is not material:

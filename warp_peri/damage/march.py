@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from warp_peri.damage.lattice_body import HAIR, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
-from warp_peri.damage.paraview import Series
+from warp_peri.damage.paraview import DamageSeries
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
@@ -168,7 +168,7 @@ class CrackRun:
         self.sections = {name: Section(body, line) for name, line in (sections or {}).items()}
         self.path = None if checkpoint is None else Path(checkpoint)
         self.checkpoint_every = int(checkpoint_every)
-        self.series = None if series is None else Series(series, body.body)
+        self.series = None if series is None else DamageSeries(series, body.body)
         self.history = History()
         self._began, self._first, self._ramp = "", (0.0, 0), list[float]()
 

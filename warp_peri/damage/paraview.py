@@ -15,7 +15,7 @@ from warp_peri.files.atomic import whole_file, write_text
 COLLECTION = "motion.pvd"
 
 
-class Series:
+class DamageSeries:
     """Writes records of a motion: `record_<step>.vtu`, and `motion.pvd`, which ParaView opens.
 
     Args:

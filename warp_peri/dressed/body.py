@@ -33,7 +33,7 @@ Edges = bool | Callable[[np.ndarray], np.ndarray]
 """Whether a body may end before its bonds do; or which positions [n, d] lie inside, [n] bool."""
 
 
-class Body:
+class DressedBody:
     """L = Σ_a Gᵗ K_a G on the nodes of one body, K of the sites and strains that are there.
 
     Made by DressedSolid.on. No eigenvalue is negative and no rigid motion costs anything,

@@ -60,7 +60,7 @@ class FiniteStrain:
 
 def fit_finite(samples: Samples, moduli: Any) -> FiniteFit:
     """The numbers that fit L u = b best, each sample weighed by 1/‖b‖; as FiniteStrain.learn."""
-    found = _Fit(samples)
+    found = _FiniteFit(samples)
     C = third_order_moduli(samples, moduli) if isinstance(moduli, Smoothing) else from_voigt(moduli)
     pair = np.array([C[0, 0, 1, 1], C[0, 1, 0, 1]])
     if C.shape != (2,) * 4 or abs(C[0, 0, 0, 0] - pair[0] - 2 * pair[1]) > ISOTROPIC * pair[1]:
@@ -77,7 +77,7 @@ def fit_finite(samples: Samples, moduli: Any) -> FiniteFit:
     return FiniteFit(solid, history)
 
 
-class _Fit:
+class _FiniteFit:
     """Forces of the samples as a function of along, across, share, and linear in the rest.
 
     Attributes:

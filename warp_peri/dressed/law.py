@@ -199,12 +199,12 @@ class DressedSolid(Record, format="warp_peri.dressed"):
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
         and pairs that do not fit.
         """
-        from warp_peri.dressed.body import Body  # which stands above the numbers
+        from warp_peri.dressed.body import DressedBody  # which stands above the numbers
         from warp_peri.dressed.sweeps import ByLayers
-        from warp_peri.micromodulus.operator import Operator
+        from warp_peri.micromodulus.operator import TensorOperator
 
         if edges or maps or broken is not None or grains is not None:
-            return Body(
+            return DressedBody(
                 self, points, edges=edges, maps=maps, broken=broken, grains=grains, dtype=dtype
             )
         law = self.crystal
@@ -217,7 +217,7 @@ class DressedSolid(Record, format="warp_peri.dressed"):
         why = (
             f"; give a collar {law.horizon:g} wide, or edges=True where the body itself ends there"
         )
-        return Operator(
+        return TensorOperator(
             law.fitting(points), law.stencil, self.tensor(), why=why,
             model=self, dtype=dtype, product=layers if self.layered else None,
         )  # fmt: skip

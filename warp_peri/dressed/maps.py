@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.dressed.body import Body
+from warp_peri.dressed.body import DressedBody
 from warp_peri.dressed.grains import Grains
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
@@ -203,10 +203,10 @@ def _warn_of_smoothing(apart: float, smoothing: float | None) -> None:
         )
 
 
-def _periodic(solid: DressedSolid, samples: Samples, grains: Grains | None = None) -> Body:
+def _periodic(solid: DressedSolid, samples: Samples, grains: Grains | None = None) -> DressedBody:
     if samples.points.box is None:
         raise InputError("samples: expected a periodic sheet for a map")
-    return Body(solid, samples.points, grains=grains)
+    return DressedBody(solid, samples.points, grains=grains)
 
 
 def _kinds(solid: DressedSolid, parts: str) -> list[list[int]]:
@@ -218,7 +218,7 @@ def _kinds(solid: DressedSolid, parts: str) -> list[list[int]]:
 
 
 def _normal_equations(
-    body: Body, samples: Samples, basis: sp.csr_array, kinds: list[list[int]], *, known: bool
+    body: DressedBody, samples: Samples, basis: sp.csr_array, kinds: list[list[int]], *, known: bool
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, float]:
     """AᵗA and Aᵗb of each load (D13), sizes of the loads, and Σ bᵗb; b less what the even solid
     answers where that is `known`."""
@@ -250,7 +250,9 @@ def _left_out(grams: list[np.ndarray], sides: list[np.ndarray], penalty: np.ndar
     return float(total / len(grams))
 
 
-def _design(body: Body, u: np.ndarray, basis: sp.csr_array, kinds: list[list[int]]) -> np.ndarray:
+def _design(
+    body: DressedBody, u: np.ndarray, basis: sp.csr_array, kinds: list[list[int]]
+) -> np.ndarray:
     """L u of each value of each map alone, [d N, kinds · values]."""
     base, count = body.model.parts, len(body.points.x)
     to_sites = sp.csr_array(
@@ -276,7 +278,7 @@ def _design(body: Body, u: np.ndarray, basis: sp.csr_array, kinds: list[list[int
     return np.concatenate(columns, axis=1)
 
 
-def _hats(body: Body, coarse: int) -> tuple[sp.csr_array, np.ndarray]:
+def _hats(body: DressedBody, coarse: int) -> tuple[sp.csr_array, np.ndarray]:
     """Values every so many nodes to all nodes, linear between; and the sum of squared steps."""
     sides = body.sides
     if any(n % coarse for n in sides):
@@ -301,7 +303,7 @@ def _hats(body: Body, coarse: int) -> tuple[sp.csr_array, np.ndarray]:
 class _Weight:
     """D^(−1/2) of the even solid on a period, on columns [d N, n]."""
 
-    def __init__(self, body: Body) -> None:
+    def __init__(self, body: DressedBody) -> None:
         self.sides, h = body.sides, body.points.spacing
         self.place = np.ravel_multi_index(tuple(body.grid.T), self.sides)
         waves = np.meshgrid(*[2 * np.pi * np.fft.fftfreq(n, h) for n in self.sides], indexing="ij")

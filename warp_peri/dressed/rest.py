@@ -16,7 +16,7 @@ from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 if TYPE_CHECKING:
-    from warp_peri.dressed.body import Body
+    from warp_peri.dressed.body import DressedBody
 
 MOST_DIRECT = 1500
 """Nodes in space beyond which conjugate gradients are taken for a factorisation."""
@@ -25,7 +25,7 @@ BALANCED, MET = 1e-4, 1e-6
 WHY = "one answer; L = Gᵗ K G ⪰ 0 whatever is uneven, missing or broken"
 
 
-def at_rest(body: Body, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+def at_rest(body: DressedBody, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
     """A body in equilibrium with b on the interior, u given elsewhere, shape [..., N, d].
 
     With no node held the load must balance, and the answer neither moves nor turns as a whole (on a
@@ -67,7 +67,7 @@ def at_rest(body: Body, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> So
 
 
 def _iterated(
-    body: Body, loads: np.ndarray, held: np.ndarray, unknown: np.ndarray, tolerance: float
+    body: DressedBody, loads: np.ndarray, held: np.ndarray, unknown: np.ndarray, tolerance: float
 ) -> tuple[np.ndarray, float, int]:
     """u [S, N, d] by conjugate gradients of G, K and G in turn, residual and iterations."""
     shape, mask = held.shape, np.repeat(unknown, held.shape[-1])[:, None]
@@ -105,7 +105,7 @@ def _balanced(right: np.ndarray, rigid: np.ndarray) -> np.ndarray:
     return np.asarray(right - rigid @ along)
 
 
-def _free(body: Body, loads: np.ndarray) -> tuple[np.ndarray, float]:
+def _free(body: DressedBody, loads: np.ndarray) -> tuple[np.ndarray, float]:
     """u [S, N, d] of a body that nothing holds, and the relative residual."""
     rigid = _rigid(body)
     right = _balanced(loads.reshape(len(loads), -1).T, rigid)
@@ -127,7 +127,7 @@ def _free(body: Body, loads: np.ndarray) -> tuple[np.ndarray, float]:
     return answer.T.reshape(loads.shape), left
 
 
-def _rigid(body: Body) -> np.ndarray:
+def _rigid(body: DressedBody) -> np.ndarray:
     """Orthonormal rigid motions of the nodes that carry something, [d N, m].
 
     On a period translations alone.

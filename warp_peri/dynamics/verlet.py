@@ -26,7 +26,7 @@ from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.operator import LPSOperator
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.waves import Kept
+    from warp_peri.ranks.waves import KeptMotion
 
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
@@ -195,7 +195,7 @@ def march(
 
 
 def marched(
-    body: Inert, state: State, dt: float, steps: int, every: int, kept: Kept | None = None
+    body: Inert, state: State, dt: float, steps: int, every: int, kept: KeptMotion | None = None
 ) -> Motion:
     """A loop over steps, with the energy (52) halfway in every so many of them.
 

@@ -16,7 +16,7 @@ import numpy as np
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.laws import Law
+from warp_peri.flow.laws import FlowLaw
 from warp_peri.flow.planar import IDENTITY
 from warp_peri.points.arrays import check_positive, check_whole
 
@@ -71,7 +71,7 @@ class Closure:
     the law's check raises, and for gradients of another number of cells.
     """
 
-    def __init__(self, law: Law, De: float, n: int, *, check_every: int = 10) -> None:
+    def __init__(self, law: FlowLaw, De: float, n: int, *, check_every: int = 10) -> None:
         check_positive("De", De)
         check_whole("check_every", check_every, 1)
         self.law, self.De, self.check_every = law, De, check_every
@@ -170,14 +170,19 @@ def key_of(stress: Stress) -> str:
     return f"fluid {getattr(stress, 'key', '')} {list(stress.state().shape)}"
 
 
-def heun(law: Law, K: Any, C: Any, h: Any) -> Any:
+def heun(law: FlowLaw, K: Any, C: Any, h: Any) -> Any:
     """One step of Heun's rule, h relaxation times (a number, or one for each state [n, 1])."""
     a = law.rate(K, C)
     return C + h / 2 * (a + law.rate(K, C + h * a))
 
 
 def homogeneous(
-    law: Law, K: np.ndarray, interval: float, *, start: np.ndarray | None = None, parts: int = 10
+    law: FlowLaw,
+    K: np.ndarray,
+    interval: float,
+    *,
+    start: np.ndarray | None = None,
+    parts: int = 10,
 ) -> np.ndarray:
     """C of a fluid under one gradient after another, each held for an interval.
 

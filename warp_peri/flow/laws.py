@@ -28,7 +28,7 @@ def plain_number(value: Any) -> float:
     return float(value.detach() if isinstance(value, torch.Tensor) else value)
 
 
-class Law(Protocol):
+class FlowLaw(Protocol):
     """What a flow asks of a law; C has shape [..., 4], and so has K."""
 
     @property

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warp_peri.flow.laws import Law
+from warp_peri.flow.laws import FlowLaw
 from warp_peri.flow.planar import carried, eigenvalues, from_eigenvalues, from_frame, in_frame
 
 
@@ -23,7 +23,7 @@ class LogConformation:
         law: named or learned, with a positive definite C.
     """
 
-    law: Law
+    law: FlowLaw
 
     @property
     def name(self) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import heun
-from warp_peri.flow.laws import Law
+from warp_peri.flow.laws import FlowLaw
 from warp_peri.flow.planar import IDENTITY
 from warp_peri.flow.protocols import Ensembles, random_planar
 
@@ -101,12 +101,12 @@ def window_pairs(record: Ensembles, window: int) -> Pairs:
     return Pairs(parts[0], parts[1], parts[2], parts[3], 0.0)
 
 
-def exact_pairs(law: Law, K: np.ndarray, C: np.ndarray) -> Pairs:
+def exact_pairs(law: FlowLaw, K: np.ndarray, C: np.ndarray) -> Pairs:
     """The rate of a law whose stress is C − I, at states [n, 4]."""
     return Pairs(K, C - IDENTITY, law.rate(K, C), np.zeros_like(C), 0.0)
 
 
-def reached(law: Law, n: int, largest: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def reached(law: FlowLaw, n: int, largest: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """(K, C) of mixed flows: C after two random planar gradients, K the second; shapes [n, 4]."""
     random = np.random.default_rng(seed)
     C = np.tile(law.rest, (n, 1))

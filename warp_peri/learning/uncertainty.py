@@ -30,7 +30,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import check_same
 from warp_peri.points.wave_number import WAVE_VECTOR
-from warp_peri.regression.optimum import Problem, coordinates_of
+from warp_peri.regression.optimum import ConstrainedProblem, coordinates_of
 from warp_peri.regression.parameters import Parameters
 from warp_peri.stability.conditions import ZoneSearch
 
@@ -117,7 +117,7 @@ def fit_uncertainty(
     optimum = Parameters(*numbers, D_dilatation=own, shape=found.influence)
     lattices = [loss.classes for loss in losses]
     coordinates = coordinates_of(lattices, optimum, two_functions=settings.two_functions)
-    problem = Problem(losses, settings.conditions, coordinates, settings.moduli)
+    problem = ConstrainedProblem(losses, settings.conditions, coordinates, settings.moduli)
     y = coordinates.start(optimum)
     pushes, bends = [], []
     slopes = problem.product_slopes(coordinates.point(y))
@@ -145,7 +145,7 @@ def fit_uncertainty(
 
 
 def _beside(
-    problem: Problem, y: np.ndarray, model: Model, step: np.ndarray
+    problem: ConstrainedProblem, y: np.ndarray, model: Model, step: np.ndarray
 ) -> tuple[Model, Model, float]:
     """Models a step above and below the fit, within what is linear, and the part of the step."""
     for off in SMALLER:
@@ -164,7 +164,7 @@ def _beside(
     raise InputError("noise: it is so strong that nothing can be said of this fit")
 
 
-def _steps(problem: Problem, y: np.ndarray) -> np.ndarray:
+def _steps(problem: ConstrainedProblem, y: np.ndarray) -> np.ndarray:
     """X with X Xᵗ how far the optimum moves against a gradient, −dy by gradient, shape [Y, T]."""
     free = _tangent(problem, y)
     size, right = np.linalg.svd(problem.slopes(y, problem.coordinates.point(y)) @ free)[1:]
@@ -173,7 +173,7 @@ def _steps(problem: Problem, y: np.ndarray) -> np.ndarray:
     return steps
 
 
-def _is_straight(problem: Problem, y: np.ndarray, step: np.ndarray) -> bool:
+def _is_straight(problem: ConstrainedProblem, y: np.ndarray, step: np.ndarray) -> bool:
     """Whether the residual changes along a step as its derivative says, about."""
     above, here, below = (
         problem.values(moved, problem.coordinates.point(moved)) for moved in (y + step, y, y - step)
@@ -363,7 +363,7 @@ def _sets_and_noise(
     return sets, fields
 
 
-def _tangent(problem: Problem, y: np.ndarray) -> np.ndarray:
+def _tangent(problem: ConstrainedProblem, y: np.ndarray) -> np.ndarray:
     """Directions that keep the active conditions where they are, shape [Y, T]."""
     point = problem.coordinates.point(y)
     tables = []

@@ -19,7 +19,7 @@ from warp_peri.core.proof import Proof, largest, prove
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.operator import Operator
+from warp_peri.micromodulus.operator import TensorOperator
 from warp_peri.points.axis import unsaid
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
@@ -254,7 +254,7 @@ class Crystal(Record, format="warp_peri.micromodulus"):
 
     def on(
         self, points: Points | Samples, *, method: str = "auto", dtype: Any = np.float64
-    ) -> Operator:
+    ) -> TensorOperator:
         """The operator on nodes of the law's own spacing, its steps along their axes.
 
         A turned lattice turns the crystal with it; `learning.transferred` is for a crystal that
@@ -269,7 +269,7 @@ class Crystal(Record, format="warp_peri.micromodulus"):
         the law is not objective there, and the message says how far from it.
         """
         nodes = self.fitting(points)
-        return Operator(
+        return TensorOperator(
             nodes,
             self.stencil,
             self.tensor(),

@@ -19,7 +19,7 @@ from warp_peri.statics.settings import Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 
-class Operator:
+class TensorOperator:
     """L of one law on the nodes of one lattice, all bonds whole.
 
     Made by Crystal.on.

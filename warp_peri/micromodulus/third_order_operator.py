@@ -16,7 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.nonlinear.tensors import tensor_rows
 from warp_peri.launch import floats
 from warp_peri.micromodulus.law import SAME_SPACING
-from warp_peri.micromodulus.operator import Operator
+from warp_peri.micromodulus.operator import TensorOperator
 from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.waves import transferred
 from warp_peri.models.nonlinear import energy_density
@@ -142,7 +142,7 @@ class PlacedCrystal(PlacedThirdOrder):
         self._matrices = None
 
     @cached_property
-    def straight(self) -> Operator:  # type: ignore[override]
+    def straight(self) -> TensorOperator:  # type: ignore[override]
         """The tensors alone."""
         return self.model.linear.on(self.points)  # type: ignore[no-any-return]
 

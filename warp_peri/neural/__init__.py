@@ -1,8 +1,8 @@
 """The peridynamic neural operator: influence function and force state as networks (NO1–NO13)."""
 
-from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.equilibrium import NeuralEquilibrium
 from warp_peri.neural.evaluation import evaluate
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.training import NeuralFit, Training, train
 
-__all__ = ["Equilibrium", "NeuralFit", "Operator", "Training", "evaluate", "train"]
+__all__ = ["NeuralEquilibrium", "NeuralFit", "NeuralOperator", "Training", "evaluate", "train"]

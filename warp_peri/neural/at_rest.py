@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.equilibrium import NeuralEquilibrium
 from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.placed import Placed
 from warp_peri.points.samples import Samples
@@ -44,7 +44,7 @@ class AtRest(Placed):
         refuse_solver(solver, (Newton,), "a neural operator")
         asked = solver if isinstance(solver, Newton) else Newton()
         load, given = checked_fields(self.points, b, u)
-        search = Equilibrium(self)
+        search = NeuralEquilibrium(self)
         pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (load, given)))
         found = [search.from_rest(*pair, tolerance=asked.tolerance) for pair in pairs]
         for number, one in enumerate(found):

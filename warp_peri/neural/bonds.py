@@ -19,7 +19,7 @@ from warp_peri.points.samples import PointsLike, nodes_of
 SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
 
 
-class Bonds:
+class NetworkBonds:
     """Bonds within two horizons of the interior of a lattice, each once, those by class.
 
     Attributes:
@@ -197,7 +197,7 @@ class Gather(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        context: Any, u: torch.Tensor, share: torch.Tensor, bonds: Bonds
+        context: Any, u: torch.Tensor, share: torch.Tensor, bonds: NetworkBonds
     ) -> tuple[torch.Tensor, torch.Tensor]:
         e = bonds.extension(u)
         context.bonds = bonds
@@ -225,7 +225,9 @@ class Scatter(torch.autograd.Function):
     """u [S, N, 2] and tensions of the acting bonds [S, A] → forces on the interior [S, I, 2]."""
 
     @staticmethod
-    def forward(context: Any, u: torch.Tensor, tension: torch.Tensor, bonds: Bonds) -> torch.Tensor:
+    def forward(
+        context: Any, u: torch.Tensor, tension: torch.Tensor, bonds: NetworkBonds
+    ) -> torch.Tensor:
         context.bonds = bonds
         context.save_for_backward(u, tension)
         return bonds.area * bonds.pull(u, tension, "rows")

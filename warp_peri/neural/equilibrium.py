@@ -46,7 +46,7 @@ class Found:
     converged: bool
 
 
-class Equilibrium:
+class NeuralEquilibrium:
     """Equilibria of one operator, with the stencil that it was at rest before them.
 
     The material's numbers may change meanwhile. Raises InputError for points without a collar.

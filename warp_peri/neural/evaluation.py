@@ -9,9 +9,9 @@ import torch
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.neural.equilibrium import Equilibrium
+from warp_peri.neural.equilibrium import NeuralEquilibrium
 from warp_peri.neural.frames import affine
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.samples import Samples
 
 TOLERANCE = {torch.float64: 1e-8, torch.float32: 1e-5}
@@ -19,7 +19,7 @@ TOLERANCE = {torch.float64: 1e-8, torch.float32: 1e-5}
 
 
 def evaluate(
-    material: Operator,
+    material: NeuralOperator,
     samples: Samples,
     *,
     solve: bool = True,
@@ -38,7 +38,7 @@ def evaluate(
     placed = material.on(samples.points)
     inside = samples.interior
     loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
-    search = Equilibrium(placed) if solve and not inside.all() else None
+    search = NeuralEquilibrium(placed) if solve and not inside.all() else None
     enough = TOLERANCE[placed.dtype] if tolerance is None else tolerance
     rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
     pairs = tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False)

@@ -16,7 +16,7 @@ import torch
 from warp_peri.core import record
 from warp_peri.core.record import Length, Positive
 from warp_peri.errors import InputError
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.unit_names import Units
 
 PRECISIONS = ("float16", "float32", "float64")
@@ -57,8 +57,8 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         beside = {"beside": content.get("weights"), "hash": content.pop("hash", None)}
         return content | {"version": 2, "precision": PRECISIONS[-1], "weights": beside}
 
-    def _read_from(self, path: Path | None) -> Operator:  # type: ignore[override]
-        material = Operator(
+    def _read_from(self, path: Path | None) -> NeuralOperator:  # type: ignore[override]
+        material = NeuralOperator(
             self.horizon,
             self.influence,
             self.state,
@@ -92,7 +92,9 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         return np.dtype(self.precision).newbyteorder("<")
 
 
-def save(material: Operator, path: str | os.PathLike[str], *, precision: str | None = None) -> None:
+def save(
+    material: NeuralOperator, path: str | os.PathLike[str], *, precision: str | None = None
+) -> None:
     """Write one JSON file, whole or not at all.
 
     Args:
@@ -123,7 +125,7 @@ def save(material: Operator, path: str | os.PathLike[str], *, precision: str | N
     replace(said, weights=coded).save(path)
 
 
-def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operator:
+def load(path: str | os.PathLike[str], *, units: Units | None = None) -> NeuralOperator:
     """Read a material, in float64; in other units where they are given.
 
     Files of version 1, whose weights lie beside them in HDF5, are read too.
@@ -131,7 +133,7 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Operato
     Raises InputError for what is no such file, for weights that are missing, of other shapes, not
     finite, or not those that were written.
     """
-    material: Operator = record.load(path)
+    material: NeuralOperator = record.load(path)
     return material if units is None else material.in_units(units)
 
 

@@ -9,8 +9,8 @@ import torch
 from scipy.sparse.linalg import SuperLU
 
 from warp_peri.errors import InputError
-from warp_peri.neural.equilibrium import Equilibrium, Found
-from warp_peri.neural.material import Operator
+from warp_peri.neural.equilibrium import Found, NeuralEquilibrium
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.samples import Samples
 
 SOLVED = 1e-5
@@ -29,10 +29,10 @@ class Frames:
     a visit moves it by one step with these factors and learns from where it is then, (NO14).
     """
 
-    def __init__(self, material: Operator, samples: Samples) -> None:
+    def __init__(self, material: NeuralOperator, samples: Samples) -> None:
         self.material, self.placed = material, material.on(samples.points)
         self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
-        self.rows, self.search = self.placed.bonds.rows, Equilibrium(self.placed)
+        self.rows, self.search = self.placed.bonds.rows, NeuralEquilibrium(self.placed)
         self.start = np.stack([affine(samples, u) for u in samples.u])
         self.seen = samples.u[:, self.rows]
         self.sizes = np.linalg.norm(self.seen.reshape(len(self.seen), -1), axis=1)

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
-from warp_peri.neural.bonds import Bonds
+from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.networks import evaluate, network
 from warp_peri.points.arrays import check_positive, is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -52,7 +52,7 @@ class Curves:
     lengths: np.ndarray
 
 
-class Operator(Shown, torch.nn.Module):
+class NeuralOperator(Shown, torch.nn.Module):
     """ω as a network of the bond, the scalar force state as one of (ω, ϑ, e, |ξ|), (NO1)–(NO4).
 
     Args:
@@ -133,7 +133,7 @@ class Operator(Shown, torch.nn.Module):
         from warp_peri.neural.at_rest import AtRest
 
         check_same(self.units, nodes_of(points).units)
-        return AtRest(self, Bonds(points, self.horizon))
+        return AtRest(self, NetworkBonds(points, self.horizon))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a JSON file with the weights in it; see file.save for their precision."""
@@ -168,7 +168,7 @@ class Operator(Shown, torch.nn.Module):
         if size > 0:
             self.scale *= float(loads.norm()) / size
 
-    def in_units(self, units: Units) -> Operator:
+    def in_units(self, units: Units) -> NeuralOperator:
         """The same material in other units."""
         length, stress = factors(self.units, units)
         other = copy.deepcopy(self)

@@ -9,10 +9,10 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
-from warp_peri.neural.bonds import Bonds, Gather, Scatter
+from warp_peri.neural.bonds import Gather, NetworkBonds, Scatter
 
 
-class Law(Protocol):
+class NeuralLaw(Protocol):
     """What is asked of a material: ω of bonds, and force states of bonds."""
 
     anisotropic: bool
@@ -33,7 +33,7 @@ class Placed:
     the interior, shape [I, 2] or [S, I, 2]: NumPy for NumPy, differentiable torch for torch.
     """
 
-    def __init__(self, material: Law, bonds: Bonds) -> None:
+    def __init__(self, material: NeuralLaw, bonds: NetworkBonds) -> None:
         self.material, self.bonds, self.points = material, bonds, bonds.points
 
     def __call__(self, u: Any) -> Any:

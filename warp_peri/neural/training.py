@@ -19,7 +19,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file
 from warp_peri.neural.frames import RENEWED, Frames
 from warp_peri.neural.interpolation import CELLS, interpolated_force
-from warp_peri.neural.material import Operator
+from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.samples import Samples
 
@@ -58,7 +58,7 @@ class Training:
 
 
 @dataclass
-class History:
+class TrainingHistory:
     """What a training did.
 
     Attributes:
@@ -77,7 +77,7 @@ class History:
 class _Loads:
     """Samples whose loads are known, as a training takes them: (NO7)."""
 
-    def __init__(self, material: Operator, samples: Samples) -> None:
+    def __init__(self, material: NeuralOperator, samples: Samples) -> None:
         self.placed = material.on(samples.points)
         dtype = self.placed.dtype
         self.u = torch.as_tensor(samples.u, dtype=dtype)
@@ -109,14 +109,14 @@ def relative(force: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
     return errors
 
 
-def _taken(material: Operator, samples: Samples) -> _Loads | Frames:
+def _taken(material: NeuralOperator, samples: Samples) -> _Loads | Frames:
     """Samples by what is known of them."""
     if not len(samples):
         raise InputError("samples: expected at least one, got none")
     return _Loads(material, samples) if samples.b is not None else Frames(material, samples)
 
 
-def residuals(material: Operator, samples: Samples) -> np.ndarray:
+def residuals(material: NeuralOperator, samples: Samples) -> np.ndarray:
     """Relative ℓ2 errors of b on the interior, E_res, by the networks themselves, shape [S]."""
     data = _taken(material, samples)
     with torch.no_grad():
@@ -133,12 +133,12 @@ class NeuralFit:
         history: of the training.
     """
 
-    material: Operator
-    history: History
+    material: NeuralOperator
+    history: TrainingHistory
 
 
 def train(
-    material: Operator,
+    material: NeuralOperator,
     samples: Samples,
     val: Samples,
     training: Training,
@@ -146,7 +146,7 @@ def train(
     checkpoint: str | os.PathLike[str] | None = None,
     seconds: float = math.inf,
     progress: bool = True,
-) -> History:
+) -> TrainingHistory:
     """Learn the material's numbers in place; it ends with those of least train + val error.
 
     Args:
@@ -205,7 +205,7 @@ class _Run:
 
     def __init__(
         self,
-        material: Operator,
+        material: NeuralOperator,
         learned: _Loads | Frames,
         unseen: _Loads | Frames,
         training: Training,
@@ -214,7 +214,7 @@ class _Run:
         self.learned, self.unseen = learned, unseen
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
-        self.history, self.least = History(), math.inf
+        self.history, self.least = TrainingHistory(), math.inf
         self.kept: dict[str, torch.Tensor] = {}
         if isinstance(learned, _Loads):
             with torch.no_grad():
@@ -296,7 +296,7 @@ class _Run:
             state[key] for key in ("scale", "least", "kept")
         )
         history = state["history"]
-        self.history = History(**{**history, "curve": [tuple(c) for c in history["curve"]]})
+        self.history = TrainingHistory(**{**history, "curve": [tuple(c) for c in history["curve"]]})
 
 
 def _digest(data: _Loads | Frames) -> str:

@@ -24,7 +24,7 @@ from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import PointsLike
 
 
-class _Force(torch.autograd.Function):
+class _ThirdOrderForce(torch.autograd.Function):
     """u, tables by class [4, C], λ − μ and the six numbers to L u."""
 
     @staticmethod
@@ -67,7 +67,7 @@ class _Force(torch.autograd.Function):
         return None, None, wp.to_torch(by_u, requires_grad=False), *parts
 
 
-_force: Callable[..., torch.Tensor] = _Force.apply
+_force: Callable[..., torch.Tensor] = _ThirdOrderForce.apply
 
 
 def class_tables(

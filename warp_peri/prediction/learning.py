@@ -9,6 +9,7 @@ import numpy as np
 
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, part
@@ -54,8 +55,6 @@ class Family:
 
         Raises InputError for samples that cannot be halved, and whatever the laws refuse.
         """
-        from warp_peri.points.dataset import Dataset
-
         if isinstance(samples, Dataset):
             samples = samples.sets["train"] if "train" in samples.sets else samples.obvious()
         if not isinstance(samples, Samples) or len(samples) < 4:

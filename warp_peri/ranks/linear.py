@@ -23,7 +23,6 @@ from warp_peri.ranks.processes import agreed, build, in_turn
 from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite, norm
 from warp_peri.statics.multigrid import coarser
-from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
     from warp_peri.ranks.kept import Kept
@@ -232,9 +231,12 @@ def tensors_at(linear: Any, piece: Piece) -> Crystal:
         with agreed(piece.comm):
             linear.fitting(Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis))
         return linear
-    here = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
+    if not linear.is_certified_on(piece.spacing):
+        from warp_peri.transfer.cache import model_at  # loads torch, 185 MB a rank
+
+        linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
     with shared_by(piece.comm):
-        return tensors_of(here, piece.spacing)
+        return tensors_of(linear, piece.spacing)
 
 
 def one_node(dimension: int, spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         if piece.spacing == 0 or piece.tiles is None:
             raise InputError("points: expected a lattice in tiles for waves on ranks")
         offered(material, "on", "move", MATERIAL)
-        steps, files = taken(options, "move", _of_steps, Kept.__init__)
+        steps, files = taken(options, "move", _of_steps, KeptMotion.__init__)
         given = {"u": problem.u, "v": steps.pop("v", None), "b": problem.b}
         dt, density = steps["step"], steps.pop("density")
         steps.setdefault("every", 1)
@@ -54,7 +54,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     count = comm.allreduce(int(np.count_nonzero(free)))
     body = Inert(operator, free, density, start["b"][free], dot=piece.dot, count=count)
     state = body.state(start["u"], start["v"][free])
-    kept = Kept(piece, dt, steps["every"], **files)
+    kept = KeptMotion(piece, dt, steps["every"], **files)
     return marched(body, state, dt, steps["steps"], steps["every"], kept)
 
 
@@ -64,7 +64,7 @@ def _of_steps(
     """Options of the steps, as dynamics.verlet.march has them."""
 
 
-class Kept:
+class KeptMotion:
     """Files of a motion: a checkpoint, and records for ParaView.
 
     Args:

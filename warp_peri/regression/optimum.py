@@ -76,7 +76,7 @@ def constrained_optimum(
     """
     classes = [grid.classes for grid in grids]
     coordinates = coordinates_of(classes, start, two_functions=two_functions)
-    problem = Problem(grids, conditions, coordinates, method.moduli, method.smoothness)
+    problem = ConstrainedProblem(grids, conditions, coordinates, method.moduli, method.smoothness)
     searches = [ZoneSearch(lattice) for lattice in conditions]
     cuts = [zone_wedge(bonds.spacing, method.first_cuts) for bonds in classes]
     y = coordinates.start(start)
@@ -109,7 +109,7 @@ def coordinates_of(
     return Coordinates(lattices, start.alpha, degree, two_functions=two_functions)
 
 
-class Problem:
+class ConstrainedProblem:
     """The loss and the constraints as functions of the coordinates y, with exact derivatives."""
 
     def __init__(

@@ -22,7 +22,7 @@ FINE = 4
 
 
 @dataclass(frozen=True)
-class Loads:
+class BodyLoads:
     """Displacement and traction by part of the outline, and a body force.
 
     Attributes:
@@ -110,7 +110,7 @@ def loads_on(
     displacement: Mapping[str, Field | ArrayLike],
     traction: Mapping[str, Traction | ArrayLike] | None,
     b: Field | None,
-) -> Loads:
+) -> BodyLoads:
     """Loads as functions, which raise InputError for other shapes and what is not finite.
 
     Raises InputError for a part that the mesh has not, or a body force that is no function.
@@ -123,7 +123,7 @@ def loads_on(
     pulls = {name: _field(f"part '{name}'", value) for name, value in (traction or {}).items()}
     if b is not None and not callable(b):
         raise InputError(f"b: expected a function of positions [n, 2], got {b!r:.60}")
-    return Loads(held, pulls, None if b is None else _field("b", b))
+    return BodyLoads(held, pulls, None if b is None else _field("b", b))
 
 
 def check_part(name: str, mesh: Mesh | Tetrahedra) -> None:

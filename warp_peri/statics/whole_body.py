@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from warp_peri.statics.body_loads import Loads
+from warp_peri.statics.body_loads import BodyLoads
 from warp_peri.statics.rim import Rim, RimProblem
 
 
@@ -30,7 +30,7 @@ class WholeBody:
         self,
         elements: Rim,
         K: sp.csr_array,
-        loads: Loads,
+        loads: BodyLoads,
         rim: Rim,
         depth: np.ndarray,
         collar: float,

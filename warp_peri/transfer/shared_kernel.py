@@ -16,7 +16,7 @@ from warp_peri.points.arrays import is_positive
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.coordinates import SMALLEST_ALPHA, Coordinates
-from warp_peri.regression.optimum import Problem
+from warp_peri.regression.optimum import ConstrainedProblem
 from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
 from warp_peri.stability.certificate import certify
 from warp_peri.transfer.lattice import Home, home_of
@@ -124,7 +124,7 @@ def _least_squares(losses: list[ReducedLoss], start: Parameters) -> Parameters:
     """
     lattices = [loss.classes for loss in losses]
     coordinates = Coordinates(lattices, start.alpha, len(start.D) - 1)
-    problem = Problem(losses, [], coordinates, None, SMOOTHNESS)
+    problem = ConstrainedProblem(losses, [], coordinates, None, SMOOTHNESS)
     y = coordinates.start(start)
     most = np.full(len(y), np.inf)
     least = -most
