@@ -55,7 +55,6 @@ def pull(
     """
     s, t = wp.tid()
     e = first + t
-    one = wp.float64(1.0)
     half = wp.float64(0.5)
     u = wp.matrix(shape=(4, 2), dtype=wp.float64)
     f = wp.matrix(shape=(4, 2), dtype=wp.float64)
@@ -78,8 +77,7 @@ def pull(
         e0 = a + half * (a * a + c * c)
         e1 = d + half * (b * b + d * d)
         e2 = b + c + a * b + c * d
-        a += one
-        d += one
+        a, d = a + wp.float64(1.0), d + wp.float64(1.0)
         r0 = e0 * e0
         r1 = e1 * e1
         r2 = e2 * e2
