@@ -55,7 +55,6 @@ def pull(
     """
     s, t = wp.tid()
     e = first + t
-    one = wp.float64(1.0)
     half = wp.float64(0.5)
     u = wp.matrix(shape=(4, 2), dtype=wp.float64)
     f = wp.matrix(shape=(4, 2), dtype=wp.float64)
@@ -64,10 +63,10 @@ def pull(
         u[k, 0] = own[0]
         u[k, 1] = own[1]
     for g in range(4):
-        a = one
+        a = wp.float64(0.0)
         b = wp.float64(0.0)
         c = wp.float64(0.0)
-        d = one
+        d = wp.float64(0.0)
         for k in range(4):
             x = slope[2 * g, k]
             y = slope[2 * g + 1, k]
@@ -75,9 +74,10 @@ def pull(
             b += y * u[k, 0]
             c += x * u[k, 1]
             d += y * u[k, 1]
-        e0 = half * (a * a + c * c - one)
-        e1 = half * (b * b + d * d - one)
-        e2 = a * b + c * d
+        e0 = a + half * (a * a + c * c)
+        e1 = d + half * (b * b + d * d)
+        e2 = b + c + a * b + c * d
+        a, d = a + wp.float64(1.0), d + wp.float64(1.0)
         r0 = e0 * e0
         r1 = e1 * e1
         r2 = e2 * e2

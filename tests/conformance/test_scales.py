@@ -101,6 +101,26 @@ def test_a_force_a_solve_and_a_motion(law, scale):
     near(np.asarray(again.v), np.asarray(moved.v) * length / slower, 1e-6)
 
 
+NONLINEAR = ("third order, energy", "dressed, finite strain", "neural operator")
+
+
+@pytest.mark.parametrize("name", NONLINEAR)
+@pytest.mark.parametrize("size", [1e-9, 1e-200])
+def test_very_small_loads_and_displacements_are_answered_in_proportion(name, size):
+    material, points = LAWS[name].material(), LAWS[name].points(4)
+    b, u = waves(points, 1e-3), np.where(points.interior[:, None], 0, waves(points, 1.0, 1))
+    first, found = (wp.solve(material, wp.Dirichlet(points, s * b, s * u)).u for s in (1e-8, size))
+    near(found / size, first / 1e-8, 1e-6)
+
+
+@pytest.mark.parametrize("name", NONLINEAR)
+def test_loads_that_no_force_answers_are_refused(name):
+    points = LAWS[name].points(4)
+    load = wp.Dirichlet(points, 1e170 * waves(points, 1.0), np.zeros_like(points.x))
+    with np.errstate(all="ignore"), pytest.raises(wp.InputError):
+        wp.solve(LAWS[name].material(), load)
+
+
 SOLID = kernel("1/r", 2.0, lam=0.9)
 LINEAR = {"LPS": SOLID, "crystal": tensors_of(SOLID, 1.0).certified()}
 

@@ -42,6 +42,14 @@ def counted(monkeypatch, module, name):
     return calls
 
 
+@pytest.mark.parametrize("name", LAWS)
+def test_no_samples_have_no_answers(name):
+    points = LAWS[name].points(4)
+    none = np.empty((0, *points.x.shape))
+    found = wp.solve(LAWS[name].material(), wp.Dirichlet(points, none, none))
+    assert found.u.shape == none.shape
+
+
 @pytest.mark.parametrize(
     ("name", "resolved", "linked"),
     [

@@ -298,6 +298,11 @@ def rest(folder):
                           "residual": bent.residual}  # fmt: skip
     if comm.rank == 0:
         np.save(folder / f"nonlinear_{comm.size}.npy", answer)
+    straight, tiny = (
+        wp.solve(law, wp.Dirichlet(sheet, *(size * field for field in small(sheet.x)))).u / size
+        for law, size in ((solid(2), 1.0), (nonlinear(), 1e-200))
+    )
+    found["tiny"] = np.abs(tiny - straight).max(initial=0.0) / np.abs(straight).max(initial=1e-3)
     edge = lattice((52, 52), H, rim, axis=0.0)
     bent = wp.solve(nonlinear(), wp.Dirichlet(edge, *small(edge.x)))
     found["rim"] = {"u": digest(edge.gather(bent.u)), "solves": bent.iterations[0]}

@@ -172,6 +172,10 @@ def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_ne
     assert np.abs(wp.solve(solid(2), problem).u - alone).max() > 1e-3 * np.abs(alone).max()
 
 
+def test_a_very_small_load_of_a_nonlinear_solid_is_answered_in_proportion(jobs):
+    assert max(jobs[count]["tiny"] for count in (1, 2, 3)) < 1e-6
+
+
 def test_a_nonlinear_solid_needs_no_unknown_node_on_each_rank(jobs):
     found = [jobs[count]["rim"] for count in (1, 2, 3)]
     assert found[0] == found[1] == found[2]

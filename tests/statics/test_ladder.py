@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 import torch
 
+from tests.micromodulus.crystals import cubic_tensor
 from tests.support.clouds import cloud
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise
 from tests.support.solving import solve
 from tools.solve_study import TABLE, loads, mask_of, problem
 from warp_peri import InputError, Krylov, Model
+from warp_peri.core.elements import q1_tensors
 from warp_peri.methods import Solid
 from warp_peri.statics.equilibrium import equilibrium, lps_linear
 from warp_peri.statics.linear import Linear
 from warp_peri.statics.lps import choose_method
-from warp_peri.statics.multigrid import prolong, restrict
+from warp_peri.statics.multigrid import VCycle, prolong, restrict
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
@@ -77,6 +79,14 @@ def test_restriction_is_the_transpose_of_interpolation(shape):
     )
     a, b = (restrict(fine) * coarse).sum(), (fine * prolong(coarse, shape)).sum()
     assert abs(a - b) < 1e-12
+
+
+@pytest.mark.parametrize("shape", [(1, 30_000), (30_001, 2), (2, 2, 3000)])
+def test_a_thin_body_is_inverted_without_a_dense_matrix(shape):
+    d = len(shape)
+    cycle = VCycle(*q1_tensors(cubic_tensor(d)), np.ones(shape, bool))
+    r = np.random.default_rng(0).normal(size=(d, *shape))
+    np.testing.assert_allclose(cycle.product(cycle(r)), r, atol=1e-12)
 
 
 @pytest.mark.parametrize("name", ["1/r", "learned"])
@@ -144,15 +154,16 @@ def test_a_direction_without_energy_is_named(monkeypatch):
         solve(model, points, noise(points), noise(points), method="sine")
 
 
-def test_a_tolerance_out_of_reach_is_an_error():
+@pytest.mark.parametrize(("method", "lam"), [("sine", 0.3), ("strip", 0.3), ("strip", 1e4)])
+def test_a_tolerance_out_of_reach_is_an_error(method, lam):
     points = lattice(12, HORIZON)
     with pytest.raises(InputError, match="the solve stalled: residual"):
         solve(
-            kernel("1/r", HORIZON),
+            kernel("1/r", HORIZON, lam=lam),
             points,
             noise(points),
             noise(points),
-            method="sine",
+            method=method,
             iteration=dict(tolerance=1e-17),
         )
 

@@ -41,12 +41,13 @@ def test_without_samples_there_is_nothing_to_solve():
 
 
 @pytest.mark.parametrize("name", SOLVABLE)
-def test_the_periodic_solve_is_the_inverse_of_the_operator(name):
+@pytest.mark.parametrize("side", [11, 12])  # twice the reach of 6 spacings but one, and all of it
+def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
     model = kernel(name, HORIZON * 2.5, spacing=2.5)
-    points, _ = periodic((9, 12), spacing=2.5)
+    points, _ = periodic((9, side), spacing=2.5)
     u = noise(points, 2)
     u -= u.mean(axis=1, keepdims=True)
-    b = LPSOperator(model, points)(u).reshape(2, 9, 12, 2)
+    b = LPSOperator(model, points)(u).reshape(2, 9, side, 2)
     solved = solve_periodic(model, b + np.array([0.3, -5.0]), spacing=2.5)
     np.testing.assert_allclose(solved.reshape(u.shape), u, rtol=0, atol=1e-11)
     assert np.abs(solved.mean(axis=(1, 2))).max() < 1e-14

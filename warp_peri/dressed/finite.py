@@ -159,7 +159,7 @@ def strains(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """E₁₁, E₂₂, 2E₁₂ of displacement gradients [..., 2, 2], and their derivatives to H:
     [..., 3] and [..., 3, 2, 2]."""
     F = H + np.eye(2)
-    E = (np.einsum("...ki,...kj->...ij", F, F) - np.eye(2)) / 2
+    E = (H + np.swapaxes(H, -1, -2) + np.einsum("...ki,...kj->...ij", H, H)) / 2
     e = np.stack([E[..., 0, 0], E[..., 1, 1], 2 * E[..., 0, 1]], axis=-1)
     V = np.zeros((*e.shape, 2, 2))
     V[..., 0, :, 0], V[..., 1, :, 1] = F[..., 0], F[..., 1]
@@ -174,8 +174,9 @@ def density(e: np.ndarray, C: np.ndarray, T: np.ndarray) -> np.ndarray:
 
 def stress(H: np.ndarray, C: np.ndarray, T: np.ndarray) -> np.ndarray:
     """P = ∂Ψ/∂H [stress], of gradients [..., 2, 2]."""
-    a, b, c, d = 1 + H[..., 0, 0], H[..., 0, 1], H[..., 1, 0], 1 + H[..., 1, 1]  # F
-    e = np.stack([(a * a + c * c - 1) / 2, (b * b + d * d - 1) / 2, a * b + c * d], axis=-1)
+    a, b, c, d = np.moveaxis(H.reshape(*H.shape[:-2], 4), -1, 0)
+    e = np.stack([a + (a * a + c * c) / 2, d + (b * b + d * d) / 2, b + c + a * b + c * d], -1)
+    a, d = 1 + a, 1 + d  # F
     first, second, shear = np.moveaxis(e @ C + _twice(e, T) / 2, -1, 0)
     P = np.empty_like(H)
     P[..., 0, 0], P[..., 0, 1] = a * first + b * shear, a * shear + b * second

@@ -96,11 +96,11 @@ class TensorOperator:
             self.points,
             self,
             self.load(b),
-            took[0].method,
+            self.linear.method(asked.preconditioner),
             tuple(each.iterations for each in took),
             proven,
             details=tuple(took),
-            measured=max(each.residual for each in took),
+            measured=max((each.residual for each in took), default=None),
         )
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:

@@ -53,12 +53,12 @@ class AtRest(Placed):
                     f"sample {number}: no equilibrium was found; residual {one.residual:.1e}"
                 )
         return Solution(
-            np.stack([one.u for one in found]).reshape(given.shape),
+            np.reshape([one.u for one in found], given.shape),
             self.points,
             self,
             self.load(load),
             "newton",
             tuple(one.steps for one in found),
             details=tuple(found),
-            measured=max(one.residual for one in found),
+            measured=max((one.residual for one in found), default=None),
         )

@@ -21,7 +21,7 @@ from warp_peri.ranks.multigrid import Between, cycle
 from warp_peri.ranks.petsc import PetscCycle
 from warp_peri.ranks.processes import agreed, build, in_turn
 from warp_peri.ranks.sums import inner
-from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
+from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite, norm
 from warp_peri.statics.multigrid import coarser
 
 if TYPE_CHECKING:
@@ -175,11 +175,11 @@ class RowOperator:
         if kept is None:
             found, record = self.inverted(right, tolerance)
             return given + self.take_up(found), record
-        start, norm, record = kept.start(), self.inner().norm, SolveRecord()
+        start, inner, record = kept.start(), self.inner(), SolveRecord()
         last = np.inf
-        inside, size = self.points.interior[:, None], norm(right)
+        inside, size = self.points.interior[:, None], norm(right, inner)
         found = self.lay_out(np.where(inside, 0.0 if start is None else start, 0.0))
-        while (left := norm(rest := right - self.product(found))) > tolerance * size:
+        while (left := norm(rest := right - self.product(found), inner)) > tolerance * size:
             if not left < last:
                 raise InputError(
                     f"tolerance: {tolerance:.1e} of the load was asked for, the residual stays at "

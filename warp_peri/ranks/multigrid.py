@@ -62,7 +62,7 @@ class _InTiles(VCycle):
         self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
     ) -> None:
         d = mask.ndim
-        self.mask, self.shape, self.dense = mask, mask.shape, None
+        self.mask, self.shape, self.factors = mask, mask.shape, None
         asked = np.pad(mask, 1)
         place = np.flatnonzero(asked)
         nodes = Grid(np.eye(d), asked.shape, 1, False, np.arange(len(place)), place, place)

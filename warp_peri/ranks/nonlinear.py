@@ -19,6 +19,7 @@ from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.linear import RowOperator, one_node, tensors_at
 from warp_peri.ranks.processes import agreed, in_turn
 from warp_peri.ranks.sums import total
+from warp_peri.statics.conjugate_gradients import norm
 from warp_peri.statics.equilibria import ROUGH, NonlinearRecord, balanced, warn_beyond
 
 if TYPE_CHECKING:
@@ -120,7 +121,7 @@ class RowNonlinear:
         record, rows, inside = NonlinearRecord(), self.linear, self.points.interior
         inner = rows.inner()
         given, right = rows.sides(b, u)
-        scale, least = inner.norm(right), [np.inf]
+        scale, least = norm(right, inner), [np.inf]
         if scale == 0:
             record.residual, record.unique = 0.0, self.strain > 0
             return given, record

@@ -39,6 +39,12 @@ HERE = Inner(
 """Of arrays that this process has the whole of."""
 
 
+def norm(field: Any, inner: Inner = HERE) -> float:
+    """‖field‖, also where the squares of very small and very large values are no numbers."""
+    largest = inner.largest(field)
+    return largest and largest * inner.norm(field / largest)
+
+
 @dataclass
 class SolveRecord:
     """What a solve took.
@@ -120,6 +126,8 @@ def _descend(
     while inner.norm(r) > goal and record.iterations < MOST_ITERATIONS:
         z = precondition(r)
         rz = inner.dot(r, z)
+        if start is not None and not rz > 0:
+            break  # rounding of what the start answered, which the next start answers
         p = 1 * z if p is None else inner.add(z, rz / last, p)
         q = product(p)
         energy = inner.dot(p, q)

@@ -7,6 +7,8 @@ eliminated by LU, and conjugate gradients run on the rest.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_cdt
@@ -27,10 +29,14 @@ class Edge:
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """The displacement [d, *shape] that leaves no residual on the edge."""
-        z = np.zeros_like(r)
-        values = np.ascontiguousarray(r[:, self.near].T).ravel()
-        z[:, self.near] = self.factors.solve(values).reshape(-1, len(r)).T
-        return z
+        return solved(self.factors, self.near, r)
+
+
+def solved(factors: Any, mask: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """The planes [d, *shape] on a mask that factors of its block give for r, zero elsewhere."""
+    z = np.zeros_like(r)
+    z[:, mask] = factors.solve(np.ascontiguousarray(r[:, mask].T).ravel()).reshape(-1, len(r)).T
+    return z
 
 
 def block(stencil: Stencil, mask: np.ndarray) -> sp.csc_array:

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.statics.conjugate_gradients import HERE, Inner
+from warp_peri.statics.conjugate_gradients import HERE, Inner, norm
 from warp_peri.statics.linear import Inverse
 from warp_peri.statics.newton import newton
 
@@ -101,7 +101,7 @@ class Equilibria:
         record = NonlinearRecord()
         field = np.where(self.inside[:, None], 0.0, given)
         right = load - self.straight(field)
-        scale = float(np.linalg.norm(right))
+        scale = norm(right)
         if scale == 0:
             record.residual = 0.0
             return field, record

@@ -119,10 +119,10 @@ class Linear:
         grid, by = self.grid, self._torus
         ratio = smallest_ratio(by.symbol, by.torus)
         # every node's Laplacian is at least that of the box's longest wave
-        sides = [n - 2 * grid.reach for n in grid.shape]
-        long = sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides)
+        halves = [n + 1.0 - 2 * grid.reach for n in grid.shape]
         if grid.periodic:
-            long = 4 * np.sin(np.pi / max(grid.shape)) ** 2
+            halves = [max(grid.shape) / 2]
+        long = sum(4 * np.sin(np.pi / 2 / n) ** 2 for n in halves)
         scale = 2 * float(self.stencil.tensors[:, 0, 0].sum())
         if ratio * long > SINGULAR * scale:
             return

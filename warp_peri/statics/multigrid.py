@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-import scipy.linalg
 
 from warp_peri.core.elements import q1_tensors
 from warp_peri.core.grid import Grid
+from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import (
     ByRows,
     convolved,
@@ -24,12 +24,14 @@ from warp_peri.core.sweeps import (
     torus_symbol,
 )
 from warp_peri.launch import threads
+from warp_peri.stability.inertia import symmetric_factors
+from warp_peri.statics.edge import block, solved
 
 Filter = Callable[[np.ndarray], np.ndarray]
 SINE_SHIFT, SHIFT = 0.4, 1.0
 """Of the short-range filters beside the sine transform and beside multigrid, in shear moduli."""
 COARSEST = 400
-"""Most nodes of a level whose matrix is inverted."""
+"""Most nodes of a level that is factorised, as what is one or two nodes wide always is."""
 DEGREE, SMOOTHED = 2, 4.0
 """Of the Chebyshev smoother, which covers eigenvalues from 1/SMOOTHED of the largest."""
 POWER_STEPS = 12
@@ -184,28 +186,15 @@ class VCycle:
         nodes = Grid(np.eye(d), wide, 1, False, np.arange(len(place)), place, place)
         self.rows = ByRows(nodes, steps, tensors)
         self.coarser: VCycle | None = None
-        self.dense: Any = None
+        self.factors: Any = None
         if len(place) <= COARSEST or min(mask.shape) < 3:
-            self.dense = scipy.linalg.cho_factor(self._matrix(steps, tensors))
+            self.factors = symmetric_factors(block(Stencil(1.0, steps, tensors), mask))
             return
         self.diagonal = 2 * np.diag(tensors.sum(axis=0)).reshape(d, *([1] * d))
         self.largest = self._largest()
         coarse = coarser(mask)
         if coarse.any():
             self.coarser = VCycle(steps, tensors * 2.0 ** (d - 2), coarse)
-
-    def _matrix(self, steps: np.ndarray, tensors: np.ndarray) -> np.ndarray:
-        d = self.mask.ndim
-        number = np.full(tuple(n + 2 for n in self.shape), -1)
-        number[(slice(1, -1),) * d][self.mask] = np.arange(self.mask.sum())
-        here = np.argwhere(number >= 0)
-        own = number[tuple(here.T)]
-        K = np.zeros((len(own), d, len(own), d))
-        K[own, :, own, :] = 2 * tensors.sum(axis=0)
-        for step, C in zip(np.concatenate([steps, -steps]), np.concatenate([tensors] * 2)):
-            other = number[tuple((here + step).T)]
-            K[own[other >= 0], :, other[other >= 0], :] = -C
-        return K.reshape(len(own) * d, -1)
 
     def product(self, field: np.ndarray) -> np.ndarray:
         """The level's operator on planes [d, …]."""
@@ -242,11 +231,8 @@ class VCycle:
 
     def __call__(self, r: np.ndarray) -> np.ndarray:
         """z ≈ A⁻¹ r for r zero outside the mask."""
-        if self.dense is not None:
-            z = np.zeros_like(r)
-            values = r[:, self.mask].T.ravel()
-            z[:, self.mask] = scipy.linalg.cho_solve(self.dense, values).reshape(-1, len(r)).T
-            return z
+        if self.factors is not None:
+            return solved(self.factors, self.mask, r)
         z = self._smoothed(r, None)
         if self.coarser is not None:
             left = restrict(r - self.product(z)) * self.coarser.mask

@@ -36,7 +36,7 @@ def newton(residual: Field, start: np.ndarray, tolerance: float, inner: Inner) -
     v, r = start, residual(start)
     size = inner.norm(r)
     for _ in range(MOST):
-        if not size > tolerance:
+        if not tolerance < size < np.inf:
             break
         step, share = gmres(partial(_slope, residual, v, r, inner), -r, inner), 1.0
         while share >= SHORTEST:

@@ -156,7 +156,7 @@ class PlacedThirdOrder(NonlinearOperator):
             tuple(record.solves for record in records),
             sure if all(record.unique for record in records) else None,
             details=tuple(records),
-            measured=max(record.residual for record in records),
+            measured=max((record.residual for record in records), default=None),
         )
 
 

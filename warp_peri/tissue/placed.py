@@ -90,7 +90,7 @@ class PlacedSheet:
         fields = given.reshape(-1, *given.shape[-2:])
         for number, (force, field) in enumerate(zip(load.reshape(fields.shape), fields)):
             found.append(self._one(problem, number, None if b is None else force, field))
-        answer = np.stack([one.u for one in found])
+        answer = np.reshape([one.u for one in found], fields.shape)
         warn_beyond(self.model, self.energies, answer)
         return Solution(
             answer.reshape(given.shape),
@@ -100,7 +100,7 @@ class PlacedSheet:
             "newton",
             tuple(one.iterations for one in found),
             details=tuple(found),
-            measured=max(one.residual for one in found),
+            measured=max((one.residual for one in found), default=None),
         )
 
     def _one(
