@@ -75,9 +75,9 @@ def test_what_is_not_read_may_be_anything():
     assert (u[~points.interior] == 2).all()
     for samples in (0, 2):
         fields = np.zeros((samples, *points.x.shape))
-        assert len(checked_fields(points, fields, fields, least=0)[0]) == samples
-    with pytest.raises(wp.InputError, match="u: expected shape .* S ≥ 1"):
-        checked_fields(points, None, np.zeros((0, *points.x.shape)))
+        assert len(checked_fields(points, fields, fields)[0]) == samples
+    with pytest.raises(wp.InputError, match="u: expected shape"):
+        checked_fields(points, None, np.zeros((1, 1, *points.x.shape)))
 
 
 def test_scalar_fields_conductivities_and_cracked_bodies_too():

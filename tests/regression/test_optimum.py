@@ -20,7 +20,7 @@ def test_a_point_is_worked_out_once_for_the_loss_the_conditions_and_their_slopes
     start = Parameters(0.3, 0.5, 1.0, np.ones(4))
     coordinates = optimum.coordinates_of([reduced.classes], start, two_functions=False)
     asked = [LatticeConditions(reduced.classes, Conditions(zeta=0.01))]
-    problem = optimum.Problem([reduced], asked, coordinates, (0.2, 0.6))
+    problem = optimum.ConstrainedProblem([reduced], asked, coordinates, (0.2, 0.6))
     counts = {"point": 0, "slopes": 0}
     results = []
 

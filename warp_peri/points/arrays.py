@@ -69,7 +69,7 @@ def checked(
 
 
 def checked_fields(
-    points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None, *, least: int = 1
+    points: Any, b: Any, u: Any, one: tuple[int, ...] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Load and displacement of a problem on nodes, for every material; the second a copy.
 
@@ -78,18 +78,15 @@ def checked_fields(
         b: None for no load.
         u: shape [N, d] or [S, N, d]; b has the same.
         one: shape of one field where it is not [N, d].
-        least: S is no less.
 
     Raises InputError as `checked`, and for other shapes.
     """
     one = points.x.shape if one is None else one
     inside = points.interior.reshape(-1, *[1] * (len(one) - 1))
     field = checked("u", u, float, (..., *one), ~inside).copy()
-    if field.ndim > len(one) + 1 or len(field) < least:
+    if field.ndim > len(one) + 1:
         shown = ", ".join(map(str, one))
-        raise InputError(
-            f"u: expected shape [{shown}] or [S, {shown}], S ≥ {least}, got {list(field.shape)}"
-        )
+        raise InputError(f"u: expected shape [{shown}] or [S, {shown}], got {list(field.shape)}")
     load = np.zeros(field.shape) if b is None else checked("b", b, float, field.shape, inside)
     return load, field
 

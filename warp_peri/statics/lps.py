@@ -107,7 +107,7 @@ class PlacedLPS(LPSOperator):
         refuse_solver(solver, (Direct, Krylov), "a linear solid")
         if isinstance(b, torch.Tensor) or isinstance(u, torch.Tensor) or parameters is not None:
             return self._differentiable(b, u, solver, parameters)
-        load, field = checked_fields(self.points, b, u, least=0)
+        load, field = checked_fields(self.points, b, u)
         if self.carrier is not None:
             return self._through_lattice(load, field, solver)
         records: list[SolveRecord] = []

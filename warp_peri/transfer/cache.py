@@ -10,7 +10,7 @@ from typing import Any
 
 from warp_peri.errors import InputError
 from warp_peri.models.lps import Model
-from warp_peri.points.arrays import check_positive
+from warp_peri.points.arrays import is_number
 from warp_peri.transfer.lattice import RECIPE, new_lattice
 
 FOLDER = ".lattices"
@@ -42,8 +42,8 @@ def on_lattice(
         "largest_horizon": largest_horizon,
     }
     for word, value in {"spacing": spacing, **asked}.items():
-        if value is not None or word == "spacing":
-            check_positive(word, value)
+        if not (is_number(value) or (value is None and word != "spacing")):
+            raise InputError(f"{word}: expected a number > 0, got {value!r}")
     if not isinstance(model, Model):
         raise InputError(
             f"on_lattice: expected a linear peridynamic solid, got {type(model).__name__}; "
