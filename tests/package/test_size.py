@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 49_285,
+    "lines of warp_peri": 49_290,
     "files of warp_peri": 323,
     "lines of kernels": 5_779,
     "lines of examples and tools": 29_578,
