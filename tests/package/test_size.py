@@ -8,11 +8,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 49_290,
+    "lines of warp_peri": 49_287,
     "files of warp_peri": 323,
     "lines of kernels": 5_779,
     "lines of examples and tools": 29_578,
-    "lines of tests": 31_225,
+    "lines of tests": 31_224,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 42,
     "asserts in warp_peri": 0,
