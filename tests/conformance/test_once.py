@@ -27,9 +27,7 @@ def forces():
 
 
 def numbers():
-    return [
-        torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in SOLID.values()
-    ]
+    return [torch.tensor(v, dtype=torch.float64).requires_grad_() for v in SOLID.values()]
 
 
 def at_rest(method):

@@ -14,7 +14,7 @@ LARGEST = {
     "lines of examples and tools": 29_578,
     "lines of tests": 31_224,
     "names of classes that stand twice": 0,
-    "imports of warp_peri inside functions": 42,
+    "imports of warp_peri inside functions": 30,
     "asserts in warp_peri": 0,
 }
 """Whoever lowers one writes the new number here."""

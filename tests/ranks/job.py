@@ -198,9 +198,7 @@ def unfit(checkpoint):
     away = np.abs(x - 8)
     law, turned = solid(2), wp.micromodulus.tensors_of(solid(2), H)
     near = fields(x)
-    gap, wild = np.array(near[0]), np.array(near[1])
-    gap[26 * 16] = np.nan
-    wild[0] = np.nan
+    wild = np.where(np.arange(len(x))[:, None], near[1], np.nan)
     whole = np.ones(len(x), bool)
     cases = {
         "missing": (law, away.max(axis=1) > H / 2, *near),
@@ -210,6 +208,8 @@ def unfit(checkpoint):
         "doubled": (law, np.append(np.arange(len(x)), 400), *near),
         "load": (law, whole, np.where(inside(x)[:, None], np.nan, near[0]), near[1]),
         "displacement": (nonlinear(), whole, near[0], wild),
+        "masked": (turned, whole, np.ma.array(near[0], mask=True), near[1]),
+        "complex": (law, whole, near[0], 1j * near[1]),
         "uncertified": (replace(law, certified_on=()), whole, *near),
         "axis": (turned, whole, *near),
         "tolerance": (law, whole, *near),

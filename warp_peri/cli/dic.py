@@ -28,8 +28,6 @@ STEP, PRINTED, ROWS = 0.025, 4, 8
 
 def run_dic(given: argparse.Namespace) -> dict[str, Any]:
     """Frames → material.json, curves.csv, curves.png and every candidate's file, in a folder."""
-    from warp_peri.tissue import choose_sheet, in_words, save_febio
-
     if given.stress is not None and not 0 < given.stress < np.inf:
         raise InputError(f"stress: expected a number > 0 [MPa], got {given.stress}")
 
@@ -60,7 +58,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             )
 
     with locked(given.out):
-        choice = choose_sheet(
+        choice = warp_peri.tissue.choose_sheet(
             frames,
             fibres=given.fibres,
             uneven=not given.even,
@@ -75,10 +73,10 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         material = scaled(choice.fit)
         warp_peri.save(given.out / "material.json", material)
         told = NO_FORCE if given.stress is None else "are in MPa, by the stress that was given"
-        words = [*in_words(material), *_beside(choice.fit, material)]
+        words = [*warp_peri.tissue.in_words(material), *_beside(choice.fit, material)]
         words.append(f"stresses and coefficients {told}")
         try:
-            save_febio(material, given.out / "material.feb")
+            warp_peri.tissue.save_febio(material, given.out / "material.feb")
             words.append("material.feb carries all but the deviations and the thickness")
         except InputError as error:
             words.append(f"no file for FEBio: {error}")
@@ -135,9 +133,7 @@ def _beside(fit: Any, material: Any) -> list[str]:
 
 def _scaled(fit: Any, frames: Samples, given: argparse.Namespace) -> Any:
     """The material whose mean stress in the last frame is the one that was given."""
-    from warp_peri.tissue import scaled_by_force
-
-    return scaled_by_force(
+    return warp_peri.tissue.scaled_by_force(
         fit.material,
         Samples(frames.points, frames.u[-1:]),
         np.array([given.stress]),

@@ -36,17 +36,17 @@ def run_predict(given: argparse.Namespace) -> dict[str, Any]:
 
 def run_plan(given: argparse.Namespace) -> dict[str, Any]:
     """The cheapest model and solver that was measured within a tolerance, for a scene."""
-    from warp_peri.choice import Scene
-
     typed = {"strain": given.strain, "loads": given.loads, "rectangle": given.rectangle or None}
     typed |= {"size": given.size and tuple(given.size), "shortest_wave": given.shortest_wave}
     typed = {name: value for name, value in typed.items() if value is not None}
     if given.data is not None:
         points = load_dataset(given.data, units=USUAL)[given.set]
         problem = warp_peri.Dirichlet(points, points.loads, points.u)
-        scene = dataclasses.replace(Scene.of(problem, modulus=given.modulus), **typed)
+        scene = dataclasses.replace(
+            warp_peri.choice.Scene.of(problem, modulus=given.modulus), **typed
+        )
     elif {"size", "shortest_wave"} <= typed.keys():
-        scene = Scene(**typed)
+        scene = warp_peri.choice.Scene(**typed)
     else:
         raise InputError("plan: expected a data file, or --size and --shortest-wave")
     choice = warp_peri.choice.choose_model(tolerance=given.tolerance, scene=scene)

@@ -56,13 +56,18 @@ class Grid:
     @property
     def is_box(self) -> bool:
         """Whether all nodes of a box are unknown."""
-        return bool(self.periodic or self.mask()[self.core].all())
+        return bool(self.periodic or self.unknown.all())
 
     def mask(self) -> np.ndarray:
         """Which places of the box are unknown, in its shape."""
         asked = np.zeros(int(np.prod(self.shape)), bool)
         asked[self.interior] = True
         return asked.reshape(self.shape)
+
+    @property
+    def unknown(self) -> np.ndarray:
+        """Which places of the box of the interior are unknown, in that one's shape."""
+        return self.mask() if self.periodic else self.mask()[self.core]
 
     def scatter(self, u: np.ndarray, dtype: type = np.float64) -> np.ndarray:
         """Vectors of all nodes [S, N, d] along the lattice's axes, in planes [S, d, *wide]."""
@@ -154,8 +159,7 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     complete = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
         complete &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
-    asked = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
-    lacking = int((asked & ~complete).sum())
+    lacking = int((nodes.unknown & ~complete).sum())
     if lacking:
         raise InputError(
             f"points: expected all bonds of every interior node, got {lacking} of "

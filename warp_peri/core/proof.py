@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.core.elastic import acoustic
 from warp_peri.core.groups import canonical
 from warp_peri.core.record import Stress
 from warp_peri.core.stencil import Stencil, bend, laplacian_stencil, zone_sample
@@ -330,9 +331,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
     d, brackets = stencil.dimension, stencil.brackets
     one = np.eye(brackets.shape[0])
 
-    def Q(e: np.ndarray) -> np.ndarray:
-        return np.asarray(np.einsum("ijkl,nk,nl->nij", brackets, e, e, optimize=True))
-
+    Q = partial(acoustic, brackets)
     line = np.linspace(-1, 1, {2: 2001, 3: 121}[d])
     grid = np.array(list(itertools.product(line, repeat=d - 1)))
     faces = [np.insert(grid, a, 1.0, axis=1) for a in range(d)]

@@ -53,8 +53,7 @@ class ByRows:
         self.tensors = floats(entries(tensors).astype(self.dtype), self.scalar)
         lanes = self.kernels.lanes
         mask = np.zeros(nodes.wide, bool)
-        core = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
-        mask[nodes.core] = core
+        mask[nodes.core] = nodes.unknown
         self.places = int(mask.size)
         self.pieces: Any = wp.array(row_pieces(mask.ravel(), lanes), dtype=wp.vec2i, device=DEVICE)
         self.core = (slice(None), slice(None), *nodes.core)

@@ -18,7 +18,7 @@ from warp_peri.points.axis import axis_of
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike
 from warp_peri.stability.solvability import smallest_eigenvalue
-from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, warn_beyond
+from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
 from warp_peri.statics.linear import Linear
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -193,23 +193,15 @@ class FiniteBody:
         if inside.all():
             raise InputError("interior: expected some nodes that are held, got none")
         b, u = checked_fields(self.points, b, u)
-        held = np.where(inside[:, None], 0.0, u)
-        answers, loads = self._fields(held).copy(), self._fields(b)[:, inside]
+        answers, loads = (field.reshape(-1, *self.points.x.shape) for field in (u, b))
         inverse = self._at_rest.cheapest_inverse(SOLVES * len(answers))
         way = Equilibria(lambda field: self._force(field[None])[0], self.straight, inverse, inside)
-        records, proven = [], self.model.proven_strain(self.points.spacing)
-        for number, (field, load) in enumerate(zip(answers, loads)):
-            try:
-                field[:], record = way.solve(load, field, asked.tolerance)
-            except InputError as error:
-                raise InputError(f"sample {number}: {error}") from None
-            record.largest_gradient = float(self.largest_gradient(field))
-            record.unique = record.largest_gradient <= proven
-            if asked.eigenvalues:
-                record.eigenvalue = smallest_eigenvalue(self._unknowns(field))
-            records.append(record)
+        proven = self.model.proven_strain(self.points.spacing)
+        smallest, largest = self._smallest if asked.eigenvalues else None, self.largest_gradient
+        records, sure = solve_each(
+            way, loads[:, inside], answers, asked.tolerance, proven, largest, smallest
+        )
         warn_beyond(records, proven)
-        sure = f"no other solution has |H| ≤ {proven:.2%}" if proven > 0 else None
         return Solution(
             answers.reshape(np.shape(u)),
             self.points,
@@ -217,7 +209,7 @@ class FiniteBody:
             self.load(b),
             ", ".join(sorted({record.method for record in records})),
             tuple(record.solves for record in records),
-            sure if all(record.unique for record in records) else None,
+            sure,
             details=tuple(records),
             measured=max((record.residual for record in records), default=None),
         )
@@ -226,9 +218,10 @@ class FiniteBody:
         """What solves took, and whether their answers are the only ones, for `evaluate`."""
         return figures_of(solution.details)
 
-    def _unknowns(self, field: np.ndarray) -> sp.csc_array:
+    def _smallest(self, field: np.ndarray) -> float:
+        """Smallest eigenvalue of the tangent on the unknowns."""
         free = np.repeat(self.points.interior, 2)
-        return sp.csc_array(self.tangent(field).tocsc()[:, free])
+        return smallest_eigenvalue(sp.csc_array(self.tangent(field).tocsc()[:, free]))
 
     def _fields(self, u: ArrayLike) -> np.ndarray:
         """Fields [S, N, 2] of finite numbers."""

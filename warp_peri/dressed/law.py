@@ -17,8 +17,11 @@ from warp_peri.core.proof import Proof
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.dressed.bases import AXIS_WEIGHT, Base, base, composed, half, spread
+from warp_peri.dressed.body import DressedBody
+from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.operator import TensorOperator
 from warp_peri.models.lps import Model
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -199,10 +202,6 @@ class DressedSolid(Record, format="warp_peri.dressed"):
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
         and pairs that do not fit.
         """
-        from warp_peri.dressed.body import DressedBody  # which stands above the numbers
-        from warp_peri.dressed.sweeps import ByLayers
-        from warp_peri.micromodulus.operator import TensorOperator
-
         if edges or maps or broken is not None or grains is not None:
             return DressedBody(
                 self, points, edges=edges, maps=maps, broken=broken, grains=grains, dtype=dtype

@@ -48,7 +48,7 @@ class ByLayers:
         self.kernels = rows(self.scalar, nodes.dimension)
         self.strides = np.array([int(np.prod(nodes.wide[a + 1 :])) for a in range(nodes.dimension)])
         mask = np.zeros(nodes.wide, bool)
-        mask[nodes.core] = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
+        mask[nodes.core] = nodes.unknown
         middle = half(base.stencils.sum(axis=0))
         outer = (steps, tensors)
         self.stages: list[tuple[Any, ...]] = []

@@ -51,7 +51,7 @@ def rows(samples: Samples, bonds: Basis, *, normalise: bool = False) -> tuple[np
 def _features(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
     """L u of every basis tensor at the interior nodes, shape [S, I, d, P]."""
     planes = nodes.scatter(u)
-    asked = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
+    asked = nodes.unknown
     order = np.argsort(np.argsort(nodes.interior))
     middle = planes[(slice(None), slice(None), *nodes.core)][:, :, asked]
     r = nodes.reach

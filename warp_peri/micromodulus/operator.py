@@ -81,13 +81,12 @@ class TensorOperator:
         refuse_solver(solver, (Krylov,), "a law of micromodulus tensors")
         asked = solver if isinstance(solver, Krylov) else Krylov()
         b, u = checked_fields(self.points, b, u)
-        fields, lead = self.checked(np.where(self.points.interior[:, None], 0.0, u))
-        loads = self.checked(np.where(self.points.interior[:, None], b, 0.0))[0]
+        loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
         proof = getattr(self.model, "certificate", None)
         if proof is None or not proof.holds:
             self.linear.check_definite()
         found, took = self.linear.solve(loads, fields, asked.tolerance, asked.preconditioner)
-        answer = found.reshape(*lead, *found.shape[1:])
+        answer = found.reshape(u.shape)
         proven = None
         if proof is not None and proof.holds:
             proven = f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
@@ -119,12 +118,8 @@ class TensorOperator:
         fields, lead = self.checked(u)
         planes = self.nodes.scatter(fields)
         nodes, r = self.nodes, self.nodes.reach
-        asked = np.zeros(nodes.wide, bool)
-        core = nodes.mask() if nodes.periodic else nodes.mask()[nodes.core]
-        asked[nodes.core] = core
-        inside = asked[nodes.core]
-        if nodes.periodic:
-            asked = np.pad(core, r, mode="wrap")
+        inside = nodes.unknown
+        asked = np.pad(inside, r, mode="wrap" if nodes.periodic else "constant")
         middle = planes[(slice(None), slice(None), *nodes.core)]
         total = np.zeros(len(fields))
         for sign in (1, -1):

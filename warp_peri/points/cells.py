@@ -86,10 +86,9 @@ def outlined(
         raise InputError(f"{name}: number {int(np.argmin(share))} has no {measure}")
     used, at = np.unique(t, return_inverse=True)
     new = np.full(len(x), -1)
-    new[used] = _welded(x[used], SAME * np.min(lengths))
-    x, t = x[used[np.unique(new[used])]], np.unique(new[used][at], return_inverse=True)[1]
-    new[used] = np.unique(new[used], return_inverse=True)[1]
-    t = t.reshape(-1, d + 1)
+    first, number = np.unique(_welded(x[used], SAME * np.min(lengths)), return_inverse=True)
+    new[used] = number
+    x, t = x[used[first]], number[at].reshape(-1, d + 1)
     if d == 2:
         t = np.where((size < 0)[:, None], t[:, ::-1], t)
     every, keys, back, count = _facets(t)

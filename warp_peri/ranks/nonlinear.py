@@ -20,14 +20,12 @@ from warp_peri.ranks.linear import RowOperator, one_node, tensors_at
 from warp_peri.ranks.processes import agreed, in_turn
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import norm
-from warp_peri.statics.equilibria import ROUGH, NonlinearRecord, balanced, warn_beyond
+from warp_peri.statics.equilibria import ROUGH, NonlinearRecord, balanced
 
 if TYPE_CHECKING:
     from warp_peri.ranks.kept import Kept
     from warp_peri.ranks.pieces import Piece
     from warp_peri.statics.linear import Inverse
-
-__all__ = ["RowNonlinear", "warn_beyond"]
 
 
 class RowNonlinear:

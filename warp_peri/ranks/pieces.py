@@ -11,9 +11,12 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.launch import ranks_started
+from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
+from warp_peri.ranks.coarse import TilesEverySecond
+from warp_peri.ranks.halo import strain_on_ranks
 from warp_peri.ranks.processes import Comm, agreed, world
 from warp_peri.ranks.sums import total
 from warp_peri.ranks.tiles import Tiles, cut
@@ -93,14 +96,10 @@ class Piece:
 
     def largest_strain(self, u: np.ndarray) -> float:
         """Between neighbours, of u [n, d], over all ranks."""
-        from warp_peri.ranks.halo import strain_on_ranks
-
         return strain_on_ranks(self, u)
 
     def every_second(self) -> Any:
         """Every second node of a box in tiles: TilesEverySecond."""
-        from warp_peri.ranks.coarse import TilesEverySecond
-
         return TilesEverySecond(self)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
@@ -259,8 +258,6 @@ def _scattered(comm: Comm, points: Points, by: str) -> Piece:
         raise InputError("points: expected scattered points without a box, by rows, on ranks")
     if points.dimension == 3:
         raise InputError("points: expected scattered points in the plane on ranks, got space")
-    from warp_peri.points.interpolation import fitting_spacing, mean_spacing
-
     carrier = fitting_spacing(mean_spacing(points))
     at = (points.x - points.x.min(axis=0)) / (WIDE * carrier)
     cell = np.floor(at).astype(np.int32)

@@ -12,8 +12,11 @@ from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.models.lps import Model
 from warp_peri.points.arrays import checked
+from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
+from warp_peri.ranks.nonlinear import RowNonlinear
 from warp_peri.ranks.processes import agreed
+from warp_peri.statics.equilibria import warn_beyond
 from warp_peri.statics.settings import PETSC, TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
@@ -39,15 +42,14 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
         offered(material, "on", "solve", MATERIAL)
-        b, u = (np.asarray(field, dtype=float) for field in (problem.b, problem.u))
-        if b.shape != u.shape or b.shape[-2:] != piece.x.shape or b.ndim not in (2, 3):
+        shape, inside = (..., *piece.x.shape), piece.interior[:, None]
+        b = checked("b", problem.b, float, shape, inside)
+        u = checked("u", problem.u, float, shape, ~inside)
+        if b.shape != u.shape or b.ndim not in (2, 3):
             raise InputError(
                 f"b, u: expected shape {list(piece.x.shape)} of this rank's nodes, or of samples, "
                 f"got {list(b.shape)} and {list(u.shape)}"
             )
-        inside = piece.interior
-        checked("b", b[..., inside, :])
-        checked("u of the collar", u[..., ~inside, :])
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
         petsc = _by_petsc(getattr(solver, "preconditioner", None))
@@ -57,14 +59,10 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     if (path := _asked(**asked)) is not None:
         if len(flat[0]) > 1:
             raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
-        from warp_peri.ranks.kept import Kept
-
         kept = Kept(path, piece, flat[0][0], flat[1][0])
     found = [operator.solve(load, given, tolerance, kept) for load, given in zip(*flat)]
     records = tuple(record for _, record in found)
     if bends:
-        from warp_peri.ranks.nonlinear import warn_beyond
-
         warn_beyond(list(records), operator.strain)
     return Solution(
         np.reshape([answer for answer, _ in found], u.shape),
@@ -121,6 +119,4 @@ def operator_on(material: Any, piece: Piece, petsc: bool = False) -> Any:
         from warp_peri.ranks.scattered import ScatteredOperator
 
         return ScatteredOperator(linear, piece, petsc)  # type: ignore[arg-type]  # checked above
-    from warp_peri.ranks.nonlinear import RowNonlinear
-
     return RowNonlinear(material, piece)

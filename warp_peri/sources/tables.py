@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.points.unit_names import LENGTHS
+from warp_peri.sources.dump_files import encoding_of
 
 MATCHID = ("disphorizontaldisplacement§", "dispverticaldisplacement§")
 MOVES = ("§", "u*", "displacement*", "*displacement", "disp*", "d*", *MATCHID)
@@ -93,7 +94,7 @@ def _text(path: Path) -> str:
         if path.stat().st_size > LARGEST_FILE:
             raise InputError(f"{path}: expected at most {LARGEST_FILE} bytes")
         data = path.read_bytes()
-        return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
+        return data.decode(encoding_of(data))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:

@@ -287,6 +287,39 @@ def _mixture(differences: np.ndarray, step: np.ndarray, inner: Inner) -> np.ndar
     return np.asarray(np.linalg.lstsq(np.array(gram), np.array(beside), rcond=1e-12)[0])
 
 
+def solve_each(
+    way: Equilibria,
+    loads: np.ndarray,
+    fields: np.ndarray,
+    tolerance: float,
+    proven: float,
+    largest: Callable[[np.ndarray], Any],
+    eigenvalue: Callable[[np.ndarray], float] | None = None,
+) -> tuple[list[NonlinearRecord], str | None]:
+    """Fields solved in place, a record of each, and what is sure of all answers, in one sentence.
+
+    Args:
+        way, tolerance: of the body, and of residuals.
+        loads, fields: on the interior, and with what is given on the collar.
+        proven: |H| up to which answers are the only ones; `largest` is that of a field.
+        eigenvalue: the smallest of the tangent at a field, where it is asked for.
+
+    Raises InputError naming the sample for which no equilibrium was found.
+    """
+    records = []
+    for number, (field, load) in enumerate(zip(fields, loads)):
+        try:
+            field[:], record = way.solve(load, field, tolerance)
+        except InputError as error:
+            raise InputError(f"sample {number}: {error}") from None
+        record.largest_gradient = float(largest(field))
+        record.unique = record.largest_gradient <= proven
+        record.eigenvalue = None if eigenvalue is None else eigenvalue(field)
+        records.append(record)
+    known = proven > 0 and all(record.unique for record in records)
+    return records, f"no other solution has |H| ≤ {proven:.2%}" if known else None
+
+
 def figures_of(records: tuple[NonlinearRecord, ...]) -> dict[str, Any]:
     """Most solves, largest gradient, and whether all answers are the only ones."""
     return {

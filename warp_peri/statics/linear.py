@@ -216,12 +216,15 @@ class Linear:
             self.check_definite()
             if how != "lu":
                 return lambda right, tolerance: self.inverse(right, tolerance)[0]
-        except InputError:
             matrix = block(self.stencil, self.grid.mask())
-            if nodes > DIRECT or (definite and definite_factors(matrix) is None):
+        except InputError:
+            if nodes > DIRECT:
                 raise
-        factors, order = factorised(block(self.stencil, self.grid.mask())), self._order
-        axes = self.grid.axes
+            matrix = block(self.stencil, self.grid.mask())
+            if definite and definite_factors(matrix) is None:
+                raise
+        factors, axes = factorised(matrix), self.grid.axes
+        order = np.argsort(self.grid.interior)  # as they follow one another in the box
 
         def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
             found = np.empty_like(right)
@@ -229,11 +232,6 @@ class Linear:
             return np.asarray(found @ axes.T)
 
         return solved
-
-    @property
-    def _order(self) -> np.ndarray:
-        """Interior nodes as they follow one another in the box."""
-        return np.argsort(self.grid.interior)
 
     def solve(
         self, b: np.ndarray, u: np.ndarray, tolerance: float, method: str | None = None

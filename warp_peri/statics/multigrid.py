@@ -121,7 +121,7 @@ def multigrid(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.n
     """
     seen = seen_by_coarser(torus_shape(nodes))
     short = torus_inverse(nodes, steps, tensors, SHIFT * shear(elastic) * seen)
-    mask = nodes.mask()[nodes.core]
+    mask = nodes.unknown
     coarse = coarser(mask)
     if not coarse.any():
         return short

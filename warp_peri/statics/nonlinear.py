@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
 from warp_peri.models.nonlinear import NonlinearModel, energy_density
 from warp_peri.operator.lps import NodeOperator
 from warp_peri.operator.nominal_lattice import on_nominal_lattice
@@ -23,6 +22,7 @@ from warp_peri.statics.equilibria import (
     SOLVES,
     Equilibria,
     figures_of,
+    solve_each,
     warn_beyond,
 )
 from warp_peri.statics.equilibrium import lps_linear
@@ -130,23 +130,16 @@ class PlacedThirdOrder(NonlinearOperator):
         asked = solver if isinstance(solver, Newton) else Newton()
         load, field = checked_fields(self.points, b, u)
         inside, nodes = self.points.interior, len(self.points.x)
-        answers, records = field.reshape(-1, nodes, 2), []
+        answers = field.reshape(-1, nodes, 2)
         proven = self.model.proven_strain(self.points.spacing)
         clipped = (lambda: self.clipped(proven)) if proven > 0 else None
         inverse = self.inverse(len(answers))
         way = Equilibria(self, self.straight, inverse, inside, clipped)
-        for number, (force, one) in enumerate(zip(load.reshape(-1, nodes, 2), answers)):
-            try:
-                one[:], record = way.solve(force[inside], one, asked.tolerance)
-            except InputError as error:
-                raise InputError(f"sample {number}: {error}") from None
-            record.largest_gradient = float(self.largest_gradient(one))
-            record.unique = record.largest_gradient <= proven
-            if asked.eigenvalues and np.count_nonzero(inside) <= DIRECT:
-                record.eigenvalue = smallest_tangent(self, one)
-            records.append(record)
+        few = asked.eigenvalues and np.count_nonzero(inside) <= DIRECT
+        smallest = partial(smallest_tangent, self) if few else None
+        loads, largest = load.reshape(-1, nodes, 2)[:, inside], self.largest_gradient
+        records, sure = solve_each(way, loads, answers, asked.tolerance, proven, largest, smallest)
         warn_beyond(records, proven)
-        sure = f"no other solution has |H| ≤ {proven:.2%}" if proven > 0 else None
         return Solution(
             answers.reshape(field.shape),
             self.points,
@@ -154,7 +147,7 @@ class PlacedThirdOrder(NonlinearOperator):
             self.load(load),
             records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
             tuple(record.solves for record in records),
-            sure if all(record.unique for record in records) else None,
+            sure,
             details=tuple(records),
             measured=max((record.residual for record in records), default=None),
         )

@@ -18,6 +18,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked_fields
 from warp_peri.stability.solvability import lanczos_start, smallest_eigenvalue
 from warp_peri.tissue.factors import positive_factors
 from warp_peri.tissue.laplacian import laplacian
@@ -146,12 +147,11 @@ class StaticProblem:
         The tangent was positive definite in the last step all the same.
         """
         nodes = self.op.points.x.shape
-        load = np.zeros(nodes) if b is None else np.asarray(b, float)
-        collar = np.where(self.op.points.interior[:, None], 0.0, np.asarray(u, float))
-        for name, value in (("b", load), ("u", collar)):
-            if value.shape != nodes or not np.isfinite(value).all():
-                raise InputError(f"{name}: expected finite numbers of shape {list(nodes)}")
+        load, collar = checked_fields(self.op.points, b, u)
+        if collar.shape != nodes:
+            raise InputError(f"u: expected shape {list(nodes)}, got {list(collar.shape)}")
         load = load[self.op.interior]
+        collar[self.op.points.interior] = 0.0
         first = (
             self.lift(collar)
             if start is None
