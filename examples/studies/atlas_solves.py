@@ -14,8 +14,6 @@ from tqdm import tqdm
 import warp_peri
 from examples.studies.atlas_conditions import unconstrained
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.reduced import reduce
 from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
@@ -25,7 +23,9 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.full import sample_weights
+from warp_peri.regression.reduced import reduce
 
 MU = 0.7223
 HORIZON = 20.0

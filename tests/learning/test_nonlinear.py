@@ -12,8 +12,8 @@ from tests.support.problems import lattice, smooth
 from warp_peri import Bernstein, InputError, Samples, evaluate
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.methods import Optimum, TwoStage
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.operator import PlacedThirdOrder
 
 HORIZON = 2.5
 
@@ -27,7 +27,7 @@ def samples_of(model, size, seed=0, count=6):
     points = lattice(6, HORIZON)
     u = size * smooth(points.x, count, seed, wave_number=0.8)
     b = np.zeros_like(u)
-    b[:, points.interior] = NonlinearOperator(model, points)(u)
+    b[:, points.interior] = PlacedThirdOrder(model, points)(u)
     b *= 1 + NOISE * np.random.default_rng(seed).normal(size=b.shape)
     return Samples(points, u, b)
 
@@ -80,16 +80,15 @@ def test_data_beyond_the_proven_strain_name_the_option_that_proves_more(learned)
 def test_what_cannot_be_learned_from_is_refused(learned):
     _, train, *_ = learned
     three = Nonlinear()
-    with pytest.raises(InputError, match=r"method: expected Optimum\(…\) .* got TwoStage"):
-        fit(train, HORIZON, method=TwoStage(), nonlinear=three)
-    with pytest.raises(InputError, match="kernel: expected Bernstein"):
-        fit(train, HORIZON, kernel=3, nonlinear=three)
-    with pytest.raises(InputError, match=r"nonlinear: expected Nonlinear\(…\)"):
-        fit(train, HORIZON, nonlinear="energy")
-    with pytest.raises(InputError, match="loss: a nonlinear solid has 'residual' only"):
-        fit(train, HORIZON, loss="output", nonlinear=three)
-    with pytest.raises(InputError, match="noise: expected none"):
-        fit(train, HORIZON, noise=train, nonlinear=three)
+    for words, wrong in (
+        (r"method: expected Optimum\(…\) .* got TwoStage", {"method": TwoStage()}),
+        ("kernel: expected Bernstein", {"kernel": 3}),
+        (r"nonlinear: expected Nonlinear\(…\)", {"nonlinear": "energy"}),
+        ("loss: a nonlinear solid has 'residual' only", {"loss": "output"}),
+        ("noise: expected none", {"noise": train}),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit(train, HORIZON, **({"nonlinear": three} | wrong))
     scattered = replace(train.points, spacing=0.0)
     with pytest.raises(InputError, match=r"lattices of one spacing, got \[0.0\]"):
         fit(Samples(scattered, train.u, train.b), HORIZON, nonlinear=three)

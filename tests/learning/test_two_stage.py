@@ -18,7 +18,7 @@ from warp_peri.learning.margins import (
 from warp_peri.methods import TwoStage
 from warp_peri.models.lps import stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 
 HORIZON, ZETA = 3.0, 0.02
 CLASSES = bond_classes(1.0, HORIZON)

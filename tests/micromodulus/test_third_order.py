@@ -18,14 +18,14 @@ from warp_peri.learning.laws import ThirdOrder, fit
 from warp_peri.learning.methods import Bernstein
 from warp_peri.micromodulus.fields import long_wave_moduli
 from warp_peri.micromodulus.laws import Micromodulus
-from warp_peri.micromodulus.third_order import ThirdOrderCrystal
 from warp_peri.micromodulus.waves import fit_symbol
-from warp_peri.models.nonlinear import energy_density
-from warp_peri.models.smoothing import Smoothing
-from warp_peri.models.uniqueness import proven_kappa
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.statics import linear
+from warp_peri.third_order.material import ThirdOrderCrystal
+from warp_peri.third_order.operator import energy_density
+from warp_peri.third_order.smoothing import Smoothing
+from warp_peri.third_order.uniqueness import proven_kappa
 
 LAM, MU = 0.3, 0.7
 TENSOR = cubic_tensor(2, LAM + 2 * MU, LAM, MU)

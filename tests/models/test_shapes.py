@@ -10,16 +10,16 @@ import torch
 from tests.support.problems import GRADIENT, REDUCED, difference, kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from warp_peri import InputError, certify
-from warp_peri.losses.full import FullLoss, sample_weights
-from warp_peri.losses.reduced import reduce
 from warp_peri.models.lps import stiffnesses
 from warp_peri.models.shapes import gaussian, table
 from warp_peri.points.families import bond_classes
+from warp_peri.regression.conditions import Conditions, LatticeConditions
+from warp_peri.regression.full import FullLoss, sample_weights
 from warp_peri.regression.optimum import ConstrainedProblem
 from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.reduced import reduce
 from warp_peri.regression.shape_coordinates import ShapeCoordinates
 from warp_peri.shapes import InfluenceFunction
-from warp_peri.stability.conditions import Conditions, LatticeConditions
 
 # The polynomial
 

@@ -12,12 +12,9 @@ from tests.support.nonlinear import FORMS, psi, rotation, solid
 from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, periodic, smooth
 from warp_peri import InputError, Points
 from warp_peri.launch import set_threads, threads
-from warp_peri.operator.nonlinear import (
-    GradientSweeps,
-    NonlinearOperator,
-    class_tables,
-    nonlinear_force,
-)
+from warp_peri.regression.reduced import class_weights
+from warp_peri.third_order.operator import PlacedThirdOrder
+from warp_peri.third_order.sweeps import GradientSweeps, third_order_force
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
@@ -35,7 +32,7 @@ def strained(points, size=0.05, seed=0):
 def test_the_linear_solid_is_the_tangent_at_zero(form):
     points, model = lattice(3, HORIZON), solid(form)
     linear = LPSOperator(model.linear, points)(noise(points))
-    nonlinear = NonlinearOperator(model, points)
+    nonlinear = PlacedThirdOrder(model, points)
     departures = [
         np.abs(nonlinear(size * noise(points)) / size - linear).max() for size in (1e-3, 1e-4)
     ]
@@ -47,13 +44,11 @@ def test_the_linear_solid_is_the_tangent_at_zero(form):
 def test_stress_is_the_derivative_of_the_energy():
     points = lattice(2, HORIZON)
     model = solid("energy")
-    op = NonlinearOperator(model, points)
+    op = PlacedThirdOrder(model, points)
     H, P = op.gradients(strained(points))
     some = slice(0, None, 7)
 
-    def energy(entries):
-        return psi(H[some] + entries.reshape(2, 2), model)
-
+    energy = lambda entries: psi(H[some] + entries.reshape(2, 2), model)
     by_energy = difference(energy, np.zeros(4), 1e-3).T.reshape(-1, 2, 2)
     assert np.abs(by_energy - P[some]).max() <= 1e-11 * np.abs(P).max()
 
@@ -61,10 +56,7 @@ def test_stress_is_the_derivative_of_the_energy():
 def test_the_force_is_the_gradient_of_the_energy():
     points, _ = periodic((7, 8))
     model = solid("energy")
-    op, linear = (
-        operator(part, points)
-        for operator, part in ((NonlinearOperator, model), (LPSOperator, model.linear))
-    )
+    op, linear = PlacedThirdOrder(model, points), LPSOperator(model.linear, points)
     u = strained(points)
     directions = noise(points, 5, seed=2)
 
@@ -81,7 +73,7 @@ def test_the_force_is_the_gradient_of_the_energy():
 @pytest.mark.parametrize("form", FORMS)
 def test_momentum_is_balanced_on_periodic_lattices(form):
     points, _ = periodic((7, 8))
-    force = NonlinearOperator(solid(form), points)(strained(points))
+    force = PlacedThirdOrder(solid(form), points)(strained(points))
     assert np.abs(force.sum(axis=0)).max() <= ROUNDING * np.abs(force).sum()
 
 
@@ -89,7 +81,7 @@ def test_momentum_is_balanced_on_periodic_lattices(form):
 def test_affine_fields(form):
     """No force; the exact gradient; a turned body has the turned stress of the one unturned."""
     points, model = lattice(3, HORIZON, angle=0.4), solid(form)
-    op = NonlinearOperator(model, points)
+    op = PlacedThirdOrder(model, points)
     stretch = np.array([[0.05, 0.03], [-0.02, -0.06]])
     turn = rotation(0.7)
     turned = turn @ (np.eye(2) + stretch) - np.eye(2)
@@ -122,12 +114,12 @@ def test_a_turned_lattice_and_crystal_give_the_turned_force(form):
     there = np.rad2deg(AXIS + angle)
     turned = Points(points.x @ turn.T, points.interior, points.spacing, axis=there)
     u = strained(points)
-    force = NonlinearOperator(model, points)(u)
-    there = NonlinearOperator(model, turned)(u @ turn.T)
+    force = PlacedThirdOrder(model, points)(u)
+    there = PlacedThirdOrder(model, turned)(u @ turn.T)
     assert np.abs(there - force @ turn.T).max() <= 1e-11 * np.abs(force).max()
     sixth = replace(points, axis=points.axis + 60)  # the crystal's own symmetry
-    assert np.allclose(NonlinearOperator(model, sixth)(u), force, rtol=0, atol=1e-13)
-    unlike = NonlinearOperator(model, replace(turned, axis=points.axis))(u @ turn.T)
+    assert np.allclose(PlacedThirdOrder(model, sixth)(u), force, rtol=0, atol=1e-13)
+    unlike = PlacedThirdOrder(model, replace(turned, axis=points.axis))(u @ turn.T)
     assert np.abs(unlike - force @ turn.T).max() > 1e-6 * np.abs(force).max()
 
 
@@ -139,7 +131,7 @@ def test_a_crystal_turned_on_the_same_nodes_has_the_turned_stress(form, degrees)
     turned = replace(points, axis=points.axis + degrees)
     gradient = np.array([[0.05, 0.03], [-0.02, -0.06]])
     there = turn @ gradient @ turn.T
-    op, straight = NonlinearOperator(model, turned), NonlinearOperator(model, points)
+    op, straight = PlacedThirdOrder(model, turned), PlacedThirdOrder(model, points)
     field = points.x @ there.T
     H, P = op.gradients(field)
     _, before = straight.gradients(points.x @ gradient.T)
@@ -153,7 +145,7 @@ def test_a_crystal_turned_on_the_same_nodes_has_the_turned_stress(form, degrees)
 @pytest.mark.parametrize("form", FORMS)
 def test_tangent(form):
     points = lattice(3, HORIZON)
-    op = NonlinearOperator(solid(form), points)
+    op = PlacedThirdOrder(solid(form), points)
     u, toward = strained(points), noise(points, seed=3)
 
     def force(amount):
@@ -163,9 +155,20 @@ def test_tangent(form):
     tangent = op.tangent(u)
     predicted = (tangent @ toward.ravel()).reshape(-1, 2)
     assert np.abs(slope - predicted).max() <= DIFFERENCES * np.abs(slope).max()
+    assert np.abs(op.product(u, toward) - predicted).max() <= 1e-12 * np.abs(slope).max()
+    w = noise(points, seed=4)[points.interior]
+    back = (tangent.T @ w.ravel()).reshape(-1, 2)
+    assert np.abs(op.product_transpose(u, w) - back).max() <= 1e-12 * np.abs(back).max()
     inside = tangent[:, np.repeat(points.interior, 2)].toarray()
     asymmetry = np.abs(inside - inside.T).max() / np.abs(inside).max()
     assert asymmetry <= 1e-14 if form == "energy" else asymmetry > 1e-5
+
+
+def class_tables(classes, mu, alpha, D, D_dilatation, weights):
+    """16 μ w/r², 2 p, 2 p_in and 2 p_out by class, shape [4, C], as functions of the numbers."""
+    w, p = (class_weights(classes, alpha, own) for own in (D, D_dilatation))
+    r = torch.from_numpy(classes.r)
+    return torch.stack([16 * mu * w / r**2, 2 * p, *(2 * each for each in weights or (p, p))])
 
 
 class Problem:
@@ -177,18 +180,17 @@ class Problem:
         self.sweeps, self.radius = GradientSweeps(points, HORIZON), radius
         self.seed = torch.from_numpy(noise(points, 2, seed=4)[:, points.interior])
         linear = model.linear
-        self.leaves = {"u": 0.05 * noise(points, 2)}
-        self.leaves |= {"lam": linear.lam, "mu": linear.mu, "alpha": linear.alpha}
-        self.leaves |= {"D": linear.D, "D_dilatation": linear.dilatation}
-        self.leaves |= {"cubic": model.numbers[2:]}
+        names, values = ("lam", "mu", "alpha", "D"), linear.solid.values()
+        self.leaves = {"u": 0.05 * noise(points, 2), **dict(zip(names, values))}
+        self.leaves |= {"D_dilatation": linear.dilatation, "cubic": model.numbers[2:]}
         if form == "filtered":
             self.leaves |= dict(zip(("p_in", "p_out"), model.weights(self.sweeps.classes)))
         self.leaves = {name: np.atleast_1d(leaf) for name, leaf in self.leaves.items()}
 
     def scalar(self, u, lam, mu, alpha, D, D_dilatation, cubic, *weights):
         tables = class_tables(self.sweeps.classes, mu, alpha, D, D_dilatation, weights or None)
-        numbers = torch.cat([lam, mu, cubic])
-        Lu = nonlinear_force(self.sweeps, u, tables, lam - mu, numbers, radius=self.radius)
+        given = self.sweeps.by_pair(tables), lam - mu, torch.cat([lam, mu, cubic])
+        Lu = third_order_force(self.sweeps, u, *given, radius=self.radius)
         return (self.seed * Lu).sum() + (Lu**2).sum() / 100
 
     def gradient(self):
@@ -238,19 +240,14 @@ def test_results_do_not_depend_on_threads():
 def test_clipping_projects_the_gradient():
     points, model = lattice(2, HORIZON), solid("energy")
     u = smooth(points.x, 1, wave_number=0.3)[0] * 0.2
-    free, clipped = (NonlinearOperator(model, points, radius=radius) for radius in (0.0, 0.05))
+    free, clipped = (PlacedThirdOrder(model, points, radius=radius) for radius in (0.0, 0.05))
     H, _ = free.gradients(u)
     size = np.linalg.norm(H, axis=(-2, -1))
     assert size.min() < 0.05 < size.max()
     assert clipped.largest_gradient(u) == pytest.approx(size.max())
     near = H * np.minimum(1, 0.05 / size)[:, None, None]
-    step = 1e-4
-    by_energy = np.empty_like(near)
-    for a in range(2):
-        for c in range(2):
-            e = np.zeros((2, 2))
-            e[a, c] = step
-            by_energy[:, a, c] = (psi(near + e, model) - psi(near - e, model)) / (2 * step)
+    energy = lambda entries: psi(near + entries.reshape(2, 2), model)
+    by_energy = difference(energy, np.zeros(4), 1e-4).T.reshape(-1, 2, 2)
     assert np.abs(clipped.gradients(u)[1] - by_energy).max() < 1e-6
     assert np.array_equal(clipped(0.01 * u), free(0.01 * u))
 
@@ -258,10 +255,11 @@ def test_clipping_projects_the_gradient():
 def test_what_is_refused():
     model = solid("energy")
     with pytest.raises(InputError, match="a nonlinear model is for lattices"):
-        NonlinearOperator(model, cloud(2, HORIZON))
+        PlacedThirdOrder(model, cloud(2, HORIZON))
     with pytest.raises(InputError, match="certified on 1 Å, not on 2 Å"):
-        NonlinearOperator(model, lattice(2, HORIZON, spacing=2.0))
+        PlacedThirdOrder(model, lattice(2, HORIZON, spacing=2.0), transfer=False)
     points = lattice(2, HORIZON)
+    placed = PlacedThirdOrder(model, points)
     for u in (points.x[:-1], points.x[None, :0], np.zeros((0, *points.x.shape))):
         with pytest.raises(InputError, match=r"u: expected float64 of shape \[S, 196, 2\]"):
-            NonlinearOperator(model, points)(u)
+            placed(u)

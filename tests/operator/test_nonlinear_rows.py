@@ -7,8 +7,9 @@ import torch
 from tests.operator.test_rows import SETS, numbered
 from tests.support.nonlinear import solid
 from tests.support.problems import ROUNDING, difference, lattice, noise
-from warp_peri.operator import gradient_sweeps
-from warp_peri.operator.nonlinear import NonlinearOperator, nonlinear_force
+from warp_peri.third_order import sweeps as gradient_sweeps
+from warp_peri.third_order.operator import PlacedThirdOrder
+from warp_peri.third_order.sweeps import third_order_force
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
@@ -33,7 +34,7 @@ LAYOUTS = SETS | {"shuffled": shuffled, "mostly empty": apart}
 def by_lists(op, points, u):
     """L u from the linear solid, P at the nodes and sums over neighbours, (N2)."""
     sweeps = op.sweeps
-    p_out = op.tables.numpy()[3, sweeps.classes.bond_class]
+    p_out = op.numbers.tables[5, sweeps.pair]
     stress = np.zeros((len(points.x), 2, 2))
     stress[sweeps.full] = op.gradients(u)[1]
     ends = sweeps.neighbour.reshape(len(points.x), -1)[sweeps.rows]
@@ -45,26 +46,30 @@ def by_lists(op, points, u):
 def gradients_by_lists(op, points, u):
     """H at the nodes `full`, (N1)."""
     sweeps = op.sweeps
-    p_in = op.tables.numpy()[2, sweeps.classes.bond_class]
+    p_in = op.numbers.tables[4, sweeps.pair]
     ends = sweeps.neighbour.reshape(len(points.x), -1)[sweeps.full]
     eta = u[ends] - u[sweeps.full][:, None]
     return np.einsum("ipk,pl,p->ikl", eta, sweeps.xi, p_in)
+
+
+def tensors(of):
+    return [torch.tensor(each, dtype=torch.float64) for each in (of.tables, [of.bulk], of.cubic)]
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_force_and_derivatives(kind):
     """Of every layout; ∂/∂u by the sparse tangent, the parameters' by differences."""
     points = LAYOUTS[kind]()
-    op = NonlinearOperator(solid("filtered"), points)
+    op = PlacedThirdOrder(solid("filtered"), points)
     u = 0.05 * noise(points)
     H = gradients_by_lists(op, points, u)
     assert np.abs(op.gradients(u)[0] - H).max() <= ROUNDING * np.abs(H).max()
     force = by_lists(op, points, u)
     assert np.abs(op(u) - force).max() <= 2 * ROUNDING * np.abs(force).max()
     seed = noise(points, seed=3)[points.interior]
-    given = [op.tables, op.bulk, op.numbers]
+    given = tensors(op.numbers)
     leaves = [torch.tensor(value, requires_grad=True) for value in (u, *(t.numpy() for t in given))]
-    Lu = nonlinear_force(op.sweeps, *leaves)
+    Lu = third_order_force(op.sweeps, *leaves)
     by_u, *others = torch.autograd.grad((torch.from_numpy(seed) * Lu).sum(), leaves)
     expected = (op.tangent(u).T @ seed.ravel()).reshape(-1, 2)
     assert np.abs(by_u.numpy() - expected).max() <= 1e-12 * np.abs(expected).max()
@@ -73,7 +78,7 @@ def test_force_and_derivatives(kind):
 
         def value(amount, n=n, direction=direction):
             moved = [*given[:n], given[n] + float(amount[0]) * direction, *given[n + 1 :]]
-            field = nonlinear_force(op.sweeps, torch.from_numpy(u), *moved)
+            field = third_order_force(op.sweeps, torch.from_numpy(u), *moved)
             return float((torch.from_numpy(seed) * field).sum())
 
         slope = difference(value, np.zeros(1), 1e-2)[0]
@@ -84,14 +89,15 @@ def test_force_and_derivatives(kind):
 def test_samples_one_after_another(monkeypatch):
     """The force to the bit; sums over samples are the same for all that memory holds at once."""
     points = lattice(4, HORIZON)
-    op = NonlinearOperator(solid("energy"), points)
+    op = PlacedThirdOrder(solid("energy"), points)
     u = torch.from_numpy(0.05 * noise(points, 5)).requires_grad_()
-    numbers = op.numbers.clone().requires_grad_()
+    tables, bulk, cubic = tensors(op.numbers)
+    cubic.requires_grad_()
     found = []
     for most in (gradient_sweeps.AT_ONCE, 1):
         monkeypatch.setattr(gradient_sweeps, "AT_ONCE", most)
-        Lu = nonlinear_force(op.sweeps, u, op.tables, op.bulk, numbers)
-        found.append([Lu.detach(), *torch.autograd.grad((Lu**2).sum(), [u, numbers])])
+        Lu = third_order_force(op.sweeps, u, tables, bulk, cubic)
+        found.append([Lu.detach(), *torch.autograd.grad((Lu**2).sum(), [u, cubic])])
     for one, other in zip(*found):
         assert (one - other).abs().max() <= 1e-13 * one.abs().max()
     assert torch.equal(found[0][0], found[1][0])

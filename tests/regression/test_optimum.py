@@ -4,12 +4,12 @@ import numpy as np
 from scipy.optimize import minimize
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.reduced import reduce
 from warp_peri.operator.symbol import symbol, zone_wedge
 from warp_peri.regression import optimum
+from warp_peri.regression.conditions import Conditions, LatticeConditions
+from warp_peri.regression.full import sample_weights
 from warp_peri.regression.parameters import Parameters
-from warp_peri.stability.conditions import Conditions, LatticeConditions
+from warp_peri.regression.reduced import reduce
 
 HORIZON = 3.0
 

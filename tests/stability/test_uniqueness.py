@@ -10,11 +10,11 @@ from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import lattice, noise
 from warp_peri.core.groups import lattice_group
 from warp_peri.models.lps import stencil_of, stiffnesses
-from warp_peri.models.uniqueness import curvature_bound, largest_parts, proven_kappa
-from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.operator.symbol import symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import uniqueness
+from warp_peri.third_order.operator import PlacedThirdOrder
+from warp_peri.third_order.uniqueness import curvature_bound, largest_parts, proven_kappa
 
 HORIZON = 3.0
 SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
@@ -83,7 +83,7 @@ class Iteration:
 
     def __init__(self, model, strain, points, seed):
         self.operator, self.inside = (
-            NonlinearOperator(model, points, radius=strain),
+            PlacedThirdOrder(model, points, radius=strain),
             points.interior,
         )
         tangent = self.operator.tangent(0 * points.x)

@@ -10,10 +10,10 @@ from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import ell, lattice, noise, smooth
 from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
-from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.proofs import uniqueness
 from warp_peri.statics import equilibria, linear, newton
 from warp_peri.statics.equilibria import NonlinearRecord
+from warp_peri.third_order.operator import PlacedThirdOrder
 
 HORIZON = 3.0
 
@@ -31,7 +31,7 @@ def problem(model, size, interior=7, seed=0):
     points = lattice(ell() if interior == 0 else interior, HORIZON)
     u = size * smooth(points.x, 1, seed, wave_number=0.5)[0]
     b = np.zeros_like(u)
-    b[points.interior] = NonlinearOperator(model, points)(u)
+    b[points.interior] = PlacedThirdOrder(model, points)(u)
     return points, u, b
 
 

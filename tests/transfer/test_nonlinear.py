@@ -10,7 +10,6 @@ from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import lattice
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import uniqueness
-from warp_peri.transfer.nonlinear import nonlinear_for
 
 LAM = {"energy": -0.1, "filtered": -0.2}
 """A transfer is said once of a linear solid: each form has its own."""
@@ -26,16 +25,16 @@ def proven(form, horizon=3.0):
 @pytest.mark.parametrize("form", FORMS)
 def test_constants_go_along_and_the_guarantee_is_proven_anew(form):
     model = proven(form)
-    assert nonlinear_for(model, lattice(2, 3.0)) is model
+    assert model.at(lattice(2, 3.0)) is model
     fine = lattice(3, 2.5, spacing=0.8)
     with pytest.warns(UserWarning, match="transferred from 1 Å to 0.8 Å"):
-        transferred = nonlinear_for(model, fine)
+        transferred = model.at(fine)
     assert transferred.linear.certified_on == (0.8,)
     assert np.array_equal(transferred.numbers[2:], model.numbers[2:])
     assert transferred.smoothing == model.smoothing
     assert list(transferred.proven) == ["0.8"]
     assert 0 < transferred.proven_strain(0.8) != model.proven_strain(1.0)
-    again = nonlinear_for(model, fine)
+    again = model.at(fine)
     assert again.proven == transferred.proven
 
 
@@ -52,7 +51,7 @@ def test_the_energy_form_keeps_the_gradient_of_long_waves_and_takes_little_of_sh
     model = proven("energy")
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="transferred")
-        transferred = nonlinear_for(model, lattice(5, 3.0, spacing=0.7))
+        transferred = model.at(lattice(5, 3.0, spacing=0.7))
     plain = replace(transferred, gradient=None)
     long, short = np.linspace(0.1, 1.0, 8), np.linspace(2.5, 4.4, 20)
     at_home = response(model, 1.0, long)
@@ -65,7 +64,7 @@ def test_the_energy_form_keeps_the_gradient_of_long_waves_and_takes_little_of_sh
 def test_a_third_lattice_takes_the_gradient_of_the_second_one():
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="transferred")
-        finest = nonlinear_for(proven("energy"), lattice(5, 3.0, spacing=0.6))
-        third = nonlinear_for(finest, lattice(5, 3.0, spacing=0.7))
+        finest = proven("energy").at(lattice(5, 3.0, spacing=0.6))
+        third = finest.at(lattice(5, 3.0, spacing=0.7))
     plain = uniqueness(replace(third, gradient=None), spacing=0.7).strain
     assert third.proven_strain(0.7) > 1.5 * plain > 0

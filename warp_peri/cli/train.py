@@ -124,7 +124,7 @@ def run_train(given: argparse.Namespace) -> Result:
     from warp_peri.learning import methods
     from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
     from warp_peri.learning.run import train
-    from warp_peri.stability.conditions import Conditions
+    from warp_peri.regression.conditions import Conditions
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)

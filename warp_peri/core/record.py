@@ -52,8 +52,8 @@ KINDS: dict[tuple[str, str | None], Callable[[Any, Path | None], Any]] = {}
 PROVEN: set[tuple[type, str]] = set()
 """Contents whose proofs this process has gone through, by kind and hash."""
 HOMES = {
-    "warp_peri.model": "models.nonlinear",
-    "warp_peri.third_order_crystal": "micromodulus.third_order",
+    "warp_peri.model": "third_order.material",
+    "warp_peri.third_order_crystal": "third_order.material",
     "warp_peri.brittle_solid": "damage.solid",
     "warp_peri.soft_solid": "damage.softening",
     "warp_peri.micromodulus": "micromodulus.law",

@@ -13,10 +13,10 @@ from warp_peri.core.elastic import plane_isotropic
 from warp_peri.core.record import Length, Record, Stress
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
-from warp_peri.models.nonlinear import CUBIC
-from warp_peri.models.uniqueness import curvature_bound, largest_parts
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
+from warp_peri.third_order.material import CUBIC
+from warp_peri.third_order.uniqueness import curvature_bound, largest_parts
 
 if TYPE_CHECKING:
     from warp_peri.dressed.finite_body import FiniteBody

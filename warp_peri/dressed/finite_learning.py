@@ -14,10 +14,10 @@ from warp_peri.dressed.finite_body import FiniteBody, Slopes, gathered, gradient
 from warp_peri.dressed.learning import third_order_moduli
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.laws import one_set
-from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.axis import axis_of
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+from warp_peri.third_order.smoothing import Smoothing
 
 CONVERGED, ISOTROPIC = 1e-8, 1e-6
 """Relative, of the loss, and of moduli."""

@@ -28,12 +28,12 @@ from warp_peri.dressed.law import DressedSolid, held
 from warp_peri.errors import InputError
 from warp_peri.micromodulus import fields
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.third_order_learning import fit_third_order
 from warp_peri.micromodulus.waves import LARGEST_WAVE, SAME, carried_symbol, wave_rows
-from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, factors
+from warp_peri.third_order.fit import fit_third_order
+from warp_peri.third_order.smoothing import Smoothing
 
 REACH = {2: {4: 1.0, 8: 2**0.5, 12: 2.0, 20: 5**0.5}, 3: {6: 1.0, 18: 2**0.5, 26: 3**0.5}}
 """Of G in spacings, by dimension and number of neighbours."""

@@ -18,11 +18,11 @@ from warp_peri.contract import linear_part, placed
 from warp_peri.errors import InputError
 from warp_peri.learning.response import products
 from warp_peri.learning.sheet_features import SheetFeatures
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.noise import noise_loss
 from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.regression.full import sample_weights
+from warp_peri.regression.noise import noise_loss
 from warp_peri.shown import in_rows
 
 LEAST_SAMPLES = 8

@@ -31,10 +31,10 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
 from warp_peri.points.wave_number import largest_wave_number
+from warp_peri.regression.conditions import Conditions
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
-from warp_peri.stability.conditions import Conditions
 
 CHECKED_DEGREE = 10
 """Of the kernel that reduced and full loss are compared at first, where none was asked for."""

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from warp_peri.losses.full import FullLoss
-from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.models.influence import bernstein_basis
+from warp_peri.regression.full import FullLoss
 from warp_peri.regression.parameters import Parameters, Variables
+from warp_peri.regression.reduced import ReducedLoss
 
 ROUNDING = 1e-13
 """Of a residual, relative to the loads: what is left of an exact fit."""

@@ -24,7 +24,7 @@ from warp_peri.operator.matrices import assemble
 from warp_peri.operator.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.stability.conditions import LatticeConditions
+from warp_peri.regression.conditions import LatticeConditions
 
 ZONE_INTERVALS = 24
 DENSE_ZETA = 1e-4

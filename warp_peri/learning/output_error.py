@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from warp_peri.learning.response import Response, products
-from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.models.lps import Model
+from warp_peri.regression.conditions import LatticeConditions
 from warp_peri.regression.optimum import Reached, constrained_optimum
 from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.reduced import ReducedLoss
 from warp_peri.regression.settings import Optimum
-from warp_peri.stability.conditions import LatticeConditions
 
 STEPS = 12
 GAIN = 1e-5

@@ -14,12 +14,12 @@ from typing import Protocol
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.losses.reduced import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
 from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.operator.matrices import matrices
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.regression.reduced import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
 from warp_peri.statics.direct import MatrixProblem
 
 SAMPLES_AT_ONCE = 8

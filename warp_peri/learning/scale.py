@@ -26,9 +26,9 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, search_length, search_unit
 from warp_peri.points.units import in_units_of, scaled
+from warp_peri.regression.conditions import Conditions, LatticeConditions
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
-from warp_peri.stability.conditions import Conditions, LatticeConditions
 
 RELATIVE_ZETA = 0.0161
 """ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import null_space
 
-from warp_peri.losses.reduced import Features
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
+from warp_peri.regression.reduced import Features
 
 
 class SheetFeatures:

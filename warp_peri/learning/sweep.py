@@ -24,7 +24,7 @@ from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
-from warp_peri.stability.conditions import Conditions
+from warp_peri.regression.conditions import Conditions
 
 COST_TOLERANCE = 0.1
 """How much worse than the best AvgE the cheapest choice may be, relative."""

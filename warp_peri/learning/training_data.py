@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.losses.full import FullLoss, sample_weights
-from warp_peri.losses.noise import corrected, noise_loss
-from warp_peri.losses.reduced import ReducedLoss, reduce
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.stability.conditions import Conditions, LatticeConditions
+from warp_peri.regression.conditions import Conditions, LatticeConditions
+from warp_peri.regression.full import FullLoss, sample_weights
+from warp_peri.regression.noise import corrected, noise_loss
+from warp_peri.regression.reduced import ReducedLoss, reduce
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,9 @@ from warp_peri.files.atomic import locked
 from warp_peri.learning.checkpoint import Checkpoint
 from warp_peri.learning.margins import DenseMargins, SymbolMargins
 from warp_peri.learning.methods import TwoStage
-from warp_peri.losses.full import FullLoss
-from warp_peri.losses.reduced import ReducedLoss
+from warp_peri.regression.full import FullLoss
 from warp_peri.regression.parameters import Parameters, Variables
+from warp_peri.regression.reduced import ReducedLoss
 
 LEARNING_RATE = 1e-3
 STAGNATION = 1e-3

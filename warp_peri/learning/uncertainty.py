@@ -21,18 +21,18 @@ from warp_peri.learning.response import WaveResponse, products
 from warp_peri.learning.result import Fit
 from warp_peri.learning.scale import scale_of
 from warp_peri.learning.training_data import listed
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.noise import check_noise, corrected, noise_loss
-from warp_peri.losses.reduced import Features, ReducedLoss, reduce
 from warp_peri.models.lps import Model
 from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import check_same
 from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.regression.conditions import ZoneSearch
+from warp_peri.regression.full import sample_weights
+from warp_peri.regression.noise import check_noise, corrected, noise_loss
 from warp_peri.regression.optimum import ConstrainedProblem, coordinates_of
 from warp_peri.regression.parameters import Parameters
-from warp_peri.stability.conditions import ZoneSearch
+from warp_peri.regression.reduced import Features, ReducedLoss, reduce
 
 ACTIVE = 0.02
 """A condition is active where its margin is below this part of ζ."""

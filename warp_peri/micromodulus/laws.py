@@ -2,20 +2,15 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from warp_peri.core.groups import Symmetry
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
-from warp_peri.models.smoothing import Smoothing
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
-
-if TYPE_CHECKING:
-    from warp_peri.micromodulus.third_order_learning import ThirdOrderFit
 
 
 @dataclass(frozen=True)
@@ -63,42 +58,6 @@ class Micromodulus:
         stated = sets.axis if self.orientation is None else self.orientation
         material = fit(sets, **(vars(self) | {"orientation": stated}))
         return CrystalFit(material, dict(material.provenance["fit"]))
-
-    def third_order(
-        self, samples: Samples | Dataset, smoothing: Smoothing | None, form: str
-    ) -> ThirdOrderFit:
-        """Tensors and third-order constants at once; errors as of fit_third_order.
-
-        "auto" is "isotropic" here. A UserWarning says where training data reach beyond the proven
-        strain.
-        """
-        from warp_peri.micromodulus.third_order_learning import fit_third_order
-
-        if not isinstance(smoothing, Smoothing):
-            raise InputError(
-                f"smoothing: expected Smoothing(…) beside such tensors, got {smoothing!r:.60}"
-            )
-        if self.moduli is None:
-            raise InputError("moduli: expected some that are held, beside third-order constants")
-        auto = isinstance(self.symmetry, str) and self.symmetry == "auto"
-        found = fit_third_order(
-            one_set(samples),
-            self.horizon,
-            smoothing,
-            form=form,
-            symmetry="isotropic" if auto else self.symmetry,
-            orientation=self.orientation,
-            moduli=self.moduli,
-        )
-        proven = found.material.proven_strain(found.material.spacing)
-        if found.largest_gradient > proven:
-            warnings.warn(
-                f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
-                f"reach {found.largest_gradient:.2%}; a larger ridge of the smoothing than "
-                f"{smoothing.ridge:g} may prove more",
-                stacklevel=5,
-            )
-        return found
 
 
 def one_set(samples: Any) -> Samples:

@@ -13,14 +13,14 @@ from typing import Generic, TypeVar
 import numpy as np
 from scipy.optimize import minimize
 
-from warp_peri.losses.reduced import ReducedLoss
 from warp_peri.operator.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
 from warp_peri.points.families import BondClasses
+from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.regression.coordinates import Coordinates, Point
 from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.reduced import ReducedLoss
 from warp_peri.regression.settings import SMOOTHNESS, Optimum
 from warp_peri.regression.shape_coordinates import ShapeCoordinates
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 
 LOSS_TOLERANCE = 1e-14
 """Changes of the loss that SLSQP takes for none; losses are relative to the loads."""

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from warp_peri.losses.full import FullLoss
-from warp_peri.losses.reduced import ReducedLoss, class_weights
 from warp_peri.models.shapes import InfluenceFunction
 from warp_peri.points.families import BondClasses
+from warp_peri.regression.full import FullLoss
+from warp_peri.regression.reduced import ReducedLoss, class_weights
 
 SMALLEST_MODULUS, LARGEST_ALPHA = 1e-3, 3 - 1e-3
 """μ and λ + μ [TPa] stay above the first, α below the second."""

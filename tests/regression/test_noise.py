@@ -11,12 +11,12 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.response import CollarResponse, WaveResponse, products
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.noise import corrected, noise_loss
-from warp_peri.losses.reduced import reduce
 from warp_peri.methods import TwoStage
 from warp_peri.models.lps import Model
 from warp_peri.operator.lps import NodeOperator
+from warp_peri.regression.full import sample_weights
+from warp_peri.regression.noise import corrected, noise_loss
+from warp_peri.regression.reduced import reduce
 
 HORIZON, DEGREE = 3.0, 5
 SIZE = 0.02

@@ -8,9 +8,9 @@ import pytest
 from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import REDUCED, lattice, noise
 from warp_peri import InputError, Samples
+from warp_peri.learning.nonlinear import reduce_nonlinear
 from warp_peri.learning.response import products
-from warp_peri.losses.nonlinear import reduce_nonlinear
-from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.third_order.operator import PlacedThirdOrder
 
 
 @pytest.fixture(params=FORMS)
@@ -23,7 +23,7 @@ def problem(request):
         for seed in (0, 2)
     ]
     weights = [np.linspace(1, 2, 6), np.linspace(0.2, 0.4, 6)]
-    operator = NonlinearOperator(model, points)
+    operator = PlacedThirdOrder(model, points)
     p = model.weights(operator.sweeps.classes)
     return model, sets, weights, reduce_nonlinear(sets, 3.0, weights, p)
 
@@ -31,7 +31,7 @@ def problem(request):
 def full(model, sets, weights):
     total = 0.0
     for samples, weight in zip(sets, weights):
-        left = NonlinearOperator(model, samples)(samples.u) - samples.loads[:, samples.interior]
+        left = PlacedThirdOrder(model, samples)(samples.u) - samples.loads[:, samples.interior]
         total += weight @ (left**2).sum(axis=(1, 2))
     return total
 

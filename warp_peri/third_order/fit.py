@@ -6,6 +6,7 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from scipy.optimize import root
 
 from warp_peri.core.basis import Basis, invariant_basis
@@ -18,18 +19,55 @@ from warp_peri.core.groups import (
     shared_with_nodes,
 )
 from warp_peri.errors import InputError
-from warp_peri.losses.nonlinear import CONSTANTS, NonlinearFeatures
+from warp_peri.launch import floats
 from warp_peri.micromodulus import fields
 from warp_peri.micromodulus.regression import Learned, compressed
-from warp_peri.micromodulus.third_order import ThirdOrderCrystal, gradient_weights
-from warp_peri.micromodulus.third_order_operator import PlacedCrystal
 from warp_peri.micromodulus.waves import law_of, solved
-from warp_peri.models.smoothing import Smoothing
+from warp_peri.points.axis import axis_of
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.third_order.material import ThirdOrderCrystal
+from warp_peri.third_order.smoothing import Smoothing, gradient_weights
+from warp_peri.third_order.sweeps import GradientSweeps, Numbers
 
 SETTLED = 1e-9
 """Relative, of moduli that are found."""
+CONSTANTS = 3
+"""Columns of t3, tq2 and q3, the first ones."""
+
+
+class NonlinearFeatures:
+    """What t3, tq2, q3, λ and μ of Ψ do to L u, each at 1, on one lattice.
+
+    Args:
+        points: the lattice, which states the axis of the crystal.
+        horizon: δ [Å].
+        weights: p_in and p_out by class, each of shape [C].
+    """
+
+    def __init__(
+        self,
+        points: Samples,
+        horizon: float,
+        weights: tuple[np.ndarray, np.ndarray],
+    ) -> None:
+        self.sweeps = GradientSweeps(points, horizon, dilates=False)
+        none = np.zeros_like(weights[0])
+        by_class = torch.from_numpy(2 * np.stack([none, none, *weights]))
+        self.tables = self.sweeps.by_pair(by_class).numpy()
+        turned = np.exp(-6j * axis_of(points))
+        self.numbers = np.zeros((5, 6))
+        self.numbers[[0, 1, 3, 4], [2, 3, 0, 1]] = 1.0
+        self.numbers[2, 4:] = turned.real, turned.imag
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """Columns of u [Å], shape [S, N, 2], in the order above: shape [S, I, 5, 2]."""
+        sweeps = self.sweeps
+        field = floats(np.ascontiguousarray(u), sweeps.kernels.vec)
+        columns = []
+        for numbers in self.numbers:
+            columns.append(sweeps.force(field, Numbers(self.tables, 0.0, numbers)).numpy())
+        return np.stack(columns, axis=2)
 
 
 @dataclass(frozen=True)
@@ -108,7 +146,7 @@ def fit_third_order(
         linear, t3, tq2, q3, smoothing, form, float(horizon), provenance={"fit": record}
     )
     law = law.certified()
-    operator = PlacedCrystal(law, samples.points, allow_uncertified=True)
+    operator = law.on(samples.points, allow_uncertified=True)
     b = samples.loads[:, samples.interior]
     wrong = np.linalg.norm((operator(samples.u) - b).reshape(len(b), -1), axis=1)
     error = float((wrong / np.linalg.norm(b.reshape(len(b), -1), axis=1)).mean())

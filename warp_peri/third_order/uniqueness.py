@@ -9,21 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
-from warp_peri.models.lps import lps_stencil
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import USUAL, Units, symbols
-
-if TYPE_CHECKING:
-    from warp_peri.models.nonlinear import NonlinearModel
 
 DIRECTIONS = 400
 """Intervals on which homogeneous parts of Ψ are sampled along each of two angles."""
@@ -76,30 +71,18 @@ class Uniqueness:
         return figures
 
 
-def uniqueness(model: NonlinearModel, *, spacing: float) -> Uniqueness:
-    """Prove up to which |H| solutions on a lattice are unique.
+def uniqueness(model: Any, *, spacing: float) -> Uniqueness:
+    """Prove up to which |H| solutions on a lattice are unique: the largest that proven bounds of κ
+    [stress^(−1/2)] leave (N15).
 
     Args:
-        model: the model.
-        spacing: h [Å].
+        model: a solid of third order.
+        spacing: h [length].
 
     Raises InputError when the horizon is below one spacing.
     """
-    classes = bond_classes(spacing, model.horizon)
-    return uniqueness_of(model, lps_stencil(model.linear, spacing), lattice_group(2), classes)
-
-
-def uniqueness_of(
-    model: Any, stencil: Stencil, group: np.ndarray, classes: BondClasses
-) -> Uniqueness:
-    """The largest |H| that proven bounds of κ [stress^(−1/2)] leave unique (N15).
-
-    Args:
-        model: with `numbers`, `units` and `weights` of a solid of third order.
-        stencil: of its linear part.
-        group: integer matrices under which that is invariant, shape [g, 2, 2].
-        classes: bond classes of its gradient's family.
-    """
+    stencil, group = model.stencil(spacing), model.group
+    classes = bond_classes(spacing, model.reach)
     p_in, p_out = model.weights(classes)
     kappa_out = proven_kappa(stencil, group, classes, p_out)
     kappa_in = kappa_out if p_in is p_out else proven_kappa(stencil, group, classes, p_in)

@@ -11,8 +11,8 @@ import dataclasses
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.losses.reduced import ReducedLoss, reduce, with_rows
 from warp_peri.points.samples import Samples
+from warp_peri.regression.reduced import ReducedLoss, reduce, with_rows
 
 KNOWN = 0.1
 """Directions of which a larger part of the data's squares than 1 − KNOWN is noise are left out."""
