@@ -22,8 +22,7 @@ from examples.studies import sweep_report
 from warp_peri.cluster import scheduler
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.learning import methods
-from warp_peri.learning.options import METHODS
+from warp_peri.learning import METHODS, methods
 from warp_peri.learning.result import Fit
 from warp_peri.learning.run import train
 from warp_peri.learning.sweep import sweep

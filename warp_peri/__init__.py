@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from warp_peri import tissue as tissue
     from warp_peri import transfers as transfers
     from warp_peri.damage.problems import Cracked
-    from warp_peri.dressed.laws import Dressed
+    from warp_peri.dressed.law import Dressed
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
     from warp_peri.learning.diagnosis import diagnose
@@ -91,7 +91,7 @@ __all__ = [
 
 _NAMES = {
     "damage.problems": ("Cracked",),
-    "dressed.laws": ("Dressed",),
+    "dressed.law": ("Dressed",),
     "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
     "learning.diagnosis": ("diagnose",),

@@ -24,8 +24,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
-from warp_peri.regression.full import sample_weights
-from warp_peri.regression.reduced import reduce
+from warp_peri.regression.losses import reduce, sample_weights
 
 MU = 0.7223
 HORIZON = 20.0

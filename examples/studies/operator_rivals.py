@@ -16,8 +16,7 @@ from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.matrices import matrices
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.regression.full import sample_weights
-from warp_peri.regression.reduced import class_weights, reduce
+from warp_peri.regression.losses import class_weights, reduce, sample_weights
 
 TOLERANCE = 1e-8
 Solver = Callable[[np.ndarray, np.ndarray], np.ndarray]

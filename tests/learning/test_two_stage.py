@@ -7,7 +7,7 @@ import torch
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
 from warp_peri import Bernstein, certify
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.margins import (
+from warp_peri.learning.two_stage import (
     DENSE_ZETA,
     DenseMargins,
     SymbolMargins,

@@ -14,11 +14,10 @@ from warp_peri.models.lps import stiffnesses
 from warp_peri.models.shapes import gaussian, table
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.conditions import Conditions, LatticeConditions
-from warp_peri.regression.full import FullLoss, sample_weights
+from warp_peri.regression.coordinates import ShapeCoordinates
+from warp_peri.regression.losses import FullLoss, reduce, sample_weights
 from warp_peri.regression.optimum import ConstrainedProblem
 from warp_peri.regression.parameters import Parameters
-from warp_peri.regression.reduced import reduce
-from warp_peri.regression.shape_coordinates import ShapeCoordinates
 from warp_peri.shapes import InfluenceFunction
 
 # The polynomial

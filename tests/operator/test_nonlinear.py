@@ -12,7 +12,7 @@ from tests.support.nonlinear import FORMS, psi, rotation, solid
 from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, periodic, smooth
 from warp_peri import InputError, Points
 from warp_peri.launch import set_threads, threads
-from warp_peri.regression.reduced import class_weights
+from warp_peri.regression.losses import class_weights
 from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.third_order.sweeps import GradientSweeps, third_order_force
 from warp_peri.transfer.operator import LPSOperator

@@ -10,8 +10,7 @@ from warp_peri import InputError
 from warp_peri.methods import Solid
 from warp_peri.operator.bonds import Bonds
 from warp_peri.operator.lps import lps_force
-from warp_peri.regression.full import sample_weights
-from warp_peri.regression.reduced import reduce
+from warp_peri.regression.losses import reduce, sample_weights
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0

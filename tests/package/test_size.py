@@ -8,13 +8,13 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 49_075,
-    "files of warp_peri": 317,
+    "lines of warp_peri": 48_662,
+    "files of warp_peri": 286,
     "lines of kernels": 5_669,
-    "lines of examples and tools": 29_578,
-    "lines of tests": 31_224,
+    "lines of examples and tools": 29_569,
+    "lines of tests": 31_206,
     "names of classes that stand twice": 0,
-    "imports of warp_peri inside functions": 27,
+    "imports of warp_peri inside functions": 22,
     "asserts in warp_peri": 0,
 }
 """Whoever lowers one writes the new number here."""

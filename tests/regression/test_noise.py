@@ -14,9 +14,7 @@ from warp_peri.learning.response import CollarResponse, WaveResponse, products
 from warp_peri.methods import TwoStage
 from warp_peri.models.lps import Model
 from warp_peri.operator.lps import NodeOperator
-from warp_peri.regression.full import sample_weights
-from warp_peri.regression.noise import corrected, noise_loss
-from warp_peri.regression.reduced import reduce
+from warp_peri.regression.losses import corrected, noise_loss, reduce, sample_weights
 
 HORIZON, DEGREE = 3.0, 5
 SIZE = 0.02

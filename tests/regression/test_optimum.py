@@ -7,9 +7,8 @@ from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.operator.symbol import symbol, zone_wedge
 from warp_peri.regression import optimum
 from warp_peri.regression.conditions import Conditions, LatticeConditions
-from warp_peri.regression.full import sample_weights
+from warp_peri.regression.losses import reduce, sample_weights
 from warp_peri.regression.parameters import Parameters
-from warp_peri.regression.reduced import reduce
 
 HORIZON = 3.0
 

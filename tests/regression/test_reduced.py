@@ -17,8 +17,8 @@ from tests.support.problems import (
     noise,
 )
 from warp_peri import InputError
-from warp_peri.regression import reduced
-from warp_peri.regression.full import FullLoss, sample_weights
+from warp_peri.regression import losses as reduced
+from warp_peri.regression.losses import FullLoss, sample_weights
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5

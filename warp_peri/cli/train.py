@@ -17,7 +17,7 @@ from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep, refuse_used
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
-from warp_peri.learning.options import DEGREES, HORIZONS
+from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols

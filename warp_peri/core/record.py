@@ -60,7 +60,7 @@ HOMES = {
     "warp_peri.dressed": "dressed.law",
     "warp_peri.dressed_finite": "dressed.finite",
     "warp_peri.hyperelastic": "tissue.solid",
-    "warp_peri.neural": "neural.file",
+    "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",
     "warp_peri.coupled_solid": "diffusion.coupled",
     "warp_peri.flow_law": "flow",

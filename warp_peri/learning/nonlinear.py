@@ -14,19 +14,16 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.learning.full_loss_check import held
 from warp_peri.learning.methods import Bernstein, Kernel, Method
-from warp_peri.learning.output_error import as_model
-from warp_peri.learning.response import products
+from warp_peri.learning.response import as_model, products
 from warp_peri.learning.result import Fit
-from warp_peri.learning.scale import Scale, scale_of
+from warp_peri.learning.training_data import Scale, scale_of
 from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
 from warp_peri.points.unit_names import symbols
-from warp_peri.regression.full import sample_weights
+from warp_peri.regression.losses import Features, ReducedLoss, sample_weights, with_rows
 from warp_peri.regression.optimum import constrained_optimum
-from warp_peri.regression.parameters import Parameters
-from warp_peri.regression.reduced import Features, ReducedLoss, with_rows
-from warp_peri.regression.settings import Optimum
+from warp_peri.regression.parameters import Optimum, Parameters
 from warp_peri.stability.certificate import certify
 from warp_peri.third_order.fit import CONSTANTS, NonlinearFeatures
 from warp_peri.third_order.material import NonlinearModel

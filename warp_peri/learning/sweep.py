@@ -16,10 +16,10 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
+from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein
-from warp_peri.learning.options import DEGREES, HORIZONS
 from warp_peri.models.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples

@@ -23,7 +23,7 @@ from warp_peri.models.solid import Solid
 from warp_peri.operator.stencil import stencil
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.regression.settings import ISOTROPIC
+from warp_peri.regression.parameters import ISOTROPIC
 from warp_peri.shown import in_rows
 
 ALPHA = 1.0

@@ -15,9 +15,9 @@ from warp_peri.points.arrays import is_positive
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.coordinates import SMALLEST_ALPHA, Coordinates
+from warp_peri.regression.losses import ReducedLoss
 from warp_peri.regression.optimum import ConstrainedProblem
 from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
-from warp_peri.regression.reduced import ReducedLoss
 from warp_peri.stability.certificate import certify
 from warp_peri.transfer.lattice import Home, home_of
 from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, weighed_waves

@@ -7,7 +7,7 @@ import numpy as np
 from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.regression.reduced import ReducedLoss, class_pairs, symbol_rows
+from warp_peri.regression.losses import ReducedLoss, class_pairs, symbol_rows
 
 WAVES = 60
 """Wave vectors that a kernel is fitted on; twice as many change no error in its third digit."""

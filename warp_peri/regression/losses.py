@@ -1,12 +1,9 @@
-"""The reduced regression: the full loss of a lattice data set in a few hundred rows.
-
-With the weights w_c = K(r_c) W_c / m of each bond class, the residual is affine in the products
-μ w_c and (λ−μ) w_c w_d (theory.md, 14–17). One sweep of the data and a QR factorisation give
-‖L u − b‖² over all samples and nodes as ‖R c‖².
-"""
+"""The loss of a fit: full, reduced to few rows, and without its noise (theory.md, 10–17, 36–37)."""
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,14 +11,70 @@ import numpy as np
 import torch
 import warp as wp
 
+from warp_peri.errors import InputError
 from warp_peri.kernels.lps import features as kernels
 from warp_peri.launch import DEVICE
 from warp_peri.models.influence import bernstein_basis
+from warp_peri.models.solid import Solid
 from warp_peri.operator.bonds import Bonds
+from warp_peri.operator.lps import lps_force
 from warp_peri.operator.symbol import symbol
 from warp_peri.points.families import BondClasses
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples
+
+
+def sample_weights(sets: Sequence[Samples], *, normalise: bool) -> list[np.ndarray]:
+    """Weight of each sample's ‖L u − b‖² in the loss, one array of shape [S] a set.
+
+    The loss is Σ f² ‖L u − b‖² / Σ f² ‖b‖² over the samples of all sets, f = 1, or 1/‖b‖ with
+    `normalise`. Raises InputError for a set without samples or loads, or a sample without load
+    that is to be normalised.
+    """
+    factors, total = [], 0.0
+    for points in sets:
+        if len(points) == 0:
+            raise InputError("the training set has no samples")
+        load = np.linalg.norm(points.loads[:, points.interior].reshape(len(points), -1), axis=1)
+        if not load.any():
+            raise InputError("the training set has no loads on its interior")
+        if normalise and not load.all():
+            raise InputError(f"sample {int(np.argmin(load))} has no load and cannot be normalised")
+        factors.append(1 / load if normalise else np.ones(len(points)))
+        total += float(((factors[-1] * load) ** 2).sum())
+    return [factor**2 / total for factor in factors]
+
+
+class FullLoss:
+    """Σ_s weight_s ‖L u − b‖² over the interior of one set.
+
+    Args:
+        points: samples on a lattice.
+        horizon: δ [Å].
+        weight: of each sample, shape [S].
+    """
+
+    def __init__(self, points: Samples, horizon: float, weight: np.ndarray) -> None:
+        self.bonds = Bonds(points, horizon)
+        self.u = torch.tensor(points.u)  # a copy: the set may be read-only
+        self.b = torch.tensor(points.loads[:, points.interior])
+        self.weight = torch.from_numpy(weight)
+
+    def _squares(self, *parameters: Any) -> torch.Tensor:
+        residual = lps_force(self.bonds, self.u, Solid(*parameters)) - self.b
+        return (residual**2).sum(dim=(1, 2))
+
+    def loss(self, *parameters: Any) -> torch.Tensor:
+        """The loss at (λ, μ, α, D), differentiable."""
+        return self.weight @ self._squares(*parameters)
+
+    def errors(self, *parameters: Any) -> np.ndarray:
+        """‖L u − b‖/‖b‖ of each sample that has a load."""
+        load = (self.b**2).sum(dim=(1, 2))
+        loaded = load > 0
+        with torch.no_grad():
+            return (self._squares(*parameters)[loaded] / load[loaded]).sqrt().numpy()
+
 
 _BLOCK_BYTES = 2**27
 """Rows are factorised in blocks of about this size, so memory does not grow with the data."""
@@ -179,3 +232,64 @@ def symbol_rows(classes: BondClasses, k: np.ndarray) -> np.ndarray:
         twice / 2 * (p1[:, i] * p2[:, j] + p1[:, j] * p2[:, i]),
     ]
     return np.concatenate([table.gamma, np.stack(quadratic, axis=1)], axis=2)
+
+
+KNOWN = 0.1
+"""Directions of which a larger part of the data's squares than 1 − KNOWN is noise are left out."""
+
+
+def noise_loss(noise: Samples, points: Samples, horizon: float, weight: np.ndarray) -> np.ndarray:
+    """Factor R_e of what the noise adds to a reduced loss: ‖R_e c‖² is its expectation.
+
+    Args:
+        noise: fields of noise alone, on the nodes of `points`; its loads are not looked at.
+        points: the training samples; each is taken to carry noise of the same size.
+        horizon: δ [Å].
+        weight: of each training sample, shape [S].
+
+    Returns:
+        Triangular, of the shape of the ReducedLoss of `points`.
+
+    Raises InputError for noise without fields or on other nodes.
+    """
+    check_noise(noise, points)
+    bare = Samples(noise.points, noise.u, np.zeros_like(noise.u))
+    each = np.full(len(noise), weight.sum() / len(noise))
+    return reduce(bare, horizon, each).R
+
+
+def corrected(loss: ReducedLoss, R_noise: np.ndarray) -> ReducedLoss:
+    """The loss less what the noise adds to it: a square and a constant, both not below zero.
+
+    Loads carry no noise, so that ‖F c + l‖² − ‖R_e c‖² is a quadratic form of the products c that
+    has the minimum of ‖√(1−ν) Vᵗ F c + (1−ν)^(−½) Uᵗ l‖² (theory.md, 37). Directions of which
+    less than KNOWN is not noise count nothing. No squares are subtracted, so that digits are kept.
+    """
+    load, width = loss.R[:, -1], loss.R.shape[1] - 1
+    left, size, right = np.linalg.svd(loss.R[:, :-1], full_matrices=False)
+    kept = size > np.finfo(float).eps * width * size[0]
+    left, size, right = left[:, kept], size[kept], right[kept]
+    root, axes = np.linalg.svd((R_noise[:, :-1] @ right.T) / size)[1:]
+    share = np.zeros(len(axes))
+    share[: len(root)] = root**2
+    along = axes @ (left.T @ load)
+    known = 1 - share > KNOWN
+    gain = np.sqrt(1 - share[known])
+    form = np.zeros((len(gain) + 1, width + 1))
+    form[:-1, :-1] = gain[:, None] * (axes[known] * size) @ right
+    form[:-1, -1] = along[known] / gain
+    rest = load @ load - (form[:-1, -1] ** 2).sum()  # a constant: of no weight in the minimum
+    form[-1, -1] = np.sqrt(max(0.0, rest))
+    return dataclasses.replace(loss, R=with_rows(np.zeros_like(loss.R), form))
+
+
+def check_noise(noise: Samples, points: Samples) -> None:
+    """Raise InputError when noise does not belong to a training set."""
+    if len(noise) == 0:
+        raise InputError("noise: expected at least one field, got none")
+    if noise.x.shape != points.x.shape or not np.array_equal(noise.interior, points.interior):
+        raise InputError(
+            f"noise: expected the {len(points.x)} nodes of the training set, got {len(noise.x)}"
+        )
+    if not np.allclose(noise.x, points.x, rtol=0, atol=1e-6 * points.spacing):
+        raise InputError("noise: expected the nodes of the training set, got others")
