@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, ThirdOrder, fit
     from warp_peri.learning.methods import Bernstein
+    from warp_peri.lps.model import Model
     from warp_peri.micromodulus.laws import Micromodulus
-    from warp_peri.models.lps import Model
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.mesh import Mesh
     from warp_peri.points.points import Points
@@ -99,7 +99,7 @@ _NAMES = {
     "learning.laws": ("LPS", "ThirdOrder", "fit"),
     "learning.methods": ("Bernstein",),
     "micromodulus.laws": ("Micromodulus",),
-    "models.lps": ("Model",),
+    "lps.model": ("Model",),
     "points.dataset": ("Dataset",),
     "points.mesh": ("Mesh",),
     "points.points": ("Points",),

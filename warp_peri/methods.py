@@ -6,7 +6,7 @@ And PolakRibiere, a solver that needs no more of a law than its force.
 from warp_peri.learning.methods import Constrained, TwoStage
 from warp_peri.learning.sweep import Sweep, sweep
 from warp_peri.learning.uncertainty import Resampled, Uncertainty, fit_uncertainty, resample_loads
-from warp_peri.models.solid import Solid
+from warp_peri.lps.model import Solid
 from warp_peri.regression.conditions import Conditions
 from warp_peri.regression.parameters import Optimum
 from warp_peri.statics.settings import PolakRibiere

@@ -13,8 +13,8 @@ from tqdm import tqdm
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
-from warp_peri.models.lps import Model
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch

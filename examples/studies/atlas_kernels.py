@@ -14,8 +14,7 @@ from tqdm import tqdm
 import warp_peri
 from examples.studies.atlas_conditions import displacement_error
 from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.models.influence import bernstein_basis
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model, bernstein_basis
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights

@@ -37,8 +37,8 @@ from tools.samples import Sample
 from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.operator import lps_force
 from warp_peri.regression.losses import class_weights
 from warp_peri.third_order.material import NonlinearModel
 from warp_peri.third_order.sweeps import GradientSweeps, third_order_force

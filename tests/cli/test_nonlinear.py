@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.statics.test_nonlinear import problem, proven
 from tests.support.problems import lattice
 from tests.support.solving import solve_nonlinear
+from tests.third_order.test_equilibria import problem, proven
 from warp_peri import Dataset, Samples
 from warp_peri.cli.main import main
 from warp_peri.points.dataset_file import load_dataset, save_dataset

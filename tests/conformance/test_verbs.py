@@ -7,7 +7,7 @@ import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.plates import plate
 from warp_peri.choice import Scene
-from warp_peri.operator import bonds
+from warp_peri.lps import bonds
 from warp_peri.third_order import material as third_order
 from warp_peri.third_order import sweeps as gradient_sweeps
 from warp_peri.tissue import operator as tissue

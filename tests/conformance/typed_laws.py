@@ -2,7 +2,7 @@
 
 from warp_peri.contract import Law, Material, Operator, Problem
 from warp_peri.learning.laws import LPS, ThirdOrder
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
 from warp_peri.statics.lps import PlacedLPS

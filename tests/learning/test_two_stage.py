@@ -15,8 +15,8 @@ from warp_peri.learning.two_stage import (
     _class_matrices,
     _dense,
 )
+from warp_peri.lps.model import stiffnesses
 from warp_peri.methods import TwoStage
-from warp_peri.models.lps import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 

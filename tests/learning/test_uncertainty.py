@@ -16,8 +16,8 @@ from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.loss_choice import LossChoice
 from warp_peri.learning.response import WaveResponse, as_model, output_optimum
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.symbol import moduli
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.regression.losses import corrected, noise_loss, reduce, sample_weights

@@ -16,6 +16,7 @@ from warp_peri.choice import Scene, choose_model
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.fit import learn_third_order
 from warp_peri.learning.nonlinear import Nonlinear
+from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.methods import (
     Conditions,
     Constrained,
@@ -25,7 +26,6 @@ from warp_peri.methods import (
     fit_uncertainty,
     sweep,
 )
-from warp_peri.models.lps import Model, stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, check_units, factors

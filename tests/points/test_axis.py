@@ -7,9 +7,9 @@ import warnings
 import numpy as np
 import pytest
 
-from tests.statics.test_nonlinear import problem, proven
 from tests.support.problems import AXIS
 from tests.support.sheets import hgo_dictionary, square
+from tests.third_order.test_equilibria import problem, proven
 from warp_peri import Dataset, InputError, Points, Samples, evaluate
 from warp_peri.cli.main import main
 from warp_peri.points import axis

@@ -11,9 +11,9 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.response import CollarResponse, WaveResponse, products
+from warp_peri.lps.model import Model
+from warp_peri.lps.operator import NodeOperator
 from warp_peri.methods import TwoStage
-from warp_peri.models.lps import Model
-from warp_peri.operator.lps import NodeOperator
 from warp_peri.regression.losses import corrected, noise_loss, reduce, sample_weights
 
 HORIZON, DEGREE = 3.0, 5

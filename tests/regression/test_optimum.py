@@ -4,7 +4,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri.operator.symbol import symbol, zone_wedge
+from warp_peri.lps.symbol import symbol, zone_wedge
 from warp_peri.regression import optimum
 from warp_peri.regression.conditions import Conditions, LatticeConditions
 from warp_peri.regression.losses import reduce, sample_weights

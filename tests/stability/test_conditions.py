@@ -5,8 +5,8 @@ import pytest
 
 from tests.support.problems import GRADIENT, KERNELS, difference, kernel
 from warp_peri import InputError
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.conditions import CONDITIONS, Conditions, LatticeConditions, ZoneSearch
 

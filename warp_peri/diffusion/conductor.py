@@ -18,7 +18,7 @@ from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
-from warp_peri.models.influence import ALPHA_BOUND, bernstein_basis
+from warp_peri.lps.model import ALPHA_BOUND, bernstein_basis
 from warp_peri.points.arrays import check_positive, check_whole, checked, checked_fields
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of

@@ -24,7 +24,7 @@ from warp_peri.diffusion.conductor import (
 )
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
 from warp_peri.statics.settings import Direct, Solver, refuse_solver

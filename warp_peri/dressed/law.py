@@ -31,13 +31,13 @@ from warp_peri.dressed.bases import (
 from warp_peri.dressed.body import DressedBody
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
+from warp_peri.lps.model import Model
 from warp_peri.micromodulus import fields
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.laws import one_set
 from warp_peri.micromodulus.operator import TensorOperator
 from warp_peri.micromodulus.waves import LARGEST_WAVE, SAME, carried_symbol, wave_rows
-from warp_peri.models.lps import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points

@@ -12,7 +12,7 @@ from scipy.linalg import null_space
 from warp_peri.contract import linear_part, placed
 from warp_peri.errors import InputError
 from warp_peri.learning.response import products
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples

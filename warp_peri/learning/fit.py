@@ -20,8 +20,8 @@ from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Fit, LossChoice, Settings
 from warp_peri.learning.stages import Stages, checkpoint_key
 from warp_peri.learning.training_data import Scale, TrainingData, listed, scaled_data
-from warp_peri.models.shapes import InfluenceFunction, shapes_of
-from warp_peri.operator.symbol import moduli as moduli_of
+from warp_peri.lps.shapes import InfluenceFunction, shapes_of
+from warp_peri.lps.symbol import moduli as moduli_of
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain

@@ -9,7 +9,7 @@ from warp_peri.learning import LOSSES
 from warp_peri.learning.response import products
 from warp_peri.learning.result import LossChoice
 from warp_peri.learning.training_data import TrainingData
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.wave_number import WAVE_VECTOR
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters

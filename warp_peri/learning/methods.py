@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from warp_peri.errors import InputError
 from warp_peri.learning import METHODS
-from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.arrays import check_whole
 from warp_peri.regression.parameters import Optimum
 

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model, stiffnesses
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.wave_number import WAVE_VECTOR

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from warp_peri.models.lps import Model
-from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.lps.model import Model
+from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.unit_names import shown_moduli, symbols
 from warp_peri.regression.conditions import LatticeConditions
 from warp_peri.regression.parameters import Parameters

@@ -16,7 +16,7 @@ from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Kernel
 from warp_peri.learning.result import Fit
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.samples import Samples
 
 ERRORS = ("E_res", "E_u", "E_res_abs")

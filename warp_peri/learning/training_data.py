@@ -12,10 +12,9 @@ import torch
 from warp_peri.errors import InputError
 from warp_peri.learning.methods import Constrained, Method, TwoStage
 from warp_peri.learning.result import Settings
-from warp_peri.models.lps import Model
-from warp_peri.models.solid import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.model import Model, Solid
+from warp_peri.lps.operator import lps_force
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples

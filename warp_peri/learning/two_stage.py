@@ -21,9 +21,9 @@ from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import locked, whole_file
 from warp_peri.learning.methods import TwoStage
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.matrices import assemble
-from warp_peri.operator.symbol import Symbol, symbol, zone_wedge
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.matrices import assemble
+from warp_peri.lps.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.regression.conditions import LatticeConditions

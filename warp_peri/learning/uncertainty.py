@@ -18,8 +18,8 @@ from warp_peri.learning.laws import fit
 from warp_peri.learning.response import WaveResponse, as_model, products
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import listed, scale_of
-from warp_peri.models.lps import Model
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.model import Model
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples, part

@@ -14,13 +14,11 @@ from warp_peri.core.groups import point_group, shared_with_nodes
 from warp_peri.core.proof import Proof
 from warp_peri.core.stencil import ratios, zone_sample
 from warp_peri.errors import InputError
+from warp_peri.lps.model import Model, Solid, bernstein_basis
+from warp_peri.lps.symbol import stencil
 from warp_peri.micromodulus.fields import long_wave_moduli, rows
 from warp_peri.micromodulus.regression import particular
 from warp_peri.micromodulus.states import tensors_of
-from warp_peri.models.influence import bernstein_basis
-from warp_peri.models.lps import Model
-from warp_peri.models.solid import Solid
-from warp_peri.operator.stencil import stencil
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.regression.parameters import ISOTROPIC

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from warp_peri.core.groups import LATTICE_GROUP
 from warp_peri.errors import InputError
+from warp_peri.lps.model import Model, lps_stencil
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.models.lps import Model, lps_stencil
 
 
 def tensors_of(model: Model, spacing: float) -> Crystal:

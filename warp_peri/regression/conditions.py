@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.operator.symbol import Symbol, symbol, zone_wedge
+from warp_peri.lps.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import BondClasses
 
 CONDITIONS = {"direct": ("D",), "paper": ("D", "gamma", "gamma_minus_2phi")}

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.models.influence import CANCELLED, bernstein_basis
-from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.lps.model import CANCELLED, bernstein_basis
+from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.families import BondClasses
 from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
 

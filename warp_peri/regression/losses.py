@@ -14,11 +14,10 @@ import warp as wp
 from warp_peri.errors import InputError
 from warp_peri.kernels.lps import features as kernels
 from warp_peri.launch import DEVICE
-from warp_peri.models.influence import bernstein_basis
-from warp_peri.models.solid import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.model import Solid, bernstein_basis
+from warp_peri.lps.operator import lps_force
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import BondClasses
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import minimize, nnls
 
 from warp_peri.errors import InputError
-from warp_peri.operator.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
+from warp_peri.lps.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
 from warp_peri.points.families import BondClasses
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.regression.coordinates import Coordinates, Point, ShapeCoordinates

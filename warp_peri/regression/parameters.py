@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
-from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.families import BondClasses
 from warp_peri.regression.losses import FullLoss, ReducedLoss, class_weights
 

@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
-from warp_peri.operator.symbol import moduli
+from warp_peri.lps.model import Model
+from warp_peri.lps.symbol import moduli
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh

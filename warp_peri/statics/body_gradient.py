@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
-from warp_peri.operator.lps import NodeOperator
-from warp_peri.operator.symbol import moduli
+from warp_peri.lps.model import Model
+from warp_peri.lps.operator import NodeOperator
+from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.statics.body import BodySolution
 from warp_peri.statics.body_loads import loads_on

@@ -10,8 +10,8 @@ import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
-from warp_peri.operator.stress import node_fields
+from warp_peri.lps.matrices import node_fields
+from warp_peri.lps.model import Model
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.tetrahedra import Tetrahedra

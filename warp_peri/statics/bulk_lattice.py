@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import symbols
 from warp_peri.statics.bulk import check_extent

@@ -19,11 +19,11 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.record import Entry, Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
+from warp_peri.lps.model import Model, by_spacing, lps_stencil
+from warp_peri.lps.operator import on_nominal_lattice
 from warp_peri.micromodulus.law import SAME_SPACING, Crystal
 from warp_peri.micromodulus.operator import TensorOperator
 from warp_peri.micromodulus.waves import transferred
-from warp_peri.models.lps import Model, by_spacing, lps_stencil
-from warp_peri.operator.nominal_lattice import on_nominal_lattice
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points

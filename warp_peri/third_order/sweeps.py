@@ -20,7 +20,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.nonlinear.rows import P_IN, P_OUT, PLANES, rows
 from warp_peri.kernels.nonlinear.sums import SUMS, sums
 from warp_peri.launch import empty, floats, ints, launch_slices, zeros
-from warp_peri.operator.rows import FASTER, Rows, rows_of
+from warp_peri.lps.rows import FASTER, Rows, rows_of
 from warp_peri.points.families import BondClasses, families_of
 from warp_peri.points.samples import PointsLike
 

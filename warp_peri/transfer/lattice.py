@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.conditions import Conditions, LatticeConditions

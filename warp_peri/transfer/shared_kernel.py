@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_peri.models.lps import Model, stiffnesses
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.regression.losses import ReducedLoss, class_pairs, symbol_rows
 

@@ -8,7 +8,7 @@ import pytest
 
 from tests.support.nonlinear import FORMS, solid
 from warp_peri import InputError, Model, load
-from warp_peri.models.lps import stiffnesses
+from warp_peri.lps.model import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.third_order.material import NonlinearModel
 from warp_peri.third_order.smoothing import Smoothing

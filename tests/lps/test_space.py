@@ -12,13 +12,12 @@ from tests.support.cubes import cube, periodic_cloud, periodic_cube, solid
 from tests.support.problems import difference
 from warp_peri import load, save
 from warp_peri.errors import InputError
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.matrices import matrices, node_fields
+from warp_peri.lps.model import Model
+from warp_peri.lps.operator import NodeOperator, lps_force
+from warp_peri.lps.symbol import moduli
 from warp_peri.methods import Solid
-from warp_peri.models.lps import Model
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import NodeOperator, lps_force
-from warp_peri.operator.matrices import matrices
-from warp_peri.operator.stress import node_fields
-from warp_peri.operator.symbol import moduli
 from warp_peri.points.families import bond_classes, families_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")

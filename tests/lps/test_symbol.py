@@ -5,8 +5,8 @@ import pytest
 
 from tests.support import reference
 from tests.support.problems import KERNELS, kernel, lattice, periodic
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.symbol import moduli, symbol, zone_wedge
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import moduli, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
 

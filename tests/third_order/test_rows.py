@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.operator.test_rows import SETS, numbered
+from tests.lps.test_rows import SETS, numbered
 from tests.support.nonlinear import solid
 from tests.support.problems import ROUNDING, difference, lattice, noise
 from warp_peri.third_order import sweeps as gradient_sweeps

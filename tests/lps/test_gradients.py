@@ -10,9 +10,9 @@ from tests.support.problems import GRADIENT, KERNELS, LAM, MU, difference, latti
 from tests.support.problems import kernel as model_of
 from tests.support.problems import periodic as periodic_lattice
 from warp_peri.errors import InputError
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5

@@ -12,10 +12,10 @@ from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, difference, lattice, noise, periodic
 from warp_peri import InputError
 from warp_peri.launch import set_threads, threads
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.launches import evaluate
+from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.launches import evaluate
-from warp_peri.operator.lps import lps_force
 
 TAPE = 1e-12
 DIFFERENCES = 1e-8

@@ -9,7 +9,7 @@ from tests.support.clouds import cloud, plain
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise
 from tests.support.solving import solve
 from warp_peri import InputError, Model, certify
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
 from warp_peri.points.families import families_of
 from warp_peri.transfer.operator import LPSOperator
 

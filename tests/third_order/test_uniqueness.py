@@ -9,8 +9,8 @@ from scipy.sparse.linalg import splu
 from tests.support.nonlinear import FORMS, psi, solid
 from tests.support.problems import lattice, noise
 from warp_peri.core.groups import lattice_group
-from warp_peri.models.lps import stencil_of, stiffnesses
-from warp_peri.operator.symbol import symbol, zone_wedge
+from warp_peri.lps.model import stencil_of, stiffnesses
+from warp_peri.lps.symbol import symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import uniqueness
 from warp_peri.third_order.operator import PlacedThirdOrder

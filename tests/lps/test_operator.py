@@ -9,8 +9,8 @@ import torch
 from tests.support import reference
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from warp_peri import InputError
-from warp_peri.operator.matrices import matrices
-from warp_peri.operator.symbol import moduli
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
 

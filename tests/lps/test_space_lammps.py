@@ -6,9 +6,9 @@ import pytest
 from tests.support.cubes import cube
 from tools import peri_lps
 from warp_peri.launch import floats
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.matrices import assemble
-from warp_peri.operator.symbol import moduli
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.matrices import assemble
+from warp_peri.lps.symbol import moduli
 from warp_peri.structures.lammps import LammpsError, lammps_class
 
 HORIZON = 2.0

@@ -1,31 +1,108 @@
-"""The model and its file (`warp_peri.model`, version 1)."""
+"""The linear peridynamic solid as numbers: influence function, model, file (`warp_peri.model`)."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import comb
 
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import Proof, prove
 from warp_peri.core.record import Entry, Length, Record, Stress, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.models.influence import ALPHA_BOUND, CANCELLED, LARGEST_DEGREE, bernstein_basis
-from warp_peri.models.solid import Solid
-from warp_peri.points.arrays import is_number
+from warp_peri.points.arrays import check_whole, is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 from warp_peri.shown import error_rows, proven_rows
 
-if TYPE_CHECKING:  # the operator stands above its numbers
+if TYPE_CHECKING:
     from warp_peri.points.samples import PointsLike
     from warp_peri.statics.lps import PlacedLPS
+
+ALPHA_BOUND = 3.0
+"""The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
+
+
+CANCELLED = 1e-10
+"""A weighted volume below this fraction of the sum of its terms' sizes counts as zero."""
+LARGEST_DEGREE = 1000
+"""Above 1029 the binomial coefficients are no floating-point numbers."""
+
+
+def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
+    """Bernstein polynomials B_k,M(r/δ), shape [..., M + 1].
+
+    Args:
+        r: bond lengths [Å] in [0, δ]; a rounding error beyond δ counts as δ.
+        horizon: δ [Å].
+        degree: M from 0 to LARGEST_DEGREE.
+    """
+    check_whole("degree", degree, 0)
+    if degree > LARGEST_DEGREE:
+        raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
+    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
+    k = np.arange(degree + 1)
+    basis: np.ndarray = comb(degree, k) * t**k * (1 - t) ** (degree - k)
+    return basis
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """λ, μ, α and the Bernstein coefficients of the influence functions (theory.md, 4–9).
+
+    Numbers and arrays, or torch tensors with their gradients.
+
+    Attributes:
+        lam: Lamé parameter λ [TPa].
+        mu: Lamé parameter μ, the shear modulus [TPa].
+        alpha: exponent α < 3.
+        D: Bernstein coefficients, shape [M + 1].
+        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
+            shares that of D.
+
+    Raises InputError where λ, μ or α is no single number.
+    """
+
+    lam: Any
+    mu: Any
+    alpha: Any
+    D: Any
+    D_dilatation: Any = None
+
+    def __post_init__(self) -> None:
+        for name in ("lam", "mu", "alpha"):
+            if np.prod(shape := np.shape(getattr(self, name))) != 1:
+                raise InputError(
+                    f"{name}: expected one number of a homogeneous solid, got shape {list(shape)}"
+                )
+
+    @property
+    def dilatation(self) -> Any:
+        """Coefficients of the dilatation's influence function."""
+        return self.D if self.D_dilatation is None else self.D_dilatation
+
+    @property
+    def bond_based(self) -> bool:
+        """Whether λ = μ: then no dilatation enters (theory.md, 42), and a collar of δ is enough."""
+        return bool(self.lam == self.mu)
+
+    def values(self) -> tuple[Any, ...]:
+        """λ, μ, α, D and, if it has coefficients of its own, those of the dilatation."""
+        own = () if self.D_dilatation is None else (self.D_dilatation,)
+        return (self.lam, self.mu, self.alpha, self.D, *own)
+
+    def map(self, convert: Callable[[Any], Any]) -> Solid:
+        """The same solid with every value converted."""
+        return Solid(*map(convert, self.values()))
+
 
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
 SPACING_TOLERANCE = 1e-6

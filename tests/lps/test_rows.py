@@ -9,9 +9,9 @@ import torch
 from tests.support.problems import KERNELS, LAM, MU, ell, lattice, noise, periodic
 from warp_peri import Points
 from warp_peri.launch import set_threads, threads
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
 
 HORIZON = 3.0
 

@@ -1,12 +1,4 @@
-"""Influence functions of any shape: a callable of r with parameters to learn (theory.md, 59–60).
-
-    shape = InfluenceFunction(lambda r, width: np.exp(-((r / width) ** 2)), {"width": 8.0})
-    fit = warp_peri.fit(samples, horizon=20.0, kernel=shape)
-    fit.influence.parameters["width"]
-
-A model keeps such a function as the polynomial (60), so files, certificates and solves know one
-kind of model only.
-"""
+"""Influence functions of any shape: a callable of r with parameters to learn (theory.md, 59–60)."""
 
 from __future__ import annotations
 
@@ -22,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.models.influence import bernstein_basis
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model, bernstein_basis
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import USUAL, Units
 

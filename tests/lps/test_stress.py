@@ -8,9 +8,9 @@ import pytest
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import KERNELS, fitted_order, kernel, lattice, noise, periodic
 from warp_peri import InputError
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.stress import node_fields
-from warp_peri.operator.symbol import long_wave_moduli
+from warp_peri.lps.matrices import node_fields
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import long_wave_moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
 

@@ -10,8 +10,8 @@ import torch
 from tests.support.problems import GRADIENT, REDUCED, difference, kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from warp_peri import InputError, certify
-from warp_peri.models.lps import stiffnesses
-from warp_peri.models.shapes import gaussian, table
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.shapes import gaussian, table
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.conditions import Conditions, LatticeConditions
 from warp_peri.regression.coordinates import ShapeCoordinates
