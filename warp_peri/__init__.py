@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from warp_peri.learning.laws import LPS, ThirdOrder, fit
     from warp_peri.learning.methods import Bernstein
     from warp_peri.lps.model import Model
-    from warp_peri.micromodulus.laws import Micromodulus
+    from warp_peri.micromodulus.learning import Micromodulus
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.mesh import Mesh
     from warp_peri.points.points import Points
@@ -98,7 +98,7 @@ _NAMES = {
     "learning.evaluate": ("evaluate",),
     "learning.laws": ("LPS", "ThirdOrder", "fit"),
     "learning.methods": ("Bernstein",),
-    "micromodulus.laws": ("Micromodulus",),
+    "micromodulus.learning": ("Micromodulus",),
     "lps.model": ("Model",),
     "points.dataset": ("Dataset",),
     "points.mesh": ("Mesh",),

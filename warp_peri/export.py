@@ -21,7 +21,7 @@ from warp_peri.points.samples import PointsLike, Samples
 from warp_peri.points.unit_names import symbols
 
 if TYPE_CHECKING:
-    from warp_peri.statics.body import BodySolution
+    from warp_peri.edges.body import BodySolution
 
 KERNEL_ROWS = 400
 """Distances that a kernel for many lattices is written at."""

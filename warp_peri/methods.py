@@ -8,13 +8,14 @@ from warp_peri.learning.sweep import Sweep, sweep
 from warp_peri.learning.uncertainty import Resampled, Uncertainty, fit_uncertainty, resample_loads
 from warp_peri.lps.model import Solid
 from warp_peri.regression.conditions import Conditions
-from warp_peri.regression.parameters import Optimum
-from warp_peri.statics.settings import PolakRibiere
+from warp_peri.regression.settings import Optimum
+from warp_peri.statics.settings import Coupling, PolakRibiere
 from warp_peri.third_order.smoothing import Smoothing
 
 __all__ = [
     "Conditions",
     "Constrained",
+    "Coupling",
     "Optimum",
     "PolakRibiere",
     "Resampled",

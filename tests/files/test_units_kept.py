@@ -11,7 +11,7 @@ from warp_peri import InputError, Model, Points, load, save
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.diffusion.conductor import Conductor
 from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.spring_law import SpringLaw
+from warp_peri.flow.springs import SpringLaw
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.families import bond_classes

@@ -18,7 +18,7 @@ FLOORS = (
     ("regression",),
     ("transfer",),
     ("statics", "dynamics"),
-    ("damage", "micromodulus"),
+    ("damage", "micromodulus", "edges"),
     ("third_order", "tissue"),
     ("learning", "diffusion", "neural", "dressed", "prediction", "structures", "ranks"),
     ("choice", "plots", "export", "flow", "problems"),

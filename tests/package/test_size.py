@@ -8,13 +8,13 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 48_544,
-    "files of warp_peri": 277,
+    "lines of warp_peri": 48_282,
+    "files of warp_peri": 262,
     "lines of kernels": 5_669,
-    "lines of examples and tools": 29_564,
-    "lines of tests": 31_202,
+    "lines of examples and tools": 29_562,
+    "lines of tests": 31_199,
     "names of classes that stand twice": 0,
-    "imports of warp_peri inside functions": 22,
+    "imports of warp_peri inside functions": 18,
     "asserts in warp_peri": 0,
 }
 """Whoever lowers one writes the new number here."""

@@ -13,6 +13,7 @@ from tests.support.solving import solve_nonlinear
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples, diagnose, evaluate
 from warp_peri.choice import Scene, choose_model
+from warp_peri.edges.body import solve_body
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.fit import learn_third_order
 from warp_peri.learning.nonlinear import Nonlinear
@@ -31,7 +32,6 @@ from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, check_units, factors
 from warp_peri.points.units import in_units_of, scaled
 from warp_peri.shapes import InfluenceFunction
-from warp_peri.statics.body import solve_body
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.tissue.energy_fit import fit_energy

@@ -16,8 +16,8 @@ from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.learning.laws import ThirdOrder, fit
 from warp_peri.learning.methods import Bernstein
-from warp_peri.micromodulus.fields import long_wave_moduli
-from warp_peri.micromodulus.laws import Micromodulus
+from warp_peri.micromodulus.learning import Micromodulus
+from warp_peri.micromodulus.regression import long_wave_moduli
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples

@@ -20,7 +20,7 @@ from warp_peri.dressed.law import DressedSolid, third_order_moduli
 from warp_peri.errors import InputError
 from warp_peri.kernels.dressed.finite import gather, pull, spread
 from warp_peri.launch import floats, ints, launch_slices
-from warp_peri.micromodulus.laws import one_set
+from warp_peri.micromodulus.learning import one_set
 from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.axis import axis_of
 from warp_peri.points.dataset import Dataset

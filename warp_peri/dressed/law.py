@@ -32,11 +32,10 @@ from warp_peri.dressed.body import DressedBody
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
-from warp_peri.micromodulus import fields
+from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.laws import one_set
-from warp_peri.micromodulus.operator import TensorOperator
+from warp_peri.micromodulus.law import Crystal, TensorOperator
+from warp_peri.micromodulus.learning import one_set
 from warp_peri.micromodulus.waves import LARGEST_WAVE, SAME, carried_symbol, wave_rows
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import lattice_steps
@@ -279,14 +278,14 @@ def fit(
         turn = axes.T @ checked_orientation(orientation, d)
     group = point_group(symmetry, d)
     if isinstance(moduli, str):
-        C = fields.long_wave_moduli(samples, allowed_tensors(symmetry, group, turn))[0]
+        C = regression.long_wave_moduli(samples, allowed_tensors(symmetry, group, turn))[0]
     elif isinstance(moduli, Smoothing):
         C = third_order_moduli(samples, moduli)
     else:
         C = turned(from_voigt(moduli), turn)
     dressing = _dressing(neighbours, shared_with_nodes(group, turn))
     found = _Monomials(kind, C, dressing, split, samples.spacing, two_functions)
-    q, record = found.solve(*fields.rows(samples, found.family))
+    q, record = found.solve(*regression.rows(samples, found.family))
     record |= {"from": "fields", "samples": len(samples.u)}
     return found.law(q, samples.points.units, symmetry, turn, record)
 

@@ -29,7 +29,8 @@ from warp_peri.points.unit_names import symbols
 from warp_peri.points.wave_number import largest_wave_number
 from warp_peri.regression.conditions import Conditions
 from warp_peri.regression.optimum import HEADROOM
-from warp_peri.regression.parameters import SMALLEST_MODULUS, Optimum, Parameters
+from warp_peri.regression.parameters import SMALLEST_MODULUS, Parameters
+from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
 
 ON_BOUND = 1e-3

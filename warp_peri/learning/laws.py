@@ -11,15 +11,16 @@ from typing import Any, overload
 from warp_peri.contract import offered, taken
 from warp_peri.errors import InputError
 from warp_peri.learning.fit import learn, learn_third_order
+from warp_peri.learning.in_space import learn_in_space
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import listed
-from warp_peri.micromodulus.laws import Micromodulus, one_set
+from warp_peri.micromodulus.learning import Micromodulus, one_set
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.regression.conditions import Conditions
-from warp_peri.regression.parameters import Optimum
+from warp_peri.regression.settings import Optimum
 from warp_peri.third_order.fit import ThirdOrderFit, fit_third_order
 from warp_peri.third_order.smoothing import Smoothing
 
@@ -65,8 +66,6 @@ class LPS:
         """
         sets = listed(samples, space=True)
         if any(each.points.dimension == 3 for each in sets):
-            from warp_peri.micromodulus.in_space import learn_in_space
-
             return learn_in_space(sets[0], self.horizon, **self._in_space(sets, noise))
         return learn(samples, **vars(self), noise=noise, progress=progress)
 

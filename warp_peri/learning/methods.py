@@ -11,7 +11,7 @@ from warp_peri.errors import InputError
 from warp_peri.learning import METHODS
 from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.arrays import check_whole
-from warp_peri.regression.parameters import Optimum
+from warp_peri.regression.settings import Optimum
 
 PARAMETRISATIONS = ("projected", "relu")
 CONSTRAINTS = ("symbol", "dense")

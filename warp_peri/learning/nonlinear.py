@@ -23,7 +23,8 @@ from warp_peri.points.strain import largest_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.regression.losses import Features, ReducedLoss, sample_weights, with_rows
 from warp_peri.regression.optimum import constrained_optimum
-from warp_peri.regression.parameters import Optimum, Parameters
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
 from warp_peri.third_order.fit import CONSTANTS, NonlinearFeatures
 from warp_peri.third_order.material import NonlinearModel

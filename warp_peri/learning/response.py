@@ -17,7 +17,8 @@ from warp_peri.points.wave_number import WAVE_VECTOR
 from warp_peri.regression.conditions import LatticeConditions
 from warp_peri.regression.losses import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
 from warp_peri.regression.optimum import Reached, constrained_optimum
-from warp_peri.regression.parameters import Optimum, Parameters
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
 from warp_peri.statics.direct import MatrixProblem
 
 SAMPLES_AT_ONCE = 8

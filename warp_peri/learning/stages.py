@@ -26,7 +26,8 @@ from warp_peri.learning.two_stage import (
 )
 from warp_peri.points.samples import Samples
 from warp_peri.regression.optimum import Reached, constrained_optimum
-from warp_peri.regression.parameters import Optimum, Parameters
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
 
 SAME_LOSS = 1e-6
 Tick = Callable[[float], None]

@@ -29,7 +29,8 @@ from warp_peri.regression.losses import (
     reduce,
     sample_weights,
 )
-from warp_peri.regression.parameters import Optimum, Parameters
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ from warp_peri.points.families import BondClasses
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.regression.coordinates import Coordinates, Point, ShapeCoordinates
 from warp_peri.regression.losses import ReducedLoss
-from warp_peri.regression.parameters import SMOOTHNESS, Optimum, Parameters
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import SMOOTHNESS, Optimum
 
 
 def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:

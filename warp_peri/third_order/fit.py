@@ -20,7 +20,7 @@ from warp_peri.core.groups import (
 )
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
-from warp_peri.micromodulus import fields
+from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.regression import Learned, compressed
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.axis import axis_of
@@ -127,7 +127,7 @@ def fit_third_order(
     misfit = None
     if isinstance(moduli, str):
         allowed = allowed_tensors(symmetry, group, turn)
-        rows = _rows(samples, bonds, extra, *fields.long_wave_rows(samples, allowed, 0)[:2])
+        rows = _rows(samples, bonds, extra, *regression.long_wave_rows(samples, allowed, 0)[:2])
         tensor, misfit = _found_moduli(samples, bonds, shared, rows, allowed)
     else:
         rows = _rows(samples, bonds, extra, np.zeros((0, 0)), np.zeros(0, int))
@@ -193,7 +193,7 @@ def _found_moduli(
     samples: Samples, bonds: Basis, shared: np.ndarray, rows: _Rows, allowed: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """The moduli with which what the law leaves of the loads has no long waves (N29)."""
-    moments = fields.long_wave_rows(samples, allowed, 0)[2] * rows.weight
+    moments = regression.long_wave_rows(samples, allowed, 0)[2] * rows.weight
     own = rows.long[..., -2:] @ np.array([_lame(C) for C in allowed]).T
     R = np.concatenate([moments + own, rows.long[..., :CONSTANTS]], axis=-1)
 
@@ -203,9 +203,9 @@ def _found_moduli(
         return np.asarray(rows.load - rows.long @ numbers)
 
     def change(c: np.ndarray) -> np.ndarray:
-        return fields.moduli_of(R, left(c))[0][: len(c)]
+        return regression.moduli_of(R, left(c))[0][: len(c)]
 
-    guess = fields.long_wave_moduli(samples, allowed)[0]
+    guess = regression.long_wave_moduli(samples, allowed)[0]
     start = np.linalg.lstsq(allowed.reshape(len(allowed), -1).T, guess.ravel())[0]
     c = root(change, start, tol=SETTLED).x
     misfit = np.linalg.norm(left(c)) / np.linalg.norm(rows.load)
@@ -222,12 +222,12 @@ def _rows(
     if not (size > 0).all():
         raise InputError(f"b: expected loads, got none on sample {int(np.argmin(size))}")
     count = bonds.basis.shape[0] + extra.shape[-1]
-    step = max(1, fields.CHUNK // (count * b[0].size))
+    step = max(1, regression.CHUNK // (count * b[0].size))
     place = (np.cumsum(samples.interior) - 1)[kept]
     R, y, long, load = np.zeros((0, count)), np.zeros(0), [], []
     for first in range(0, len(b), step):
         some = slice(first, first + step)
-        tensors = fields._features(samples.u[some], nodes, bonds)
+        tensors = regression._features(samples.u[some], nodes, bonds)
         parts = [extra[some, ..., :CONSTANTS], tensors, extra[some, ..., CONSTANTS:]]
         columns = np.concatenate(parts, axis=-1) / size[some, None, None, None]
         right = b[some] / size[some, None, None]

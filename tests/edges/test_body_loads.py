@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warp_peri.statics.body_loads import BodyLoads
+from warp_peri.edges.rim import BodyLoads
 
 H = 2.5
 LINE = H * np.arange(-12, 13)

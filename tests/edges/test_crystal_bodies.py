@@ -8,13 +8,13 @@ import pytest
 import warp_peri
 from examples.exact import plate_with_hole
 from tests.micromodulus.crystals import cubic_tensor, dispersive, learned
+from warp_peri.edges.body import Coupling, solve_body
+from warp_peri.edges.rim import Moduli
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.solids import Block, Sphere, mesh_solid
 from warp_peri.points.tetrahedra import make_tetrahedra
-from warp_peri.statics.body import Coupling, solve_body
-from warp_peri.statics.rim import Moduli
 
 TURNED = {2: 20.0, 3: [[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]}
 SIDES = ("left", "right", "top", "bottom")

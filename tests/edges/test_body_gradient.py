@@ -7,20 +7,14 @@ import pytest
 
 from tests.support.plates import plate
 from warp_peri import Model
+from warp_peri.edges.body import Coupling, body_gradient, solve_body
+from warp_peri.edges.rim import Moduli, Rim, RimProblem
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import make_mesh
 from warp_peri.statics import linear
-from warp_peri.statics.body import Coupling, solve_body
-from warp_peri.statics.body_gradient import body_gradient
-from warp_peri.statics.rim import Moduli, Rim, RimProblem
 
 MODEL = Model(
-    lam=0.3,
-    mu=0.8,
-    alpha=1.0,
-    D=[0.4, 0.6, -0.3, 0.6, -0.2],
-    horizon=3.0,
-    certified_on=(1.0,),
+    lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,)
 )
 EACH = ("lam",), ("mu",), ("hold",), ("pull",), ("push",)
 MESH = plate(8.0, 32.0, 8, 40)

@@ -7,16 +7,11 @@ import pytest
 
 from tests.support.plates import plate
 from warp_peri import Model
-from warp_peri.statics.body import solve_body
-from warp_peri.statics.bulk_lattice import bulk_lattice
+from warp_peri.edges.body import solve_body
+from warp_peri.edges.bulk import bulk_lattice
 
 MODEL = Model(
-    lam=0.3,
-    mu=0.8,
-    alpha=1.0,
-    D=[0.4, 0.6, -0.3, 0.6, -0.2],
-    horizon=3.0,
-    certified_on=(1.0,),
+    lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,)
 )
 MESH = plate(8.0, 32.0, 10, 48)
 

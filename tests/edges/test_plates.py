@@ -10,10 +10,10 @@ from scipy.spatial import cKDTree
 from examples.exact import hoop_stress, plate_with_hole
 from tests.support.plates import plate
 from warp_peri import Model, certify
+from warp_peri.edges.body import Coupling, long_wave, solve_body
+from warp_peri.edges.rim import Moduli
 from warp_peri.errors import InputError
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.statics.body import Coupling, long_wave, solve_body
-from warp_peri.statics.rim import Moduli
 
 SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005
 

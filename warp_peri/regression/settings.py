@@ -1,0 +1,56 @@
+"""What the search for the constrained optimum is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from warp_peri.errors import InputError
+
+ISOTROPIC = "isotropic"
+SMOOTHNESS = 1e-10
+"""Weight of the second differences of D beside the relative residual. It costs an ordinary fit
+nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The constrained optimum of the loss (theory.md, 26–28), from plain kernels r^(−α).
+
+    Attributes:
+        moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
+            the moduli of the discrete operator); "isotropic" holds that condition and learns λ
+            and μ; None learns them freely.
+        jobs: threads for the starts.
+        rounds: most rounds of cutting planes.
+        first_cuts: intervals of the zone grid that the first round keeps the conditions on.
+        smoothness: weight η of the second differences of D beside the relative residual (28).
+
+    Raises InputError for moduli that no solid has.
+    """
+
+    moduli: tuple[float, float] | str | None = None
+    jobs: int = 1
+    rounds: int = 40
+    first_cuts: int = 12
+    smoothness: float = SMOOTHNESS
+
+    def __post_init__(self) -> None:
+        if isinstance(self.moduli, str):
+            if self.moduli != ISOTROPIC:
+                raise InputError(f"moduli: expected (λ, μ) or {ISOTROPIC!r}, got {self.moduli!r}")
+        elif self.moduli is not None and not _are_moduli(self.moduli):
+            raise InputError(
+                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, got {self.moduli!r:.60}"
+            )
+
+
+def _are_moduli(given: Any) -> bool:
+    """Whether it is (λ, μ) of a solid."""
+    try:
+        lam, mu = map(float, given)
+    except (TypeError, ValueError):
+        return False
+    return bool(np.isfinite([lam, mu]).all() and mu > 0 and lam + mu > 0)
