@@ -17,9 +17,10 @@ from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, Solid, bernstein_basis
 from warp_peri.lps.symbol import stencil
 from warp_peri.micromodulus.lps import tensors_of
-from warp_peri.micromodulus.regression import long_wave_moduli, particular, rows
+from warp_peri.micromodulus.regression import long_wave_moduli, rows
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.regression.search import particular
 from warp_peri.regression.settings import ISOTROPIC
 from warp_peri.shown import in_rows
 

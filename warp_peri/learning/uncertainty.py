@@ -19,13 +19,11 @@ from warp_peri.learning.response import WaveResponse, as_model, products
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import listed, scale_of
 from warp_peri.lps.model import Model
-from warp_peri.lps.symbol import symbol
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples, part
 from warp_peri.points.unit_names import check_same
 from warp_peri.points.wave_number import WAVE_VECTOR
-from warp_peri.regression.conditions import ZoneSearch
 from warp_peri.regression.losses import (
     Features,
     ReducedLoss,
@@ -485,12 +483,9 @@ def _sets_and_noise(
 def _tangent(problem: ConstrainedProblem, y: np.ndarray) -> np.ndarray:
     """Directions that keep the active conditions where they are, shape [Y, T]."""
     point = problem.coordinates.point(y)
-    tables = []
-    for asked, v, z in zip(problem.asked, point.v, point.z):
-        _, worst = ZoneSearch(asked).worst(v, z, point.kappa)
-        tables.append(symbol(asked.classes, worst))
-    active = problem.margins(point, tables) < ACTIVE * problem.asked[0].zeta
-    rows = problem.margin_slopes(point, tables)[active]
+    problem.look(point, all_of_them=True)
+    active = problem.margins(point) < ACTIVE * problem.asked[0].zeta
+    rows = problem.margin_slopes(point)[active]
     if problem.moduli is not None:
         rows = np.concatenate([rows, problem.departure_slopes(point)])
     if len(rows) == 0:

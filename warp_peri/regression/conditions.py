@@ -111,7 +111,7 @@ class ZoneSearch:
         self.step = np.pi / conditions.classes.spacing / intervals
 
     def worst(
-        self, v: np.ndarray, z: np.ndarray, kappa: float, candidates: int = 6
+        self, v: np.ndarray, z: np.ndarray, kappa: float, candidates: int = 8
     ) -> tuple[np.ndarray, np.ndarray]:
         """Smallest margin of each condition, shape [J], and wave vectors near the minima.
 
@@ -121,12 +121,22 @@ class ZoneSearch:
         smallest, minima = [], []
         for number, values in enumerate(margins):
             best = values.min()
-            for start in np.argsort(values)[:candidates]:
-                k, value = self._zoom(self.k[start], number, v, z, kappa)
+            for start in self._apart(values, candidates):
+                k, value = self._zoom(start, number, v, z, kappa)
                 minima.append(k)
                 best = min(best, value)
             smallest.append(best)
         return np.array(smallest), np.array(minima)
+
+    def _apart(self, values: np.ndarray, count: int) -> list[np.ndarray]:
+        """The lowest waves of the grid that are no neighbours of one another: narrow dips too."""
+        found: list[np.ndarray] = []
+        for k in self.k[np.argsort(values)]:
+            if all(np.abs(k - other).max() > 2.5 * self.step for other in found):
+                found.append(k)
+                if len(found) == count:
+                    break
+        return found
 
     def _zoom(
         self, k: np.ndarray, number: int, v: np.ndarray, z: np.ndarray, kappa: float
@@ -136,7 +146,7 @@ class ZoneSearch:
         reach, edge = self.step, np.pi / self.conditions.classes.spacing
         value = np.inf
         for _ in range(3):
-            near = np.clip(k + reach * patch, 1e-6 * edge, edge)
+            near = np.append(k[None], np.clip(k + reach * patch, 1e-6 * edge, edge), axis=0)
             table = symbol(self.conditions.classes, near)
             values = self.conditions.margins(table, v, z, kappa)[number]
             k, value = near[np.argmin(values)], float(values.min())

@@ -21,11 +21,12 @@ from warp_peri.core.groups import (
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.micromodulus import regression
-from warp_peri.micromodulus.regression import Learned, compressed
+from warp_peri.micromodulus.regression import Learned
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.axis import axis_of
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
+from warp_peri.regression.search import compressed
 from warp_peri.third_order.material import ThirdOrderCrystal
 from warp_peri.third_order.smoothing import Smoothing, gradient_weights
 from warp_peri.third_order.sweeps import GradientSweeps, Numbers
