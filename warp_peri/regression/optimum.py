@@ -13,7 +13,7 @@ from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneS
 from warp_peri.regression.coordinates import Coordinates, Point, ShapeCoordinates
 from warp_peri.regression.losses import ReducedLoss, symbol_rows
 from warp_peri.regression.parameters import Parameters
-from warp_peri.regression.search import State, settle
+from warp_peri.regression.search import Linearised, settle
 from warp_peri.regression.settings import SMOOTHNESS, Optimum
 
 HEADROOM = 1.01
@@ -127,7 +127,7 @@ class ConstrainedProblem:
             for grid in grids
         ]
 
-    def state(self, y: np.ndarray) -> State:
+    def state(self, y: np.ndarray) -> Linearised:
         """Residual and conditions at y, those of waves as far as they were looked at."""
         point = self.coordinates.point(y)
         zeta, none = self.asked[0].zeta, np.zeros((0, len(y)))
@@ -135,7 +135,7 @@ class ConstrainedProblem:
         if self.moduli is not None:
             equal, A = self.departure(point) / zeta, self.departure_slopes(point) / zeta
         margins = self.margins(point) / zeta
-        return State(
+        return Linearised(
             self.values(y, point), self.slopes(y, point), equal, A,
             margins, self.margin_slopes(point) / zeta,
         )  # fmt: skip

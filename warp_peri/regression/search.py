@@ -33,7 +33,7 @@ DEPENDENT = 1e-10
 
 
 @dataclass(frozen=True)
-class State:
+class Linearised:
     """Residual r, equalities e and inequalities m at some θ [T], each with its slopes [·, T].
 
     Their sizes should be about one where they matter.
@@ -57,12 +57,14 @@ class State:
         return float(np.abs(self.equal).sum() + np.maximum(-self.margins, 0).sum())
 
 
-def settle(state: Callable[[np.ndarray], State], theta: np.ndarray) -> tuple[np.ndarray, State]:
+def settle(
+    state: Callable[[np.ndarray], Linearised], theta: np.ndarray
+) -> tuple[np.ndarray, Linearised]:
     """The optimum that is reached from θ, and its state; `violated` says how far it keeps to the
     conditions."""
     now, damping, penalty = state(theta), DAMPING, 0.0
 
-    def merit(of: State) -> float:
+    def merit(of: Linearised) -> float:
         return of.loss + penalty * of.violated
 
     for _ in range(STEPS):
@@ -92,7 +94,7 @@ def settle(state: Callable[[np.ndarray], State], theta: np.ndarray) -> tuple[np.
     return theta, now
 
 
-def _step(now: State, damping: float) -> np.ndarray:
+def _step(now: Linearised, damping: float) -> np.ndarray:
     """min ‖r + J d‖² + damping ‖d / size‖² with e + A d = 0 and m + M d ≥ 0, or near to them."""
     size = np.linalg.norm(now.J, axis=0)
     size = 1 / np.maximum(size, FELT * float(size.max(initial=1e-300)))
