@@ -47,12 +47,12 @@ LIMIT = 240
 """Seconds that a job may take, on however busy a machine."""
 
 
-def start(count, folder, by="rows", steps=60, *more, pause=0):
+def start(count, folder, by="rows", steps=60, *more, pause=0, job="job"):
     """A job on so many ranks."""
     words = (folder, by, steps, pause, *more)
     alone = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        [MPIEXEC, "-n", str(count), sys.executable, "-m", "tests.ranks.job", *map(str, words)],
+        [MPIEXEC, "-n", str(count), sys.executable, "-m", f"tests.ranks.{job}", *map(str, words)],
         cwd=ROOT, env=os.environ | alone, text=True, start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip

@@ -151,7 +151,7 @@ def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
     Raises InputError for others.
     """
     parts = BreakingBody.__init__, BreakingBody.start, CrackRun.__init__, CrackRun.march
-    return taken(options, "move", *parts, given=("load", "held", "u", "cracks"))
+    return taken(options, "move", *parts, given=("load", "held", "u", "cracks", "nodes"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ A rank is one of the processes. Each owns a piece of the nodes; what comes back 
 from contextlib import suppress
 
 from warp_peri.errors import InputError
+from warp_peri.files.series import Series
 from warp_peri.launch import ranks_started
-from warp_peri.ranks.files import Series
 from warp_peri.ranks.pieces import Piece, lattice, spread, whole
 from warp_peri.ranks.processes import is_first, together, world
 

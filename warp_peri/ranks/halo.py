@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,10 +32,12 @@ class NodeHalo:
         number: of all nodes here in the whole body, rising, shape [m].
         x: their positions, shape [m, d].
         own: places of the piece's own among them, shape [n].
+        count: nodes of the whole body.
         sent: bytes of one exchange of vectors that this rank sends.
     """
 
     def __init__(self, piece: Piece, reach: float) -> None:
+        self.piece, self.count = piece, piece.count
         comm, slack = piece.comm, 1e-6 * piece.spacing
         low, high = piece.x.min(axis=0) - reach - slack, piece.x.max(axis=0) + reach + slack
         boxes = comm.allgather((low, high))
@@ -63,6 +65,19 @@ class NodeHalo:
     def is_own(self) -> np.ndarray:
         """Which of the nodes here are the piece's own, shape [m]."""
         return np.isin(np.arange(len(self.number)), self.own)
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Of values [k, ...] over all ranks, shape [...]."""
+        return self.piece.sum(values)
+
+    def gather(self, values: np.ndarray) -> np.ndarray:
+        """Values [n, ...] of the own nodes on all of the whole body, on every rank."""
+        return self.piece.gather(values)
+
+    def mark(self, *parts: Any) -> str:
+        """As Piece.mark, of arrays [m or more, ...] on the nodes here."""
+        own = [part[self.own] if isinstance(part, np.ndarray) else part for part in parts]
+        return self.piece.mark(*own)
 
     def start(self, field: np.ndarray) -> Callable[[], None]:
         """Send for others' nodes in a field of vectors [m or more, d]; what fills them in it."""

@@ -10,6 +10,7 @@ import numpy as np
 from warp_peri.core.elements import q1_tensors
 from warp_peri.core.sweeps import SCALARS, torus_symbol
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import agreed
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
 from warp_peri.micromodulus.law import Crystal
@@ -19,10 +20,11 @@ from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
 from warp_peri.ranks.multigrid import Between, cycle
 from warp_peri.ranks.petsc import PetscCycle
-from warp_peri.ranks.processes import agreed, build, in_turn
+from warp_peri.ranks.processes import build, in_turn
 from warp_peri.ranks.sums import inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite, norm
 from warp_peri.statics.multigrid import coarser
+from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
     from warp_peri.ranks.kept import Kept
@@ -232,8 +234,6 @@ def tensors_at(linear: Any, piece: Piece) -> Crystal:
             linear.fitting(Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis))
         return linear
     if not linear.is_certified_on(piece.spacing):
-        from warp_peri.transfer.cache import model_at  # loads torch, 185 MB a rank
-
         linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
     with shared_by(piece.comm):
         return tensors_of(linear, piece.spacing)

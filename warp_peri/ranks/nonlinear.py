@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import agreed
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.linear import RowOperator, one_node, tensors_at
-from warp_peri.ranks.processes import agreed, in_turn
+from warp_peri.ranks.processes import in_turn
 from warp_peri.ranks.sums import total
 from warp_peri.statics.conjugate_gradients import norm
 from warp_peri.statics.equilibria import ROUGH, NonlinearRecord, balanced

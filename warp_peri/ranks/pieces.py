@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import agreed
 from warp_peri.launch import ranks_started
 from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
@@ -17,8 +18,8 @@ from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.ranks.coarse import TilesEverySecond
 from warp_peri.ranks.halo import strain_on_ranks
-from warp_peri.ranks.processes import Comm, agreed, world
-from warp_peri.ranks.sums import total
+from warp_peri.ranks.processes import Comm, world
+from warp_peri.ranks.sums import fingerprint, total
 from warp_peri.ranks.tiles import Tiles, cut
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
@@ -68,9 +69,24 @@ class Piece:
     at: np.ndarray | None = None
 
     @property
+    def own(self) -> slice:
+        """Which of these nodes are this rank's own: all."""
+        return slice(None)
+
+    @property
     def dimension(self) -> int:
         """2 or 3."""
         return int(self.x.shape[1])
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Of values [k, ...] over all ranks, shape [...], with the same bits on any number."""
+        return total(self.comm, values)
+
+    def mark(self, *parts: Any) -> str:
+        """A fingerprint of arrays [n, ...] on these nodes, and of other values as printed."""
+        arrays = [part for part in parts if isinstance(part, np.ndarray)]
+        others = [part for part in parts if not isinstance(part, np.ndarray)]
+        return fingerprint(self.comm, self.number, *arrays) + "".join(map(repr, others))
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """Scalar product of vectors [n, d] over all ranks, with the same bits on any number."""

@@ -7,13 +7,14 @@ import os
 import sys
 import time
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from warp_peri import errors
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import agreed
 from warp_peri.launch import DEVICE, ranks_started, set_threads, shared_by, threads
 
 Comm: TypeAlias = Any
@@ -33,6 +34,9 @@ def world() -> Comm:
     """
     os.environ.setdefault("MPIR_CVAR_SUPPRESS_ABORT_MESSAGE", "1")  # our line says it
     started = ranks_started() or 1
+    if started > len(os.sched_getaffinity(0)):  # whoever waits gives way to whoever works
+        os.environ.setdefault("MPIR_CVAR_CH4_PROGRESS_THROTTLE", "1")
+        os.environ.setdefault("MPIR_CVAR_CH4_PROGRESS_THROTTLE_NO_PROGRESS_COUNT", "10")
     if started == 1:
         os.environ.setdefault("UCX_TLS", "self")  # as structures.lammps.find_mpi
     elif os.environ.get("UCX_TLS") == "self":
@@ -92,19 +96,6 @@ def together() -> AbstractContextManager[None]:
     What is proven does not depend on how many they are. Without mpiexec nothing changes.
     """
     return shared_by(world()) if ranks_started() else nullcontext()
-
-
-@contextmanager
-def agreed(comm: Comm) -> Iterator[None]:
-    """An InputError that any rank meets inside is raised on all. No rank may wait for others."""
-    mine: InputError | None = None
-    try:
-        yield
-    except InputError as error:
-        mine = error
-    told = [words for words in comm.allgather(None if mine is None else str(mine)) if words]
-    if told:
-        raise mine or InputError(told[0])
 
 
 def in_turn(comm: Comm, make: Callable[[], Any]) -> Any:

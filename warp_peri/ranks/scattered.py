@@ -13,6 +13,7 @@ import numpy as np
 
 from warp_peri.core.elements import q1_tensors
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import agreed
 from warp_peri.micromodulus.states import tensors_of
 from warp_peri.models.lps import Model
 from warp_peri.points.interpolation import FINER, NEIGHBOURS
@@ -21,7 +22,7 @@ from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.multigrid import cycle
 from warp_peri.ranks.petsc import PetscCycle
-from warp_peri.ranks.processes import agreed, in_turn
+from warp_peri.ranks.processes import in_turn
 from warp_peri.ranks.sums import inner
 from warp_peri.ranks.tiles import Halo
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite

@@ -9,13 +9,13 @@ import numpy as np
 
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import agreed
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.models.lps import Model
 from warp_peri.points.arrays import checked
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.nonlinear import RowNonlinear
-from warp_peri.ranks.processes import agreed
 from warp_peri.statics.equilibria import warn_beyond
 from warp_peri.statics.settings import PETSC, TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
