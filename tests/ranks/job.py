@@ -28,9 +28,8 @@ from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.prediction import Members
 from warp_peri.prediction.spectrum import ErrorSpectrum
 from warp_peri.proofs import uniqueness
-from warp_peri.ranks import lattice, spread, together, whole
-from warp_peri.ranks.processes import world
-from warp_peri.ranks.sums import total
+from warp_peri.ranks import gather, lattice, partition, together
+from warp_peri.ranks.processes import total, world
 from warp_peri.statics import equilibria as fixed_point
 
 H = 0.5
@@ -232,7 +231,7 @@ def unfit(checkpoint):
 
     def solve(name, material, there, b, u):
         axis = 17.0 if name == "axis" else 0.0
-        points = spread(wp.Points(x[there], inside(x[there]), H, axis=axis))
+        points = partition(wp.Points(x[there], inside(x[there]), H, axis=axis))
         mine = points.number if hasattr(points, "number") else slice(None)
         problem = wp.Dirichlet(points, b[there][mine], u[there][mine])
         at = {"solver": wp.Krylov(tolerance=1e-17)} if name == "tolerance" else {}
@@ -244,9 +243,9 @@ def unfit(checkpoint):
 
 def transferred():
     """A solid on a lattice other than its own, and which material has no rows on ranks."""
-    points = spread(wp.Points(x := H * np.argwhere(np.ones((52, 52))), inside(x), H))
+    points = partition(wp.Points(x := H * np.argwhere(np.ones((52, 52))), inside(x), H))
     law = wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=1.5, certified_on=(0.6,))
-    return whole(points, wp.solve(law, wp.Dirichlet(points, *fields(points.x))).u)
+    return gather(points, wp.solve(law, wp.Dirichlet(points, *fields(points.x))).u)
 
 
 def waves(points, folder):
@@ -321,7 +320,7 @@ def rest(folder):
         answer = wp.predict(known(rich), wp.Dirichlet(on, *small(on.x)), tolerance)
         bound = answer.guarantee if name == "bound" else None
         found[name] = said(folder, name, on, answer) | {"bound": bound and vars(bound)}
-    cloud = spread(scattered())
+    cloud = partition(scattered())
     b, u = fields(cloud.x)
     solution = wp.solve(carried(), wp.Dirichlet(cloud, b, u), solver=wp.Krylov(tolerance=1e-10))
     found["scattered"] = {"u": kept(folder, "scattered", cloud, solution.u),
@@ -344,7 +343,7 @@ def rest(folder):
         ),
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
         lambda: wp.solve(dressed(), wp.Dirichlet(sheet, *fields(sheet.x))),
-        lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else spread(1, by="colour"),
+        lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found
 
@@ -352,7 +351,7 @@ def rest(folder):
 def crack(folder, by="rows", steps="60", pause="0"):
     """A notched plate that is pulled at its ends."""
     x = rectangle(40.0, 20.0, 1.0)
-    points = spread(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
     x = points.x
     glass = BrittleSolid(
         wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")), 2.5, toughness=1e-4
@@ -376,9 +375,9 @@ def crack(folder, by="rows", steps="60", pause="0"):
         series=folder / "series",
     )  # fmt: skip
     records = [motion["elastic"], motion["force middle"], motion["u top"], motion["worst"]]
-    phi = whole(points, motion.details.damage)
+    phi = gather(points, motion.details.damage)
     return {
-        "u": digest(whole(points, motion.u)),
+        "u": digest(gather(points, motion.u)),
         "damage": digest(phi),
         "worst": phi.max(),
         "records": digest(np.concatenate([np.ravel(record) for record in records])),
@@ -389,7 +388,7 @@ def crack(folder, by="rows", steps="60", pause="0"):
 def block(by="rows"):
     """A notched block in space."""
     x = box((20.0, 10.0, 8.0), 1.0)
-    points = spread(wp.Points(x, np.ones(len(x), bool), 1.0), by)
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
     x = points.x
     model = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, dimension=3)
     rock = BrittleSolid(model, 2.5, toughness=1e-4)
@@ -399,8 +398,8 @@ def block(by="rows"):
         rock, Cracked(points, pull, cracks=[notch]), step=0.5 * rock.longest_step(1.0), steps=40,
         no_fail=np.abs(x[:, 1]) > 3,
     )  # fmt: skip
-    return {"u": digest(whole(points, motion.u)),
-            "worst": whole(points, motion.details.damage).max()}  # fmt: skip
+    return {"u": digest(gather(points, motion.u)),
+            "worst": gather(points, motion.details.damage).max()}  # fmt: skip
 
 
 def fail():

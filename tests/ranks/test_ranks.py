@@ -36,7 +36,7 @@ from tests.ranks.job import (
     unfit,
     wide,
 )
-from warp_peri.ranks.tiles import cut
+from warp_peri.ranks.halo import cut
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
@@ -293,7 +293,7 @@ def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     one, edge, long, none, rows, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")
-    assert edge.startswith("points: expected 4 nodes around the interior")
+    assert edge.startswith("points: expected all bonds of every interior node, got 768 of 2704")
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
     assert rows.endswith("with third-order constants on ranks, got DressedSolid")
