@@ -304,6 +304,13 @@ class NodeHalo:
         """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
         self.start(field)()
 
+    def felt(self, u: np.ndarray) -> np.ndarray:
+        """Vectors [n, d] of the own nodes on all nodes here, [m, d]."""
+        field = np.zeros_like(self.x)
+        field[self.own] = u
+        self.exchange(field)
+        return field
+
     def around(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""
         values = np.asarray(values)
@@ -330,8 +337,6 @@ class NodeHalo:
 def strain_on_ranks(piece: Subdomain, u: np.ndarray) -> float:
     """As points.strain.largest_strain, of u [n, d] of a piece, over all ranks."""
     halo = NodeHalo(piece, piece.spacing or NEAREST * piece.carrier)
-    field = np.zeros_like(halo.x)
-    field[halo.own] = u
-    halo.exchange(field)
+    field = halo.felt(u)
     here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
     return float(max(piece.comm.allgather(largest_strain(here, field, halo.own))))

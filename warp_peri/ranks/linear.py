@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from warp_peri.core.elements import q1_tensors
 from warp_peri.core.grid import Grid, complete, refuse_cut
@@ -214,6 +215,11 @@ class RowOperator(LinearOnRanks):
         return self._grid.gather(found[None])[0], record
 
 
+MOST_PROVEN = 32
+"""Solids whose tensors and proofs are remembered, by what their file would hold."""
+_proven: dict[tuple[str, float], Crystal] = {}
+
+
 def tensors_at(linear: Any, piece: Subdomain) -> Crystal:
     """A linear solid or a crystal as tensors on a piece's lattice, proven by all ranks.
 
@@ -227,8 +233,13 @@ def tensors_at(linear: Any, piece: Subdomain) -> Crystal:
         return linear
     if not linear.is_certified_on(piece.spacing):
         linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
-    with shared_by(piece.comm):
-        return tensors_of(linear, piece.spacing)
+    known = str(linear.content()["sha256"]), piece.spacing
+    if known not in _proven:
+        if len(_proven) == MOST_PROVEN:
+            del _proven[next(iter(_proven))]
+        with shared_by(piece.comm):
+            _proven[known] = tensors_of(linear, piece.spacing)
+    return _proven[known]
 
 
 def one_node(dimension: int, spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
@@ -284,9 +295,7 @@ class ScatteredOperator(LinearOnRanks):
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """A u at this rank's interior nodes, shape [i, 2], of u [n, 2]."""
-        field = np.zeros_like(self.halo.x)
-        field[self.halo.own] = u
-        self.halo.exchange(field)
+        field = self.halo.felt(u)
         return field[:0] if self.through is None else self.through(field[None])[0]
 
     @property
@@ -328,41 +337,32 @@ class _Coarse:
         comm, tiles, inside = piece.comm, piece.tiles, piece.interior
         self.shape = tiles.box(comm.rank)
         cell = np.floor(piece.at).astype(np.int64)
-        share, cell = piece.at - cell, cell - tiles.corner(comm.rank)
-        self._share, self._cell = share[inside], cell[inside]
+        N = _between(piece.at - cell, cell - tiles.corner(comm.rank), self.shape)
+        self._N = [side[inside] for side in N]
         self._halo = Halo(comm, tiles, 1)
-        whole = self._summed(share, cell, np.ones((len(cell), 1)))
-        free = self._summed(share, cell, inside[:, None].astype(float))
+        whole, free = (self._summed(N, ask[:, None]) for ask in (np.ones(len(cell)), 1.0 * inside))
         self.mask = (free > INSIDE * whole)[0] & (whole > 0)[0]
         elastic = tensors_of(model, spacing).tensor()
         near = q1_tensors(elastic * spacing**-2)
         made = PetscCycle if petsc else cycle
         self._cycle = made(comm, *near, self.mask, tiles)
 
-    def _summed(self, share: np.ndarray, cell: np.ndarray, values: np.ndarray) -> np.ndarray:
+    def _summed(self, N: list[sp.csr_array], values: np.ndarray) -> np.ndarray:
         """Nᵗ of values [n, c] at nodes, planes [c, rows, ...]."""
-        low, high = (self._row(side, share, cell, values) for side in (0, 1))
+        low, high = ((side.T @ values).T.reshape(-1, *self.shape) for side in N)
         return np.asarray(low + self._halo(high)[:, : self.shape[0]])
 
-    def _row(
-        self, side: int, share: np.ndarray, cell: np.ndarray, values: np.ndarray
-    ) -> np.ndarray:
-        along = share[:, :1] if side else 1 - share[:, :1]
-        planes = np.zeros((values.shape[1], int(np.prod(self.shape))))
-        for beside in (0, 1):
-            weight = along * (share[:, 1:] if beside else 1 - share[:, 1:])
-            place = np.ravel_multi_index((cell[:, 0], cell[:, 1] + beside), self.shape)
-            for plane, part in zip(planes, (weight * values).T):
-                plane += np.bincount(place, part, plane.size)
-        return planes.reshape(-1, *self.shape)
-
     def __call__(self, r: np.ndarray) -> np.ndarray:
-        seen = self._summed(self._share, self._cell, r) * self.mask
-        z = self._halo(self._cycle(seen))[:, 1:]
-        found, (s, t) = 0.0, self._share.T
-        for side in (0, 1):
-            for beside in (0, 1):
-                weight = (s if side else 1 - s) * (t if beside else 1 - t)
-                k, n = self._cell.T
-                found = found + weight * z[:, k + side, n + beside]
-        return np.asarray(found).T
+        z = self._halo(self._cycle(self._summed(self._N, r) * self.mask))[:, 1:]
+        low, high = (part.reshape(len(z), -1).T for part in (z[:, :-1], z[:, 1:]))
+        return np.asarray(self._N[0] @ low + self._N[1] @ high)
+
+
+def _between(share: np.ndarray, cell: np.ndarray, shape: tuple[int, ...]) -> list[sp.csr_array]:
+    """Linear interpolation to nodes from their row of a box of cells, and from the next row."""
+    (s, t), (k, n) = share.T, cell.T
+    place = np.stack([k * shape[1] + n, k * shape[1] + n + 1], axis=1)
+    first, size = np.arange(len(cell) + 1) * 2, (len(cell), int(np.prod(shape)))
+    along = np.stack([1 - t, t], axis=1)
+    sides = ((side[:, None] * along).ravel() for side in (1 - s, s))
+    return [sp.csr_array((weight, place.ravel(), first), shape=size) for weight in sides]

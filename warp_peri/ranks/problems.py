@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.contract import MATERIAL, offered, taken
-from warp_peri.damage.lattice_body import LatticeBody, lattice_body
+from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody
-from warp_peri.damage.problems import Broken, Cracked, options_of_steps
+from warp_peri.damage.problems import Cracked, broken, options_of_steps
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
 from warp_peri.errors import InputError
@@ -49,8 +49,8 @@ if TYPE_CHECKING:
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
     """A Dirichlet problem on a piece; u and load are those of this rank's nodes.
 
-    With the option checkpoint=PATH what was
-    found is written as the solve goes, and a later one goes on from there, on any number of ranks.
+    With the option checkpoint=PATH what was found is written as the solve goes, and a later one
+    goes on from there, on any number of ranks.
 
     Raises InputError for other problems and laws, and as RowOperator and `definite` do.
     """
@@ -183,9 +183,7 @@ class RowNonlinear:
 
     def around(self, u: np.ndarray) -> np.ndarray:
         """u [n, d] on all nodes that this rank feels."""
-        field = np.zeros_like(self.halo.x)
-        field[self.halo.own] = u
-        self.halo.exchange(field)
+        field = self.halo.felt(u)
         return field if self._asked else self._rest
 
     def _pulled(self, force: Callable[[np.ndarray], np.ndarray], u: np.ndarray) -> np.ndarray:
@@ -300,7 +298,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         material.linear.check_dimension(piece)
         how, begin, records, run = options_of_steps(options)
     model = material.model
-    build(comm, *_kernels(piece.dimension, material.tension_only))
+    d, made = piece.dimension, sweeps(piece.dimension, bool(material.tension_only))
+    build(comm, neighbours.lattice_neighbours, made.state_based, halves(d).kick_and_drift)
     felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if model.lam == model.mu else 2)
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
@@ -315,29 +314,12 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     }
     with agreed(comm):
         body = lattice_body(halo.x, piece.spacing, model.horizon)
-        _check_straight(body)
+        if not np.array_equal(body.axes, np.eye(d)):
+            raise InputError("points: expected a lattice along the axes on ranks, got a turned one")
         at_start = {name: here.pop(name) for name in ("u", "v")}
         moving = BreakingBody(material, body, **here, **how)
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
     marching = CrackRun(moving, nodes=halo, **records)
     moving.operator.sweep_early(halo.is_own)
     moving.exchange = lambda u: halo.start(u.numpy())
-    state = marching.march(state, **run)
-    own = halo.own
-    return Motion(
-        marching.history.column("time"),
-        moving.displacement(state)[own],
-        moving.velocity(state)[own],
-        marching.history.by_name(),
-        Broken(moving.damage(state)[own], moving, state),
-    )
-
-
-def _check_straight(body: LatticeBody) -> None:
-    if not np.array_equal(body.axes, np.eye(body.dimension)):
-        raise InputError("points: expected a lattice along the axes on ranks, got a turned one")
-
-
-def _kernels(dimension: int, tension_only: bool) -> list[Any]:
-    made, steps = sweeps(dimension, bool(tension_only)), halves(dimension)
-    return [neighbours.lattice_neighbours, made.state_based, steps.kick_and_drift]
+    return broken(marching, state, run)

@@ -184,7 +184,7 @@ class Equilibria:
         record: NonlinearRecord,
     ) -> np.ndarray:
         """The interior by a load that grows in equal parts, each begun where the last leads to."""
-        residual = record.residual
+        residual, self.kept = record.residual, None  # of the whole load alone
         for parts in PARTS:
             inner = self.inverse((load - self.straight(field)) / parts, ROUGH)
             for part in range(1, parts + 1):
