@@ -8,7 +8,8 @@ long ones (R4).
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -31,77 +32,21 @@ from warp_peri.ranks.halo import Halo, NodeHalo
 from warp_peri.ranks.multigrid import LONG, Between, Convolution, cycle, inverse_filter
 from warp_peri.ranks.petsc import PetscCycle
 from warp_peri.ranks.processes import build, in_turn, inner
-from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite, norm
+from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.multigrid import coarser
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.problems import Kept
     from warp_peri.ranks.subdomain import Subdomain
     from warp_peri.statics.linear import Inverse
 
 
-STAGE = 1e-3
-"""Of a residual, after which a solve with a checkpoint writes it."""
+MOST = 32
+"""Solids whose tensors, proofs and filters are remembered, by what their files would hold."""
 
 
-class LinearOnRanks:
-    """A linear solid on this rank's nodes, of which a rank knows `inverted`."""
-
-    points: Subdomain
-    sharper = 1.0
-    """Of a residual that `inverse` is asked for."""
-
-    def __call__(self, u: np.ndarray) -> np.ndarray:
-        """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
-        raise NotImplementedError
-
-    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
-        """L⁻¹ of a load on this rank's interior, both [i, d]."""
-        raise NotImplementedError
-
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """What L u equals in equilibrium with b [n, d], on this rank's interior, [i, d]."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
-
-    def inverse(self, loads: int) -> Inverse:
-        """`inverted` alone, for `predict`."""
-        return lambda right, tolerance: self.inverted(right, self.sharper * tolerance)[0]
-
-    def solve(
-        self, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None = None
-    ) -> tuple[np.ndarray, SolveRecord]:
-        """Displacement [n, d] with load b on the interior and u given elsewhere.
-
-        With `kept` the answer is written each time that the residual is STAGE of what it was.
-        """
-        inside, load = self.points.interior, self.load(b)
-        field = np.where(inside[:, None], 0.0, u)
-        right = load - self(field)
-        if kept is None:
-            field[inside], record = self.inverted(right, tolerance)
-            return field, record
-        inner, record, last = self.points.inner, SolveRecord(), np.inf
-        size = norm(right, inner)
-        if (start := kept.start()) is not None:
-            field[inside] = start[inside]
-        while (left := norm(rest := load - self(field), inner)) > tolerance * size:
-            if not left < last:
-                raise InputError(
-                    f"tolerance: {tolerance:.1e} of the load was asked for, the residual stays at "
-                    f"{last / size:.1e}, which is rounding"
-                )
-            last = left
-            more, part = self.inverted(rest, max(tolerance * size / left, STAGE))
-            field[inside] += more
-            record.iterations += part.iterations
-            kept.keep(field)
-        record.residual = left / size if size > 0 else 0.0
-        return field, record
-
-
-class RowOperator(LinearOnRanks):
+class RowOperator:
     """L of a lattice in tiles, and what inverts it nearly.
 
     Args:
@@ -144,7 +89,7 @@ class RowOperator(LinearOnRanks):
         on every second node."""
         law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
         scale = law.spacing**-2
-        width, symbol = inverse_filter(law.steps, law.tensors * law.spacing**2, law.tensor())
+        width, symbol = _filter(law)
         short = Convolution(comm, tiles, width, lambda torus: symbol(torus) / scale, np.float32)
         between = Between(comm, tiles)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
@@ -178,6 +123,14 @@ class RowOperator(LinearOnRanks):
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
         field = self._grid.scatter(np.asarray(u)[None])[0]
         return np.asarray(self._grid.gather(self.product(field)[None])[0])
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on this rank's interior, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
+    def inverse(self, loads: int) -> Inverse:
+        """L⁻¹ of a load on this rank's interior [i, d], to a relative residual, for `predict`."""
+        return lambda right, tolerance: self.inverted(right, tolerance)[0]
 
     def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
         """z ≈ L⁻¹ r: multigrid while the nodes for the filter are on their way, then the filter."""
@@ -215,8 +168,11 @@ class RowOperator(LinearOnRanks):
         return self._grid.gather(found[None])[0], record
 
 
-MOST_PROVEN = 32
-"""Solids whose tensors and proofs are remembered, by what their file would hold."""
+@lru_cache(MOST)
+def _filter(law: Crystal) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
+    return inverse_filter(law.steps, law.tensors * law.spacing**2, law.tensor())
+
+
 _proven: dict[tuple[str, float], Crystal] = {}
 
 
@@ -235,7 +191,7 @@ def tensors_at(linear: Any, piece: Subdomain) -> Crystal:
         linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
     known = str(linear.content()["sha256"]), piece.spacing
     if known not in _proven:
-        if len(_proven) == MOST_PROVEN:
+        if len(_proven) == MOST:
             del _proven[next(iter(_proven))]
         with shared_by(piece.comm):
             _proven[known] = tensors_of(linear, piece.spacing)
@@ -260,7 +216,7 @@ LONG_SHARE = 2.0
 """Share of the long waves' answer beside the diagonal's, on scattered points."""
 
 
-class ScatteredOperator(LinearOnRanks):
+class ScatteredOperator:
     """A = Tᵗ L T of scattered nodes, and what inverts it nearly.
 
     Args:
@@ -270,8 +226,6 @@ class ScatteredOperator(LinearOnRanks):
 
     Raises InputError as ThroughLattice does.
     """
-
-    sharper = SHARPER
 
     def __init__(self, model: Model, piece: Subdomain, petsc: bool = False) -> None:
         comm, carrier = piece.comm, piece.carrier
@@ -309,6 +263,10 @@ class ScatteredOperator(LinearOnRanks):
         """Tᵗ b at this rank's interior nodes, of b [n, 2] at the nodes."""
         around = self.halo.around(b)
         return around[:0] if self.through is None else self.through.load(around[None])[0]
+
+    def inverse(self, loads: int) -> Inverse:
+        """A⁻¹ of a load on this rank's interior [i, 2], to a relative residual, for `predict`."""
+        return lambda right, tolerance: self.inverted(right, SHARPER * tolerance)[0]
 
     def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
         """v at this rank's interior nodes with A v = right, both [i, 2], zero on the collar."""

@@ -29,7 +29,7 @@ from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweeps
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.models.lps import Model
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
@@ -37,6 +37,7 @@ from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.linear import RowOperator, ScatteredOperator, one_node, tensors_at
 from warp_peri.ranks.petsc import petsc as loaded
 from warp_peri.ranks.processes import build, in_turn, total
+from warp_peri.statics.conjugate_gradients import SolveRecord, norm
 from warp_peri.statics.equilibria import Equilibria, Force, solve_each, warn_beyond
 from warp_peri.statics.settings import PETSC, TOLERANCE, Krylov, Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
@@ -44,6 +45,10 @@ from warp_peri.statics.solution import Solution
 if TYPE_CHECKING:
     from warp_peri.ranks.subdomain import Subdomain
     from warp_peri.statics.linear import Inverse
+
+
+STAGE = 1e-3
+"""Of a residual, after which a linear solve with a checkpoint writes it."""
 
 
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
@@ -64,25 +69,18 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
         offered(material, "on", "solve", MATERIAL)
-        shape, inside = (..., *piece.x.shape), piece.interior[:, None]
-        b = checked("b", problem.b, float, shape, inside)
-        u = checked("u", problem.u, float, shape, ~inside)
-        if b.shape != u.shape or b.ndim not in (2, 3):
-            raise InputError(
-                f"b, u: expected shape {list(piece.x.shape)} of this rank's nodes, or of samples, "
-                f"got {list(b.shape)} and {list(u.shape)}"
-            )
+        b, u = checked_fields(piece, problem.b, problem.u)
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
         petsc = _by_petsc(getattr(solver, "preconditioner", None))
     operator = operator_on(material, piece, petsc)
-    flat = [field.reshape(-1, *piece.x.shape) for field in (b, u)]
+    inside, flat = piece.interior, [field.reshape(-1, *piece.x.shape) for field in (b, u)]
     kept = None
     if (path := _asked(**asked)) is not None:
         if len(flat[0]) > 1:
             raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
         kept = Kept(path, piece, flat[0][0], flat[1][0])
-    answers, records, proven = np.where(inside, 0.0, flat[1]), list[Any](), None
+    answers, records = np.where(inside[:, None], 0.0, flat[1]), list[Any]()
     loads = np.stack([operator.load(load) for load in flat[0]])
     if bends:
         way, strain = operator.equilibria(kept), operator.strain
@@ -91,7 +89,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         warn_beyond(records, strain)
     else:
         for field, load, given in zip(answers, *flat):
-            field[:], record = operator.solve(load, given, tolerance, kept)
+            field[:], record = solved(operator, load, given, tolerance, kept)
             records.append(record)
         proven = operator.proven
     return Solution(
@@ -105,6 +103,38 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         details=tuple(records),
         measured=max(record.residual for record in records),
     )
+
+
+def solved(
+    operator: Any, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None
+) -> tuple[np.ndarray, SolveRecord]:
+    """Displacement [n, d] of a linear operator with load b on the interior, u given elsewhere.
+
+    With `kept` the answer is written each time that the residual is STAGE of what it was.
+    """
+    inside, load = operator.points.interior, operator.load(b)
+    field = np.where(inside[:, None], 0.0, u)
+    right = load - operator(field)
+    if kept is None:
+        field[inside], record = operator.inverted(right, tolerance)
+        return field, record
+    inner, record, last = operator.points.inner, SolveRecord(), np.inf
+    size = norm(right, inner)
+    if (start := kept.start()) is not None:
+        field[inside] = start[inside]
+    while (left := norm(rest := load - operator(field), inner)) > tolerance * size:
+        if not left < last:
+            raise InputError(
+                f"tolerance: {tolerance:.1e} of the load was asked for, the residual stays at "
+                f"{last / size:.1e}, which is rounding"
+            )
+        last = left
+        more, part = operator.inverted(rest, max(tolerance * size / left, STAGE))
+        field[inside] += more
+        record.iterations += part.iterations
+        kept.keep(field)
+    record.residual = left / size if size > 0 else 0.0
+    return field, record
 
 
 def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:

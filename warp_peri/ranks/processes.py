@@ -88,6 +88,7 @@ def _ended(comm: Comm, line: str, status: int) -> None:
     if comm.rank:
         time.sleep(GRACE)
     print(line, file=sys.__stderr__, flush=True)
+    time.sleep(GRACE / 5)  # mpiexec, busy as it may be, hears it before it ends all
     comm.Abort(status)
     os._exit(status)  # what has been said is not said again
 
