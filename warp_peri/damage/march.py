@@ -243,17 +243,10 @@ class CrackRun:
         return (self.body.neighbour(state) >= 0).astype(np.uint8)
 
     def _record_marks(self) -> tuple[Any, ...]:
-        lines = [section.ends.tolist() for section in self.sections.values()]
+        lines = [section.ends for section in self.sections.values()]
         names = list(self.sections), [*self.regions, *self.watch]
-        return (self.every, *names, lines, self._of_regions())
-
-    def _of_regions(self) -> str:
-        masks = []
-        for mask in self.regions.values():
-            here = np.zeros(len(self.body.body.x))
-            here[self.nodes.own] = mask
-            masks.append(here)
-        return str(self.nodes.mark(*masks))
+        masks = [self.nodes.gather(mask) for mask in self.regions.values()]
+        return (self.every, *names, *lines, *masks)
 
     def _key(self) -> dict[str, str]:
         """What the run depends on, by name; its load history is kept by its values, `_applied`."""
