@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 import warp_peri as wp
 from warp_peri.damage import BrittleSolid, Cracked, rectangle
 from warp_peri.errors import exit_status
-from warp_peri.ranks import is_first, spread, whole
+from warp_peri.ranks import gather, is_first, partition
 
 DAMAGED = 0.35
 """φ from which a node counts as on a crack."""
@@ -41,7 +41,7 @@ def glass(h: float, ratio: float, stress: float, toughness: float = 135.0, hole:
     solid = BrittleSolid(model, 2440.0, toughness=toughness)
     x = rectangle(0.1, 0.04, h)
     x = x[np.hypot(x[:, 0] - 0.02, x[:, 1] - 0.008) >= hole]
-    points = spread(wp.Points(x, np.ones(len(x), bool), h))
+    points = partition(wp.Points(x, np.ones(len(x), bool), h))
     x = points.x
     edge = np.abs(x[:, 1]) > 0.02 - h
     load = np.where(edge[:, None], np.sign(x) * (0.0, stress / h), 0.0)
@@ -66,7 +66,7 @@ def steel(h: float, ratio: float, turn: float = 0.0, speed: float = 16.5):
     inside = (np.abs(x[:, 0]) < 0.05) & (np.abs(x[:, 1]) < 0.1)
     x, lattice = x[inside], lattice[inside]
     hit = (x[:, 0] < -0.05 + (1.5 if turn else 1.0) * h) & (np.abs(x[:, 1]) < 0.025)
-    points = spread(wp.Points(lattice, ~hit, h))
+    points = partition(wp.Points(lattice, ~hit, h))
     grip = np.where(points.interior[:, None], 0.0, speed * axes[0])
     notches = [np.array([(-0.053, y), (0.0, y)]) @ axes for y in (-0.025001, 0.025001)]
     return solid, Cracked(points, cracks=notches), {"grip": grip}, x
@@ -127,14 +127,14 @@ def main(argv: list[str] | None = None) -> int:
         solid, plate, options, x = steel(h, args.ratio, args.turn)
     else:
         solid, plate, options = glass(h, args.ratio, 12e6, hole=args.hole)
-        x = whole(plate.points, plate.points.x)
+        x = gather(plate.points, plate.points.x)
     step = args.share * solid.longest_step(h)
     steps = round((args.time or (85e-6 if args.kalthoff else 45e-6)) / step)
     every = max(1, steps // 100)
     options |= {"step": step, "steps": every * (steps // every), "every": every}
     options |= {"series": args.out / "series" if args.series else None, "progress": args.progress}
     run = wp.move(solid, plate, watch={"tip": lambda phi: tip(x, phi)}, **options)
-    phi = whole(plate.points, run.details.damage)
+    phi = gather(plate.points, run.details.damage)
     if not is_first():
         return 0
     numbers: dict[str, float | None] = {"nodes": len(x), "steps": options["steps"]}

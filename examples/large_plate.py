@@ -24,7 +24,7 @@ import numpy as np
 
 import warp_peri as wp
 from warp_peri.errors import exit_status
-from warp_peri.ranks import is_first, lattice, spread
+from warp_peri.ranks import is_first, lattice, partition
 
 SHAPES = ("L", "square", "disk", "cube", "cloud")
 SPACING = 5.0
@@ -56,7 +56,7 @@ def cloud(n: int):
     at = np.argwhere(np.ones((n + 2 * RIM,) * 2)) - (n - 1) / 2 - RIM
     inside = (np.abs(at) < n / 2).all(axis=1)
     shifts = np.random.default_rng(0).uniform(-SHIFT, SHIFT, at.shape)
-    points = spread(wp.Points(SPACING * (at + shifts), inside, 0.0))
+    points = partition(wp.Points(SPACING * (at + shifts), inside, 0.0))
     if not hasattr(points, "comm"):
         raise wp.InputError("shape: expected mpiexec for a cloud")
     return points

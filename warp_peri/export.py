@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file, write_text
+from warp_peri.files.series import in_space, item, meshio_of, write_vtu
 from warp_peri.lps.matrices import matrices, node_fields
 from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
@@ -80,7 +81,7 @@ def write_fields(
     u = np.asarray(u, dtype=float)
     if u.shape != points.u.shape:
         raise InputError(f"u: expected the samples of the set, {points.u.shape}, got {u.shape}")
-    x = _vector(points.x)
+    x = in_space(points.x)
     return writers[format](Path(folder), x, *_cells(points), _samples(model, points, u))
 
 
@@ -166,20 +167,13 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
 
     Raises InputError without meshio (the extra `bodies`).
     """
-    try:
-        import meshio
-    except ImportError:
-        raise InputError("meshio is not installed: pip install 'warp_peri[bodies]'") from None
     mesh = body.rim.mesh
     u, stress = body.on_corners()
     elements = np.zeros(len(mesh.x))
     elements[body.rim.corners] = 1
-    data = {"displacement": _vector(u), "stress": _tensor(stress), "elements": elements}
-    d = mesh.x.shape[1]
-    x = np.column_stack([mesh.x, np.zeros((len(mesh.x), 3 - d))])
-    cells = [("triangle" if d == 2 else "tetra", mesh.cells)]
-    with whole_file(path) as temporary:
-        meshio.Mesh(x, cells, point_data=data).write(temporary, "vtu")
+    data = {"displacement": u, "stress": _tensor(stress), "elements": elements}
+    kind = "triangle" if mesh.x.shape[1] == 2 else "tetra"
+    write_vtu(path, mesh.x, (kind, mesh.cells), data, extra="bodies")
     return {
         "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
         "largest_stress": float(np.linalg.eigvalsh(stress).max()),
@@ -189,12 +183,8 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
 def _write_vtu(
     folder: Path, x: np.ndarray, kind: str, cells: np.ndarray, samples: list[dict[str, np.ndarray]]
 ) -> list[Path]:
-    try:
-        import meshio
-    except ImportError:
-        raise InputError(
-            "meshio is not installed: pip install 'warp_peri[export]', or take xdmf"
-        ) from None
+    asked = {"instead": ", or take xdmf"}
+    meshio_of(**asked)
     paths = [folder / f"sample_{s:04d}.vtu" for s in range(len(samples))]
     left = sorted(set(folder.glob("sample_*.vtu")) - set(paths))
     if left:
@@ -202,10 +192,7 @@ def _write_vtu(
             f"{folder}: expected a folder without samples of another export, "
             f"got {left[0].name}; remove it or name another folder"
         )
-    for path, data in zip(paths, samples):
-        with whole_file(path) as temporary:
-            meshio.Mesh(x, [(kind, cells)], point_data=data).write(temporary)
-    return paths
+    return [write_vtu(path, x, (kind, cells), data, **asked) for path, data in zip(paths, samples)]
 
 
 def _write_xdmf(
@@ -231,34 +218,28 @@ def _write_xdmf(
         h5py.File(hdf, "w", locking=False) as arrays,
     ):
 
-        def item(parent: Element, name: str, values: np.ndarray) -> None:
+        def laid(parent: Element, name: str, values: np.ndarray) -> None:
             if name not in arrays:
                 arrays[name] = values
-            SubElement(
-                parent,
-                "DataItem",
-                Format="HDF",
-                DataType="Float" if values.dtype.kind == "f" else "Int",
-                Precision=str(values.dtype.itemsize),
-                Dimensions=" ".join(map(str, values.shape)),
-            ).text = f"{heavy.name}:/{name}"
+            kind = "Float" if values.dtype.kind == "f" else "Int"
+            item(parent, values.shape, f"{heavy.name}:/{name}", kind, values.dtype.itemsize)
 
         for s, data in enumerate(samples):
             grid = SubElement(steps, "Grid", Name=f"sample_{s:04d}", GridType="Uniform")
             SubElement(grid, "Time", Value=str(s))
-            item(SubElement(grid, "Geometry", GeometryType="XYZ"), "nodes", x)
+            laid(SubElement(grid, "Geometry", GeometryType="XYZ"), "nodes", x)
             topology = SubElement(
                 grid, "Topology", TopologyType=XDMF_CELLS[kind], NumberOfElements=str(len(cells))
             )
             if kind == "vertex":
                 topology.set("NodesPerElement", "1")
-            item(topology, "cells", cells)
+            laid(topology, "cells", cells)
             for name, values in data.items():
                 columns = values.size // len(x)
                 attribute = SubElement(
                     grid, "Attribute", Name=name, Center="Node", AttributeType=XDMF_TYPES[columns]
                 )
-                item(attribute, f"sample_{s:04d}/{name}", values)
+                laid(attribute, f"sample_{s:04d}/{name}", values)
         ElementTree(root).write(xml)
         light.unlink(missing_ok=True)  # an old one must not meet the new arrays
     return [light, heavy]
@@ -269,9 +250,9 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
     inside = _of_linear(model, points, u) if is_linear_solid(model) else _of_law(model, points, u)
     return [
         {
-            "displacement": _vector(field),
-            "error": _vector(field - points.u[s]),
-            **({} if points.b is None else {"body_force": _vector(points.b[s])}),
+            "displacement": in_space(field),
+            "error": in_space(field - points.u[s]),
+            **({} if points.b is None else {"body_force": in_space(points.b[s])}),
             **{name: _everywhere(points, values[s]) for name, values in inside.items()},
             "interior": points.interior.astype(float),
         }
@@ -329,11 +310,6 @@ def _full(field: np.ndarray) -> np.ndarray:
     """Tensors [..., d, d] as [..., 3, 3], zero out of their plane."""
     beyond = 3 - field.shape[-1]
     return np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, beyond)] * 2)
-
-
-def _vector(field: np.ndarray) -> np.ndarray:
-    """ParaView's vectors have three components."""
-    return np.column_stack([field, np.zeros((len(field), 3 - field.shape[1]))])
 
 
 def _everywhere(points: PointsLike, values: np.ndarray) -> np.ndarray:

@@ -32,9 +32,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
     """
     solved = offered(problem, "solved", "solve", PROBLEMS)
     if _on_ranks(problem):
-        from warp_peri.ranks import statics
-
-        return told(lambda: statics.solve(material, problem, solver, options))
+        return told(lambda: problem.points.solve(material, problem, solver, options))
     return told(lambda: solved(material, solver, options))
 
 
@@ -54,9 +52,7 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
     if _on_ranks(problem):
-        from warp_peri.ranks import motion
-
-        return motion.move(material, problem, options)
+        return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
     return moved(material, options)  # type: ignore[no-any-return]
 
 

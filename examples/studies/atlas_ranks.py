@@ -14,7 +14,7 @@ from scipy.sparse.linalg import splu
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.ranks.convolution import bartlett, cut, folded, hann, short_inverse, smallest
+from warp_peri.ranks.multigrid import bartlett, cut, folded, hann, short_inverse, smallest
 from warp_peri.statics.conjugate_gradients import Inner, definite
 
 MODEL = Path(__file__).parent.parent.parent / "tools" / "solve_model.json"

@@ -101,7 +101,7 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
     body = pulled(**KINDS["state-based"])
     options = {
         "every": 1,
-        "checkpoint": tmp_path / "run.npz",
+        "checkpoint": tmp_path / "run.h5",
         "checkpoint_every": 7,
         "series": tmp_path / "series",
         "regions": {"left": body.body.x[:, 0] < 0},
@@ -125,7 +125,7 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
         CrackRun(body, step=dt / 2, **options).march(body.start(cracks=CRACK), steps=steps)
     with pytest.raises(InputError, match="another body, start, load or step"):
         CrackRun(body, step=dt, **options).march(body.start(), steps=steps)
-    options = {"checkpoint": tmp_path / "other.npz", "every": 1, "checkpoint_every": 1}
+    options = {"checkpoint": tmp_path / "other.h5", "every": 1, "checkpoint_every": 1}
     lines = [{"middle": [(-9, y), (9, y)]} for y in (0, 1)]
     CrackRun(body, step=dt, sections=lines[0], **options).march(body.start(), steps=2)
     with pytest.raises(InputError, match="another body, start, load or step"):
@@ -141,7 +141,7 @@ def ramped(ramp):
 
 
 def test_a_checkpoint_of_another_history_of_loads_is_refused_wherever_it_differs(tmp_path):
-    path = tmp_path / "run.npz"
+    path = tmp_path / "run.h5"
     options = {"checkpoint": path, "every": 5, "checkpoint_every": 1}
     _, dt = ramped(None)
     slow, jump = lambda t: min(1.0, t / (60 * dt)), lambda t: 0.5 if t > 36.5 * dt else 0.0
@@ -166,7 +166,7 @@ def test_a_checkpoint_of_another_history_of_loads_is_refused_wherever_it_differs
 def test_a_load_that_changes_only_later_goes_on_as_if_never_stopped(tmp_path):
     _, dt = ramped(None)
     ramps = lambda t: 1.0, lambda t: 1.0 if t < 30.5 * dt else 0.2
-    options = {"checkpoint": tmp_path / "run.npz", "every": 5, "checkpoint_every": 1}
+    options = {"checkpoint": tmp_path / "run.h5", "every": 5, "checkpoint_every": 1}
     body, _ = ramped(ramps[0])
     CrackRun(body, step=dt, **options).march(body.start(cracks=CRACK), steps=20)
     body, _ = ramped(ramps[1])
@@ -177,7 +177,7 @@ def test_a_load_that_changes_only_later_goes_on_as_if_never_stopped(tmp_path):
 
 def test_fewer_steps_than_are_behind_are_refused(tmp_path):
     body = pulled(**KINDS["bond-based"])
-    dt, path = 0.4 * body.longest_step, tmp_path / "run.npz"
+    dt, path = 0.4 * body.longest_step, tmp_path / "run.h5"
     options = {"checkpoint": path, "every": 10, "checkpoint_every": 1}
     state = CrackRun(body, step=dt, **options).march(body.start(cracks=CRACK), steps=100)
     start = body.start(cracks=CRACK)
@@ -190,7 +190,7 @@ def test_fewer_steps_than_are_behind_are_refused(tmp_path):
 
 
 def test_a_checkpoint_says_what_differs(tmp_path):
-    options = {"checkpoint": tmp_path / "run.npz", "every": 1, "checkpoint_every": 1}
+    options = {"checkpoint": tmp_path / "run.h5", "every": 1, "checkpoint_every": 1}
     body = pulled(**KINDS["bond-based"])
     dt, start = 0.4 * body.longest_step, body.start(cracks=CRACK)
     run = CrackRun(body, step=dt, **options)

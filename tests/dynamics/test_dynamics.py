@@ -155,3 +155,24 @@ def test_scattered_points_have_no_motion():
         operator = kernel("1/r", 2.0).on(points, transfer=False, allow_uncertified=True)
     with pytest.raises(InputError, match="points: expected a lattice"):
         march(operator, None, 0 * points.x, density=DENSITY, step=0.1, steps=1)
+
+
+def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp_path):
+    model, points = kernel("positive", 2.5), lattice(ell(), 2.5)
+    operator, u = LPSOperator(model, points), noise(points)
+    dt = 0.5 * critical_time_step(model, spacing=points.spacing, density=DENSITY)
+    options, path = {"density": DENSITY, "step": dt, "every": 3}, tmp_path / "run.h5"
+    files = {"checkpoint": path, "checkpoint_every": 1, "series": tmp_path / "s"}
+    march(operator, None, u, **options, **files, steps=10)
+    resumed = march(operator, None, u, **options, **files, steps=25)
+    straight = march(operator, None, u, **options, steps=25)
+    for name in ("u", "v", "energy"):
+        assert getattr(resumed, name).tobytes() == getattr(straight, name).tobytes()
+    assert (tmp_path / "s" / "motion.xdmf").read_text().count("<Time ") == len(straight.time)
+    with pytest.raises(InputError, match="expected a checkpoint of this motion"):
+        march(operator, None, 2 * u, **options, **files, steps=25)
+    with pytest.raises(InputError, match="at least the 25 steps of the checkpoint, got 20"):
+        march(operator, None, u, **options, **files, steps=20)
+    path.write_bytes(b"no HDF5")
+    with pytest.raises(InputError, match="run.h5: not a readable checkpoint"):
+        march(operator, None, u, **options, **files, steps=25)

@@ -11,8 +11,10 @@ import os
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
@@ -25,9 +27,8 @@ from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.prediction import Members
 from warp_peri.prediction.spectrum import ErrorSpectrum
 from warp_peri.proofs import uniqueness
-from warp_peri.ranks import lattice, spread, together, whole
-from warp_peri.ranks.processes import world
-from warp_peri.ranks.sums import total
+from warp_peri.ranks import gather, lattice, partition, together
+from warp_peri.ranks.processes import total, world
 from warp_peri.statics import equilibria as fixed_point
 from warp_peri.third_order.material import NonlinearModel
 
@@ -36,6 +37,14 @@ H = 0.5
 
 def digest(values):
     return hashlib.sha256(np.ascontiguousarray(values).tobytes()).hexdigest()
+
+
+def kept(folder, name, points, values):
+    """A digest of values on all nodes, which the first rank writes down."""
+    everywhere = points.gather(values)
+    if points.comm.rank == 0:
+        np.save(folder / f"{name}_{points.comm.size}.npy", everywhere)
+    return digest(everywhere)
 
 
 def uneven():
@@ -171,11 +180,8 @@ def going_on(points, folder, share):
         far = np.abs(u - points.gather(fresh.u)).max() / np.abs(u).max()
         found[name] = {"far": far, "residual": solution.residual, "tolerance": tolerance,
                        "took": [solution.iterations[0], fresh.iterations[0]]}  # fmt: skip
-    try:
-        other = wp.Dirichlet(points, *fields(points.x))
-        wp.solve(solid(2), other, checkpoint=folder / "Model.h5")
-    except wp.InputError as error:
-        found["other"] = str(error)
+    other, path = wp.Dirichlet(points, *fields(points.x)), folder / "Model.h5"
+    found["other"] = told_by(lambda: wp.solve(solid(2), other, checkpoint=path))
     return found
 
 
@@ -190,6 +196,14 @@ def carried():
     """A solid that is certified on the lattice that carries these."""
     h = fitting_spacing(mean_spacing(scattered()))
     return wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=2.5 * h, certified_on=(h,))
+
+
+def told_by(wrong):
+    """What is said of wrong input; None where nothing is."""
+    try:
+        wrong()
+    except wp.InputError as error:
+        return str(error)
 
 
 def unfit(checkpoint):
@@ -214,27 +228,24 @@ def unfit(checkpoint):
         "axis": (turned, whole, *near),
         "tolerance": (law, whole, *near),
     }
-    told = {}
-    for name, (material, kept, b, u) in cases.items():
-        try:
-            axis = 17.0 if name == "axis" else 0.0
-            points = spread(wp.Points(x[kept], inside(x[kept]), H, axis=axis))
-            mine = points.number if hasattr(points, "number") else slice(None)
-            problem = wp.Dirichlet(points, b[kept][mine], u[kept][mine])
-            at = {"solver": wp.Krylov(tolerance=1e-17)} if name == "tolerance" else {}
-            kept_at = {"checkpoint": checkpoint} if at and hasattr(points, "number") else {}
-            wp.solve(material, problem, **at, **kept_at)
-            told[name] = None
-        except wp.InputError as error:
-            told[name] = str(error)
-    return told
+
+    def solve(name, material, there, b, u):
+        axis = 17.0 if name == "axis" else 0.0
+        points = partition(wp.Points(x[there], inside(x[there]), H, axis=axis))
+        mine = points.number if hasattr(points, "number") else slice(None)
+        problem = wp.Dirichlet(points, b[there][mine], u[there][mine])
+        at = {"solver": wp.Krylov(tolerance=1e-17)} if name == "tolerance" else {}
+        kept_at = {"checkpoint": checkpoint} if at and hasattr(points, "number") else {}
+        wp.solve(material, problem, **at, **kept_at)
+
+    return {name: told_by(partial(solve, name, *case)) for name, case in cases.items()}
 
 
 def transferred():
     """A solid on a lattice other than its own, and which material has no rows on ranks."""
-    points = spread(wp.Points(x := H * np.argwhere(np.ones((52, 52))), inside(x), H))
+    points = partition(wp.Points(x := H * np.argwhere(np.ones((52, 52))), inside(x), H))
     law = wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=1.5, certified_on=(0.6,))
-    return whole(points, wp.solve(law, wp.Dirichlet(points, *fields(points.x))).u)
+    return gather(points, wp.solve(law, wp.Dirichlet(points, *fields(points.x))).u)
 
 
 def waves(points, folder):
@@ -247,10 +258,8 @@ def waves(points, folder):
         law, problem, **SWING, v=u[:, ::-1], steps=last,
         checkpoint=folder / f"waves_{d}.h5", checkpoint_every=2, series=folder / f"waves_{d}",
     )  # fmt: skip
-    end = points.gather(np.concatenate([motion.u, motion.v], axis=1))
-    if points.comm.rank == 0:
-        np.save(folder / f"waves_{d}_{points.comm.size}.npy", end)
-    return {"end": digest(end), "energy": motion.energy.tolist(), "drift": motion.drift}
+    end = kept(folder, f"waves_{d}", points, np.concatenate([motion.u, motion.v], axis=1))
+    return {"end": end, "energy": motion.energy.tolist(), "drift": motion.drift}
 
 
 SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
@@ -264,11 +273,14 @@ def by_newton(points, folder):
         solution = wp.solve(nonlinear(), problem, solver=wp.Newton(tolerance=1e-5))
     finally:
         fixed_point.MOST_STEPS = steps
-    u = points.gather(solution.u)
-    if points.comm.rank == 0:
-        np.save(folder / f"newton_{points.comm.size}.npy", u)
-    return {"u": digest(u), "method": solution.method, "residual": solution.residual,
-            "solves": solution.iterations[0]}  # fmt: skip
+    return {"u": kept(folder, "newton", points, solution.u), "method": solution.method,
+            "residual": solution.residual, "solves": solution.iterations[0]}  # fmt: skip
+
+
+def said(folder, name, points, answer):
+    """What an answer says of itself; its field and map are written down."""
+    u = kept(folder, name, points, np.concatenate([answer.u, answer.map()[:, None]], axis=1))
+    return {"u": u, "error": answer.error, "parts": answer.parts, "why": answer.why}
 
 
 def rest(folder):
@@ -282,22 +294,16 @@ def rest(folder):
         tolerance = 1e-10 if len(shape) == 2 else 1e-8
         solver = wp.Krylov(tolerance=tolerance)
         solution = wp.solve(solid(len(shape)), wp.Dirichlet(points, b, u), solver=solver)
-        answer = points.gather(solution.u)
         left = points.gather(np.abs(solution.operator(solution.u) - solution.load).max(initial=0)
                              * np.ones(len(points.x)))  # fmt: skip
         name = f"{len(shape)}-D"
-        found[name] = {"u": digest(answer), "iterations": solution.iterations[0],
-                       "residual": solution.residual, "left": left.max(),
+        found[name] = {"u": kept(folder, name, points, solution.u), "left": left.max(),
+                       "iterations": solution.iterations[0], "residual": solution.residual,
                        "waves": waves(points, folder)}  # fmt: skip
-        if comm.rank == 0:
-            np.save(folder / f"{name}_{comm.size}.npy", answer)
     sheet = lattice((52, 52), H, inside, axis=0.0)
     bent = wp.solve(nonlinear(), wp.Dirichlet(sheet, *small(sheet.x)))
-    answer = sheet.gather(bent.u)
-    found["nonlinear"] = {"u": digest(answer), "solves": bent.iterations[0],
-                          "residual": bent.residual}  # fmt: skip
-    if comm.rank == 0:
-        np.save(folder / f"nonlinear_{comm.size}.npy", answer)
+    found["nonlinear"] = {"u": kept(folder, "nonlinear", sheet, bent.u),
+                          "solves": bent.iterations[0], "residual": bent.residual}  # fmt: skip
     straight, tiny = (
         wp.solve(law, wp.Dirichlet(sheet, *(size * field for field in small(sheet.x)))).u / size
         for law, size in ((solid(2), 1.0), (nonlinear(), 1e-200))
@@ -312,36 +318,24 @@ def rest(folder):
     for name, (rich, tolerance) in (ASKED | loose).items():
         on, known = (sheet, family) if name in ASKED else (plate, halved)
         answer = wp.predict(known(rich), wp.Dirichlet(on, *small(on.x)), tolerance)
-        u = on.gather(np.concatenate([answer.u, answer.map()[:, None]], axis=1))
         bound = answer.guarantee if name == "bound" else None
-        found[name] = {"u": digest(u), "error": answer.error, "parts": answer.parts,
-                       "why": answer.why, "bound": bound and vars(bound)}  # fmt: skip
-        if comm.rank == 0:
-            np.save(folder / f"{name}_{comm.size}.npy", u)
-    cloud = spread(scattered())
+        found[name] = said(folder, name, on, answer) | {"bound": bound and vars(bound)}
+    cloud = partition(scattered())
     b, u = fields(cloud.x)
     solution = wp.solve(carried(), wp.Dirichlet(cloud, b, u), solver=wp.Krylov(tolerance=1e-10))
-    answer = cloud.gather(solution.u)
-    found["scattered"] = {"u": digest(answer), "iterations": solution.iterations[0],
+    found["scattered"] = {"u": kept(folder, "scattered", cloud, solution.u),
+                          "iterations": solution.iterations[0],
                           "residual": solution.residual}  # fmt: skip
-    if comm.rank == 0:
-        np.save(folder / f"scattered_{comm.size}.npy", answer)
     told = wp.predict(family(carried()), wp.Dirichlet(cloud, b, u), None)
-    u = cloud.gather(np.concatenate([told.u, told.map()[:, None]], axis=1))
-    found["told"] = {"u": digest(u), "error": told.error, "parts": told.parts, "why": told.why}
-    if comm.rank == 0:
-        np.save(folder / f"told_{comm.size}.npy", u)
+    found["told"] = said(folder, "told", cloud, told)
     found["newton"] = by_newton(sheet, folder)
     found["file"] = from_file(comm, folder)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["grid"] = points.tiles.grid
     found["unfit"] = unfit(folder / "unfit.h5")
-    there = transferred()
-    if comm.rank == 0:
-        np.save(folder / f"transferred_{comm.size}.npy", there)
-    found["refused"] = []
+    kept(folder, "transferred", SimpleNamespace(comm=comm, gather=np.asarray), transferred())
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
-    for wrong in (
+    found["refused"] = [told_by(wrong) for wrong in (
         lambda: solid(3).on(points)(u),
         lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
         lambda: wp.move(
@@ -349,20 +343,15 @@ def rest(folder):
         ),
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
         lambda: wp.solve(dressed(), wp.Dirichlet(sheet, *fields(sheet.x))),
-        lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else spread(1, by="colour"),
-    ):
-        try:
-            wrong()
-            found["refused"].append(None)
-        except wp.InputError as error:
-            found["refused"].append(str(error))
+        lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
+    )]  # fmt: skip
     return found
 
 
 def crack(folder, by="rows", steps="60", pause="0"):
     """A notched plate that is pulled at its ends."""
     x = rectangle(40.0, 20.0, 1.0)
-    points = spread(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
     x = points.x
     glass = BrittleSolid(
         wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")), 2.5, toughness=1e-4
@@ -386,9 +375,9 @@ def crack(folder, by="rows", steps="60", pause="0"):
         series=folder / "series",
     )  # fmt: skip
     records = [motion["elastic"], motion["force middle"], motion["u top"], motion["worst"]]
-    phi = whole(points, motion.details.damage)
+    phi = gather(points, motion.details.damage)
     return {
-        "u": digest(whole(points, motion.u)),
+        "u": digest(gather(points, motion.u)),
         "damage": digest(phi),
         "worst": phi.max(),
         "records": digest(np.concatenate([np.ravel(record) for record in records])),
@@ -399,7 +388,7 @@ def crack(folder, by="rows", steps="60", pause="0"):
 def block(by="rows"):
     """A notched block in space."""
     x = box((20.0, 10.0, 8.0), 1.0)
-    points = spread(wp.Points(x, np.ones(len(x), bool), 1.0), by)
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
     x = points.x
     model = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, dimension=3)
     rock = BrittleSolid(model, 2.5, toughness=1e-4)
@@ -409,8 +398,8 @@ def block(by="rows"):
         rock, Cracked(points, pull, cracks=[notch]), step=0.5 * rock.longest_step(1.0), steps=40,
         no_fail=np.abs(x[:, 1]) > 3,
     )  # fmt: skip
-    return {"u": digest(whole(points, motion.u)),
-            "worst": whole(points, motion.details.damage).max()}  # fmt: skip
+    return {"u": digest(gather(points, motion.u)),
+            "worst": gather(points, motion.details.damage).max()}  # fmt: skip
 
 
 def fail():

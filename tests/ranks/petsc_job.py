@@ -12,7 +12,7 @@ import numpy as np
 
 import warp_peri as wp
 from tests.ranks.job import H, carried, fields, inside, scattered, small, solid
-from warp_peri.ranks import lattice, petsc, spread
+from warp_peri.ranks import lattice, partition, petsc
 from warp_peri.ranks.processes import world
 
 LATTICES = {"plate": (116, 116), "deep": (116, 116), "ball": (25, 25, 25)}
@@ -65,7 +65,7 @@ def main(folder):
         found[name], answers[name], operator = solved(solid(len(shape)), points)
         found[name]["work"] = work(operator)
     petsc.COARSEST = usual
-    found["cloud"], answers["cloud"], _ = solved(carried(), spread(scattered()))
+    found["cloud"], answers["cloud"], _ = solved(carried(), partition(scattered()))
     found["kept"] = going_on(folder)
     if comm.rank == 0:
         np.savez(folder / f"answers_{comm.size}.npz", **answers)

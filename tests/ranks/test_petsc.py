@@ -1,12 +1,8 @@
 """A coarse problem by PETSc gives the same answers; where it is not there, it is refused."""
 
-import json
-import os
 import shutil
-import subprocess
 import sys
 from importlib.util import find_spec
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,11 +11,9 @@ import pytest
 import warp_peri as wp
 from tests.ranks.job import H, carried, fields, scattered, solid
 from tests.ranks.petsc_job import LATTICES, thick
+from tests.ranks.test_ranks import finished, start
 from warp_peri.ranks import lattice, petsc
 
-ROOT = Path(__file__).parent.parent.parent
-LIMIT = 240
-"""Seconds that a job may take, on however busy a machine."""
 COUNTS = (1, 2, 3)
 built = pytest.mark.skipif(
     find_spec("petsc4py") is None, reason="petsc4py is not built here: docs/ranks.md says how"
@@ -72,15 +66,9 @@ def jobs(tmp_path_factory):
         place.mkdir()
         if count != 2:
             shutil.copy(folder / "2" / "kept.h5", place)
-        mpiexec = Path(sys.executable).with_name("mpiexec")
-        words = [mpiexec, "-n", str(count), sys.executable, "-m", "tests.ranks.petsc_job", place]
-        alone = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
-        ended = subprocess.run(
-            words, cwd=ROOT, env=os.environ | alone, text=True, capture_output=True, timeout=LIMIT
-        )
-        assert ended.returncode == 0, ended.stderr
+        found[count] = finished(start(count, place, job="petsc_job"))
         with np.load(place / f"answers_{count}.npz") as answers:
-            found[count] = json.loads(ended.stdout.splitlines()[-1]) | {"answers": dict(answers)}
+            found[count]["answers"] = dict(answers)
     return found
 
 

@@ -36,7 +36,7 @@ from tests.ranks.job import (
     unfit,
     wide,
 )
-from warp_peri.ranks.tiles import cut
+from warp_peri.ranks.halo import cut
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
@@ -47,12 +47,12 @@ LIMIT = 240
 """Seconds that a job may take, on however busy a machine."""
 
 
-def start(count, folder, by="rows", steps=60, *more, pause=0):
+def start(count, folder, by="rows", steps=60, *more, pause=0, job="job"):
     """A job on so many ranks."""
     words = (folder, by, steps, pause, *more)
     alone = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        [MPIEXEC, "-n", str(count), sys.executable, "-m", "tests.ranks.job", *map(str, words)],
+        [MPIEXEC, "-n", str(count), sys.executable, "-m", f"tests.ranks.{job}", *map(str, words)],
         cwd=ROOT, env=os.environ | alone, text=True, start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
@@ -293,7 +293,7 @@ def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     one, edge, long, none, rows, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")
-    assert edge.startswith("points: expected 4 nodes around the interior")
+    assert edge.startswith("points: expected all bonds of every interior node, got 768 of 2704")
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
     assert rows.endswith("with third-order constants on ranks, got DressedSolid")

@@ -18,6 +18,7 @@ from warp_peri.points.families import families_of
 from warp_peri.proofs import critical_time_step
 from warp_peri.statics.equilibrium import equilibrium
 from warp_peri.transfer import cache as kept
+from warp_peri.transfer import lattice as made
 from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfer.points import model_for
 from warp_peri.transfers import on_lattice
@@ -53,7 +54,7 @@ def test_the_second_call_reads_what_the_first_wrote(file, monkeypatch):
     first = again(file)
     assert file.read_bytes() == before
     (beside,) = (file.parent / "model.lattices").glob("*.json")
-    monkeypatch.setattr(kept, "new_lattice", None)  # would be called to make it anew
+    monkeypatch.setattr(made, "new_lattice", None)  # would be called to make it anew
     begin = time.perf_counter()
     second = again(file)
     assert time.perf_counter() - begin < 0.1
@@ -70,7 +71,7 @@ def test_a_folder_that_cannot_be_written(file, monkeypatch):
     (file.parent / "model.lattices").write_text("in the way")
     first = again(file)
     assert list((file.parent.parent / "cache").rglob("*.json"))
-    monkeypatch.setattr(kept, "new_lattice", None)
+    monkeypatch.setattr(made, "new_lattice", None)
     assert hashes(again(file), first) == 1
 
 

@@ -155,13 +155,24 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     body = body.reshape(nodes.shape)
     if nodes.periodic:
         body = np.pad(body, nodes.reach, mode="wrap")
-    r = nodes.reach
-    complete = np.ones([n - 2 * r for n in body.shape], bool)
+    lacking = int((nodes.unknown & ~complete(body, steps)).sum())
+    refuse_cut(lacking, len(nodes.interior), why)
+
+
+def complete(body: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Which places of a box have all their neighbours by some steps and back, of a body in the box
+    with their reach more around it."""
+    r = int(np.abs(steps).max())
+    whole = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
-        complete &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
-    lacking = int((nodes.unknown & ~complete).sum())
+        whole &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
+    return whole
+
+
+def refuse_cut(lacking: int, count: int, why: str = "") -> None:
+    """InputError where some of so many interior nodes lack neighbours."""
     if lacking:
         raise InputError(
             f"points: expected all bonds of every interior node, got {lacking} of "
-            f"{len(nodes.interior)} nodes with cut bonds{why}"
+            f"{count} nodes with cut bonds{why}"
         )

@@ -273,3 +273,21 @@ def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
         cut = crossing_bonds(body, polyline)
         neighbour[cut] = np.where(neighbour[cut] >= 0, -1 - neighbour[cut], neighbour[cut])
     return neighbour
+
+
+def cells(body: LatticeBody) -> tuple[str, np.ndarray]:
+    """Nodes around each cell of the lattice whose corners are all there: kind, and shape [C, 2^d].
+
+    In the order of a quadrilateral, and of a hexahedron.
+    """
+    place = np.rint((body.x - body.x.min(axis=0)) / body.spacing).astype(int)
+    number = np.full(place.max(axis=0) + 1, -1)
+    number[tuple(place.T)] = np.arange(len(place))
+    around: list[tuple[int, ...]] = [(0, 0), (1, 0), (1, 1), (0, 1)]
+    if body.dimension == 3:
+        around = [(*corner, up) for up in (0, 1) for corner in around]
+    ends = slice(None, -1), slice(1, None)
+    corners = [number[tuple(ends[up] for up in corner)] for corner in around]
+    found = np.stack([corner.ravel() for corner in corners], axis=1)
+    kind = {2: "quad", 3: "hexahedron"}[body.dimension]
+    return kind, found[(found >= 0).all(axis=1)]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -11,19 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.damage.lattice_body import HAIR, crossing_bonds, size_and_normal
+from warp_peri.damage.lattice_body import HAIR, cells, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
-from warp_peri.damage.paraview import DamageSeries
 from warp_peri.errors import InputError
-from warp_peri.files.archive import read_arrays
-from warp_peri.files.atomic import whole_file
+from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, digest
+from warp_peri.files.series import Series
 from warp_peri.points.arrays import check_whole
 
-_ARRAYS = ("u", "v", "links", "force", "energy", "work")
+NODAL = ("u", "v", "force", "energy", "work")
+"""Arrays of a state that a checkpoint holds for each node."""
+KIND = "warp_peri.crack"
+"""Of its checkpoints."""
 LEDGER = ("time", "work", "kinetic", "elastic", "dissipated")
 
 
@@ -77,33 +76,24 @@ class Section:
     Args:
         body: the body in motion.
         line: two ends, shape [2, 2]; in space the corners of a flat polygon, [P, 3].
+        own: the nodes whose bonds are summed here.
 
-    Raises InputError for a line of another shape, and one that no bond crosses.
+    Raises InputError for a line of another shape.
     """
 
-    def __init__(self, body: BreakingBody, line: ArrayLike) -> None:
+    def __init__(self, body: BreakingBody, line: ArrayLike, own: Any) -> None:
         cut = crossing_bonds(body.body, line)
         self.ends = ends = np.asarray(line, dtype=float)
-        if (body.body.dimension == 2 and len(ends) != 2) or not cut.any():
-            raise InputError(
-                f"section: expected two ends of a line that bonds cross, got {ends.tolist()}"
-            )
+        if body.body.dimension == 2 and len(ends) != 2:
+            raise no_section(ends)
         node, bond = np.nonzero(cut)
+        here = np.zeros(len(cut), bool)
+        here[own] = True
         height = (body.body.x[node] - ends[0]) @ size_and_normal(ends)[1]
         left = height > -HAIR / 2 * body.body.spacing  # nodes on the line stand on its left
+        left &= here[node]
+        self.count = int(here[node].sum())
         self._node, self._bond, self._owner = node[left], bond[left], body
-
-    def of(self, nodes: np.ndarray) -> Section:
-        """The same of bonds that begin at these nodes only; itself."""
-        kept = np.isin(self._node, nodes)
-        self._node, self._bond = self._node[kept], self._bond[kept]
-        return self
-
-    def force(self, state: BreakingState) -> np.ndarray:
-        """Force per thickness on the nodes to the left of the line, over the polygon; shape [d]."""
-        body = self._owner.body
-        total: np.ndarray = body.spacing**body.dimension * self.carried(state).sum(axis=0)
-        return total
 
     def carried(self, state: BreakingState) -> np.ndarray:
         """Force density of each bond across the line, shape [E, d]."""
@@ -121,19 +111,27 @@ class Section:
         return carried
 
 
+def no_section(ends: np.ndarray) -> InputError:
+    """What is said of a line that is no section."""
+    return InputError(f"section: expected two ends of a line that bonds cross, got {ends.tolist()}")
+
+
 class CrackRun:
     """Marches a body, and goes on from its checkpoint with the same bits.
 
+    On ranks the body is that of some nodes, and all records are of the whole body.
+
     Args:
-        body: the body.
+        body: the body; on ranks of the nodes here.
         step: Δt, at most the body's longest.
         every: steps from one record to the next.
-        regions: nodes whose mean displacement and velocity are recorded, [N] bool by name.
+        regions: own nodes whose mean displacement and velocity are recorded, [n] bool by name.
         watch: functions of φ [N], the share of bonds that nodes have lost, recorded by name.
         sections: lines across which the force is recorded, [2, 2] by name; in space polygons.
         checkpoint: file to go on from; written every `checkpoint_every` records.
         series: folder for ParaView's files, one a record.
         allow_unstable: warn about a step that is too long instead of raising.
+        nodes: which of the body's are this process's own, as AllNodes; all by default.
 
     Raises InputError for a step or counts that are not > 0, for regions without nodes, and for
     sections without bonds.
@@ -152,23 +150,37 @@ class CrackRun:
         checkpoint_every: int = 10,
         series: str | os.PathLike[str] | None = None,
         allow_unstable: bool = False,
+        nodes: Any = None,
     ) -> None:
-        check_step(body, step, allow_unstable=allow_unstable)
-        check_whole("every", every, 1)
-        check_whole("checkpoint_every", checkpoint_every, 1)
+        self.nodes: Any = AllNodes(len(body.body.x)) if nodes is None else nodes
+        own, comm = self.nodes.own, self.nodes.comm
+        x = body.body.x[own]
+        with agreed(comm):
+            check_step(body, step, allow_unstable=allow_unstable)
+            check_whole("every", every, 1)
+            check_whole("checkpoint_every", checkpoint_every, 1)
+            self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
+            for name, mask in self.regions.items():
+                if mask.shape != (len(x),) or mask.dtype != bool:
+                    raise _no_region(name, mask, len(x))
+            lines = (sections or {}).items()
+            self.sections = {name: Section(body, line, own) for name, line in lines}
+        self._size = {name: int(comm.allreduce(int(m.sum()))) for name, m in self.regions.items()}
+        for name, size in self._size.items():
+            if not size:
+                raise _no_region(name, self.regions[name], len(x))
+        for section in self.sections.values():
+            if not comm.allreduce(section.count):
+                raise no_section(section.ends)
         self.body, self.dt, self.every = body, float(step), int(every)
-        self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
-        for name, mask in self.regions.items():
-            if mask.shape != (len(body.body.x),) or mask.dtype != bool or not mask.any():
-                raise InputError(
-                    f"regions: expected some of {len(body.body.x)} nodes as bool, got {name!r} of "
-                    f"shape {list(mask.shape)} with {np.count_nonzero(mask)}"
-                )
         self.watch = dict(watch or {})
-        self.sections = {name: Section(body, line) for name, line in (sections or {}).items()}
         self.path = None if checkpoint is None else Path(checkpoint)
         self.checkpoint_every = int(checkpoint_every)
-        self.series = None if series is None else DamageSeries(series, body.body)
+        self.series = None
+        if series is not None and comm is ALONE:
+            self.series = Series(series, self.nodes, x, cells(body.body))
+        elif series is not None:
+            self.series = Series(series, nodes.piece)
         self.history = History()
         self._began, self._first, self._ramp = "", (0.0, 0), list[float]()
 
@@ -198,33 +210,43 @@ class CrackRun:
         return state
 
     def _record(self, state: BreakingState) -> None:
-        ledger = self.body.ledger(state)
-        self.history.ledger.append([getattr(ledger, name) for name in LEDGER])
-        u, v = self.body.displacement(state), self.body.velocity(state)
+        body, nodes, history = self.body, self.nodes, self.history
+        ledger, own = body.ledger(state, nodes), nodes.own
+        history.ledger.append([getattr(ledger, name) for name in LEDGER])
+        u, v = body.displacement(state)[own], body.velocity(state)[own]
         for name, mask in self.regions.items():
-            self.history.u.setdefault(name, []).append(u[mask].mean(axis=0).tolist())
-            self.history.v.setdefault(name, []).append(v[mask].mean(axis=0).tolist())
+            for values, where in ((u, history.u), (v, history.v)):
+                mean = nodes.sum(values[mask]) / self._size[name]
+                where.setdefault(name, []).append(mean.tolist())
+        cell = body.body.spacing**body.body.dimension
         for name, section in self.sections.items():
-            self.history.force.setdefault(name, []).append(section.force(state).tolist())
+            force = cell * nodes.sum(section.carried(state))
+            history.force.setdefault(name, []).append(force.tolist())
+        if self.watch or self.series is not None:
+            phi = body.damage(state)[own]
         if self.watch:
-            phi = self.body.damage(state)
+            everywhere = nodes.gather(phi)
             for name, function in self.watch.items():
-                self.history.watched.setdefault(name, []).append(np.asarray(function(phi)).tolist())
+                seen = np.asarray(function(everywhere)).tolist()
+                history.watched.setdefault(name, []).append(seen)
         if self.series is not None:
-            fields = {"displacement": u, "velocity": v, "damage": self.body.damage(state)}
+            fields = {"displacement": u, "velocity": v, "damage": phi}
             self.series.write(state.steps, state.time, fields)
 
     def _start_mark(self, state: BreakingState) -> str:
-        parts = (state.u.numpy(), state.v.numpy(), state.links.numpy(), state.whole)
-        return _digest(*parts, state.work.numpy(), state.dissipated, *self._first)
+        fields = [field.numpy() for field in (state.u, state.v)]
+        parts = [*fields, self._left(state), state.whole, state.work.numpy(), state.dissipated]
+        return str(self.nodes.mark(*parts, *self._first))
 
-    def _mark(self, array: np.ndarray) -> str:
-        return _digest(array)
+    def _left(self, state: BreakingState) -> np.ndarray:
+        """Which bonds of the ball a node still has, shape [m, B]."""
+        return (self.body.neighbour(state) >= 0).astype(np.uint8)
 
     def _record_marks(self) -> tuple[Any, ...]:
         lines = [section.ends for section in self.sections.values()]
         names = list(self.sections), [*self.regions, *self.watch]
-        return (self.every, *names, *lines, *self.regions.values())
+        masks = [self.nodes.gather(mask) for mask in self.regions.values()]
+        return (self.every, *names, *lines, *masks)
 
     def _key(self) -> dict[str, str]:
         """What the run depends on, by name; its load history is kept by its values, `_applied`."""
@@ -232,16 +254,16 @@ class CrackRun:
         numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)
         return {
             "start": self._began,
-            "nodes": self._mark(body.body.x),
-            "solid": _digest(
+            "nodes": self.nodes.mark(body.body.x),
+            "solid": digest(
                 *numbers, body.operator.limits, solid.by_energy, solid.tension_only, model.units
             ),
-            "no_fail": self._mark(body.no_fail),
-            "load": self._mark(body.load.numpy()),
-            "held": self._mark(body.held.numpy()),
-            "grip": self._mark(body.grip.numpy()),
-            "step": _digest(self.dt),
-            "records": _digest(*self._record_marks()),
+            "no_fail": self.nodes.mark(body.no_fail),
+            "load": self.nodes.mark(body.load.numpy()),
+            "held": self.nodes.mark(body.held.numpy()),
+            "grip": self.nodes.mark(body.grip.numpy()),
+            "step": digest(self.dt),
+            "records": digest(*self._record_marks()),
         }
 
     def _applied(self, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -253,19 +275,18 @@ class CrackRun:
         self._ramp += [1.0 if ramp is None else float(ramp(time)) for time in new]
         return times, np.array(self._ramp[: len(times)])
 
-    def _check(self, content: Mapping[str, np.ndarray], steps: int) -> None:
+    def _check(self, content: Mapping[str, Any], steps: int) -> None:
         """Refuse the checkpoint of another run, naming what differs, or one further than asked."""
-        kept, own = json.loads(str(content["key"])), self._key()
+        kept, own = content["key"], self._key()
         differ = [name for name in own if kept.get(name) != own[name]]
-        taken = int(content["steps"])
+        taken, ramps = int(content["steps"]), np.array(content["ramp"])
         if not differ:  # the history of loads is that of the same steps
             times, ramp = self._applied(taken)
-            other = np.flatnonzero(ramp != content["ramp"])
+            other = np.flatnonzero(ramp != ramps)
             if len(other):
                 n = other[0]
                 differ = [
-                    f"load history, from t = {times[n]:g} on ({content['ramp'][n]:g} there, "
-                    f"{ramp[n]:g} here)"
+                    f"load history, from t = {times[n]:g} on ({ramps[n]:g} there, {ramp[n]:g} here)"
                 ]
         if differ:
             raise InputError(
@@ -279,50 +300,44 @@ class CrackRun:
             )
 
     def _save(self, path: Path, state: BreakingState) -> None:
-        content = {name: getattr(state, name).numpy() for name in _ARRAYS}
-        content |= {"dissipated": state.dissipated, "whole": state.whole}
-        content |= {"time": np.array(state.time), "steps": np.array(state.steps)}
-        content |= {"key": np.array(json.dumps(self._key())), "ramp": self._applied(state.steps)[1]}
-        content["ledger"] = np.array(self.history.ledger)
-        for kind in ("u", "v", "force", "watched"):
-            for name, rows in getattr(self.history, kind).items():
-                content[f"history_{kind}_{name}"] = np.array(rows)
-        if self.series is not None:
-            content["times"] = np.array(list(self.series.times.values()))
-            content["files"] = np.array(list(self.series.times))
-        with whole_file(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **content)
+        own, count = self.nodes.own, len(self.body.body.x)
+        arrays = {name: getattr(state, name).numpy() for name in NODAL}
+        arrays |= {"dissipated": state.dissipated, "whole": state.whole, "left": self._left(state)}
+        content = {
+            "time": state.time,
+            "steps": state.steps,
+            "key": self._key(),
+            "ramp": self._applied(state.steps)[1].tolist(),
+            "history": vars(self.history),
+            "files": {} if self.series is None else self.series.times,
+        }
+        nodal = {name: array[:count][own] for name, array in arrays.items()}
+        RunFile(path, KIND, self.nodes).write(nodal, content)
 
     def _resumed(self, state: BreakingState, steps: int) -> BreakingState:
-        if self.path is None or not self.path.exists():
+        if self.path is None:
             return state
-        try:
-            content = read_arrays(self.path)
-            self._check(content, steps)
-            for name in _ARRAYS:
-                array = getattr(state, name)
-                wp.copy(array, wp.array(content[name], dtype=array.dtype, device="cpu"))
-            state.dissipated, state.whole = content["dissipated"], content["whole"]
-            state.time, state.steps = float(content["time"]), int(content["steps"])
-            self.history = History(content["ledger"].tolist())
-            for name, rows in content.items():
-                if name.startswith("history_"):
-                    _, kind, label = name.split("_", 2)
-                    getattr(self.history, kind)[label] = rows.tolist()
-            if self.series is not None and "files" in content:
-                times = content["times"].tolist()
-                self.series.times = dict(zip(content["files"].tolist(), times))
-        except InputError:
-            raise
-        except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
-            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
+        kept = RunFile(self.path, KIND, self.nodes).read(*NODAL, "dissipated", "whole", "left")
+        if kept is None:
+            return state
+        arrays, content = kept
+        self._check(content, steps)
+        here = len(self.body.body.x)
+        for name in NODAL:
+            getattr(state, name).numpy()[:here] = arrays[name]
+        links = self.body.neighbour(state)
+        broken = (arrays["left"] == 0) & (links >= 0)
+        links[broken] = -1 - links[broken]
+        state.dissipated[:here], state.whole = arrays["dissipated"], arrays["whole"]
+        state.time, state.steps = float(content["time"]), int(content["steps"])
+        self.history = History(**content["history"])
+        if self.series is not None:
+            self.series.times = content["files"]
         return state
 
 
-def _digest(*parts: object) -> str:
-    """SHA-256 of arrays by their bytes, of anything else as it is printed."""
-    text = hashlib.sha256()
-    for part in parts:
-        array = isinstance(part, np.ndarray)
-        text.update(np.ascontiguousarray(part).tobytes() if array else repr(part).encode())
-    return text.hexdigest()
+def _no_region(name: str, mask: np.ndarray, count: int) -> InputError:
+    return InputError(
+        f"regions: expected some of {count} nodes as bool, got {name!r} of shape "
+        f"{list(mask.shape)} with {np.count_nonzero(mask)}"
+    )

@@ -26,6 +26,7 @@ from warp_peri.damage.stability import (
     check_no_fail,
 )
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import AllNodes
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.launch import floats, launch_slices, zeros
 from warp_peri.points.arrays import check_positive
@@ -220,12 +221,15 @@ class BreakingBody:
         field: np.ndarray = state.v.numpy()[: len(self.body.x)]
         return field
 
-    def ledger(self, state: BreakingState) -> Ledger:
-        """Work, kinetic, elastic and dissipated energy of this state."""
-        cell = self.body.spacing**self.body.dimension
-        kinetic = self.solid.density / 2 * float(np.vdot(state.v.numpy(), state.v.numpy()))
-        sums = (state.work.numpy().sum(), kinetic, state.energy.numpy().sum())
-        return Ledger(state.time, *(cell * float(part) for part in (*sums, state.dissipated.sum())))
+    def ledger(self, state: BreakingState, nodes: Any = None) -> Ledger:
+        """Work, kinetic, elastic and dissipated energy of this state; of the own nodes of all
+        processes, where `nodes` says which those are."""
+        body, density = self.body, self.solid.density
+        nodes = AllNodes(len(body.x)) if nodes is None else nodes
+        kinetic = density / 2 * np.square(state.v.numpy()).sum(axis=1)
+        fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)
+        sums = nodes.sum(np.stack([field[nodes.own] for field in fields], axis=1))
+        return Ledger(state.time, *(body.spacing**body.dimension * sums).tolist())
 
 
 def criterion(solid: BrittleSolid, body: LatticeBody) -> tuple[float | None, np.ndarray]:

@@ -120,15 +120,8 @@ class Cracked:
         how, begin, records, run = options_of_steps(options)
         offered(material, "density", "move", "a BrittleSolid for steps, or events=…, or loads=…")
         moving = BreakingBody(material, body, load=self.b, held=self.held, **how)
-        marching = CrackRun(moving, **records)
-        state = marching.march(moving.start(u=self.u, cracks=self.cracks, **begin), **run)
-        return Motion(
-            marching.history.column("time"),
-            moving.displacement(state).copy(),
-            moving.velocity(state).copy(),
-            marching.history.by_name(),
-            Broken(moving.damage(state), moving, state),
-        )
+        state = moving.start(u=self.u, cracks=self.cracks, **begin)
+        return broken(CrackRun(moving, **records), state, run)
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
         u = (
@@ -145,13 +138,27 @@ class Cracked:
         return soft.pull(u, **how)
 
 
+def broken(marching: CrackRun, state: BreakingState, run: dict[str, Any]) -> Motion:
+    """The motion of a run from a state, at the nodes of this process."""
+    body, own = marching.body, marching.nodes.own
+    state = marching.march(state, **run)
+    history, damage = marching.history, body.damage(state)[own]
+    return Motion(
+        history.column("time"),
+        body.displacement(state)[own].copy(),
+        body.velocity(state)[own].copy(),
+        history.by_name(),
+        Broken(damage, body, state),
+    )
+
+
 def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
     """Those of a motion in steps: for BreakingBody, its start, CrackRun and its march.
 
     Raises InputError for others.
     """
     parts = BreakingBody.__init__, BreakingBody.start, CrackRun.__init__, CrackRun.march
-    return taken(options, "move", *parts, given=("load", "held", "u", "cracks"))
+    return taken(options, "move", *parts, given=("load", "held", "u", "cracks", "nodes"))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,6 +5,7 @@ The step is bounded by the symbol (theory.md, 49–51); the energy that leapfrog
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -18,17 +19,21 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import AllNodes, RunFile, agreed
+from warp_peri.files.series import Series
+from warp_peri.launch import shared_by
 from warp_peri.lps.model import lps_stencil
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.transfer.cache import model_at
-from warp_peri.transfer.operator import LPSOperator
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.waves import KeptMotion
+    from warp_peri.transfer.operator import LPSOperator
 
+KIND = "warp_peri.waves"
+"""Of checkpoints."""
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
 SAME = 1e-9
@@ -108,6 +113,8 @@ class Inert:
         interior: nodes that move, shape [N] bool.
         density: ρ [kg/m³].
         load: b on the interior nodes [TPa/Å], shape [I, d].
+
+    Attributes:
         dot: the scalar product of two fields [I, d]; over all ranks where there are some.
         count: of interior nodes, likewise.
     """
@@ -118,14 +125,17 @@ class Inert:
         interior: np.ndarray,
         density: float,
         load: np.ndarray,
-        *,
-        dot: Callable[[np.ndarray, np.ndarray], float] = np.vdot,
-        count: int | None = None,
     ) -> None:
         self.operator, self.interior, self.load = operator, interior, load
         self.inertia = inertia(density, operator.model.units)
-        self.dot = dot
-        self.count = int(np.count_nonzero(interior)) if count is None else count
+        self.dot: Callable[[np.ndarray, np.ndarray], float] = np.vdot
+        self.count = int(np.count_nonzero(interior))
+
+    def on_all(self, inner: np.ndarray) -> np.ndarray:
+        """A field of interior nodes [I, d] on all, zero elsewhere."""
+        field = np.zeros((len(self.interior), inner.shape[1]))
+        field[self.interior] = inner
+        return field
 
     def state(self, u: np.ndarray, v: np.ndarray) -> State:
         """The state with displacement [N, d] and velocity [I, d]."""
@@ -157,11 +167,14 @@ def march(
     step: float,
     steps: int,
     every: int = 1,
+    checkpoint: str | os.PathLike[str] | None = None,
+    checkpoint_every: int = 10,
+    series: str | os.PathLike[str] | None = None,
 ) -> Motion:
     """March ρ ü = b − L u on the interior; the collar stays where it is.
 
     Only on lattices: on scattered points ``op(u)`` of LPSOperator is a node's share of the load
-    around it, whose mass is a matrix.
+    around it, whose mass is a matrix. On ranks fields are those of this rank's nodes.
 
     Args:
         operator: of a model on a lattice.
@@ -173,26 +186,39 @@ def march(
         step: Δt [ps], at most the critical one.
         steps: number of steps.
         every: steps from one record of the energy to the next.
+        checkpoint: file to go on from; written every `checkpoint_every` records and at the end.
+        series: folder for a file of each record, for ParaView.
 
     Returns:
         A motion whose time [ps] is half a step after each `every` steps, and whose energy is what
         leapfrog conserves (theory.md, 52), a mean over interior nodes [TPa].
 
-    Raises InputError for scattered points, arrays that do not fit, or a step that is too long; it
-    says how long a step may be.
+    Raises InputError for scattered points, arrays that do not fit, a step that is too long, which
+    says how long it may be, and the checkpoint of another motion.
     """
-    points = operator.points
-    if points.spacing == 0:
-        raise InputError("points: expected a lattice, got scattered points; see onto_lattice")
-    start = checked(points, {"u": u, "v": v, "b": b}, step, steps, every)
-    allowed = getattr(operator, "allowed", False)
-    if (own := getattr(operator, "stiffest_wave", None)) is not None:  # stiffer than the even solid
-        refuse_longer(step, 2 * np.sqrt(inertia(density, operator.model.units) / own()))
-    else:
-        check_step(operator.model, points.spacing, density, step, allow_uncertified=allowed)
+    points: Any = operator.points
+    nodes: Any = points if hasattr(points, "comm") else AllNodes(len(points.x))
+    with agreed(nodes.comm):
+        if points.spacing == 0:
+            raise InputError("points: expected a lattice, got scattered points; see onto_lattice")
+        start = checked(points, {"u": u, "v": v, "b": b}, step, steps, every)
+        check_whole("checkpoint_every", checkpoint_every, 1)
+    allowed, own = (getattr(operator, name, None) for name in ("allowed", "stiffest_wave"))
+    with shared_by(nodes.comm):
+        if own is not None:  # stiffer than the even solid
+            refuse_longer(step, 2 * np.sqrt(inertia(density, operator.model.units) / own()))
+        else:
+            check_step(
+                operator.model, points.spacing, density, step, allow_uncertified=bool(allowed)
+            )
     free = points.interior
     body = Inert(operator, free, density, start["b"][free])
-    return marched(body, body.state(start["u"], start["v"][free]), step, steps, every)
+    if nodes is points:
+        body.dot, body.count = points.dot, int(nodes.comm.allreduce(body.count))
+    kept = KeptMotion(nodes, body, step, every, checkpoint, checkpoint_every)
+    if series is not None:
+        kept.series = Series(series, nodes, points.x)
+    return marched(body, body.state(start["u"], start["v"][free]), step, steps, every, kept)
 
 
 def marched(
@@ -207,7 +233,7 @@ def marched(
     constant = body.operator(still) - body.load  # collar and load: g at u = 0
     begin, energy = 0, list[float]()
     if kept is not None:
-        state, begin, energy = kept.begun(body, state, steps)
+        state, begin, energy = kept.begun(state, steps)
     for number in range(begin, steps):
         before, state = state, step(body, state, dt)
         recorded = number % every == 0
@@ -219,10 +245,67 @@ def marched(
             energy.append((kinetic + potential) / body.count)
         if kept is not None and (recorded or number + 1 == steps):
             kept.reached(number + 1, state, energy, recorded=recorded)
-    v = np.zeros_like(state.u)
-    v[free] = state.v
     time = (np.arange(len(energy)) * every + 0.5) * dt
-    return Motion(time, state.u, v, {"energy": np.array(energy)})
+    return Motion(time, state.u, body.on_all(state.v), {"energy": np.array(energy)})
+
+
+class KeptMotion:
+    """Files of a motion: a checkpoint, and records for ParaView.
+
+    Args:
+        nodes: of this process, as AllNodes.
+        body: what moves.
+        dt, every: Δt, and steps from one record to the next.
+        checkpoint: file to go on from; written every `often` records and at the end.
+
+    Attributes:
+        series: of the records, where they are asked for.
+    """
+
+    def __init__(
+        self, nodes: Any, body: Inert, dt: float, every: int, checkpoint: Any, often: int
+    ) -> None:
+        self.nodes, self.body, self.dt, self.every, self.often = nodes, body, dt, every, often
+        self.file = None if checkpoint is None else RunFile(checkpoint, KIND, nodes)
+        self.series: Series | None = None
+        self._mark = ""
+
+    def begun(self, state: State, steps: int) -> tuple[State, int, list[float]]:
+        """The state to go on from, the steps behind it, and the energies so far.
+
+        Raises InputError for the checkpoint of another motion, and one that is further.
+        """
+        if self.file is None:
+            return state, 0, []
+        body, v = self.body, self.body.on_all(state.v)
+        ahead = state.u + self.dt * v  # feels the law, wherever it begins
+        fields = state.u, v, body.on_all(body.operator(ahead) - body.load)
+        self._mark = self.nodes.mark(*fields, body.interior, self.dt, body.inertia, self.every)
+        if (kept := self.file.read("u", "v")) is None:
+            return state, 0, []
+        arrays, values = kept
+        if values["mark"] != self._mark:
+            raise InputError(f"{self.file.path}: expected a checkpoint of this motion")
+        if values["steps"] > steps:
+            raise InputError(
+                f"{self.file.path}: expected at least the {values['steps']} steps of the "
+                f"checkpoint, got {steps}; name another file for a shorter run"
+            )
+        if self.series is not None:
+            self.series.times = values["files"]
+        there = body.state(arrays["u"], arrays["v"][body.interior])
+        return there, values["steps"], values["energy"]
+
+    def reached(self, done: int, state: State, energy: list[float], *, recorded: bool) -> None:
+        """After so many steps: a record, or the end."""
+        nodal = {"u": state.u, "v": self.body.on_all(state.v)}
+        if self.series is not None and recorded:
+            fields = {"displacement": nodal["u"], "velocity": nodal["v"]}
+            self.series.write(done, done * self.dt, fields)
+        if self.file is not None and (not recorded or len(energy) % self.often == 0):
+            values = {"mark": self._mark, "steps": done, "energy": energy}
+            times = {} if self.series is None else self.series.times
+            self.file.write(nodal, values | {"files": times})
 
 
 def checked(

@@ -18,6 +18,7 @@ from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file, write_text
+from warp_peri.files.series import write_vtu
 from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
 from warp_peri.kernels.flow import particles as kernels
 from warp_peri.launch import DEVICE, empty, ints, launch, zeros
@@ -300,19 +301,12 @@ class ChannelRecord:
 
     def save_vtu(self, folder: str | os.PathLike[str]) -> list[Path]:
         """One file a time, flow_0000.vtu and so on. Raises InputError without meshio."""
-        try:
-            import meshio
-        except ImportError:
-            raise InputError("meshio is not installed: pip install 'warp_peri[export]'") from None
         paths = []
         for n, (x, v, s, rho) in enumerate(zip(self.x, self.v, self.sigma, self.rho)):
-            points = np.column_stack([x, np.zeros(len(x))])
-            cells = [("vertex", np.arange(len(x))[:, None])]
-            data = {"velocity": np.column_stack([v, np.zeros(len(x))]), "density": rho}
+            data = {"velocity": v, "density": rho}
             data |= {f"stress_{name}": s[:, i] for i, name in enumerate(("xx", "xy", "yy", "zz"))}
-            paths.append(Path(folder) / f"flow_{n:04d}.vtu")
-            with whole_file(paths[-1]) as temporary:
-                meshio.Mesh(points, cells, point_data=data).write(temporary)
+            cells = "vertex", np.arange(len(x))[:, None]
+            paths.append(write_vtu(Path(folder) / f"flow_{n:04d}.vtu", x, cells, data))
         return paths
 
 

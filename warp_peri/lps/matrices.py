@@ -16,8 +16,7 @@ from warp_peri.kernels.lps.matrix import entries
 from warp_peri.launch import floats, launch, zeros
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.launches import check_volumes, influence, surface_shape
-from warp_peri.lps.model import Model
-from warp_peri.lps.operator import on_nominal_lattice
+from warp_peri.lps.model import Model, on_nominal_lattice
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE

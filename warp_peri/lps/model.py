@@ -19,12 +19,13 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import check_whole, is_number
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
-from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
 from warp_peri.shown import error_rows, proven_rows
 
 if TYPE_CHECKING:
-    from warp_peri.points.samples import PointsLike
     from warp_peri.statics.lps import PlacedLPS
 
 ALPHA_BOUND = 3.0
@@ -452,3 +453,23 @@ def stencil_of(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float)
     kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors[half]).max())
     both = (tensors + tensors.transpose(0, 2, 1)) / 2
     return Stencil(classes.spacing, steps[kept], both[kept])
+
+
+def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
+    """The nodes, scaled to the certified spacing that theirs is taken as.
+
+    What is proven of a lattice holds there, and not a millionth beside it: with the bond lengths of
+    the certified lattice the operator is the one of the proof. Any other lattice, and scattered
+    points, are returned as they are.
+
+    Raises InputError where the points are in other units or dimensions than the model.
+    """
+    nodes = nodes_of(points)
+    check_same(model.units, nodes.units)
+    model.check_dimension(nodes)
+    spacing = model.nominal_spacing(nodes.spacing)
+    if spacing == nodes.spacing:
+        return nodes
+    scale = spacing / nodes.spacing
+    box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
+    return replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)

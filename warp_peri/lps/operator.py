@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,32 +25,10 @@ from warp_peri.lps.launches import (
     filled,
     influence_inputs,
 )
-from warp_peri.lps.model import Model, Solid
+from warp_peri.lps.model import Model, Solid, on_nominal_lattice
 from warp_peri.lps.rows import Rows
-from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.points.unit_names import check_same
-
-
-def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
-    """The nodes, scaled to the certified spacing that theirs is taken as.
-
-    What is proven of a lattice holds there, and not a millionth beside it: with the bond lengths of
-    the certified lattice the operator is the one of the proof. Any other lattice, and scattered
-    points, are returned as they are.
-
-    Raises InputError where the points are in other units or dimensions than the model.
-    """
-    nodes = nodes_of(points)
-    check_same(model.units, nodes.units)
-    model.check_dimension(nodes)
-    spacing = model.nominal_spacing(nodes.spacing)
-    if spacing == nodes.spacing:
-        return nodes
-    scale = spacing / nodes.spacing
-    box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
-    return dataclasses.replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)
+from warp_peri.points.samples import PointsLike
 
 
 @dataclass(frozen=True)

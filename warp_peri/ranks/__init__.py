@@ -6,13 +6,15 @@ A rank is one of the processes. Each owns a piece of the nodes; what comes back 
 from contextlib import suppress
 
 from warp_peri.errors import InputError
+from warp_peri.files.series import Series
 from warp_peri.launch import ranks_started
-from warp_peri.ranks.files import Series
-from warp_peri.ranks.pieces import Piece, lattice, spread, whole
 from warp_peri.ranks.processes import is_first, together, world
+from warp_peri.ranks.subdomain import Subdomain, gather, lattice, partition
 
 if ranks_started():
     with suppress(InputError):  # raised again where ranks are used
         world()  # from here on one rank speaks
 
-__all__ = ["Piece", "Series", "is_first", "lattice", "spread", "together", "whole"]
+__all__ = [
+    "Series", "Subdomain", "gather", "is_first", "lattice", "partition", "together",
+]  # fmt: skip

@@ -1,17 +1,221 @@
-"""What a rank feels of other ranks' nodes: lists of nodes (of boxes: ranks.tiles)."""
+"""What a rank feels of others' nodes: a box of lattice nodes in tiles, and lists of nodes."""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 from warp_peri.points.strain import largest_strain
+from warp_peri.ranks.processes import Comm
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.pieces import Piece
+    from warp_peri.ranks.subdomain import Subdomain
+
+
+@dataclass(frozen=True, eq=False)
+class Tiles:
+    """A box of lattice nodes in tiles along its first axes, owned by a grid of ranks.
+
+    What is computed tile by tile has the same bits on any number of ranks, and on any grid of them.
+
+    Attributes:
+        shape: nodes of the box along the axes.
+        block: nodes of a tile along the axes that are cut; of slabs of rows that is one.
+        starts: along each of these the first node of each rank of the grid, and the number of
+            nodes, shape [p + 1].
+    """
+
+    shape: tuple[int, ...]
+    block: tuple[int, ...]
+    starts: tuple[np.ndarray, ...]
+
+    @property
+    def grid(self) -> tuple[int, ...]:
+        """Ranks along the axes that are cut."""
+        return tuple(len(starts) - 1 for starts in self.starts)
+
+    def at(self, rank: int) -> tuple[int, ...]:
+        """Where a rank lies in the grid."""
+        return tuple(int(n) for n in np.unravel_index(rank, self.grid))
+
+    def own(self, rank: int) -> tuple[slice, ...]:
+        """The nodes of a rank along the axes that are cut."""
+        return tuple(slice(int(s[i]), int(s[i + 1])) for s, i in zip(self.starts, self.at(rank)))
+
+    def box(self, rank: int) -> tuple[int, ...]:
+        """Nodes of a rank along all axes."""
+        own = self.own(rank)
+        return (*(part.stop - part.start for part in own), *self.shape[len(own) :])
+
+    def corner(self, rank: int) -> np.ndarray:
+        """The first node of a rank, shape [d]."""
+        first = [part.start for part in self.own(rank)]
+        return np.array(first + [0] * (len(self.shape) - len(first)), np.int32)
+
+    def parts(self, box: tuple[int, ...]) -> list[tuple[slice, ...]]:
+        """The tiles of a rank with so many nodes, from its own first node."""
+        along = [
+            [slice(first, min(first + size, count)) for first in range(0, count, size)]
+            for size, count in zip(self.block, box)
+        ]
+        return list(itertools.product(*along))
+
+    def everywhere(self) -> Tiles:
+        """The same, cut along all axes, into one part along those that are not."""
+        rest = self.shape[len(self.block) :]
+        ends = tuple(np.array([0, n]) for n in rest)
+        return replace(self, block=self.block + rest, starts=self.starts + ends)
+
+    @property
+    def halves(self) -> bool:
+        """Whether every second node lies in tiles of whole numbers of nodes too."""
+        return all(size % 2 == 0 for size in self.block)
+
+    def coarser(self) -> Tiles:
+        """Every second node along each axis, from the second on."""
+        return replace(
+            self,
+            shape=tuple(n // 2 for n in self.shape),
+            block=tuple(n // 2 for n in self.block),
+            starts=tuple(starts // 2 for starts in self.starts),
+        )
+
+
+def cut(comm: Comm, shape: tuple[int, ...], block: tuple[int, ...]) -> Tiles:
+    """A box cut into tiles for the ranks there are: who has most has as few as can be, then the
+    nodes along the cuts are as few as can be.
+
+    Args:
+        comm: the ranks.
+        shape: nodes along each axis.
+        block: nodes of a tile along the first axes, even numbers.
+
+    Raises InputError for other tiles, and ranks that are more than tiles or form no grid of them.
+    """
+    fits = 0 < len(block) <= len(shape) and all(isinstance(n, int) for n in block)
+    if not fits or any(n < 2 or n % 2 for n in block):
+        said = block[0] if len(block) == 1 else block
+        raise InputError(f"block: expected even numbers, at most {len(shape)}, got {said}")
+    while len(block) > 1 and block[-1] >= shape[len(block) - 1]:
+        block = block[:-1]  # as wide as the box: not cut there
+    counts = tuple(-(-n // size) for n, size in zip(shape, block))
+    if comm.size > math.prod(counts):
+        kind = f"{shape[0]} rows in blocks of {block[0]}"
+        if len(block) > 1:
+            kind = f"{' × '.join(map(str, shape))} nodes in tiles of {' × '.join(map(str, block))}"
+        raise InputError(f"ranks: expected at most {math.prod(counts)} for {kind}, got {comm.size}")
+    found = _grid(comm.size, shape, block, counts)
+    if found is None:
+        fewer = (n for n in range(comm.size, 0, -1) if _grid(n, shape, block, counts))
+        raise InputError(
+            f"ranks: expected a product of numbers up to {' and '.join(map(str, counts))}, the "
+            f"tiles along the axes, got {comm.size}; {next(fewer)} would do"
+        )
+    starts = tuple(
+        np.minimum(size * (count * np.arange(p + 1) // p), n)
+        for n, size, count, p in zip(shape, block, counts, found)
+    )
+    return Tiles(tuple(int(n) for n in shape), tuple(int(n) for n in block), starts)
+
+
+def _grid(
+    ranks: int, shape: tuple[int, ...], block: tuple[int, ...], counts: tuple[int, ...]
+) -> tuple[int, ...] | None:
+    """The best grid of so many ranks; None where no grid has a tile for each."""
+    factors = [n for n in range(ranks, 0, -1) if ranks % n == 0]  # along the first axis at best
+    grids = [
+        grid
+        for grid in itertools.product(*[[n for n in factors if n <= count] for count in counts])
+        if math.prod(grid) == ranks
+    ]
+
+    def cost(grid: tuple[int, ...]) -> tuple[int, float]:
+        most = math.prod(-(-count // p) for count, p in zip(counts, grid))
+        return most, sum((p - 1) / n for p, n in zip(grid, shape))  # nodes of the cuts, over all
+
+    return min(grids, key=cost, default=None)
+
+
+class Halo:
+    """Nodes of other ranks around those of this one, with the corners, along the axes that are cut.
+
+    Args:
+        comm: the ranks.
+        tiles: who owns what.
+        width: nodes on each side; beyond the box they are zero. More than a neighbour has come
+            from the next ones.
+    """
+
+    def __init__(self, comm: Comm, tiles: Tiles, width: int) -> None:
+        self.comm, self.width = comm, width
+        own = tiles.own(comm.rank)
+        self._inside = tuple(slice(width, width + part.stop - part.start) for part in own)
+        self._give, self._take = [], []
+        for r in range(comm.size):
+            if r == comm.rank:
+                continue
+            theirs = tiles.own(r)
+            if (given := _shared(own, theirs, width)) is not None:
+                self._give.append((r, _from(given, own, 0)))
+            if (taken := _shared(theirs, own, width)) is not None:
+                self._take.append((r, _from(taken, own, width)))
+        self._wide = np.zeros(0)
+        self._requests: list[Any] = []
+        self._buffers: list[np.ndarray] = []
+
+    def start(self, field: np.ndarray) -> np.ndarray:
+        """A field [c, *box] among zeros, which `finish` fills. One at a time."""
+        w, cuts = self.width, len(self._inside)
+        sides = (n + 2 * w * (axis < cuts) for axis, n in enumerate(field.shape[1:]))
+        self._wide = wide = np.zeros((len(field), *sides), field.dtype)
+        wide[:, *self._inside] = field
+        self._buffers = [np.empty_like(wide[:, *place], order="C") for _, place in self._take]
+        out = [np.ascontiguousarray(field[:, *place]) for _, place in self._give]
+        self._requests = [
+            *(self.comm.Irecv(b, source=r, tag=w) for (r, _), b in zip(self._take, self._buffers)),
+            *(self.comm.Isend(b, dest=r, tag=w) for (r, _), b in zip(self._give, out)),
+        ]
+        self._out = out
+        return wide
+
+    def finish(self) -> None:
+        """Wait for the nodes of others."""
+        from mpi4py import MPI
+
+        MPI.Request.Waitall(self._requests)
+        for (_, place), buffer in zip(self._take, self._buffers):
+            self._wide[:, *place] = buffer
+        self._wide, self._requests, self._buffers, self._out = np.zeros(0), [], [], []
+
+    def __call__(self, field: np.ndarray) -> np.ndarray:
+        """The field with the nodes of others around it."""
+        wide = self.start(field)
+        self.finish()
+        return wide
+
+
+def _shared(
+    have: tuple[slice, ...], want: tuple[slice, ...], width: int
+) -> tuple[slice, ...] | None:
+    """What one box has of another with so many nodes more around it; None for nothing."""
+    both = tuple(
+        slice(max(h.start, w.start - width), min(h.stop, w.stop + width))
+        for h, w in zip(have, want)
+    )
+    return both if all(part.start < part.stop for part in both) else None
+
+
+def _from(box: tuple[slice, ...], own: tuple[slice, ...], margin: int) -> tuple[slice, ...]:
+    """A box as counted from the first of own nodes with a margin around them."""
+    shifts = (margin - part.start for part in own)
+    return tuple(slice(part.start + s, part.stop + s) for part, s in zip(box, shifts))
 
 
 NEAREST = 4.0
@@ -32,10 +236,12 @@ class NodeHalo:
         number: of all nodes here in the whole body, rising, shape [m].
         x: their positions, shape [m, d].
         own: places of the piece's own among them, shape [n].
+        count: nodes of the whole body.
         sent: bytes of one exchange of vectors that this rank sends.
     """
 
-    def __init__(self, piece: Piece, reach: float) -> None:
+    def __init__(self, piece: Subdomain, reach: float) -> None:
+        self.piece, self.count = piece, piece.count
         comm, slack = piece.comm, 1e-6 * piece.spacing
         low, high = piece.x.min(axis=0) - reach - slack, piece.x.max(axis=0) + reach + slack
         boxes = comm.allgather((low, high))
@@ -64,6 +270,19 @@ class NodeHalo:
         """Which of the nodes here are the piece's own, shape [m]."""
         return np.isin(np.arange(len(self.number)), self.own)
 
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Of values [k, ...] over all ranks, shape [...]."""
+        return self.piece.sum(values)
+
+    def gather(self, values: np.ndarray) -> np.ndarray:
+        """Values [n, ...] of the own nodes on all of the whole body, on every rank."""
+        return self.piece.gather(values)
+
+    def mark(self, *parts: Any) -> str:
+        """As Subdomain.mark, of arrays [m or more, ...] on the nodes here."""
+        own = [part[self.own] if isinstance(part, np.ndarray) else part for part in parts]
+        return self.piece.mark(*own)
+
     def start(self, field: np.ndarray) -> Callable[[], None]:
         """Send for others' nodes in a field of vectors [m or more, d]; what fills them in it."""
         from mpi4py import MPI
@@ -84,6 +303,13 @@ class NodeHalo:
     def exchange(self, field: np.ndarray) -> None:
         """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
         self.start(field)()
+
+    def felt(self, u: np.ndarray) -> np.ndarray:
+        """Vectors [n, d] of the own nodes on all nodes here, [m, d]."""
+        field = np.zeros_like(self.x)
+        field[self.own] = u
+        self.exchange(field)
+        return field
 
     def around(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of the piece's own nodes on all nodes here, [m, ...]."""
@@ -108,11 +334,9 @@ class NodeHalo:
         return np.asarray(found[self.own])
 
 
-def strain_on_ranks(piece: Piece, u: np.ndarray) -> float:
+def strain_on_ranks(piece: Subdomain, u: np.ndarray) -> float:
     """As points.strain.largest_strain, of u [n, d] of a piece, over all ranks."""
     halo = NodeHalo(piece, piece.spacing or NEAREST * piece.carrier)
-    field = np.zeros_like(halo.x)
-    field[halo.own] = u
-    halo.exchange(field)
+    field = halo.felt(u)
     here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
     return float(max(piece.comm.allgather(largest_strain(here, field, halo.own))))

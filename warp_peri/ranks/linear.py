@@ -1,36 +1,49 @@
-"""A linear body at rest on many ranks: conjugate gradients, a windowed inverse and multigrid."""
+"""Linear bodies at rest on many ranks, on a lattice in tiles and on scattered points.
+
+Of scattered points the system is Tᵗ L T u = Tᵗ b (theory.md, M7). A rank assembles the rows of its
+own nodes, from all nodes that these feel; conjugate gradients are preconditioned by the inverse of
+the diagonal, which is right for short waves, and by multigrid on a coarse lattice for
+long ones (R4).
+"""
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Callable
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from warp_peri.core.elements import q1_tensors
+from warp_peri.core.grid import Grid, complete, refuse_cut
 from warp_peri.core.sweeps import SCALARS, torus_symbol
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import agreed
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
+from warp_peri.lps.model import Model
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.lps import tensors_of
+from warp_peri.points.interpolation import FINER, NEIGHBOURS
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
-from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter
-from warp_peri.ranks.multigrid import Between, cycle
+from warp_peri.ranks.halo import Halo, NodeHalo
+from warp_peri.ranks.multigrid import LONG, Between, Convolution, cycle, inverse_filter
 from warp_peri.ranks.petsc import PetscCycle
-from warp_peri.ranks.processes import agreed, build, in_turn
-from warp_peri.ranks.sums import inner
-from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite, norm
+from warp_peri.ranks.processes import build, in_turn, inner
+from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.multigrid import coarser
+from warp_peri.statics.scattered import ThroughLattice
+from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.kept import Kept
-    from warp_peri.ranks.pieces import Piece
+    from warp_peri.ranks.subdomain import Subdomain
     from warp_peri.statics.linear import Inverse
 
-STAGE = 1e-3
-"""Of a residual, after which a solve with a checkpoint writes it."""
+
+MOST = 32
+"""Solids whose tensors, proofs and filters are remembered, by what their files would hold."""
 
 
 class RowOperator:
@@ -44,26 +57,30 @@ class RowOperator:
     Raises InputError for a law without a proof, and interior nodes near the edge of the box.
     """
 
-    def __init__(self, law: Crystal, piece: Piece, petsc: bool = False) -> None:
+    def __init__(self, law: Crystal, piece: Subdomain, petsc: bool = False) -> None:
         if piece.tiles is None:
             raise InputError("points: expected a lattice in tiles for a body at rest on ranks")
         comm, tiles, d = piece.comm, piece.tiles, piece.dimension
         self.model, self.points, self.dimension = law, piece, d
         self._tiles, self._box, self._petsc = tiles, tiles.box(comm.rank), petsc
-        self._place = np.ravel_multi_index(
-            tuple((piece.grid - tiles.corner(comm.rank)).T), self._box
+        place = np.ravel_multi_index(tuple((piece.grid - tiles.corner(comm.rank)).T), self._box)
+        self._grid = Grid(
+            np.eye(d), self._box, 0, False, np.arange(len(place)), place, place[piece.interior]
         )
-        self.reach = int(np.abs(law.steps).max())
-        self.mask = np.zeros(self._box, bool)
-        self.mask.flat[self._place[piece.interior]] = True
+        self.mask = self._grid.mask()
         with agreed(comm):
-            self._check()
+            check_same(law.units, piece.units)
+            if self.proven is None:
+                raise InputError("material: expected one that is proven stable on the lattice")
         self._check_whole()
         build(comm, row_kernels(SCALARS[np.dtype(np.float64)], d).pulled)
         tensors = law.tensors * law.spacing**2
         scale = law.spacing**-2
         self._L = Convolution(
-            comm, tiles, self.reach, lambda torus: scale * torus_symbol(torus, law.steps, tensors)
+            comm,
+            tiles,
+            int(np.abs(law.steps).max()),
+            lambda torus: scale * torus_symbol(torus, law.steps, tensors),
         )
 
     @cached_property
@@ -72,42 +89,21 @@ class RowOperator:
         on every second node."""
         law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
         scale = law.spacing**-2
-        width, symbol = inverse_filter(law.steps, law.tensors * law.spacing**2, law.tensor())
+        width, symbol = _filter(law)
         short = Convolution(comm, tiles, width, lambda torus: symbol(torus) / scale, np.float32)
         between = Between(comm, tiles)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
         made = PetscCycle if self._petsc else cycle
         return short, between, made(comm, *near, coarser(self.mask), between.coarse)
 
-    def _check(self) -> None:
-        piece, law = self.points, self.model
-        check_same(law.units, piece.units)
-        if self.proven is None:
-            raise InputError("material: expected one that is proven stable on the lattice")
-        inside = piece.grid[piece.interior]
-        most = np.array(self._tiles.shape) - 1
-        if len(inside) and min(inside.min(), (most - inside).min()) < self.reach:
-            raise InputError(
-                f"points: expected {self.reach} nodes around the interior, whose displacement is "
-                f"given, in a box of {self._tiles.shape}"
-            )
-
     def _check_whole(self) -> None:
         """InputError where nodes are missing within the law's reach of an unknown one."""
-        piece, law, d = self.points, self.model, self.dimension
-        if piece.count == np.prod(self._tiles.shape):
-            return
-        bonds = np.broadcast_to(np.eye(d), (len(law.steps), d, d))
-        count = Convolution(
-            piece.comm, self._tiles, self.reach, lambda torus: torus_symbol(torus, law.steps, bonds)
-        )
-        there = self.take_up(count(self.lay_out(np.ones_like(piece.x))))
-        cut = int(np.abs(there[piece.interior, 0]).round().astype(bool).sum())
-        if cut := sum(piece.comm.allgather(cut)):
-            raise InputError(
-                f"points: expected all bonds of every interior node on ranks, got {cut} nodes with "
-                "cut bonds"
-            )
+        grid, comm, steps = self._grid, self.points.comm, self.model.steps
+        there = np.zeros((1, *self._box), np.int8)
+        there.flat[grid.place] = 1
+        body = Halo(comm, self._tiles.everywhere(), int(np.abs(steps).max()))(there)[0] > 0
+        counts = int((self.mask & ~complete(body, steps)).sum()), len(grid.interior)
+        refuse_cut(*np.sum(comm.allgather(counts), axis=0).tolist())
 
     @property
     def proven(self) -> str | None:
@@ -117,16 +113,6 @@ class RowOperator:
             return None
         return f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
 
-    def lay_out(self, values: np.ndarray) -> np.ndarray:
-        """Vectors of the nodes [n, d] in planes [d, *box]."""
-        field = np.zeros((self.dimension, int(np.prod(self._box))))
-        field[:, self._place] = values.T
-        return field.reshape(self.dimension, *self._box)
-
-    def take_up(self, field: np.ndarray) -> np.ndarray:
-        """Planes at the nodes of this rank, [n, d]."""
-        return np.ascontiguousarray(field.reshape(self.dimension, -1)[:, self._place].T)
-
     def product(self, field: np.ndarray) -> np.ndarray:
         """L of planes, at the unknown nodes."""
         pulled = self._L(field)
@@ -135,8 +121,16 @@ class RowOperator:
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
-        pulled: np.ndarray = self.take_up(self.product(self.lay_out(u)))[self.points.interior]
-        return pulled
+        field = self._grid.scatter(np.asarray(u)[None])[0]
+        return np.asarray(self._grid.gather(self.product(field)[None])[0])
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on this rank's interior, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
+    def inverse(self, loads: int) -> Inverse:
+        """L⁻¹ of a load on this rank's interior [i, d], to a relative residual, for `predict`."""
+        return lambda right, tolerance: self.inverted(right, tolerance)[0]
 
     def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
         """z ≈ L⁻¹ r: multigrid while the nodes for the filter are on their way, then the filter."""
@@ -164,63 +158,25 @@ class RowOperator:
 
         return inner(self.points.comm, along)
 
-    def solve(
-        self, b: np.ndarray, u: np.ndarray, tolerance: float, kept: Kept | None = None
-    ) -> tuple[Any, SolveRecord]:
-        """Displacement [n, d] with load b on the interior and u given elsewhere.
-
-        With `kept` the answer is written each time that the residual is STAGE of what it was.
-        """
-        given, right = self.sides(b, u)
-        if kept is None:
-            found, record = self.inverted(right, tolerance)
-            return given + self.take_up(found), record
-        start, inner, record = kept.start(), self.inner(), SolveRecord()
-        last = np.inf
-        inside, size = self.points.interior[:, None], norm(right, inner)
-        found = self.lay_out(np.where(inside, 0.0 if start is None else start, 0.0))
-        while (left := norm(rest := right - self.product(found), inner)) > tolerance * size:
-            if not left < last:
-                raise InputError(
-                    f"tolerance: {tolerance:.1e} of the load was asked for, the residual stays at "
-                    f"{last / size:.1e}, which is rounding"
-                )
-            last = left
-            more, part = self.inverted(rest, max(tolerance * size / left, STAGE))
-            found += more
-            record.iterations += part.iterations
-            kept.keep(given + self.take_up(found))
-        record.residual = left / size if size > 0 else 0.0
-        return given + self.take_up(found), record
-
-    def sides(self, b: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """u where it is given, zero elsewhere, [n, d]; the load in planes, less what that pulls."""
-        inside = self.points.interior[:, None]
-        given = np.where(inside, 0.0, u)
-        return given, self.lay_out(np.where(inside, b, 0.0)) - self.product(self.lay_out(given))
-
     def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
-        """Planes, zero off the unknown nodes, with L of them as given there."""
+        """L⁻¹ of a load on this rank's interior, both [i, d]."""
         _ = self._near  # made before the search has its fields
-        return definite(self.product, self.nearly_inverse, right, tolerance, inner=self.inner())
-
-    def inverse(self, loads: int) -> Inverse:
-        """L⁻¹ of a load on this rank's interior [i, d], to a relative residual, for `predict`."""
-
-        def solved(right: np.ndarray, tolerance: float) -> np.ndarray:
-            whole = np.zeros(self.points.x.shape)
-            whole[self.points.interior] = right
-            found = self.take_up(self.inverted(self.lay_out(whole), tolerance)[0])
-            return np.asarray(found[self.points.interior])
-
-        return solved
-
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """b on this rank's interior, which the operator equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+        planes = self._grid.scatter_interior(right)
+        found, record = definite(
+            self.product, self.nearly_inverse, planes, tolerance, inner=self.inner()
+        )
+        return self._grid.gather(found[None])[0], record
 
 
-def tensors_at(linear: Any, piece: Piece) -> Crystal:
+@lru_cache(MOST)
+def _filter(law: Crystal) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
+    return inverse_filter(law.steps, law.tensors * law.spacing**2, law.tensor())
+
+
+_proven: dict[tuple[str, float], Crystal] = {}
+
+
+def tensors_at(linear: Any, piece: Subdomain) -> Crystal:
     """A linear solid or a crystal as tensors on a piece's lattice, proven by all ranks.
 
     A linear solid is transferred as `model_at` does. Raises InputError as that, and for a crystal
@@ -232,11 +188,14 @@ def tensors_at(linear: Any, piece: Piece) -> Crystal:
             linear.fitting(Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis))
         return linear
     if not linear.is_certified_on(piece.spacing):
-        from warp_peri.transfer.cache import model_at  # loads torch, 185 MB a rank
-
         linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
-    with shared_by(piece.comm):
-        return tensors_of(linear, piece.spacing)
+    known = str(linear.content()["sha256"]), piece.spacing
+    if known not in _proven:
+        if len(_proven) == MOST:
+            del _proven[next(iter(_proven))]
+        with shared_by(piece.comm):
+            _proven[known] = tensors_of(linear, piece.spacing)
+    return _proven[known]
 
 
 def one_node(dimension: int, spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
@@ -244,3 +203,124 @@ def one_node(dimension: int, spacing: float, reach: float) -> tuple[np.ndarray, 
     steps = int(np.ceil(reach / spacing))
     grid = np.argwhere(np.ones((2 * steps + 1,) * dimension)) - steps
     return spacing * grid, np.asarray((grid == 0).all(axis=1))
+
+
+TOUCH = 2.0 * np.sqrt(NEIGHBOURS / np.pi)
+"""Mean spacings within which a place of the lattice finds the nodes that it is interpolated from,
+and more."""
+INSIDE = 0.5
+"""Share of a coarse node's neighbourhood that is unknown where it is."""
+SHARPER = 0.1
+"""Of a residual that is asked for as on a lattice: of the same one more is left of long waves."""
+LONG_SHARE = 2.0
+"""Share of the long waves' answer beside the diagonal's, on scattered points."""
+
+
+class ScatteredOperator:
+    """A = Tᵗ L T of scattered nodes, and what inverts it nearly.
+
+    Args:
+        model: a linear solid, certified on some lattice.
+        piece: the nodes of this rank, of scattered points.
+        petsc: whether its coarse problem is PETSc's.
+
+    Raises InputError as ThroughLattice does.
+    """
+
+    def __init__(self, model: Model, piece: Subdomain, petsc: bool = False) -> None:
+        comm, carrier = piece.comm, piece.carrier
+        self.points = piece
+        felt = FINER * carrier * TOUCH
+        stencil = carrier * np.ceil(2 * model.horizon / carrier)
+        self.halo = halo = NodeHalo(piece, 2 * felt + 2 * stencil)
+        inside = np.zeros(len(halo.x), bool)
+        inside[halo.own] = piece.interior
+        self.through: ThroughLattice | None = None  # where no node is unknown
+        self.model = in_turn(comm, lambda: model_at(model, carrier))
+        with agreed(comm):
+            if inside.any():
+                here = Points(halo.x, inside, 0.0, units=piece.units, axis=piece.axis)
+                self.through = ThroughLattice(self.model, here, spacing=carrier)
+        self._diagonal = np.zeros((0, 2))
+        if self.through is not None:
+            A = self.through.problem.stiffness
+            self._diagonal = A.diagonal().reshape(-1, 2)
+        self._long = _Coarse(piece, carrier, self.model, petsc)
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """A u at this rank's interior nodes, shape [i, 2], of u [n, 2]."""
+        field = self.halo.felt(u)
+        return field[:0] if self.through is None else self.through(field[None])[0]
+
+    @property
+    def proven(self) -> str | None:
+        """What the certificate of the lattice says, if it holds."""
+        model = self.model
+        figures = model.certificate.get(f"{model.nominal_spacing(self.points.carrier):g}", {})
+        return str(figures["statement"]) if "statement" in figures else None
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """Tᵗ b at this rank's interior nodes, of b [n, 2] at the nodes."""
+        around = self.halo.around(b)
+        return around[:0] if self.through is None else self.through.load(around[None])[0]
+
+    def inverse(self, loads: int) -> Inverse:
+        """A⁻¹ of a load on this rank's interior [i, 2], to a relative residual, for `predict`."""
+        return lambda right, tolerance: self.inverted(right, SHARPER * tolerance)[0]
+
+    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+        """v at this rank's interior nodes with A v = right, both [i, 2], zero on the collar."""
+        inside = self.points.interior
+
+        def product(v: np.ndarray) -> np.ndarray:
+            alone = np.zeros_like(self.points.x)
+            alone[inside] = v
+            return self(alone)
+
+        def nearly_inverse(r: np.ndarray) -> np.ndarray:
+            return r / self._diagonal + LONG_SHARE * self._long(r)
+
+        return definite(product, nearly_inverse, right, tolerance, inner=self.points.inner)
+
+
+class _Coarse:
+    """N V Nᵗ: linear interpolation from a coarse lattice to interior nodes, and multigrid there.
+
+    Sums go by rows of its cells: those of one row are all on one rank.
+    """
+
+    def __init__(self, piece: Subdomain, spacing: float, model: Model, petsc: bool) -> None:
+        if piece.tiles is None or piece.at is None:
+            raise InputError("points: expected scattered points by rows, got a lattice")
+        comm, tiles, inside = piece.comm, piece.tiles, piece.interior
+        self.shape = tiles.box(comm.rank)
+        cell = np.floor(piece.at).astype(np.int64)
+        N = _between(piece.at - cell, cell - tiles.corner(comm.rank), self.shape)
+        self._N = [side[inside] for side in N]
+        self._halo = Halo(comm, tiles, 1)
+        whole, free = (self._summed(N, ask[:, None]) for ask in (np.ones(len(cell)), 1.0 * inside))
+        self.mask = (free > INSIDE * whole)[0] & (whole > 0)[0]
+        elastic = tensors_of(model, spacing).tensor()
+        near = q1_tensors(elastic * spacing**-2)
+        made = PetscCycle if petsc else cycle
+        self._cycle = made(comm, *near, self.mask, tiles)
+
+    def _summed(self, N: list[sp.csr_array], values: np.ndarray) -> np.ndarray:
+        """Nᵗ of values [n, c] at nodes, planes [c, rows, ...]."""
+        low, high = ((side.T @ values).T.reshape(-1, *self.shape) for side in N)
+        return np.asarray(low + self._halo(high)[:, : self.shape[0]])
+
+    def __call__(self, r: np.ndarray) -> np.ndarray:
+        z = self._halo(self._cycle(self._summed(self._N, r) * self.mask))[:, 1:]
+        low, high = (part.reshape(len(z), -1).T for part in (z[:, :-1], z[:, 1:]))
+        return np.asarray(self._N[0] @ low + self._N[1] @ high)
+
+
+def _between(share: np.ndarray, cell: np.ndarray, shape: tuple[int, ...]) -> list[sp.csr_array]:
+    """Linear interpolation to nodes from their row of a box of cells, and from the next row."""
+    (s, t), (k, n) = share.T, cell.T
+    place = np.stack([k * shape[1] + n, k * shape[1] + n + 1], axis=1)
+    first, size = np.arange(len(cell) + 1) * 2, (len(cell), int(np.prod(shape)))
+    along = np.stack([1 - t, t], axis=1)
+    sides = ((side[:, None] * along).ravel() for side in (1 - s, s))
+    return [sp.csr_array((weight, place.ravel(), first), shape=size) for weight in sides]

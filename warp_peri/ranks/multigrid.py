@@ -1,15 +1,183 @@
-"""The V-cycle of statics.multigrid in tiles of many ranks; where it is small, each has it all."""
+"""Stencils on tiles, and what nearly inverts them: a filter and multigrid (theory.md, R1, R2).
+
+A tile has nodes of others around it and its own transform; none crosses ranks, and a tile's has the
+same bits on any number of them.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import itertools
+from collections.abc import Callable
 
-from warp_peri.core.grid import Grid
-from warp_peri.core.sweeps import ByRows, torus_symbol
-from warp_peri.ranks.convolution import smallest
+import numpy as np
+import scipy.fft
+
+from warp_peri.core.sweeps import component, torus_symbol
+from warp_peri.launch import threads
+from warp_peri.ranks.halo import Halo, Tiles
 from warp_peri.ranks.processes import Comm
-from warp_peri.ranks.tiles import Halo, Tiles
-from warp_peri.statics.multigrid import VCycle, coarser, prolong, restrict
+from warp_peri.statics.multigrid import (
+    SHIFT,
+    VCycle,
+    coarser,
+    prolong,
+    restrict,
+    seen_by_coarser,
+    shear,
+    shifted_inverse,
+)
+
+WIDTH = {2: 32, 3: 12}
+"""Half the width of the inverse filter [nodes]."""
+LONG = 0.7
+"""Share of the long waves' answer beside the filter's, which is alone right for short ones: with
+less than all of it the iterations grow by one or two, not three, from 128² to 2000²."""
+TORUS = 8
+"""Widths of the torus that the filter is taken from."""
+
+
+class Convolution:
+    """A symmetric stencil's product with fields in tiles, zero beyond the box.
+
+    Args:
+        comm, tiles: the box and who owns what.
+        reach: of the stencil [nodes].
+        symbol: its transform on a torus of a given shape, [d (d + 1)/2, *torus] halved.
+        dtype: of the transforms, float64 or float32.
+    """
+
+    def __init__(
+        self,
+        comm: Comm,
+        tiles: Tiles,
+        reach: int,
+        symbol: Callable[[tuple[int, ...]], np.ndarray],
+        dtype: type = np.float64,
+    ) -> None:
+        self.reach, self.dtype = reach, dtype
+        self.box, self.parts = tiles.box(comm.rank), tiles.parts(tiles.box(comm.rank))
+        self.halo, cuts = Halo(comm, tiles, reach), len(tiles.block)
+        across = (max(n, reach + 1) + reach for n in tiles.shape[cuts:])  # the stencil fits too
+        sizes = (*(n + 2 * reach for n in tiles.block), *across)
+        self.torus = tuple(scipy.fft.next_fast_len(n, real=True) for n in sizes)
+        self.symbol: np.ndarray = symbol(self.torus).astype(dtype)
+
+    def start(self, field: np.ndarray) -> None:
+        """Send for the nodes of others; `finish` gives the product."""
+        self._wide = self.halo.start(field.astype(self.dtype, copy=False))
+
+    def finish(self) -> np.ndarray:
+        """The product with the field that was sent for, [d, *box]; inner tiles first."""
+        out: np.ndarray = np.empty((len(self._wide), *self.box), self.dtype)
+        inner = [part for part in self.parts if self._is_inner(part)]
+        for part in inner:
+            self._fill(out, part)
+        self.halo.finish()
+        for part in self.parts:
+            if part not in inner:
+                self._fill(out, part)
+        del self._wide
+        return out
+
+    def _is_inner(self, part: tuple[slice, ...]) -> bool:
+        """Whether a tile feels no node of others."""
+        far = self.reach
+        return all(p.start >= far and p.stop + far <= n for p, n in zip(part, self.box))
+
+    def _fill(self, out: np.ndarray, part: tuple[slice, ...]) -> None:
+        """One tile of the product: a component at a time, for in space a transform is large."""
+        d, far, torus = len(self._wide), self.reach, self.torus
+        here = self._wide[:, *(slice(p.start, p.stop + 2 * far) for p in part)]
+        kept = [slice(far, far + p.stop - p.start) for p in part]
+        kept += [slice(0, n) for n in self.box[len(part) :]]
+        wave = np.empty((d, *torus[:-1], torus[-1] // 2 + 1), np.result_type(self.dtype, 1j))
+        for one, there in zip(wave, here):
+            one[...] = scipy.fft.rfftn(there, s=torus, workers=threads())
+        mixed, room = np.empty_like(wave[:2])
+        for i in range(d):
+            component(self.symbol, wave, i, mixed, room)
+            found = scipy.fft.irfftn(mixed, s=torus, workers=threads(), overwrite_x=True)
+            out[i][part] = found[*kept]
+
+    def __call__(self, field: np.ndarray) -> np.ndarray:
+        self.start(field)
+        return self.finish()
+
+
+def inverse_filter(
+    steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray
+) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
+    """The inverse of D + SHIFT G p(k) at short range, beside multigrid: its width and symbol.
+
+    The kernel of the inverse times a window; with Hann's the symbol is looked at, with Bartlett's,
+    whose transform is not negative, it is positive whatever the symbol (theory.md, R2). Cut off
+    without a window it would not be.
+    """
+    width = WIDTH[steps.shape[1]]
+    torus, kernel = short_inverse(steps, tensors, elastic, width)
+    for window in (hann, bartlett):
+        stencil = cut(kernel, window)
+        if smallest(folded(stencil, torus)) > 0:
+            break
+    return width, lambda shape: folded(stencil, shape)
+
+
+def short_inverse(
+    steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray, width: int
+) -> tuple[tuple[int, ...], np.ndarray]:
+    """A torus of TORUS widths and the inverse's kernel there, [d (d + 1)/2, 2 width + 1, ...]."""
+    d = steps.shape[1]
+    torus = (TORUS * width,) * d
+    shift = SHIFT * shear(elastic) * seen_by_coarser(torus)
+    table = shifted_inverse(torus, steps, tensors, shift)
+    near, axes = (slice(2 * width + 1),) * d, tuple(range(d))
+    return torus, np.stack(
+        [np.roll(scipy.fft.irfftn(one, s=torus), (width,) * d, axes)[near] for one in table]
+    )
+
+
+def hann(away: np.ndarray) -> np.ndarray:
+    """Of distances in [0, 1)."""
+    return np.asarray((1 + np.cos(np.pi * away)) / 2)
+
+
+def bartlett(away: np.ndarray) -> np.ndarray:
+    """Of distances in [0, 1); its transform is not negative."""
+    return 1 - away
+
+
+def cut(kernel: np.ndarray, window: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """A kernel [c, 2w + 1, ...] times a window along each axis."""
+    d, width = kernel.ndim - 1, kernel.shape[1] // 2
+    along = window(np.abs(np.arange(-width, width + 1)) / (width + 1))
+    for axis in range(d):
+        kernel = kernel * along.reshape([-1 if a == axis else 1 for a in range(d)])
+    return kernel
+
+
+def folded(stencil: np.ndarray, torus: tuple[int, ...]) -> np.ndarray:
+    """The symbol of a stencil [c, 2w + 1, ...] on a torus."""
+    d = len(torus)
+    symbol = np.empty((len(stencil), *torus[:-1], torus[-1] // 2 + 1))
+    for part, wave in zip(stencil, symbol):  # one at a time: transforms are large in space
+        field = np.zeros(torus)
+        field[*(slice(n) for n in part.shape)] = part
+        field = np.roll(field, tuple(-(n // 2) for n in part.shape), range(d))
+        wave[:] = scipy.fft.rfftn(field).real
+    return symbol
+
+
+def smallest(symbol: np.ndarray) -> float:
+    """Smallest eigenvalue of symmetric matrices [d (d + 1)/2, ...]."""
+    d = {3: 2, 6: 3}[len(symbol)]
+    least = np.inf
+    for row in np.moveaxis(symbol, 1, 0):  # in space all matrices at once are much memory
+        full = np.empty((*row.shape[1:], d, d))
+        for (i, j), part in zip(itertools.combinations_with_replacement(range(d), 2), row):
+            full[..., i, j] = full[..., j, i] = part
+        least = min(least, float(np.linalg.eigvalsh(full).min()))
+    return least
+
 
 WHOLE = 10_000
 """Most nodes of a level that every rank has all of."""
@@ -61,30 +229,22 @@ class _InTiles(VCycle):
     def __init__(
         self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
     ) -> None:
+        self._lay(steps, tensors, mask)
         d = mask.ndim
-        self.mask, self.shape, self.factors = mask, mask.shape, None
-        asked = np.pad(mask, 1)
-        place = np.flatnonzero(asked)
-        nodes = Grid(np.eye(d), asked.shape, 1, False, np.arange(len(place)), place, place)
-        self.rows = ByRows(nodes, steps, tensors)
-        diagonal = 2 * np.diag(tensors.sum(axis=0))
-        self.diagonal = diagonal.reshape(d, *([1] * d))
         self.largest = largest(steps, tensors)
         self._halo, self._between = Halo(comm, tiles, 1), Between(comm, tiles)
         self._pad = [(0, 0)] * (1 + len(tiles.block)) + [(1, 1)] * (d - len(tiles.block))
-        few = coarser(mask)
-        self._next = cycle(comm, steps, tensors * 2.0 ** (d - 2), few, self._between.coarse)
+        few, tensors = coarser(mask), tensors * 2.0 ** (d - 2)
+        self.coarser = cycle(comm, steps, tensors, few, self._between.coarse)
 
-    def product(self, field: np.ndarray) -> np.ndarray:
-        """The level's operator on planes [d, *box]."""
-        wide = np.pad(self._halo(field), self._pad)
-        return np.asarray(self.rows(wide[None])[(0, slice(None)) + (slice(1, -1),) * len(field)])
+    def around(self, field: np.ndarray) -> np.ndarray:
+        return np.pad(self._halo(field), self._pad)
 
-    def __call__(self, r: np.ndarray) -> np.ndarray:
-        z = self._smoothed(r, None)
-        left = self._between.restrict(r - self.product(z)) * self._next.mask
-        z = z + self._between.prolong(self._next(left), self.shape) * self.mask
-        return self._smoothed(r, z)
+    def restrict(self, field: np.ndarray) -> np.ndarray:
+        return self._between.restrict(field)
+
+    def prolong(self, field: np.ndarray) -> np.ndarray:
+        return self._between.prolong(field, self.shape)
 
 
 class _Gathered:

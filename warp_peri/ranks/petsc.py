@@ -16,9 +16,9 @@ import numpy as np
 from scipy.sparse import csr_array, kron
 
 from warp_peri.errors import InputError
+from warp_peri.ranks.halo import Halo, Tiles
 from warp_peri.ranks.multigrid import largest
 from warp_peri.ranks.processes import Comm, world
-from warp_peri.ranks.tiles import Halo, Tiles
 from warp_peri.statics.multigrid import COARSEST, DEGREE, SMOOTHED
 
 PREFIX = "warp_peri_coarse_"

@@ -78,6 +78,8 @@ class Equilibria:
         inverse: of the solid at rest, of a load on the interior.
         inside: unknown nodes, shape [N] bool.
         clipped: gives the force with gradients clipped to a proven strain, where one is.
+        inner: how fields on the interior are measured, over all ranks.
+        kept: a checkpoint, which may begin the search, and sees each better field.
     """
 
     def __init__(
@@ -87,9 +89,13 @@ class Equilibria:
         inverse: Inverse,
         inside: np.ndarray,
         clipped: Callable[[], Force] | None = None,
+        *,
+        inner: Inner = HERE,
+        kept: Any = None,
     ) -> None:
         self.force, self.straight, self.inverse = force, straight, inverse
         self.inside, self._clipped = inside, clipped
+        self.inner, self.kept = inner, kept
 
     def solve(
         self, load: np.ndarray, given: np.ndarray, tolerance: float
@@ -101,12 +107,13 @@ class Equilibria:
         record = NonlinearRecord()
         field = np.where(self.inside[:, None], 0.0, given)
         right = load - self.straight(field)
-        scale = norm(right)
+        scale = norm(right, self.inner)
         if scale == 0:
             record.residual = 0.0
             return field, record
-        begin = self.inverse(right, ROUGH)
-        record.solves += 1
+        start = None if self.kept is None else self.kept.start()
+        begin = self.inverse(right, ROUGH) if start is None else start[self.inside]
+        record.solves += start is None
         inner = self._found(load, field, begin, scale, tolerance, record)
         if not record.residual <= tolerance:
             inner = self._in_parts(load, field, inner, scale, tolerance, record)
@@ -150,7 +157,10 @@ class Equilibria:
         def left(force: Force, inner: np.ndarray) -> np.ndarray:
             field[self.inside] = inner
             with np.errstate(all="ignore"):  # of a step that ran away
-                return np.asarray((load - force(field)) / scale)
+                rest = np.asarray((load - force(field)) / scale)
+            if self.kept is not None:
+                self.kept.seen(field, self.inner.norm(rest))
+            return rest
 
         def correction(residual: np.ndarray, to: float) -> np.ndarray:
             record.solves += 1
@@ -161,7 +171,7 @@ class Equilibria:
 
         return balanced(
             partial(left, self.force), correction, begin, tolerance, record,
-            clipped=clipped, mixes=mixes,
+            clipped=clipped, inner=self.inner, mixes=mixes,
         )  # fmt: skip
 
     def _in_parts(
@@ -174,7 +184,7 @@ class Equilibria:
         record: NonlinearRecord,
     ) -> np.ndarray:
         """The interior by a load that grows in equal parts, each begun where the last leads to."""
-        residual = record.residual
+        residual, self.kept = record.residual, None  # of the whole load alone
         for parts in PARTS:
             inner = self.inverse((load - self.straight(field)) / parts, ROUGH)
             for part in range(1, parts + 1):

@@ -176,32 +176,44 @@ class VCycle:
     The operator of each coarser level is the same stencil times 2^(d − 2).
     """
 
+    coarser: Any = None
+    factors: Any = None
+
     def __init__(self, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray) -> None:
-        d = mask.ndim
-        self.mask, self.shape = mask, mask.shape
-        wide = tuple(n + 2 for n in mask.shape)
-        asked = np.zeros(wide, bool)
-        asked[(slice(1, -1),) * d] = mask
-        place = np.flatnonzero(asked)
-        nodes = Grid(np.eye(d), wide, 1, False, np.arange(len(place)), place, place)
-        self.rows = ByRows(nodes, steps, tensors)
-        self.coarser: VCycle | None = None
-        self.factors: Any = None
-        if len(place) <= COARSEST or min(mask.shape) < 3:
+        self._lay(steps, tensors, mask)
+        if np.count_nonzero(mask) <= COARSEST or min(mask.shape) < 3:
             self.factors = symmetric_factors(block(Stencil(1.0, steps, tensors), mask))
             return
-        self.diagonal = 2 * np.diag(tensors.sum(axis=0)).reshape(d, *([1] * d))
         self.largest = self._largest()
         coarse = coarser(mask)
         if coarse.any():
-            self.coarser = VCycle(steps, tensors * 2.0 ** (d - 2), coarse)
+            self.coarser = VCycle(steps, tensors * 2.0 ** (mask.ndim - 2), coarse)
+
+    def _lay(self, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray) -> None:
+        d = mask.ndim
+        self.mask, self.shape = mask, mask.shape
+        asked = np.pad(mask, 1)
+        place = np.flatnonzero(asked)
+        nodes = Grid(np.eye(d), asked.shape, 1, False, np.arange(len(place)), place, place)
+        self.rows = ByRows(nodes, steps, tensors)
+        self.diagonal = 2 * np.diag(tensors.sum(axis=0)).reshape(d, *([1] * d))
+
+    def around(self, field: np.ndarray) -> np.ndarray:
+        """Planes [d, …] with one node more on each side."""
+        return np.pad(field, [(0, 0)] + [(1, 1)] * self.mask.ndim)
+
+    def restrict(self, field: np.ndarray) -> np.ndarray:
+        """Planes to the coarser level."""
+        return restrict(field)
+
+    def prolong(self, field: np.ndarray) -> np.ndarray:
+        """Planes from the coarser level."""
+        return prolong(field, self.shape)
 
     def product(self, field: np.ndarray) -> np.ndarray:
         """The level's operator on planes [d, …]."""
-        d = self.mask.ndim
-        wide = np.pad(field, [(0, 0)] + [(1, 1)] * d)
-        inner = (0, slice(None)) + (slice(1, -1),) * d
-        return np.asarray(self.rows(wide[None])[inner])
+        inner = (0, slice(None)) + (slice(1, -1),) * self.mask.ndim
+        return np.asarray(self.rows(self.around(field)[None])[inner])
 
     def _largest(self) -> float:
         """Largest eigenvalue of the operator over its diagonal, with a margin."""
@@ -235,6 +247,6 @@ class VCycle:
             return solved(self.factors, self.mask, r)
         z = self._smoothed(r, None)
         if self.coarser is not None:
-            left = restrict(r - self.product(z)) * self.coarser.mask
-            z = z + prolong(self.coarser(left), self.shape) * self.mask
+            left = self.restrict(r - self.product(z)) * self.coarser.mask
+            z = z + self.prolong(self.coarser(left)) * self.mask
         return self._smoothed(r, z)

@@ -19,8 +19,7 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.record import Entry, Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, by_spacing, lps_stencil
-from warp_peri.lps.operator import on_nominal_lattice
+from warp_peri.lps.model import Model, by_spacing, lps_stencil, on_nominal_lattice
 from warp_peri.micromodulus.law import SAME_SPACING, Crystal, TensorOperator
 from warp_peri.micromodulus.waves import transferred
 from warp_peri.points.families import BondClasses, bond_classes

@@ -1,1 +1,4 @@
 """A material on another lattice: kernels fitted to its dispersion, certified there, and kept."""
+
+RECIPE = 7
+"""Of the figures in transfer.lattice: what was made by another is made again."""

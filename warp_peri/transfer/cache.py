@@ -11,7 +11,7 @@ from typing import Any
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import is_number
-from warp_peri.transfer.lattice import RECIPE, new_lattice
+from warp_peri.transfer import RECIPE
 
 FOLDER = ".lattices"
 """A folder of this ending beside a model file holds its transfers; they are model files too."""
@@ -57,6 +57,8 @@ def on_lattice(
     places = _places(model, home, name)
     transferred = next((kept for path in places if (kept := _read(path, home))), None)
     if transferred is None:
+        from warp_peri.transfer.lattice import new_lattice  # loads torch, 185 MB a rank
+
         transferred = new_lattice(model, spacing=spacing, **asked)
         _write(transferred, places)
     _memory[home, name] = transferred

@@ -17,6 +17,7 @@ from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import Certificate, certify
+from warp_peri.transfer import RECIPE
 from warp_peri.transfer.waves import (
     WAVES,
     dispersion,
@@ -45,8 +46,6 @@ LEAST = 2.0
 """Smallest horizon that a lattice has, in spacings."""
 LARGEST = 5.0
 """Largest horizon that is tried where none is given, in spacings."""
-RECIPE = 7
-"""Of the figures above: what was made by another is made again."""
 RADII = 40
 """Of the rings of waves that a record lists."""
 

@@ -10,16 +10,17 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import agreed
 from warp_peri.launch import ranks_started
 from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
-from warp_peri.ranks.coarse import TilesEverySecond
-from warp_peri.ranks.halo import strain_on_ranks
-from warp_peri.ranks.processes import Comm, agreed, world
-from warp_peri.ranks.sums import total
-from warp_peri.ranks.tiles import Tiles, cut
+from warp_peri.ranks import problems
+from warp_peri.ranks.every_second import TilesEverySecond
+from warp_peri.ranks.halo import Tiles, cut, strain_on_ranks
+from warp_peri.ranks.processes import Comm, fingerprint, inner, total, world
+from warp_peri.statics.conjugate_gradients import Inner
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
 """Slabs of rows that a box is cut to at least, where they have between so many rows each."""
@@ -37,7 +38,7 @@ _OF_A_WHOLE = ("box", "outside", "is_plain_lattice")
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class Subdomain:
     """The nodes that this rank owns. Fields that go with it are on these.
 
     Attributes:
@@ -68,9 +69,24 @@ class Piece:
     at: np.ndarray | None = None
 
     @property
+    def own(self) -> slice:
+        """Which of these nodes are this rank's own: all."""
+        return slice(None)
+
+    @property
     def dimension(self) -> int:
         """2 or 3."""
         return int(self.x.shape[1])
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Of values [k, ...] over all ranks, shape [...], with the same bits on any number."""
+        return total(self.comm, values)
+
+    def mark(self, *parts: Any) -> str:
+        """A fingerprint of arrays [n, ...] on these nodes, and of other values as printed."""
+        arrays = [part for part in parts if isinstance(part, np.ndarray)]
+        others = [part for part in parts if not isinstance(part, np.ndarray)]
+        return fingerprint(self.comm, self.number, *arrays) + "".join(map(repr, others))
 
     def dot(self, a: np.ndarray, b: np.ndarray) -> float:
         """Scalar product of vectors [n, d] over all ranks, with the same bits on any number."""
@@ -80,6 +96,23 @@ class Piece:
         """‖field‖₂ of vectors [n, d], likewise."""
         return float(np.sqrt(self.dot(field, field)))
 
+    def operator(self, material: Any) -> Any:
+        """A material on these nodes, as problems.operator_on."""
+        return problems.operator_on(material, self)
+
+    def solve(self, material: Any, problem: Any, solver: Any, options: Any) -> Any:
+        """A problem on these nodes at rest, as problems.solve."""
+        return problems.solve(material, problem, solver, options)
+
+    def move(self, material: Any, problem: Any, options: Any) -> Any:
+        """A problem on these nodes in motion, as problems.move."""
+        return problems.move(material, problem, options)
+
+    @property
+    def inner(self) -> Inner:
+        """How fields [k, d] on some of the nodes are measured, over all ranks."""
+        return inner(self.comm, lambda a, b: (a * b).sum(axis=1))
+
     @property
     def span(self) -> tuple[np.ndarray, np.ndarray]:
         """First and last lattice steps of the interior nodes of all ranks, each of shape [d]."""
@@ -87,12 +120,6 @@ class Piece:
         ends = [inside.min(axis=0, initial=far), -inside.max(axis=0, initial=-far)]
         low, high = np.min(self.comm.allgather(ends), axis=0)
         return low, -high
-
-    def operator(self, material: Any) -> Any:
-        """A material on these nodes, as statics.operator_on."""
-        from warp_peri.ranks.statics import operator_on
-
-        return operator_on(material, self)
 
     def largest_strain(self, u: np.ndarray) -> float:
         """Between neighbours, of u [n, d], over all ranks."""
@@ -151,7 +178,7 @@ def lattice(
     units: Units = USUAL,
     axis: float | None = None,
 ) -> Any:
-    """This rank's Piece of a box of lattice nodes, of which no rank ever holds the whole.
+    """This rank's Subdomain of a box of lattice nodes, of which no rank ever holds the whole.
 
     Args:
         shape: nodes along each axis; the ranks share tiles of the first two.
@@ -184,7 +211,7 @@ def lattice(
         check_units(units)
     if not any(comm.allgather(bool(inside.any()))):
         raise InputError("interior: expected at least one interior node, got none")
-    return Piece(comm, x, inside, float(spacing), number, count, grid, tiles, units, axis)
+    return Subdomain(comm, x, inside, float(spacing), number, count, grid, tiles, units, axis)
 
 
 def read_rows(
@@ -210,7 +237,7 @@ def read_rows(
     raise InputError(f"{path}: expected {count} rows of {name!r}, got {length}")
 
 
-def spread(points: Points, by: str = "rows") -> Any:
+def partition(points: Points, by: str = "rows") -> Any:
     """This rank's piece of points that every rank has; the points themselves without mpiexec.
 
     Args:
@@ -249,10 +276,10 @@ def spread(points: Points, by: str = "rows") -> Any:
     if min(comm.allgather(len(own))) == 0:
         raise InputError(f"points: {len(grid)} nodes are too few for {comm.size} ranks")
     parts = points.x[own], points.interior[own], points.spacing
-    return Piece(comm, *parts, own, len(grid), grid[own], tiles, points.units, points.axis)
+    return Subdomain(comm, *parts, own, len(grid), grid[own], tiles, points.units, points.axis)
 
 
-def _scattered(comm: Comm, points: Points, by: str) -> Piece:
+def _scattered(comm: Comm, points: Points, by: str) -> Subdomain:
     """This rank's piece of scattered points, by rows of cells of a coarse lattice."""
     if by != "rows" or points.box is not None or points.outside is not None:
         raise InputError("points: expected scattered points without a box, by rows, on ranks")
@@ -264,10 +291,10 @@ def _scattered(comm: Comm, points: Points, by: str) -> Piece:
     tiles = _slabs(comm, cell.max(axis=0) + 2)
     own = _owned(comm, tiles, cell)
     parts = points.x[own], points.interior[own], 0.0, own, len(at), cell[own], tiles
-    return Piece(comm, *parts, points.units, points.axis, carrier, at[own])
+    return Subdomain(comm, *parts, points.units, points.axis, carrier, at[own])
 
 
-def whole(points: Any, values: np.ndarray) -> np.ndarray:
+def gather(points: Any, values: np.ndarray) -> np.ndarray:
     """Values on all nodes, on every rank: of a piece gathered, of Points as they are."""
     return values if isinstance(points, Points) else np.asarray(points.gather(values))
 

@@ -14,10 +14,11 @@ from scipy.ndimage import spline_filter
 
 from warp_peri.errors import InputError
 from warp_peri.points.every_second import APART, halved
-from warp_peri.ranks.tiles import Halo
+from warp_peri.ranks.halo import Halo
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.pieces import Piece
+    from warp_peri.ranks.subdomain import Subdomain
+
 
 FAR = 32
 """Coarse nodes around a tile, over which a spline forgets: (√3 − 2)³² is 5e-19."""
@@ -32,7 +33,7 @@ class TilesEverySecond:
     Raises InputError for parts that are no tiles of a box.
     """
 
-    def __init__(self, piece: Piece) -> None:
+    def __init__(self, piece: Subdomain) -> None:
         self.points, tiles, comm = piece, piece.tiles, piece.comm
         if tiles is None or piece.count != np.prod(tiles.shape):
             raise InputError("points: expected all nodes of a box")

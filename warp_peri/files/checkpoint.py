@@ -1,0 +1,255 @@
+"""Checkpoints of long runs: one HDF5 file of arrays on nodes and of plain values.
+
+One process writes its own; ranks write all at once, each its nodes, in the order of the whole body.
+The wheel of h5py knows no MPI: one rank lays the file out, with room for every array in one run of
+bytes, and all write there by MPI-IO. So the file is the same from any number of ranks, is read by
+any HDF5, and a run goes on from it on any other number.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import PART, destination, whole_file
+
+Placed = tuple[np.ndarray, np.ndarray | None, int]
+"""Rows [n, ...], their rising places in the whole or None for all, and how many it has."""
+
+
+class Alone:
+    """The communicator of a process that shares its work with none."""
+
+    rank, size = 0, 1
+
+    def bcast(self, value: Any) -> Any:
+        """What the first process has."""
+        return value
+
+    def allgather(self, value: Any) -> list[Any]:
+        """What each process has."""
+        return [value]
+
+    def allreduce(self, value: Any) -> Any:
+        """The sum over all processes."""
+        return value
+
+
+ALONE = Alone()
+
+
+class AllNodes:
+    """The nodes of a body of which one process has all; of some of them: ranks.NodeHalo.
+
+    Attributes:
+        own: which of the nodes here are this process's own.
+        number: of the nodes here in the whole body, shape [m]; None where these are all.
+        count: nodes of the whole body.
+    """
+
+    own: Any = slice(None)
+    number: np.ndarray | None = None
+    comm: Any = ALONE
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Of values [n, ...] over all nodes, whoever has them, shape [...]."""
+        return np.asarray(values.sum(axis=0))
+
+    def gather(self, values: np.ndarray) -> np.ndarray:
+        """Values [n, ...] of the own nodes on all of the whole body."""
+        return values
+
+    def mark(self, *parts: Any) -> str:
+        """A fingerprint of arrays on the nodes here, and of other values as they are printed."""
+        return digest(*parts)
+
+
+def digest(*parts: Any) -> str:
+    """SHA-256 of arrays by their bytes, of anything else as it is printed."""
+    text = hashlib.sha256()
+    for part in parts:
+        array = isinstance(part, np.ndarray)
+        text.update(np.ascontiguousarray(part).tobytes() if array else repr(part).encode())
+    return text.hexdigest()
+
+
+@contextmanager
+def agreed(comm: Any) -> Iterator[None]:
+    """An InputError that any rank meets inside is raised on all. No rank may wait for others."""
+    mine: InputError | None = None
+    try:
+        yield
+    except InputError as error:
+        mine = error
+    told = [words for words in comm.allgather(None if mine is None else str(mine)) if words]
+    if told:
+        raise mine or InputError(told[0])
+
+
+class RunFile:
+    """A run's file: arrays on the nodes of a body, and plain values.
+
+    Args:
+        path: of the file, which need not be there yet.
+        kind: what it is of, which is written down and asked for again.
+        nodes: of this process, as AllNodes has them.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], kind: str, nodes: Any) -> None:
+        self.path, self.kind, self.nodes = Path(path), kind, nodes
+
+    def write(self, nodal: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> None:
+        """Write arrays [n, ...] on the own nodes, and what JSON knows; all ranks come here."""
+        nodes, comm = self.nodes, self.nodes.comm
+        number = None if nodes.number is None else nodes.number[nodes.own]
+        text = np.frombuffer(json.dumps(values).encode(), np.uint8)
+        mine = text if comm.rank == 0 else text[:0]
+        placed: dict[str, Placed] = {k: (v, number, nodes.count) for k, v in nodal.items()}
+        placed["values"] = mine, np.arange(len(mine)), len(text)
+        write_arrays(self.path, comm, placed, {"format": self.kind})
+
+    def read(self, *names: str) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
+        """Arrays on all nodes here by name, and the values; None where there is no file yet.
+
+        Raises InputError for a file of another kind, and one that is not read.
+        """
+        nodes, comm = self.nodes, self.nodes.comm
+        if not comm.bcast(self.path.exists()):
+            return None
+        rows = dict.fromkeys(names, nodes.number) | {"values": None}
+        found, attributes = read_arrays(self.path, comm, rows)
+        with agreed(comm):
+            try:
+                if attributes.get("format") != self.kind:
+                    raise ValueError(f"expected one of {self.kind}")
+                for name in names:
+                    if nodes.number is None and len(found[name]) != nodes.count:
+                        raise ValueError(f"{name} is of another number of nodes")
+                return found, json.loads(found.pop("values").tobytes())
+            except ValueError as error:
+                raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
+
+
+def write_arrays(
+    path: str | os.PathLike[str],
+    comm: Any,
+    arrays: Mapping[str, Placed],
+    attributes: Mapping[str, Any] | None = None,
+) -> None:
+    """Write arrays whole or not at all, by this process or by all ranks.
+
+    Args:
+        path: of the file.
+        comm: the ranks, or ALONE.
+        arrays: by name.
+        attributes: of the file, the same on all ranks.
+    """
+    if comm is ALONE:
+        with whole_file(path) as temporary:
+            offsets = _laid_out(temporary, arrays, attributes or {})
+            with open(temporary, "r+b") as raw:
+                for name, (values, _, _) in arrays.items():
+                    raw.seek(offsets[name])
+                    raw.write(np.ascontiguousarray(values).data)
+        return
+    from mpi4py import MPI
+
+    with agreed(comm):
+        path = destination(path)
+    part, offsets = Path(path).with_name(f".{Path(path).name}.ranks{PART}"), {}
+    with agreed(comm):
+        if comm.rank == 0:
+            offsets = _laid_out(part, arrays, attributes or {})
+    offsets = comm.bcast(offsets)
+    file = MPI.File.Open(comm, str(part), MPI.MODE_WRONLY)
+    for name, (values, place, _) in arrays.items():
+        values = np.ascontiguousarray(values)
+        file.Set_view(offsets[name], MPI.BYTE, view := _view(place, values))
+        file.Write_all([values, values.nbytes, MPI.BYTE])
+        view.Free()
+    file.Sync()
+    file.Close()
+    comm.Barrier()
+    if comm.rank == 0:
+        os.replace(part, path)
+    comm.Barrier()
+
+
+def _laid_out(path: Path, arrays: Mapping[str, Placed], attributes: Any) -> dict[str, int]:
+    """Make a file with room for the arrays; where each begins [bytes]."""
+    offsets = {}
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with h5py.File(path, "w", locking=False) as file:
+            for name, (values, _, count) in arrays.items():
+                plan = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+                plan.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
+                plan.set_fill_time(h5py.h5d.FILL_TIME_NEVER)
+                plan.set_obj_track_times(False)  # the same bytes whenever it is written
+                kind = h5py.h5t.py_create(np.asarray(values).dtype)
+                space = h5py.h5s.create_simple((count, *np.shape(values)[1:]))
+                data = h5py.h5d.create(file.id, name.encode(), kind, space, plan)
+                offsets[name] = data.get_offset()
+            file.attrs.update(attributes)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error})") from None
+    return offsets
+
+
+def read_arrays(
+    path: str | os.PathLike[str], comm: Any, place: Mapping[str, np.ndarray | None]
+) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """Rows at rising places of arrays by name, all where None is asked, and the attributes.
+
+    Raises InputError for a file that is none or lacks an array.
+    """
+    found, laid, attributes = {}, {}, {}
+    with agreed(comm):
+        if comm.rank == 0:
+            try:
+                with h5py.File(path, locking=False) as file:
+                    attributes = {name: value for name, value in file.attrs.items()}
+                    for name in place:
+                        one = file[name]
+                        laid[name] = one.id.get_offset(), one.shape, one.dtype
+                        if comm is ALONE:
+                            found[name] = one[()]
+            except (OSError, KeyError, AttributeError, TypeError) as error:
+                raise InputError(f"{path}: not a readable checkpoint ({error})") from None
+    if comm is ALONE:
+        return found, attributes
+    from mpi4py import MPI
+
+    laid, attributes = comm.bcast((laid, attributes))
+    file = MPI.File.Open(comm, str(path), MPI.MODE_RDONLY)
+    for name, rows in place.items():
+        offset, shape, dtype = laid[name]
+        rows = np.arange(shape[0]) if rows is None else rows
+        values = found[name] = np.empty((len(rows), *shape[1:]), dtype)
+        file.Set_view(offset, MPI.BYTE, view := _view(rows, values))
+        file.Read_all([values, values.nbytes, MPI.BYTE])
+        view.Free()
+    file.Close()
+    return found, attributes
+
+
+def _view(place: Any, values: np.ndarray) -> Any:
+    """Bytes of rows at rising places as a type of MPI, neighbours as one run."""
+    from mpi4py import MPI
+
+    row = int(np.prod(values.shape[1:])) * values.itemsize
+    begin = np.flatnonzero(np.diff(place, prepend=-2) != 1)
+    length = np.diff(np.append(begin, len(place)))
+    return MPI.BYTE.Create_hindexed((length * row).tolist(), (place[begin] * row).tolist()).Commit()

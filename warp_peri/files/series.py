@@ -1,0 +1,147 @@
+"""Fields on nodes for ParaView: a VTU file, and the records of a motion with their times."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, SubElement, tostring
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import whole_file, write_text
+from warp_peri.files.checkpoint import write_arrays
+
+
+def meshio_of(extra: str = "export", instead: str = "") -> Any:
+    """meshio, which writes VTU; InputError names the extra that brings it, and what goes without.
+
+    `extra` is its name and `instead` what is said beside it.
+    """
+    try:
+        import meshio
+    except ImportError:
+        raise InputError(
+            f"meshio is not installed: pip install 'warp_peri[{extra}]'{instead}"
+        ) from None
+    return meshio
+
+
+def write_vtu(
+    path: str | os.PathLike[str],
+    x: np.ndarray,
+    cells: tuple[str, np.ndarray],
+    data: Mapping[str, np.ndarray],
+    **asked: str,
+) -> Path:
+    """Write nodes, cells of one kind and fields on the nodes; vectors in the plane get a third
+    component.
+
+    Args:
+        path: of the file.
+        x: positions, shape [N, d].
+        cells: their kind and nodes, shape [C, n].
+        data: fields by name, shape [N, ...].
+        asked: of meshio_of.
+    """
+    meshio, data = meshio_of(**asked), {name: in_space(field) for name, field in data.items()}
+    with whole_file(path) as temporary:
+        meshio.Mesh(in_space(x), [cells], point_data=data).write(temporary, "vtu")
+    return Path(path)
+
+
+class Series:
+    """Records of a motion: one file each, and one that names their times, which ParaView opens.
+
+    With cells these are `record_<step>.vtu` and `motion.pvd`, of one process. Without them they are
+    `record_<step>.h5`, `nodes.h5` and `motion.xdmf`, the same from any number of ranks.
+
+    Args:
+        folder: for the files; made if it is not there.
+        nodes: those of this process, as checkpoint.AllNodes or ranks.Subdomain.
+        x: their positions, shape [n, d], where the nodes have none themselves.
+        cells: their kind and nodes, shape [C, 2^d].
+
+    Raises InputError for cells without meshio (the extra `export`).
+    """
+
+    def __init__(
+        self,
+        folder: str | os.PathLike[str],
+        nodes: Any,
+        x: np.ndarray | None = None,
+        cells: tuple[str, np.ndarray] | None = None,
+    ) -> None:
+        if cells is not None:
+            meshio_of()
+        self.folder, self.nodes, self.cells = Path(folder), nodes, cells
+        self.x = in_space(nodes.x if x is None else x)
+        self.times: dict[str, float] = {}
+
+    def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
+        """Write one record; vectors in the plane get a third component."""
+        name, data = f"record_{step:08d}", {key: in_space(value) for key, value in fields.items()}
+        if self.cells is not None:
+            path = write_vtu(self.folder / f"{name}.vtu", self.x, self.cells, data)
+            self.times[path.name] = time
+            write_text(self.folder / "motion.pvd", self._collection())
+            return
+        self._write(f"{name}.h5", data)
+        if not (self.folder / "nodes.h5").exists() or not self.times:
+            number = np.arange(len(self.x)) if self.nodes.number is None else self.nodes.number
+            self._write("nodes.h5", {"x": self.x, "number": number.astype(np.int32)[:, None]})
+        self.times[f"{name}.h5"] = time
+        if self.nodes.comm.rank == 0:
+            write_text(self.folder / "motion.xdmf", self._header(data))
+
+    def _write(self, name: str, fields: Mapping[str, np.ndarray]) -> None:
+        nodes = self.nodes
+        placed = {key: (value, nodes.number, nodes.count) for key, value in fields.items()}
+        write_arrays(self.folder / name, nodes.comm, placed)
+
+    def _collection(self) -> str:
+        root = Element("VTKFile", type="Collection", version="0.1")
+        collection = SubElement(root, "Collection")
+        for name, moment in self.times.items():
+            SubElement(collection, "DataSet", timestep=repr(moment), part="0", file=name)
+        return tostring(root, encoding="unicode") + "\n"
+
+    def _header(self, fields: Mapping[str, np.ndarray]) -> str:
+        count = self.nodes.count
+        root = Element("Xdmf", Version="3.0")
+        domain = SubElement(root, "Domain")
+        mesh = SubElement(domain, "Grid", Name="nodes", GridType="Uniform")
+        topology = SubElement(
+            mesh, "Topology", TopologyType="Polyvertex", NumberOfElements=str(count)
+        )
+        item(topology, (count, 1), "nodes.h5:/number", "Int", 4)
+        item(SubElement(mesh, "Geometry", GeometryType="XYZ"), (count, 3), "nodes.h5:/x")
+        series = SubElement(domain, "Grid", GridType="Collection", CollectionType="Temporal")
+        for name, time in self.times.items():
+            grid = SubElement(series, "Grid", Name=name, GridType="Uniform")
+            SubElement(grid, "Time", Value=repr(time))
+            for part in ("Topology", "Geometry"):
+                link = SubElement(grid, "{http://www.w3.org/2001/XInclude}include")
+                link.set("xpointer", f'xpointer(//Grid[@Name="nodes"]/{part})')
+            for key, value in fields.items():
+                kind = "Vector" if value.ndim == 2 else "Scalar"
+                field = SubElement(grid, "Attribute", Name=key, AttributeType=kind, Center="Node")
+                item(field, (count, *value.shape[1:]), f"{name}:/{key}")
+        return tostring(root, encoding="unicode") + "\n"
+
+
+def item(
+    parent: Element, shape: tuple[int, ...], text: str, kind: str = "Float", size: int = 8
+) -> None:
+    """Name an array of an HDF5 file in an XDMF one."""
+    item = SubElement(parent, "DataItem", DataType=kind, Precision=str(size), Format="HDF")
+    item.set("Dimensions", " ".join(map(str, shape)))
+    item.text = text
+
+
+def in_space(values: np.ndarray) -> np.ndarray:
+    """Vectors [n, 2] with three components; what else there is as it is."""
+    flat = values.ndim == 2 and values.shape[1] == 2
+    return np.pad(values, ((0, 0), (0, 1))) if flat else values
