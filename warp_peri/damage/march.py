@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -21,7 +20,7 @@ from warp_peri.damage.paraview import DamageSeries
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
-from warp_peri.points.arrays import check_whole
+from warp_peri.points.arrays import check_whole, fingerprint
 
 _ARRAYS = ("u", "v", "links", "force", "energy", "work")
 LEDGER = ("time", "work", "kinetic", "elastic", "dissipated")
@@ -216,10 +215,10 @@ class CrackRun:
 
     def _start_mark(self, state: BreakingState) -> str:
         parts = (state.u.numpy(), state.v.numpy(), state.links.numpy(), state.whole)
-        return _digest(*parts, state.work.numpy(), state.dissipated, *self._first)
+        return fingerprint(*parts, state.work.numpy(), state.dissipated, *self._first)
 
     def _mark(self, array: np.ndarray) -> str:
-        return _digest(array)
+        return fingerprint(array)
 
     def _record_marks(self) -> tuple[Any, ...]:
         lines = [section.ends for section in self.sections.values()]
@@ -233,15 +232,15 @@ class CrackRun:
         return {
             "start": self._began,
             "nodes": self._mark(body.body.x),
-            "solid": _digest(
+            "solid": fingerprint(
                 *numbers, body.operator.limits, solid.by_energy, solid.tension_only, model.units
             ),
             "no_fail": self._mark(body.no_fail),
             "load": self._mark(body.load.numpy()),
             "held": self._mark(body.held.numpy()),
             "grip": self._mark(body.grip.numpy()),
-            "step": _digest(self.dt),
-            "records": _digest(*self._record_marks()),
+            "step": fingerprint(self.dt),
+            "records": fingerprint(self._record_marks(), self.watch),
         }
 
     def _applied(self, steps: int) -> tuple[np.ndarray, np.ndarray]:
@@ -317,12 +316,3 @@ class CrackRun:
         except (OSError, KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
         return state
-
-
-def _digest(*parts: object) -> str:
-    """SHA-256 of arrays by their bytes, of anything else as it is printed."""
-    text = hashlib.sha256()
-    for part in parts:
-        array = isinstance(part, np.ndarray)
-        text.update(np.ascontiguousarray(part).tobytes() if array else repr(part).encode())
-    return text.hexdigest()

@@ -18,6 +18,7 @@ from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.flow.channel import REACH, SKIN, Particles
 from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
+from warp_peri.points.arrays import fingerprint
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ def run_channel(
     """
     _check(flow, until, dt, every)
     particles, steps = Particles(flow), round(until / dt)
-    key = "" if checkpoint is None else f"{flow} dt {dt} every {every} {key_of(stress)}"
+    key = "" if checkpoint is None else fingerprint(flow, dt, every, key_of(stress))
     kept: dict[str, list[Any]] = {name: [] for name in ("t", "x", "v", "sigma", "rho")}
     first = 0
     if checkpoint is not None and Path(checkpoint).exists():

@@ -5,9 +5,7 @@ Both take macroscopic numbers, the gradient κ in 1/t0 and Δt in t0, and give �
 
 from __future__ import annotations
 
-import hashlib
 import math
-import re
 from collections.abc import Callable
 from typing import Any, Protocol, runtime_checkable
 
@@ -18,7 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.flow.dumbbells import Dumbbells
 from warp_peri.flow.laws import FlowLaw
 from warp_peri.flow.planar import IDENTITY
-from warp_peri.points.arrays import check_positive, check_whole
+from warp_peri.points.arrays import check_positive, check_whole, fingerprint
 
 March = Callable[[np.ndarray, np.ndarray, float, int], np.ndarray]
 """C after some steps of Heun's rule: of K [n, 4], C [n, 4], relaxation times a step, steps."""
@@ -104,8 +102,7 @@ class Closure:
     @property
     def key(self) -> str:
         """What the run depends on: De and the law's numbers."""
-        law = re.sub(r" at 0x[0-9a-f]+", "", repr(self.law))
-        return f"De {self.De}, law {hashlib.sha256(law.encode()).hexdigest()[:16]}"
+        return f"De {self.De}, law {fingerprint(self.law)[:16]}"
 
     def state(self) -> np.ndarray:
         """The conformation C of the cells, shape [n, 4]."""

@@ -30,7 +30,8 @@ class Frames:
     """
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
-        self.material, self.placed = material, material.on(samples.points)
+        self.samples, self.material = samples, material
+        self.placed = material.on(samples.points)
         self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
         self.rows, self.search = self.placed.bonds.rows, NeuralEquilibrium(self.placed)
         self.start = np.stack([affine(samples, u) for u in samples.u])

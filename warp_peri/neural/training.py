@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import pickle
@@ -20,7 +19,7 @@ from warp_peri.files.atomic import whole_file
 from warp_peri.neural.frames import RENEWED, Frames
 from warp_peri.neural.interpolation import CELLS, interpolated_force
 from warp_peri.neural.material import NeuralOperator
-from warp_peri.points.arrays import check_positive, check_whole
+from warp_peri.points.arrays import check_positive, check_whole, fingerprint
 from warp_peri.points.samples import Samples
 
 FIRST = 7
@@ -78,7 +77,7 @@ class _Loads:
     """Samples whose loads are known, as a training takes them: (NO7)."""
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
-        self.placed = material.on(samples.points)
+        self.samples, self.placed = samples, material.on(samples.points)
         dtype = self.placed.dtype
         self.u = torch.as_tensor(samples.u, dtype=dtype)
         self.b = torch.as_tensor(samples.loads[:, samples.interior], dtype=dtype)
@@ -251,7 +250,8 @@ class _Run:
         for key in ("epochs", "provenance", "scale"):
             del known[key]
         precision = str(self.learned.u.dtype)
-        seen = {"samples": _digest(self.learned), "validation": _digest(self.unseen)}
+        sets = {"samples": self.learned.samples, "validation": self.unseen.samples}
+        seen = {name: fingerprint(samples)[:16] for name, samples in sets.items()}
         return known | {"precision": precision, **seen}
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -297,14 +297,6 @@ class _Run:
         )
         history = state["history"]
         self.history = TrainingHistory(**{**history, "curve": [tuple(c) for c in history["curve"]]})
-
-
-def _digest(data: _Loads | Frames) -> str:
-    """Tells samples from others."""
-    seen = hashlib.sha256(data.u.numpy().tobytes())
-    if isinstance(data, _Loads):
-        seen.update(data.b.numpy().tobytes())
-    return seen.hexdigest()[:16]
 
 
 def _share(epoch: int, epochs: int) -> float:
