@@ -9,10 +9,12 @@ import sys
 import tomllib
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 
 from tests.micromodulus import crystals
+from tests.support.plates import plate
 from tests.support.problems import kernel, smooth
 from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
@@ -482,3 +484,14 @@ def test_an_interrupt_says_whether_anything_is_kept(data, tmp_path, capsys, monk
     words = ["train", str(data), "--out", str(tmp_path / "new"), "--horizon", "2.5"]
     assert main(words) == 130
     assert "interrupted; nothing is kept yet" in capsys.readouterr().err
+
+
+def test_info_of_a_mesh(tmp_path, capsys):
+    mesh = plate(3.0, 12.0, 6, 24)
+    cells = [("triangle", mesh.triangles)]
+    meshio.Mesh(np.pad(mesh.x, ((0, 0), (0, 1))), cells).write(tmp_path / "plate.msh")
+    told = answer(capsys, "info", tmp_path / "plate.msh")
+    assert told["format"] == "mesh"
+    assert (told["corners"], told["triangles"]) == (len(mesh.x), len(mesh.triangles))
+    assert told["box"] == np.stack([mesh.x.min(axis=0), mesh.x.max(axis=0)], axis=1).tolist()
+    assert sum(told["parts"].values()) == len(mesh.edges)

@@ -185,3 +185,14 @@ def test_a_law_of_which_nothing_is_proven_is_read_again(tmp_path):
     wp.save(tmp_path / "law.json", replace(law, certificate=replace(proof, proven=0.1)))
     with pytest.raises(wp.InputError, match="is not proven of these tensors"):
         wp.load(tmp_path / "law.json")
+
+
+def test_what_was_sampled_is_no_number_of_ones_own(tmp_path):
+    law = learned(2)
+    for times in (0.995, 1.7):
+        forged = replace(law.certificate, sampled=times * law.certificate.sampled)
+        wp.save(tmp_path / "law.json", replace(law, certificate=forged))
+        with pytest.raises(wp.InputError, match="is not proven of these tensors"):
+            wp.load(tmp_path / "law.json")
+    wp.save(tmp_path / "law.json", law)
+    assert wp.load(tmp_path / "law.json").certificate.statement == law.certificate.statement

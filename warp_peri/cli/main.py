@@ -30,7 +30,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "plan": ("which model and solver a scene needs", arguments.plan),
     "export": ("for ParaView and other codes", arguments.export),
     "sweep": ("choose horizon and degree", arguments.sweep),
-    "info": ("what a model or data file holds", arguments.info),
+    "info": ("what a model, a data file or a mesh holds", arguments.info),
 }
 """What each command is for, and its options; `commands` has a function run_NAME for each."""
 
