@@ -198,7 +198,7 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
         run = Run(fit, *evaluated(fit.material, data.sets), None, {})
         material, solid = fit.material, getattr(fit.material, "linear", fit.material)
         moduli = getattr(solid, "moduli", lambda: {"lambda": solid.lam, "mu": solid.mu})()
-        proof = getattr(fit, "certificate", None) or getattr(solid, "certificate", None)
+        proof: Any = getattr(fit, "certificate", None) or getattr(solid, "certificate", None)
         metrics = {"law": given.law, "units": list(data.units), "moduli": moduli}
         if hasattr(proof, "statement"):
             metrics["statement"] = proof.statement

@@ -255,11 +255,13 @@ def _second_order(samples: Samples) -> np.ndarray:
     trace = np.trace(E, axis1=-2, axis2=-1)[..., None, None]
     squares = ((F * F).sum(axis=(-1, -2))[..., None, None] * one for F in (E, W))
     stresses = (trace**2 * one, *squares, trace * E, E @ E, H @ H.swapaxes(-1, -2), E @ W - W @ E)
-    crop = (..., *grid.core) if grid.periodic else ...
-    return np.array([
-        grid.gather(sum(slopes(np.moveaxis(P[..., j], -1, 1))[..., j] for j in range(d))[crop])
-        for P in stresses
-    ])  # fmt: skip
+    crop: tuple[Any, ...] = (..., *grid.core) if grid.periodic else (...,)
+
+    def force(P: np.ndarray) -> np.ndarray:
+        bent = [slopes(np.moveaxis(P[..., j], -1, 1))[..., j] for j in range(d)]
+        return grid.gather(np.sum(bent, axis=0)[crop])
+
+    return np.array([force(P) for P in stresses])
 
 
 def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:

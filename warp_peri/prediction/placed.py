@@ -330,7 +330,7 @@ def _gradient(operator: Any, points: Any, u: np.ndarray) -> float:
         return float(operator.mean_gradient(u))
     if not hasattr(operator, "straight"):
         piece = hasattr(points, "comm")
-        return points.largest_strain(u) if piece else largest_strain(points, u)  # type: ignore
+        return float(points.largest_strain(u) if piece else largest_strain(points, u))
     H, _ = operator.gradients(u)
     return float(np.sqrt(np.vdot(H, H) / (H.size / H.shape[-1] ** 2)))
 
