@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.statics.rim import Moduli
+from warp_peri.edges.rim import Moduli
 
 APART = 1e-8
 """Two roots of an isotropic plate coincide; its shear compliance is moved by this share."""

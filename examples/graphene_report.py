@@ -21,7 +21,7 @@ from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.learning.result import Fit
 from warp_peri.learning.run import Run
 from warp_peri.learning.uncertainty import Uncertainty
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.samples import Samples
 from warp_peri.problems import Dirichlet
 from warp_peri.solving import solve

@@ -37,11 +37,11 @@ from tools.holed_sheet import (
     loads_of,
 )
 from tools.samples import Sample
+from warp_peri.edges.body import Coupling, solve_body
 from warp_peri.errors import exit_status
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.sources.coarse_graining import force_on_mesh, smoothing_matrix
-from warp_peri.statics.body import Coupling, solve_body
 
 INSIDE = 100.0
 """Half of the model's plate [Å]; the atoms go on beyond it."""

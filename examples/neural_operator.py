@@ -36,9 +36,8 @@ from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.launch import set_threads
 from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.neural.evaluation import evaluate
-from warp_peri.neural.file import load, save
-from warp_peri.neural.material import NeuralOperator
+from warp_peri.neural.material import NeuralOperator, load, save
+from warp_peri.neural.placed import evaluate
 from warp_peri.neural.training import Training, TrainingHistory, train
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, symbols

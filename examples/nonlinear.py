@@ -27,7 +27,7 @@ from warp_peri import Bernstein, Dataset
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked, whole_file, write_json
 from warp_peri.methods import Conditions, Optimum, Smoothing
-from warp_peri.micromodulus.laws import Micromodulus
+from warp_peri.micromodulus.learning import Micromodulus
 
 STRAINED = DATA.with_name("graphene_0K_strained.h5")
 OUT = ROOT / "runs" / "nonlinear"

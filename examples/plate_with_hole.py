@@ -20,9 +20,9 @@ from matplotlib.tri import Triangulation
 
 import warp_peri
 from examples.exact import hoop_stress, plate_with_hole
+from warp_peri.edges.body import BodySolution, Coupling, long_wave, solve_body
 from warp_peri.errors import exit_status
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.statics.body import BodySolution, Coupling, long_wave, solve_body
 
 TENSION = 0.005
 """Far from the hole [TPa]."""

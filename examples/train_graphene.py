@@ -22,15 +22,14 @@ from examples.studies import sweep_report
 from warp_peri.cluster import scheduler
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.learning import methods
-from warp_peri.learning.options import METHODS
+from warp_peri.learning import METHODS, methods
 from warp_peri.learning.result import Fit
 from warp_peri.learning.run import train
 from warp_peri.learning.sweep import sweep
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.models.nonlinear import CUBIC, NonlinearModel
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+from warp_peri.third_order.material import CUBIC, NonlinearModel
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 SMOOTHING_RADIUS = 10.0

@@ -49,12 +49,10 @@ from tools import (
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
-from warp_peri.models.solid import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.launches import influence_inputs
-from warp_peri.operator.lps import lps_force
-from warp_peri.operator.node_blocks import BLOCKS
-from warp_peri.operator.tables import Tabulated
+from warp_peri.lps.bonds import BLOCKS, Bonds
+from warp_peri.lps.launches import Tabulated, influence_inputs
+from warp_peri.lps.model import Solid
+from warp_peri.lps.operator import lps_force
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 from warp_peri.structures.lammps import LammpsError, lammps_class

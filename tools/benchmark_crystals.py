@@ -19,8 +19,7 @@ from tools.crystals import force_constants
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import half_ball
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.operator import TensorOperator
+from warp_peri.micromodulus.law import Crystal, TensorOperator
 from warp_peri.micromodulus.waves import from_phonons, transferred
 from warp_peri.points.points import Points
 from warp_peri.statics.settings import TOLERANCE

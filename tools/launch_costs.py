@@ -17,10 +17,10 @@ from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.lps.force import sweeps
 from warp_peri.kernels.lps.influence import influence as influence_kernel
 from warp_peri.launch import Recorded, empty, threads
-from warp_peri.models.solid import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.launches import filled, influence, influence_inputs
-from warp_peri.operator.rows import Forward
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.launches import filled, influence, influence_inputs
+from warp_peri.lps.model import Solid
+from warp_peri.lps.rows import Forward
 
 ROUNDS, SECONDS = 1000, 6.0
 """Most rounds, and after how long no other is begun."""

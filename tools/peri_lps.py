@@ -25,7 +25,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 
 from warp_peri import Model
-from warp_peri.operator.symbol import moduli
+from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 from warp_peri.structures.lammps import LammpsError, lammps_class, lammps_words
 

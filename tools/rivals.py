@@ -13,8 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from warp_peri.models.influence import bernstein_basis
-from warp_peri.operator.bonds import Bonds
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.model import bernstein_basis
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,9 @@ import warp as wp
 from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.peak import peak
 from warp_peri.launch import launch_slices, zeros
-from warp_peri.models.solid import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.launches import filled, influence
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.launches import filled, influence
+from warp_peri.lps.model import Solid
 
 PER_BOND = {"dilatation": (4, 3, 2), "force": (7, 7, 3)}
 """Additions, multiplications and loads of numbers that a bond takes in each sweep, as the vector

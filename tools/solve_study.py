@@ -22,10 +22,9 @@ from warp_peri.core.grid import Grid
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
-from warp_peri.models.lps import lps_stencil
-from warp_peri.models.solid import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.model import Solid, lps_stencil
+from warp_peri.lps.operator import lps_force
 from warp_peri.points.points import Points
 from warp_peri.statics.equilibrium import equilibrium, lps_linear
 from warp_peri.statics.linear import STIFF, Linear

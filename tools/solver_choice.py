@@ -22,12 +22,12 @@ from tools.solve_study import TABLE, mask_of, problem
 from warp_peri import Direct, Dirichlet, Krylov, load, solve
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
-from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.points.points import Points
 from warp_peri.statics import linear
 from warp_peri.statics.direct import RESIDUAL
 from warp_peri.statics.linear import DIRECT
 from warp_peri.statics.settings import TOLERANCE
+from warp_peri.third_order.material import NonlinearModel
 
 SIDES = (10, 16, 24, 34, 48, 61, 100, 200)
 SHAPES = {"rectangle": "square", "disk": "disk", "L": "L"}

@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from warp_peri import tissue as tissue
     from warp_peri import transfers as transfers
     from warp_peri.damage.problems import Cracked
-    from warp_peri.dressed.laws import Dressed
+    from warp_peri.dressed.law import Dressed
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
     from warp_peri.learning.diagnosis import diagnose
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, ThirdOrder, fit
     from warp_peri.learning.methods import Bernstein
-    from warp_peri.micromodulus.laws import Micromodulus
-    from warp_peri.models.lps import Model
+    from warp_peri.lps.model import Model
+    from warp_peri.micromodulus.learning import Micromodulus
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.mesh import Mesh
     from warp_peri.points.points import Points
@@ -91,15 +91,15 @@ __all__ = [
 
 _NAMES = {
     "damage.problems": ("Cracked",),
-    "dressed.laws": ("Dressed",),
+    "dressed.law": ("Dressed",),
     "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
     "learning.diagnosis": ("diagnose",),
     "learning.evaluate": ("evaluate",),
     "learning.laws": ("LPS", "ThirdOrder", "fit"),
     "learning.methods": ("Bernstein",),
-    "micromodulus.laws": ("Micromodulus",),
-    "models.lps": ("Model",),
+    "micromodulus.learning": ("Micromodulus",),
+    "lps.model": ("Model",),
     "points.dataset": ("Dataset",),
     "points.mesh": ("Mesh",),
     "points.points": ("Points",),

@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from warp_peri.contract import linear_part
-from warp_peri.dressed.law import DressedSolid
-from warp_peri.dressed.learning import transferred
+from warp_peri.dressed.law import DressedSolid, transferred
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike, nodes_of

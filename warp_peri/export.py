@@ -14,15 +14,14 @@ import scipy.sparse as sp
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file, write_text
-from warp_peri.models.lps import Model
-from warp_peri.operator.matrices import matrices
-from warp_peri.operator.stress import node_fields
+from warp_peri.lps.matrices import matrices, node_fields
+from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.points.unit_names import symbols
 
 if TYPE_CHECKING:
-    from warp_peri.statics.body import BodySolution
+    from warp_peri.edges.body import BodySolution
 
 KERNEL_ROWS = 400
 """Distances that a kernel for many lattices is written at."""

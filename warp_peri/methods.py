@@ -4,18 +4,18 @@ And PolakRibiere, a solver that needs no more of a law than its force.
 """
 
 from warp_peri.learning.methods import Constrained, TwoStage
-from warp_peri.learning.resampling import Resampled, resample_loads
 from warp_peri.learning.sweep import Sweep, sweep
-from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
-from warp_peri.models.smoothing import Smoothing
-from warp_peri.models.solid import Solid
+from warp_peri.learning.uncertainty import Resampled, Uncertainty, fit_uncertainty, resample_loads
+from warp_peri.lps.model import Solid
+from warp_peri.regression.conditions import Conditions
 from warp_peri.regression.settings import Optimum
-from warp_peri.stability.conditions import Conditions
-from warp_peri.statics.settings import PolakRibiere
+from warp_peri.statics.settings import Coupling, PolakRibiere
+from warp_peri.third_order.smoothing import Smoothing
 
 __all__ = [
     "Conditions",
     "Constrained",
+    "Coupling",
     "Optimum",
     "PolakRibiere",
     "Resampled",

@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from warp_peri.learning.result import Stage
 from warp_peri.learning.uncertainty import Uncertainty
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import symbols
 

@@ -11,12 +11,15 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered, placed, taken
 from warp_peri.dynamics.motion import Motion
+from warp_peri.dynamics.verlet import march
+from warp_peri.edges.body import solve_body
+from warp_peri.edges.rim import Field, Traction
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.tetrahedra import Tetrahedra
-from warp_peri.statics.rim import Field, Traction
+from warp_peri.statics.descent import at_rest
 from warp_peri.statics.settings import Coupling, PolakRibiere, refuse_solver
 from warp_peri.statics.solution import Solution
 
@@ -45,8 +48,6 @@ class Dirichlet:
         extra = {name: options.pop(name) for name in ("parameters",) if name in options}
         operator = placed(material, nodes_of(self.points), **options)
         if isinstance(solver, PolakRibiere):
-            from warp_peri.statics.descent import at_rest
-
             taken(extra, "solve", at_rest)
             return at_rest(operator, self.b, self.u, solver)
         load = np.zeros(np.shape(self.u)) if self.b is None else self.b
@@ -64,8 +65,6 @@ class Dirichlet:
         if hasattr(operator, "march"):
             (options,) = taken(options, "move", operator.march)
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
-        from warp_peri.dynamics.verlet import march
-
         offered(operator, "product", "move", "a material that moves on points")
         (options,) = taken(options, "move", march)
         return march(operator, self.b, self.u, **options)
@@ -114,8 +113,6 @@ class Body:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest; the details of the solution are a BodySolution."""
-        from warp_peri.statics.body import solve_body
-
         if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
             offered(material, "solid", "solve", "a linear material for a Body")
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")

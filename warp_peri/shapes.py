@@ -1,6 +1,6 @@
 """Shapes of influence functions: what users call warp_peri.shapes."""
 
-from warp_peri.models.shapes import (
+from warp_peri.lps.shapes import (
     InfluenceFunction,
     conical,
     damped_wave,

@@ -13,7 +13,7 @@ from warp_peri.contract import offered
 from warp_peri.damage.lattice_body import rectangle, size_and_normal
 from warp_peri.damage.problems import Cracked
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.points import Points
 
 RADIUS = 4.0

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.series import mean_inverse
 from warp_peri.points.unit_names import USUAL, Units
 

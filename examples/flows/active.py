@@ -15,9 +15,8 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import Closure
-from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.dumbbells import Dumbbells, Ensembles, simulate
 from warp_peri.flow.laws import FlowLaw
-from warp_peri.flow.protocols import Ensembles, simulate
 
 EARLIER = 1.5
 """Gaps of the data beyond which dumbbells are asked; warnings come at twice as many."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import Closure, homogeneous
-from warp_peri.flow.planar import shear
+from warp_peri.flow.laws import shear
 from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
 
 

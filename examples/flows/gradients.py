@@ -12,9 +12,9 @@ from scipy.optimize import minimize
 
 from warp_peri.errors import InputError
 from warp_peri.flow.closure import check_time_step, heun
-from warp_peri.flow.planar import carried, eigenvalues, from_eigenvalues, stack, unpack
+from warp_peri.flow.laws import carried, eigenvalues, from_eigenvalues, stack, unpack
 from warp_peri.flow.plane import PlaneFlow
-from warp_peri.flow.spring_law import SpringLaw
+from warp_peri.flow.springs import SpringLaw
 
 
 @dataclass(frozen=True)

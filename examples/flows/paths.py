@@ -16,7 +16,7 @@ from scipy import stats
 
 from warp_peri.errors import InputError
 from warp_peri.flow.gaussian_process import LENGTHS, SUBSET, GaussianProcess, unlikelihood
-from warp_peri.flow.rate_law import RateLaw
+from warp_peri.flow.rates import RateLaw
 
 COSINES = 512
 """Of one prior function, for each input where the kernel is a sum."""

@@ -12,8 +12,8 @@ from tqdm import tqdm
 import warp_peri
 from examples.exact import plate_with_hole
 from examples.studies.atlas_entry import Entry, words, written
+from warp_peri.edges.body import Coupling, long_wave, solve_body
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.statics.body import Coupling, long_wave, solve_body
 
 HALF, TENSION = 100.0, 0.005
 """Half of the plate [Å], and tension far from the hole [TPa]."""

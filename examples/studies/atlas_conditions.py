@@ -13,15 +13,14 @@ from tqdm import tqdm
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.reduced import ReducedLoss, reduce
-from warp_peri.models.lps import Model
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.regression.coordinates import Coordinates
+from warp_peri.regression.losses import ReducedLoss, reduce, sample_weights
 from warp_peri.regression.parameters import Parameters
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.statics.direct import MatrixProblem
 
 RATIOS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)

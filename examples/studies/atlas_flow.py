@@ -7,14 +7,17 @@ import numpy as np
 
 from examples.studies.atlas_entry import Entry, words, written
 from warp_peri import InputError
-from warp_peri.flow.channel import Particles
-from warp_peri.flow.channel_run import ChannelFlow, run_channel
+from warp_peri.flow.channel import ChannelFlow, Particles, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells, heun, homogeneous
-from warp_peri.flow.dumbbells import Dumbbells, propagator
-from warp_peri.flow.laws import UpperConvectedMaxwell
-from warp_peri.flow.log_conformation import LogConformation, exponential_of
-from warp_peri.flow.planar import IDENTITY, eigenvalues, elongation
-from warp_peri.flow.twins import carried_exactly
+from warp_peri.flow.dumbbells import Dumbbells, carried_exactly, propagator
+from warp_peri.flow.laws import (
+    IDENTITY,
+    LogConformation,
+    UpperConvectedMaxwell,
+    eigenvalues,
+    elongation,
+    exponential_of,
+)
 
 DE, UNTIL, STEPS, COUNT = 1e-2, 0.03, 300, 300
 

@@ -14,12 +14,11 @@ from tqdm import tqdm
 import warp_peri
 from examples.studies.atlas_conditions import displacement_error
 from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.models.influence import bernstein_basis
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model, bernstein_basis
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 
 LAM, MU = -0.1972, 0.7223
 """Of the potential that the data come from [TPa]."""

@@ -22,8 +22,8 @@ from tools.samples import Piece, Sample
 from tools.statics import ConvergenceError, Statics, find_bonds
 from warp_peri.dynamics import verlet
 from warp_peri.dynamics.verlet import INERTIA, critical_time_step
-from warp_peri.models.lps import Model, stiffnesses
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points

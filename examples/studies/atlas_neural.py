@@ -12,7 +12,7 @@ import warp_peri as wp
 from examples import neural_sets
 from examples.studies.atlas_entry import Entry, words, written
 from examples.studies.neural_noise import REACH, learned
-from warp_peri.neural.evaluation import evaluate
+from warp_peri.neural.placed import evaluate
 
 LEVELS = (0.0, 0.002, 0.005, 0.01)
 EPOCHS = 60

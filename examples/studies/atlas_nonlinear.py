@@ -21,7 +21,7 @@ from warp_peri import Bernstein, Dataset, Model, Samples
 from warp_peri.errors import InputError
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.methods import Optimum, Smoothing
-from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.third_order.material import NonlinearModel
 
 STRAINS = (0.01, 0.02, 0.04, 0.06, 0.08, 0.1, 0.12)
 """Largest bond strains; from the last on the load grows until atoms fail."""

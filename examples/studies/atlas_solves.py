@@ -14,18 +14,16 @@ from tqdm import tqdm
 import warp_peri
 from examples.studies.atlas_conditions import unconstrained
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.reduced import reduce
-from warp_peri.models.lps import Model, stiffnesses
-from warp_peri.models.solid import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import Model, Solid, stiffnesses
+from warp_peri.lps.operator import lps_force
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.losses import reduce, sample_weights
 
 MU = 0.7223
 HORIZON = 20.0

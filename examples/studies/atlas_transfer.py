@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.points import Points
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.lattice import home_of, new_lattice

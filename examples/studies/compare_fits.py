@@ -30,9 +30,9 @@ from tools.make_graphene import SMOOTHING_RADIUS, point_set, read_samples
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import write_json, write_text
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.margins import DenseMargins
 from warp_peri.learning.result import Fit
-from warp_peri.models.lps import Model
+from warp_peri.learning.two_stage import DenseMargins
+from warp_peri.lps.model import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples

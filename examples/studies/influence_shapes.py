@@ -24,7 +24,7 @@ from tools.make_graphene import SMOOTHING_RADIUS
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file, write_json, write_text
 from warp_peri.learning.result import Fit
-from warp_peri.models.shapes import InfluenceFunction, damped_wave, named, table
+from warp_peri.lps.shapes import InfluenceFunction, damped_wave, named, table
 from warp_peri.plots import kernel_values
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes

@@ -38,11 +38,10 @@ from tqdm import tqdm
 from examples.graphene_report import save_figure
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.reduced import ReducedLoss, class_weights, reduce
-from warp_peri.models.influence import bernstein_basis
+from warp_peri.lps.model import bernstein_basis
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.regression.losses import ReducedLoss, class_weights, reduce, sample_weights
 
 LAM, MU = 0.1010, 0.4545
 HORIZON = 12.5

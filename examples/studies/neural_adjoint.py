@@ -25,7 +25,7 @@ from torch.autograd.graph import saved_tensors_hooks
 import warp_peri as wp
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
-from warp_peri.neural.equilibrium import NeuralEquilibrium
+from warp_peri.neural.placed import NeuralEquilibrium
 from warp_peri.statics.descent import Descent, polak_ribiere
 
 WEIGHTS = ROOT / "examples" / "neural_weights" / "leaflet.json"

@@ -30,10 +30,10 @@ from examples.train_graphene import DATA
 from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.neural.networks import network
+from warp_peri.neural.material import network
 from warp_peri.points.families import families_of
 from warp_peri.statics.equilibria import anderson
+from warp_peri.third_order.material import NonlinearModel
 
 HORIZON, STRAIN = 20.0, 0.02
 """δ [Å], and the scale of the networks' inputs."""

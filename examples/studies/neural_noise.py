@@ -29,8 +29,8 @@ from examples.prose import table
 from examples.studies.papers import keeper
 from tools.make_hgo import SPACING
 from warp_peri.errors import exit_status
-from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.material import NeuralOperator
+from warp_peri.neural.placed import evaluate
 from warp_peri.neural.training import Training, train
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.energy_fit import fit_energy

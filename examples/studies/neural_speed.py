@@ -23,11 +23,8 @@ from examples import neural_sets
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
 from warp_peri.neural.bonds import Gather
-from warp_peri.neural.file import load
-from warp_peri.neural.interpolation import interpolated_force
-from warp_peri.neural.material import NeuralOperator
-from warp_peri.neural.networks import CHUNK, units
-from warp_peri.neural.placed import Placed
+from warp_peri.neural.material import CHUNK, NeuralOperator, load, units
+from warp_peri.neural.placed import Placed, interpolated_force
 from warp_peri.neural.training import relative
 
 

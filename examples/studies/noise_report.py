@@ -19,7 +19,7 @@ from examples.prose import fill, rows_of
 from warp_peri import plots
 from warp_peri.learning.result import Fit
 from warp_peri.learning.uncertainty import Uncertainty
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.problems import Dirichlet

@@ -37,12 +37,11 @@ from tools.samples import Sample
 from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.gradient_sweeps import GradientSweeps
-from warp_peri.operator.lps import lps_force
-from warp_peri.operator.nonlinear import NonlinearOperator, class_tables, nonlinear_force
-from warp_peri.transfer.nonlinear import nonlinear_for
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.operator import lps_force
+from warp_peri.regression.losses import class_weights
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.sweeps import GradientSweeps, third_order_force
 
 TURN, CRYSTAL = 10.0, 17.0
 """Degrees that bodies and crystals are turned by."""
@@ -60,7 +59,7 @@ def rotation(degrees: float) -> np.ndarray:
 def turned_body(model: NonlinearModel, samples: Samples) -> dict[str, float]:
     """E_res of the same equilibria seen after a rigid turn of the deformed body, force only."""
     turn = rotation(TURN)
-    operator = NonlinearOperator(model, samples)
+    operator = model.on(samples)
     straight = model.linear.on(samples)
     u = (samples.x + samples.u) @ turn.T - samples.x
     b = samples.loads[:, samples.interior]
@@ -134,7 +133,7 @@ def other_lattices(model: NonlinearModel, atoms: SmoothedAtoms) -> dict[str, Any
             samples = atoms.on(points, role)
             row[kind] = warp_peri.evaluate(model, samples)["E_u"]
             row[f"{kind}_linear"] = warp_peri.evaluate(model.linear, samples)["E_u"]
-            row["proven"] = nonlinear_for(model, samples).proven_strain(spacing)
+            row["proven"] = model.on(samples).model.proven_strain(spacing)
         table[name] = row
     return table
 
@@ -158,9 +157,10 @@ def costs(model: NonlinearModel) -> dict[str, float]:
         return lps_force(bonds, u, solid)
 
     def nonlinear() -> torch.Tensor:
-        values = (solid.mu, solid.alpha, solid.D, solid.dilatation)
-        tables = class_tables(sweeps.classes, *values, (weights[0], weights[1]))
-        return nonlinear_force(sweeps, u, tables, solid.lam - solid.mu, numbers)
+        w, p = (class_weights(sweeps.classes, solid.alpha, D) for D in (solid.D, solid.dilatation))
+        bond = 16 * solid.mu * w / torch.from_numpy(sweeps.classes.r) ** 2
+        tables = sweeps.by_pair(torch.stack([bond, 2 * p, 2 * weights[0], 2 * weights[1]]))
+        return third_order_force(sweeps, u, tables, solid.lam - solid.mu, numbers)
 
     def graded(force: Callable[[], torch.Tensor], leaves: list[torch.Tensor]) -> None:
         torch.autograd.grad((force() * g).sum(), leaves, allow_unused=True)

@@ -27,7 +27,7 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.learning.nonlinear import NonlinearFit
 from warp_peri.methods import Optimum, Smoothing
-from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.third_order.operator import PlacedThirdOrder
 
 RIDGES = (0.05, 0.07, 0.1, 0.14, 0.2)
 PARTS = 5
@@ -68,7 +68,7 @@ def learn(samples: Samples, horizon: float, ridge: float) -> NonlinearFit:
 def residuals(fit: NonlinearFit, samples: Samples) -> list[float]:
     """Relative residual of each sample."""
     b = samples.loads[:, samples.interior]
-    left = NonlinearOperator(fit.material, samples)(samples.u) - b
+    left = PlacedThirdOrder(fit.material, samples)(samples.u) - b
     errors: list[float] = (
         np.linalg.norm(left, axis=(1, 2)) / np.linalg.norm(b, axis=(1, 2))
     ).tolist()

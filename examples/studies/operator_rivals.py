@@ -12,12 +12,11 @@ from scipy.sparse.linalg import LinearOperator, cg
 
 from tools import numba_rival, rivals
 from warp_peri import InputError, Model, Samples
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.reduced import class_weights, reduce
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.matrices import matrices
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
+from warp_peri.regression.losses import class_weights, reduce, sample_weights
 
 TOLERANCE = 1e-8
 Solver = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -16,8 +16,8 @@ from examples.neural_rivals import dictionary
 from examples.prose import rows_of
 from examples.studies import paper_jafarzadeh_pictures as pictures
 from tools.make_hgo import SPACING, make_hgo
-from warp_peri.neural.equilibrium import NeuralEquilibrium
-from warp_peri.neural.file import load
+from warp_peri.neural.material import load
+from warp_peri.neural.placed import NeuralEquilibrium
 from warp_peri.points.samples import Samples
 from warp_peri.tissue import rose_of
 

@@ -31,15 +31,20 @@ from warp_peri.flow import (
     simulate,
     start_pairs,
 )
-from warp_peri.flow.channel import Particles
-from warp_peri.flow.channel_run import ChannelRecord, run_channel
-from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress
+from warp_peri.flow.channel import ChannelRecord, Particles, run_channel
+from warp_peri.flow.closure import (
+    Closure,
+    CoupledDumbbells,
+    Stress,
+    exact_pairs,
+    reached,
+    window_pairs,
+)
+from warp_peri.flow.dumbbells import Ensembles
 from warp_peri.flow.gaussian_process import JITTER
-from warp_peri.flow.pairs import exact_pairs, reached, window_pairs
-from warp_peri.flow.planar import IDENTITY, elongation, shear
+from warp_peri.flow.laws import IDENTITY, elongation, shear
 from warp_peri.flow.plane import run_plane
-from warp_peri.flow.protocols import Ensembles
-from warp_peri.flow.shear_law import ShearLaw, learn_shear
+from warp_peri.flow.rates import ShearLaw, learn_shear
 
 NEEDED: dict[str, str] = {}
 TEMPLATE = Path(__file__).with_suffix(".md")

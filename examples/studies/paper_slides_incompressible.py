@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull, Voronoi
 import warp_peri
 from examples.studies.paper_slides_rates import LENGTH, MU, lattice
 from examples.studies.staggered import derivatives, least_squares, staggered, tensors, thinned
-from warp_peri.operator.matrices import Matrices, matrices
+from warp_peri.lps.matrices import Matrices, matrices
 from warp_peri.points.points import Points
 from warp_peri.statics.direct import MatrixProblem
 

@@ -20,7 +20,7 @@ from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE
 from warp_peri import Bernstein
 from warp_peri.files.atomic import whole_file
 from warp_peri.learning.fit import learn
-from warp_peri.learning.output_error import as_model
+from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Stage
 from warp_peri.methods import TwoStage
 from warp_peri.points.dataset import Dataset

@@ -28,11 +28,9 @@ from warp_peri import InputError
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
 from warp_peri.flow.closure import homogeneous
-from warp_peri.flow.cloud import OutsideWarning
-from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.laws import FENEP
-from warp_peri.flow.planar import elongation, shear
-from warp_peri.flow.protocols import held, mixed, simulate
+from warp_peri.flow.dumbbells import Dumbbells, held, mixed, simulate
+from warp_peri.flow.laws import FENEP, elongation, shear
+from warp_peri.flow.learned import OutsideWarning
 
 RATES = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 20.0)
 T = (np.arange(80) + 0.5) * 0.1

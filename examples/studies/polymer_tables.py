@@ -34,19 +34,13 @@ from examples.polymer_flow import fene_law, fene_study, hookean_law, relative
 from warp_peri import InputError
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.flow.channel import Particles
-from warp_peri.flow.channel_run import ChannelFlow, ChannelRecord, run_channel
-from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress
-from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.channel import ChannelFlow, ChannelRecord, Particles, run_channel
+from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress, start_pairs, window_pairs
+from warp_peri.flow.dumbbells import Dumbbells, Ensembles, Twins, held, simulate
 from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
-from warp_peri.flow.pairs import start_pairs, window_pairs
-from warp_peri.flow.planar import elongation, shear
+from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell, elongation, shear
 from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
-from warp_peri.flow.protocols import Ensembles, held, simulate
-from warp_peri.flow.rate_law import learn_rate
-from warp_peri.flow.shear_law import ShearLaw, learn_shear
-from warp_peri.flow.twins import Twins
+from warp_peri.flow.rates import ShearLaw, learn_rate, learn_shear
 from warp_peri.launch import set_threads, threads
 
 MAXWELL = UpperConvectedMaxwell()

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from warp_peri import Model, Samples
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
 from warp_peri.statics.equilibrium import lps_linear
 
 Solver = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -11,8 +11,8 @@ import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
-from warp_peri.operator.matrices import Matrices, matrices
+from warp_peri.lps.matrices import Matrices, matrices
+from warp_peri.lps.model import Model
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.interpolation import mean_spacing
 from warp_peri.points.samples import PointsLike, nodes_of

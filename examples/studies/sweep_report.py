@@ -17,7 +17,7 @@ from examples.prose import fill, rows_of
 from warp_peri import plots
 from warp_peri.files.atomic import write_json, write_text
 from warp_peri.learning.sweep import COST_TOLERANCE, Sweep, Trial
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.storage import load
 
 PRINTED_TABLE_3 = {

@@ -35,7 +35,7 @@ from tools.samples import Sample, read_sample
 from warp_peri import Model
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
-from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.third_order.material import NonlinearModel
 
 ANGLES = (0.0, 5.0, 10.0, 17.0, 23.0, 30.0, 45.0)
 """Of the crystal [degrees]. It repeats every 60° and the nodes every 90°, so that all turns

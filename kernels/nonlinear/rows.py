@@ -3,7 +3,8 @@
 Planes, pieces and lanes are those of kernels/lps/rows.py. A bond ξ and its opposite have the same
 tables, so that they are taken together: Σ p (u_j − u_i) ⊗ ξ needs u(ξ) − u(−ξ), the force of the
 linear bonds u(ξ) + u(−ξ) − 2 u, that of dilatation and stress their differences. bonds[p] holds ξ
-of one of a pair, then 16 μ w/r², 2 p, 2 p_in and 2 p_out.
+of one of a pair, then C₁₁, C₁₂, C₂₂, 2 p, 2 p_in and 2 p_out. Lines marked as of the dilatation are
+left out where the linear part has none.
 
 A state is nine planes: what the force reads, a matrix M and a dilatation, and the gradient M was
 made of. Forwards these are P, θ and H; backwards, of the derivative g to L u in the place of u,
@@ -20,7 +21,7 @@ from warp_peri.kernels.nonlinear.law import CLIP, CLIP_BACK, CLIPPED, CURVED, ST
 
 PLANES = 9
 """Of a state."""
-P_IN, P_OUT = 4, 5
+P_IN, P_OUT = 6, 7
 """Columns of the weights in the table of bonds."""
 
 HERE = """
@@ -39,24 +40,25 @@ STATE_PAIR = """
         const REAL *f00 = state + step, *b00 = state - step;
         const REAL *f01 = f00 + places, *b01 = b00 + places, *f10 = f01 + places;
         const REAL *b10 = b01 + places, *f11 = f10 + places, *b11 = b10 + places;
-        const REAL *ft = f11 + places, *bt = b11 + places;
+        const REAL *ft = f11 + places, *bt = b11 + places;  // DILATATION
 """
 GRADIENT = (
     HERE
     + """
-    REAL xx[LANES] = {}, xy[LANES] = {}, yx[LANES] = {}, yy[LANES] = {}, theta[LANES] = {};
+    REAL xx[LANES] = {}, xy[LANES] = {}, yx[LANES] = {}, yy[LANES] = {};
+    REAL theta[LANES] = {};  // DILATATION
     for (int p = 0; p < offset.shape[0]; ++p) {"""
     + PAIR
     + """
         const REAL ka = pair[column] * a, kb = pair[column] * b;
-        const REAL qa = pair[3] * a, qb = pair[3] * b;
+        const REAL qa = pair[5] * a, qb = pair[5] * b;  // DILATATION
         for (int l = 0; l < LANES; ++l) {
             const REAL x = vx[l] - wx[l], y = vy[l] - wy[l];
             xx[l] += ka * x;
             xy[l] += kb * x;
             yx[l] += ka * y;
             yy[l] += kb * y;
-            theta[l] += qa * x + qb * y;
+            theta[l] += qa * x + qb * y;  // DILATATION
         }
     }
     CLIP
@@ -70,7 +72,7 @@ GRADIENT = (
         out[places + l] = m01[l];
         out[2 * places + l] = m10[l];
         out[3 * places + l] = m11[l];
-        out[4 * places + l] = theta[l];
+        out[4 * places + l] = theta[l];  // DILATATION
         out[5 * places + l] = xx[l];
         out[6 * places + l] = xy[l];
         out[7 * places + l] = yx[l];
@@ -111,16 +113,16 @@ FORCE = (
     + STATE_PAIR
     + """
         const REAL ka = pair[column] * a, kb = pair[column] * b;
-        const REAL shear = pair[2], pressure = bulk * pair[3];
+        const REAL c11 = pair[2], c12 = pair[3], c22 = pair[4];
+        const REAL pa = bulk * pair[5] * a, pb = bulk * pair[5] * b;  // DILATATION
         for (int l = 0; l < LANES; ++l) {
-            const REAL stretch = a * (vx[l] + wx[l] - x[l]) + b * (vy[l] + wy[l] - y[l]);
-            const REAL density = shear * stretch + pressure * (ft[l] - bt[l]);
-            fx[l] += density * a;
-            fy[l] += density * b;
-            fx[l] += ka * (f00[l] - b00[l]);
-            fy[l] += ka * (f10[l] - b10[l]);
-            fx[l] += kb * (f01[l] - b01[l]);
-            fy[l] += kb * (f11[l] - b11[l]);
+            const REAL dx = vx[l] + wx[l] - x[l], dy = vy[l] + wy[l] - y[l];
+            fx[l] += c11 * dx + c12 * dy;
+            fy[l] += c12 * dx + c22 * dy;
+            fx[l] += pa * (ft[l] - bt[l]);  // DILATATION
+            fy[l] += pb * (ft[l] - bt[l]);  // DILATATION
+            fx[l] += ka * (f00[l] - b00[l]) + kb * (f01[l] - b01[l]);
+            fy[l] += ka * (f10[l] - b10[l]) + kb * (f11[l] - b11[l]);
         }
     }
     REAL* out = (REAL*)(vectors.data + size_t(s) * vectors.shape[1] + number);
@@ -148,33 +150,36 @@ def lanes_of(scalar):
     return BYTES // wp.types.type_size_in_bytes(scalar)
 
 
-def native(body, scalar):
-    """The C++ in one precision."""
+def native(body, scalar, dilates):
+    """The C++ in one precision, with the dilatation or without."""
+    lines = body.splitlines()
+    kept = [
+        line.removesuffix("  // DILATATION") for line in lines if dilates or "// DIL" not in line
+    ]
+    body = "\n".join(kept)
     return body.replace("REAL", f"wp::{scalar.__name__}").replace("LANES", str(lanes_of(scalar)))
 
 
 @cache
-def rows(scalar):
-    """The kernels in one precision."""
-    forward = native(FORWARD, scalar)
-    backward = native(SEEN + BACKWARD, scalar)
+def rows(scalar, dilates):
+    """The kernels in one precision, of a linear part with a dilatation or without."""
+    pair, numbers = wp.types.vector(8, scalar), wp.types.vector(6, scalar)
+    mat = wp.types.matrix((2, 2), scalar)
     return SimpleNamespace(
         lanes=lanes_of(scalar),
-        pair=wp.types.vector(6, scalar),
-        numbers=wp.types.vector(6, scalar),
+        dilates=dilates,
+        pair=pair,
+        numbers=numbers,
         vec=wp.types.vector(2, scalar),
-        mat=wp.types.matrix((2, 2), scalar),
-        state=state_of(scalar, wp.types.vector(6, scalar), forward),
-        state_adjoint=_state_adjoint(scalar, backward),
-        force=force_of(scalar, wp.types.vector(6, scalar), native(FORCE, scalar)),
-        tangents=_tangents(scalar, native(UNIT, scalar)),
+        mat=mat,
+        state=_state(scalar, pair, numbers, native(FORWARD, scalar, dilates)),
+        curved=_curved(scalar, pair, numbers, native(SEEN + BACKWARD, scalar, dilates)),
+        force=_force(scalar, pair, native(FORCE, scalar, dilates)),
+        tangents=_tangents(scalar, mat, numbers, native(UNIT, scalar, dilates)),
     )
 
 
-def state_of(scalar, pair, body):
-    """The kernel whose C++ goes through bonds that hold `pair`, here and in tensors.py."""
-    numbers = wp.types.vector(6, scalar)
-
+def _state(scalar, pair, numbers, body):
     @wp.func_native(body)
     def piecewise(
         s: wp.int32,
@@ -201,16 +206,14 @@ def state_of(scalar, pair, body):
         planes: wp.array2d(dtype=scalar),
         result: wp.array2d(dtype=scalar),
     ):
-        """P = Ψ′(H), H and an LPS's θ of u, (N1) and (N4); a radius clips H for P."""
+        """P = Ψ′(H), H and θ of u, (N1) and (N4); a radius clips H for P."""
         s, t = wp.tid()
         piecewise(s, pieces[first + t], offset, bonds, p_in, m, radius, planes, result)
 
     return state
 
 
-def _state_adjoint(scalar, body):
-    pair, numbers = wp.types.vector(6, scalar), wp.types.vector(6, scalar)
-
+def _curved(scalar, pair, numbers, body):
     @wp.func_native(body)
     def piecewise(
         s: wp.int32,
@@ -225,30 +228,29 @@ def _state_adjoint(scalar, body):
         result: wp.array2d(dtype=scalar),
     ): ...
 
-    p_out = wp.constant(P_OUT)
-
     @wp.kernel(enable_backward=False, module="unique")
-    def state_adjoint(
+    def curved(
         first: wp.int32,
         pieces: wp.array(dtype=wp.vec3i),
         offset: wp.array(dtype=wp.int32),
         bonds: wp.array(dtype=pair),
+        column: wp.int32,
         m: numbers,
         radius: scalar,
         state: wp.array2d(dtype=scalar),
         planes: wp.array2d(dtype=scalar),
         result: wp.array2d(dtype=scalar),
     ):
-        """∂/∂H, ∂/∂θ over λ − μ, and ∂/∂P, (N7), of planes g that are zero off the interior."""
+        """Ψ″(H) of the gradient that the weights of a column give planes, and that gradient:
+        ∂/∂H, ∂/∂θ over λ − μ and ∂/∂P, (N7), of g that is zero off the interior with p_out, and
+        how the state changes along a field with p_in."""
         s, t = wp.tid()
-        piecewise(s, pieces[first + t], offset, bonds, p_out, m, radius, state, planes, result)
+        piecewise(s, pieces[first + t], offset, bonds, column, m, radius, state, planes, result)
 
-    return state_adjoint
+    return curved
 
 
-def force_of(scalar, pair, body):
-    """The force from a body in C++, bonds in pairs of this type; one that has no dilatation does
-    not read `bulk`."""
+def _force(scalar, pair, body):
     vec = wp.types.vector(2, scalar)
 
     @wp.func_native(body)
@@ -276,16 +278,14 @@ def force_of(scalar, pair, body):
         states: wp.array2d(dtype=scalar),
         vectors: wp.array2d(dtype=vec),
     ):
-        """L u, (N2), with the weights p_out in column 5; ∂/∂u, (N8), with p_in in column 4."""
+        """L u, (N2), with the weights p_out; ∂/∂u, (N8), with p_in."""
         s, t = wp.tid()
         piecewise(s, pieces[first + t], offset, bonds, column, bulk, planes, states, vectors)
 
     return force
 
 
-def _tangents(scalar, body):
-    mat, numbers = wp.types.matrix((2, 2), scalar), wp.types.vector(6, scalar)
-
+def _tangents(scalar, mat, numbers, body):
     @wp.func_native(body)
     def curved(
         k: wp.int32, place: wp.int32, m: numbers, state: wp.array2d(dtype=scalar)

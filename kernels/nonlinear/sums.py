@@ -1,8 +1,8 @@
 """Sums over nodes and bonds for the derivatives to tables and numbers of the material, (N9).
 
 Laid out as rows.py says, a sum for each lane. Of a pair of bonds ±ξ, d = u(ξ) − u(−ξ) and
-g at the node, bars hold Σ g·ξ ξ·(u(ξ) + u(−ξ) − 2 u), Σ g·ξ (θ(ξ) − θ(−ξ)), Σ θ̄ ξ·d,
-Σ (H̄ ξ)·d and Σ g·(P(ξ) − P(−ξ)) ξ, with θ̄ over λ − μ.
+g at the node, bars hold Σ g₁c₁, Σ g₁c₂ + g₂c₁ and Σ g₂c₂ with c = u(ξ) + u(−ξ) − 2 u,
+Σ g·ξ (θ(ξ) − θ(−ξ)), Σ θ̄ ξ·d, Σ (H̄ ξ)·d and Σ g·(P(ξ) − P(−ξ)) ξ, with θ̄ over λ − μ.
 """
 
 from functools import cache
@@ -13,14 +13,15 @@ import warp as wp
 from warp_peri.kernels.nonlinear.law import CLIP, CLIPPED, SLOPES
 from warp_peri.kernels.nonlinear.rows import HERE, OF_STATE, PAIR, STATE_PAIR, native, rows
 
-SUMS = 5
+SUMS = 7
 """Numbers that every pair of bonds gathers for the derivatives to its tables."""
 
 OWN = """
     const REAL* state = states.data + size_t(s) * states.shape[1] + base;
     const REAL* back = backs.data + size_t(s) * backs.shape[1] + base;
     const REAL* own_x = seeds.data + size_t(s) * seeds.shape[1] + base;
-    REAL x[LANES], y[LANES], gx[LANES] = {}, gy[LANES] = {}, theta[LANES] = {};
+    REAL x[LANES], y[LANES], gx[LANES] = {}, gy[LANES] = {};
+    REAL theta[LANES] = {};  // DILATATION
     REAL i00[LANES] = {}, i01[LANES] = {}, i10[LANES] = {}, i11[LANES] = {};
     for (int l = 0; l < LANES; ++l) {
         x[l] = REAL(2) * ux[l];
@@ -33,19 +34,21 @@ OWN = """
         i01[l] = back[places + l];
         i10[l] = back[2 * places + l];
         i11[l] = back[3 * places + l];
-        theta[l] = back[4 * places + l];
+        theta[l] = back[4 * places + l];  // DILATATION
     }
 """
 BY_PAIR = """
-        REAL* sums = bars.data + size_t(block) * bars.shape[1] + 5 * LANES * p;
+        REAL* sums = bars.data + size_t(block) * bars.shape[1] + 7 * LANES * p;
         for (int l = 0; l < LANES; ++l) {
-            const REAL along = gx[l] * a + gy[l] * b;
             const REAL dx = vx[l] - wx[l], dy = vy[l] - wy[l];
-            sums[l] += along * (a * (vx[l] + wx[l] - x[l]) + b * (vy[l] + wy[l] - y[l]));
-            sums[LANES + l] += along * (ft[l] - bt[l]);
-            sums[2 * LANES + l] += theta[l] * (a * dx + b * dy);
-            sums[3 * LANES + l] += (i00[l] * a + i01[l] * b) * dx + (i10[l] * a + i11[l] * b) * dy;
-            sums[4 * LANES + l] += gx[l] * (a * (f00[l] - b00[l]) + b * (f01[l] - b01[l]))
+            const REAL cx = vx[l] + wx[l] - x[l], cy = vy[l] + wy[l] - y[l];
+            sums[l] += gx[l] * cx;
+            sums[LANES + l] += gx[l] * cy + gy[l] * cx;
+            sums[2 * LANES + l] += gy[l] * cy;
+            sums[3 * LANES + l] += (gx[l] * a + gy[l] * b) * (ft[l] - bt[l]);  // DILATATION
+            sums[4 * LANES + l] += theta[l] * (a * dx + b * dy);  // DILATATION
+            sums[5 * LANES + l] += (i00[l] * a + i01[l] * b) * dx + (i10[l] * a + i11[l] * b) * dy;
+            sums[6 * LANES + l] += gx[l] * (a * (f00[l] - b00[l]) + b * (f01[l] - b01[l]))
                 + gy[l] * (a * (f10[l] - b10[l]) + b * (f11[l] - b11[l]));
         }
 """
@@ -81,11 +84,11 @@ BODY = (
 
 
 @cache
-def sums(scalar):
+def sums(scalar, dilates):
     """The kernel in one precision, and the size of what it writes for a pair and a material."""
-    of = rows(scalar)
+    of = rows(scalar, dilates)
     return SimpleNamespace(
-        kernel=_sums(scalar, of.pair, native(BODY, scalar)),
+        kernel=_sums(scalar, of.pair, native(BODY, scalar, dilates)),
         pair=SUMS * of.lanes,
         material=6 * of.lanes,
     )

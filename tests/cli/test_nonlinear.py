@@ -6,13 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.statics.test_nonlinear import problem, proven
 from tests.support.problems import lattice
 from tests.support.solving import solve_nonlinear
+from tests.third_order.test_equilibria import problem, proven
 from warp_peri import Dataset, Samples
 from warp_peri.cli.main import main
 from warp_peri.points.dataset_file import load_dataset, save_dataset
-from warp_peri.transfer.nonlinear import nonlinear_for
 
 
 @pytest.fixture
@@ -74,7 +73,7 @@ def test_a_finer_lattice_exports_what_it_solves(files, capsys):
     with h5py.File(folder / "fields" / "samples.h5") as file:
         exported = file["sample_0000/displacement"][:, :2]
     solved = solve_nonlinear(model, points, 0 * u, u)
-    dilatation = replace(nonlinear_for(model, points), gradient=None)
+    dilatation = replace(model.at(points), gradient=None)
     other = solve_nonlinear(dilatation, points, 0 * u, u)
     assert np.abs(exported - solved).max() < 1e-9 < 1e-6 < np.abs(other - solved).max()
 
@@ -82,7 +81,7 @@ def test_a_finer_lattice_exports_what_it_solves(files, capsys):
 @pytest.mark.filterwarnings("ignore:transferred")
 def test_a_transferred_model_is_certified_on_its_own_lattice(files, capsys):
     folder, model, *_ = files
-    fine = nonlinear_for(model, lattice(4, model.horizon, spacing=0.75))
+    fine = model.at(lattice(4, model.horizon, spacing=0.75))
     fine.save(folder / "fine.json")
     proof = printed(capsys, "certify", folder / "fine.json")["0.75 Å"]["nonlinear"]
     assert proof["strain"] == pytest.approx(fine.proven_strain(0.75))

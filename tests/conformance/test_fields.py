@@ -129,7 +129,7 @@ def test_a_plain_model_is_proven_where_a_body_needs_it():
     by_default = wp.solve(model, plate())
     told = wp.solve(replace(model, certified_on=(1.0,)), plate())
     np.testing.assert_array_equal(by_default.u, told.u)
-    coupling = wp.statics.body.Coupling(spacing=1.0)
+    coupling = wp.methods.Coupling(spacing=1.0)
     details = wp.solve(model, plate(coupling=coupling)).details
     assert details.model.certified_on == (1.0,)
     assert details.model.certificate["1"]["symbol_bound"] > 0

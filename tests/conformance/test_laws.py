@@ -16,16 +16,16 @@ from tests.support.sheets import NEAREST, SPACING, waves
 from warp_peri import launch
 from warp_peri.core.basis import invariant_basis
 from warp_peri.core.groups import point_group, shared_with_nodes
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.model import bernstein_basis
+from warp_peri.lps.operator import lps_force
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.models.influence import bernstein_basis
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.models.smoothing import Smoothing
 from warp_peri.neural.material import NeuralOperator
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import factors
 from warp_peri.points.units import in_units_of, scaled
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 

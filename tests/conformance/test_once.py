@@ -8,9 +8,9 @@ from torch.autograd import forward_ad
 import warp_peri as wp
 from tests.conformance.test_laws import hyperelastic, linear, third_order, tissue
 from tests.support.problems import lattice
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
 from warp_peri.statics.equilibrium import equilibrium
 
 SOLID = {"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]}

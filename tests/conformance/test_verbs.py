@@ -7,8 +7,9 @@ import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.plates import plate
 from warp_peri.choice import Scene
-from warp_peri.operator import bonds, gradient_sweeps
-from warp_peri.statics import nonlinear as third_order
+from warp_peri.lps import bonds
+from warp_peri.third_order import material as third_order
+from warp_peri.third_order import sweeps as gradient_sweeps
 from warp_peri.tissue import operator as tissue
 from warp_peri.transfer import operator as transferred
 
@@ -56,7 +57,7 @@ def test_no_samples_have_no_answers(name):
         ("LPS", (transferred, "model_for"), ((bonds, "families_of"),)),
         (
             "third order, energy",
-            (third_order, "nonlinear_for"),
+            (third_order, "model_for"),
             ((gradient_sweeps, "families_of"), (bonds, "families_of")),
         ),
         ("hyperelastic", None, ((tissue, "lattice_bonds"),)),

@@ -2,12 +2,12 @@
 
 from warp_peri.contract import Law, Material, Operator, Problem
 from warp_peri.learning.laws import LPS, ThirdOrder
-from warp_peri.models.lps import Model
-from warp_peri.models.nonlinear import NonlinearModel
+from warp_peri.lps.model import Model
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
 from warp_peri.statics.lps import PlacedLPS
-from warp_peri.statics.nonlinear import PlacedThirdOrder
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.tissue.placed import PlacedSheet
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
 

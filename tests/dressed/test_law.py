@@ -15,11 +15,10 @@ from tests.micromodulus.test_learning import waves
 from warp_peri.core.elements import q1_tensors
 from warp_peri.core.groups import point_group
 from warp_peri.dressed.bases import base, bonds, dilatation_range, half
-from warp_peri.dressed.law import DressedSolid
-from warp_peri.dressed.learning import _dressing, _Monomials, from_phonons, transferred
+from warp_peri.dressed.law import DressedSolid, _dressing, _Monomials, from_phonons, transferred
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import from_calculator
-from warp_peri.micromodulus.states import tensors_of
+from warp_peri.micromodulus.lps import tensors_of
 from warp_peri.micromodulus.waves import from_phonons as tensors_from_phonons
 
 SHEET = dict(C11=1.25, C12=-0.2, C44=0.725)

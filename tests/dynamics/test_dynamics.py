@@ -9,9 +9,9 @@ from tests.support.problems import ell, fitted_order, kernel, lattice, noise, pe
 from tests.support.solving import velocity_verlet
 from warp_peri import InputError
 from warp_peri.dynamics.verlet import INERTIA, Inert, march, step
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.matrices import matrices
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import critical_time_step
 from warp_peri.transfer.operator import LPSOperator

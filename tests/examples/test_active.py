@@ -6,11 +6,10 @@ import pytest
 from examples.flows.active import LearningClosure, replayed
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure, CoupledDumbbells
-from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.planar import elongation, shear
+from warp_peri.flow.dumbbells import Dumbbells, held, simulate
+from warp_peri.flow.laws import elongation, shear
 from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.protocols import held, simulate
-from warp_peri.flow.spring_law import learn_spring
+from warp_peri.flow.springs import learn_spring
 
 FLOW, B = PlaneFlow(1.0, 1.0, 12, force=lambda t: 12.0), 50.0
 

@@ -7,13 +7,11 @@ from examples.flows.closure_error import corrected_run, missing_stress
 from examples.flows.paths import Band, band, curvature_of, draw, varied
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure, homogeneous
-from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.dumbbells import Dumbbells, held, simulate
 from warp_peri.flow.gaussian_process import fit_process, unlikelihood
-from warp_peri.flow.laws import Giesekus, UpperConvectedMaxwell
-from warp_peri.flow.planar import shear
+from warp_peri.flow.laws import Giesekus, UpperConvectedMaxwell, shear
 from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.protocols import held, simulate
-from warp_peri.flow.shear_law import learn_shear
+from warp_peri.flow.rates import learn_shear
 
 
 @pytest.mark.parametrize("kernel", ["product", "additive"])

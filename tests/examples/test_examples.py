@@ -13,7 +13,7 @@ import pytest
 from examples import train_graphene, validate_disks
 from warp_peri import LPS, Bernstein, fit, save
 from warp_peri.cli.main import main as command
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.dataset_file import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent

@@ -16,8 +16,7 @@ from examples.studies.neural_speed import plain
 from tests.support.problems import lattice
 from tools.make_hgo import SQUARES, square_points
 from warp_peri.errors import InputError
-from warp_peri.neural.file import load, save
-from warp_peri.neural.material import NeuralOperator
+from warp_peri.neural.material import NeuralOperator, load, save
 from warp_peri.neural.training import Training
 from warp_peri.points.samples import Samples
 

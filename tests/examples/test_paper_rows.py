@@ -24,7 +24,7 @@ from examples.studies import paper_slides_rates as rates
 from examples.studies.paper_you_2021 import ALL_ERRORS, algorithm_1, chosen, errors_of, strains
 from warp_peri import Bernstein, evaluate, load
 from warp_peri.learning.fit import learn
-from warp_peri.learning.output_error import as_model
+from warp_peri.learning.response import as_model
 from warp_peri.methods import TwoStage
 
 PAGES = Path(__file__).parent.parent.parent / "docs" / "papers"

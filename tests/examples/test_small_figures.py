@@ -15,7 +15,7 @@ import warp_peri as wp
 from examples import hgo_square, neural_operator, neural_sets
 from tools import make_leaflet as leaflet
 from tools.make_hgo import make_hgo
-from warp_peri.neural.file import load
+from warp_peri.neural.material import load
 from warp_peri.tissue import hyperelastic_errors, material_terms, read_material, with_corners
 
 WITHIN = 1.3

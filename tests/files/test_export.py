@@ -19,8 +19,8 @@ from tests.support.solving import solve
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.cli.main import main
 from warp_peri.export import write_fields, write_influence, write_operator
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.stress import node_fields
+from warp_peri.lps.matrices import node_fields
+from warp_peri.lps.model import stiffnesses
 from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.stability.certificate import certify

@@ -11,15 +11,15 @@ from warp_peri import InputError, Model, Points, load, save
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.diffusion.conductor import Conductor
 from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.spring_law import SpringLaw
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.models.smoothing import Smoothing
+from warp_peri.flow.springs import SpringLaw
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import factors
 from warp_peri.shapes import InfluenceFunction
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.tissue.solid import HyperelasticSolid
 
 UNITS = [("angstrom", "TPa"), ("m", "Pa"), ("mm", "GPa")]

@@ -6,12 +6,10 @@ import pytest
 from examples.exact import poiseuille
 from tests.support.problems import fitted_order
 from warp_peri import InputError
-from warp_peri.flow.channel import Particles
-from warp_peri.flow.channel_run import ChannelFlow, run_channel
+from warp_peri.flow.channel import ChannelFlow, Particles, run_channel
 from warp_peri.flow.closure import Closure, CoupledDumbbells
 from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
-from warp_peri.flow.log_conformation import LogConformation
+from warp_peri.flow.laws import FENEP, LogConformation, UpperConvectedMaxwell
 
 
 def run(flow, until, fraction=0.9, every=10, **more):

@@ -6,11 +6,19 @@ from scipy.linalg import expm
 
 from warp_peri import InputError
 from warp_peri.flow.closure import homogeneous
-from warp_peri.flow.dumbbells import Dumbbells, propagator, rest_moment, stretched_rest
-from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
-from warp_peri.flow.planar import IDENTITY, elongation, shear
-from warp_peri.flow.protocols import Ensembles, held, mixed, read_trajectory, simulate
-from warp_peri.flow.twins import Twins
+from warp_peri.flow.dumbbells import (
+    Dumbbells,
+    Ensembles,
+    Twins,
+    held,
+    mixed,
+    propagator,
+    read_trajectory,
+    rest_moment,
+    simulate,
+    stretched_rest,
+)
+from warp_peri.flow.laws import FENEP, IDENTITY, UpperConvectedMaxwell, elongation, shear
 from warp_peri.launch import set_threads, threads
 
 

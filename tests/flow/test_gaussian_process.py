@@ -6,8 +6,8 @@ from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
 from warp_peri import InputError
-from warp_peri.flow.cloud import Cloud, OutsideWarning
 from warp_peri.flow.gaussian_process import KERNELS, fit_process, greedy, unlikelihood
+from warp_peri.flow.learned import Cloud, OutsideWarning
 
 
 def data(n=60, noise=0.05):

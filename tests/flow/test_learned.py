@@ -7,19 +7,22 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError, load, save
-from warp_peri.flow.closure import Closure, heun, homogeneous
-from warp_peri.flow.cloud import OutsideWarning
-from warp_peri.flow.dumbbells import Dumbbells
+from warp_peri.flow.closure import (
+    Closure,
+    exact_pairs,
+    heun,
+    homogeneous,
+    reached,
+    start_pairs,
+    window_pairs,
+)
+from warp_peri.flow.dumbbells import Dumbbells, Ensembles, held, simulate
 from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell
-from warp_peri.flow.pairs import exact_pairs, reached, start_pairs, window_pairs
-from warp_peri.flow.planar import IDENTITY, elongation, shear
+from warp_peri.flow.laws import FENEP, IDENTITY, UpperConvectedMaxwell, elongation, shear
+from warp_peri.flow.learned import OutsideWarning
 from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.protocols import Ensembles, held, simulate
-from warp_peri.flow.rate_law import learn_rate
-from warp_peri.flow.shear_law import learn_shear
-from warp_peri.flow.spring_law import SpringLaw, invariants, learn_spring
-from warp_peri.flow.twisted_law import learn_twisted
+from warp_peri.flow.rates import learn_rate, learn_shear
+from warp_peri.flow.springs import SpringLaw, invariants, learn_spring, learn_twisted
 
 MAXWELL = UpperConvectedMaxwell()
 

@@ -6,12 +6,19 @@ import pytest
 from tests.support.problems import fitted_order
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure, homogeneous
-from warp_peri.flow.dumbbells import propagator
-from warp_peri.flow.laws import FENEP, Giesekus, UpperConvectedMaxwell
-from warp_peri.flow.log_conformation import LogConformation, exponential_of, logarithm
-from warp_peri.flow.planar import IDENTITY, eigenvalues, elongation
+from warp_peri.flow.dumbbells import carried_exactly, propagator
+from warp_peri.flow.laws import (
+    FENEP,
+    IDENTITY,
+    Giesekus,
+    LogConformation,
+    UpperConvectedMaxwell,
+    eigenvalues,
+    elongation,
+    exponential_of,
+    logarithm,
+)
 from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.twins import carried_exactly
 
 MAXWELL = UpperConvectedMaxwell()
 

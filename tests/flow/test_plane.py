@@ -9,11 +9,9 @@ from warp_peri import InputError, move
 from warp_peri.flow import ChannelFlow
 from warp_peri.flow.channel import Particles
 from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
-from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.laws import FENEP, Giesekus, UpperConvectedMaxwell
-from warp_peri.flow.planar import IDENTITY, elongation, shear
+from warp_peri.flow.dumbbells import Dumbbells, held
+from warp_peri.flow.laws import FENEP, IDENTITY, Giesekus, UpperConvectedMaxwell, elongation, shear
 from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.protocols import held
 
 LAWS = [UpperConvectedMaxwell(), Giesekus(0.3), FENEP(20.0)]
 

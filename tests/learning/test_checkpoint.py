@@ -9,11 +9,10 @@ import torch
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import Bernstein, InputError
 from warp_peri.learning import two_stage
-from warp_peri.learning.checkpoint import Checkpoint
 from warp_peri.learning.fit import learn as fit
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.reduced import reduce
+from warp_peri.learning.two_stage import Checkpoint
 from warp_peri.methods import Conditions, TwoStage
+from warp_peri.regression.losses import reduce, sample_weights
 from warp_peri.regression.parameters import Parameters
 
 

@@ -9,9 +9,8 @@ from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.waves import fluctuation
 from warp_peri import Bernstein, InputError, Samples, diagnose
-from warp_peri.learning.diagnosis import Diagnosis
+from warp_peri.learning.diagnosis import Diagnosis, SheetFeatures
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.sheet_features import SheetFeatures
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5

@@ -10,9 +10,9 @@ from tests.support.solving import solve
 from tests.support.waves import waves
 from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.scale import RELATIVE_ZETA, scale_of, stiffness_of
+from warp_peri.learning.training_data import RELATIVE_ZETA, scale_of, stiffness_of
+from warp_peri.lps.model import Model
 from warp_peri.methods import Conditions, Optimum
-from warp_peri.models.lps import Model
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.proofs import critical_time_step

@@ -9,11 +9,11 @@ from tests.support.problems import kernel, lattice, manufactured, noise, with_no
 from warp_peri import Bernstein, InputError, certify, evaluate
 from warp_peri.learning import training_data as training
 from warp_peri.learning.fit import learn as fit
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import moduli
 from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.symbol import moduli
 from warp_peri.points.families import bond_classes
-from warp_peri.stability.conditions import LatticeConditions, ZoneSearch
+from warp_peri.regression.conditions import LatticeConditions, ZoneSearch
 
 LAM, MU = -0.2, 0.7
 ZETA = 0.01

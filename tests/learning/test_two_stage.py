@@ -7,7 +7,7 @@ import torch
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
 from warp_peri import Bernstein, certify
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.margins import (
+from warp_peri.learning.two_stage import (
     DENSE_ZETA,
     DenseMargins,
     SymbolMargins,
@@ -15,10 +15,10 @@ from warp_peri.learning.margins import (
     _class_matrices,
     _dense,
 )
+from warp_peri.lps.model import stiffnesses
 from warp_peri.methods import TwoStage
-from warp_peri.models.lps import stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 
 HORIZON, ZETA = 3.0, 0.02
 CLASSES = bond_classes(1.0, HORIZON)

@@ -15,7 +15,6 @@ from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.micromodulus import force_constants
-from warp_peri.micromodulus.fields import long_wave_moduli
 from warp_peri.micromodulus.force_constants import (
     Polar,
     finite_differences,
@@ -25,7 +24,8 @@ from warp_peri.micromodulus.force_constants import (
 )
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
-from warp_peri.micromodulus.states import tensors_of
+from warp_peri.micromodulus.lps import tensors_of
+from warp_peri.micromodulus.regression import long_wave_moduli
 from warp_peri.micromodulus.waves import fit_symbol, from_phonons, transferred
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples

@@ -6,9 +6,8 @@ import torch
 
 from tests.support.problems import lattice
 from warp_peri.errors import InputError
-from warp_peri.neural.equilibrium import NeuralEquilibrium
-from warp_peri.neural.evaluation import evaluate
 from warp_peri.neural.material import NeuralOperator
+from warp_peri.neural.placed import NeuralEquilibrium, evaluate
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.statics.descent import polak_ribiere

@@ -17,11 +17,8 @@ from tests.support.problems import ell, lattice
 from warp_peri.core.record import content_hash
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
-from warp_peri.neural.file import load, save
-from warp_peri.neural.interpolation import interpolated_force
-from warp_peri.neural.material import NeuralOperator
-from warp_peri.neural.matrix import matrix
-from warp_peri.neural.networks import CHUNK, evaluate, network
+from warp_peri.neural.material import CHUNK, NeuralOperator, evaluate, load, network, save
+from warp_peri.neural.placed import interpolated_force, matrix
 from warp_peri.points.points import Points
 
 HORIZON = 3.0

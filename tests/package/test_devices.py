@@ -7,11 +7,10 @@ import warp as wp
 
 from tests.support.problems import GRADIENT, ROUNDING, kernel, lattice, manufactured, noise
 from warp_peri import InputError
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.reduced import reduce
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.lps import lps_force
+from warp_peri.regression.losses import reduce, sample_weights
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
@@ -41,7 +40,7 @@ def test_forces_are_those_of_the_processor(device):
 @pytest.mark.parametrize("device", DEVICES)
 def test_the_tape_that_a_gpu_uses_gives_the_gathered_gradient(device, monkeypatch):
     gathered = gradients("cpu")
-    monkeypatch.setattr("warp_peri.operator.lps.DEVICE", "none: the tape is used everywhere")
+    monkeypatch.setattr("warp_peri.lps.operator.DEVICE", "none: the tape is used everywhere")
     for there, here in zip(gradients(device), gathered):
         np.testing.assert_allclose(there, here, rtol=0, atol=GRADIENT * np.abs(here).max())
 

@@ -10,7 +10,7 @@ import pytest
 import warp_peri
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
-from warp_peri.models.shapes import InfluenceFunction, exponential
+from warp_peri.lps.shapes import InfluenceFunction, exponential
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 HORIZON = 12.5

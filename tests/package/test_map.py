@@ -16,7 +16,7 @@ from warp_peri.points.dataset_file import save_dataset
 PAGE = (ROOT.parent / "docs" / "growth.md").read_text(encoding="utf-8")
 USES = {
     wing: re.findall(r"`([^`]*)`", use)
-    for wing, use in re.findall(r"^\| `([a-z]+)/` \|[^|]*\|(.*)\|$", PAGE, re.M)
+    for wing, use in re.findall(r"^\| `(?!warp_peri)([a-z_]+)/` \|[^|]*\|(.*)\|$", PAGE, re.M)
 }
 
 

@@ -18,8 +18,8 @@ from tools.samples import read_sample
 from warp_peri import InputError
 from warp_peri.core import record
 from warp_peri.files.archive import read_arrays
-from warp_peri.learning.checkpoint import Checkpoint
-from warp_peri.models.lps import Model
+from warp_peri.learning.two_stage import Checkpoint
+from warp_peri.lps.model import Model
 from warp_peri.points.dataset_file import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent

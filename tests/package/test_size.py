@@ -8,13 +8,13 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 49_287,
-    "files of warp_peri": 323,
-    "lines of kernels": 5_779,
-    "lines of examples and tools": 29_578,
-    "lines of tests": 31_224,
+    "lines of warp_peri": 48_282,
+    "files of warp_peri": 262,
+    "lines of kernels": 5_669,
+    "lines of examples and tools": 29_562,
+    "lines of tests": 31_154,
     "names of classes that stand twice": 0,
-    "imports of warp_peri inside functions": 30,
+    "imports of warp_peri inside functions": 18,
     "asserts in warp_peri": 0,
 }
 """Whoever lowers one writes the new number here."""

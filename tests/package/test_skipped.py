@@ -6,7 +6,7 @@ import pytest
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.launch import Recorded, launch_slices
-from warp_peri.operator import launches, rows, tables
+from warp_peri.lps import launches, rows
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
@@ -32,7 +32,7 @@ def launched(monkeypatch):
             names.append(self.name)
             super().__call__()
 
-    for module in (launches, rows, tables):
+    for module in (launches, rows):
         monkeypatch.setattr(module, "launch_slices", note)
     monkeypatch.setattr(rows, "Recorded", Noted)
     return names

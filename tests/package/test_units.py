@@ -13,9 +13,11 @@ from tests.support.solving import solve_nonlinear
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples, diagnose, evaluate
 from warp_peri.choice import Scene, choose_model
+from warp_peri.edges.body import solve_body
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.fit import learn_third_order
 from warp_peri.learning.nonlinear import Nonlinear
+from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.methods import (
     Conditions,
     Constrained,
@@ -25,20 +27,17 @@ from warp_peri.methods import (
     fit_uncertainty,
     sweep,
 )
-from warp_peri.models.lps import Model, stiffnesses
-from warp_peri.operator.nonlinear import NonlinearOperator
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, check_units, factors
 from warp_peri.points.units import in_units_of, scaled
 from warp_peri.shapes import InfluenceFunction
-from warp_peri.statics.body import solve_body
 from warp_peri.statics.scattered import ThroughLattice
+from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.tissue.energy_fit import fit_energy
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.from_displacement import fit_displacement
 from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.transfer.nonlinear import nonlinear_for
 from warp_peri.transfers import on_lattice, one_kernel
 
 UNITS = [("nm", "Pa"), ("m", "Pa"), ("mm", "GPa")]
@@ -159,7 +158,7 @@ def constants(smoothing):
         known = solid("filtered" if smoothing else "energy", 2.5)
         u = 0.02 * smooth(LATTICE.x, 6, 0, wave_number=0.8)
         b = np.zeros_like(u)
-        b[:, LATTICE.interior] = NonlinearOperator(known, LATTICE)(u)
+        b[:, LATTICE.interior] = PlacedThirdOrder(known, LATTICE)(u)
         b *= 1 + 1e-4 * np.random.default_rng(0).normal(size=b.shape)
         found = learn_third_order(
             there(Samples(LATTICE, u, b), units),
@@ -185,7 +184,7 @@ def nonlinear_transfer(form):
         known = dataclasses.replace(known, linear=linear)
         points = lattice(4, 2.5, spacing=0.8)
         x = dataclasses.replace(points, x=points.x * h, spacing=0.8 * h, units=units)
-        found = nonlinear_for(known.in_units(units), x)
+        found = known.in_units(units).at(x)
         u = 0.002 * h * smooth(points.x, 1, 0, wave_number=0.8)
         b = np.zeros_like(u)
         solved = solve_nonlinear(found, x, b, u)

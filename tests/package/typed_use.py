@@ -16,12 +16,11 @@ import warp_peri
 from warp_peri import methods, proofs, transfers
 from warp_peri.atoms import LearnedCrystal
 from warp_peri.choice import Choice, Scene
+from warp_peri.edges.body import BodyGradient, Coupling, body_gradient
 from warp_peri.learning.diagnosis import Diagnosis
 from warp_peri.learning.nonlinear import NonlinearFit
 from warp_peri.learning.result import Fit
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.statics.body import Coupling
-from warp_peri.statics.body_gradient import BodyGradient, body_gradient
+from warp_peri.third_order.material import NonlinearModel
 
 SPACING, HORIZON, DENSITY, THICKNESS = 1.0, 2.5, 2200.0, 3.35
 

@@ -12,7 +12,7 @@ from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import KERNELS, QUADRATURE, ROUNDING, kernel, lattice, noise
 from tests.support.solving import solve
 from warp_peri import InputError, Points
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, families_of
 from warp_peri.points.quadrature import quadrature_weights
 from warp_peri.points.scattered import neighbours, reverse_bonds

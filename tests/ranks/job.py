@@ -21,7 +21,6 @@ import warp_peri as wp
 from tests.conformance.test_laws import dressed
 from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
-from warp_peri.models.nonlinear import NonlinearModel
 from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.prediction import Members
 from warp_peri.prediction.spectrum import ErrorSpectrum
@@ -30,6 +29,7 @@ from warp_peri.ranks import lattice, spread, together, whole
 from warp_peri.ranks.processes import world
 from warp_peri.ranks.sums import total
 from warp_peri.statics import equilibria as fixed_point
+from warp_peri.third_order.material import NonlinearModel
 
 H = 0.5
 

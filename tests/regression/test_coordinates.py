@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import GRADIENT, difference
-from warp_peri.models.influence import bernstein_basis
+from warp_peri.lps.model import bernstein_basis
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.coordinates import Coordinates
 from warp_peri.regression.parameters import Parameters

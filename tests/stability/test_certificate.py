@@ -8,9 +8,9 @@ import pytest
 from tests.support import reference
 from tests.support.problems import KERNELS, ell, kernel, lattice
 from warp_peri import InputError, Model, certify
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.matrices import matrices
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
 

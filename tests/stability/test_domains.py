@@ -8,7 +8,7 @@ import pytest
 from tests.stability.test_certificate import five_point
 from tests.support.problems import lattice
 from warp_peri import Model, certify
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
 
 DOMAINS = 50
 HORIZON = 3.0

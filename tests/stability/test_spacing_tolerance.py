@@ -9,10 +9,8 @@ import scipy.linalg
 from tests.support.problems import ROUNDING, lattice, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Model, certify
-from warp_peri.models.influence import bernstein_basis
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.matrices import matrices
-from warp_peri.operator.stress import node_fields
+from warp_peri.lps.matrices import matrices, node_fields
+from warp_peri.lps.model import bernstein_basis, stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
 

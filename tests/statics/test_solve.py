@@ -9,8 +9,8 @@ from scipy.optimize import brentq
 from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
 from warp_peri import Dirichlet, InputError, Model, Periodic, Points
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.solving import solve as at_rest
 from warp_peri.transfer.operator import LPSOperator

@@ -3,8 +3,8 @@
 import numpy as np
 
 from tests.support.problems import AXIS, kernel
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.models.smoothing import Smoothing
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.smoothing import Smoothing
 
 CONSTANTS = (-0.5, -6.8, 1.04)
 FORMS = ("energy", "filtered")

@@ -6,7 +6,7 @@ import sys
 import time
 
 from warp_peri import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.dataset_file import content_hash, load_dataset
 
 

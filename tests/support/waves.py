@@ -6,8 +6,8 @@ import numpy as np
 
 from tests.support.problems import lattice
 from warp_peri import Samples
-from warp_peri.models.lps import stiffnesses
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import nodes_of
 

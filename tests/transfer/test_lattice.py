@@ -8,7 +8,7 @@ import pytest
 from tests.support.problems import kernel, lattice
 from warp_peri import Bernstein, InputError, Samples
 from warp_peri.learning.fit import learn as fit
-from warp_peri.models.lps import stiffnesses
+from warp_peri.lps.model import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.wave_number import largest_wave_number
 from warp_peri.transfer.lattice import TOLERANCE

@@ -8,7 +8,7 @@ import pytest
 from tests.support.problems import kernel
 from warp_peri import InputError
 from warp_peri.export import write_kernel
-from warp_peri.operator.symbol import moduli
+from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.shared_kernel import _fitted_on
 from warp_peri.transfer.waves import dispersion, rings, wave_errors

@@ -12,7 +12,7 @@ import torch
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Points, evaluate
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.collar import carried_horizon
 from warp_peri.points.families import families_of
 from warp_peri.proofs import critical_time_step

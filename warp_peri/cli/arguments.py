@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser
 from pathlib import Path
 
-from warp_peri.learning.options import DEGREES, HORIZONS, LAWS, LOSSES, METHODS
+from warp_peri.learning import DEGREES, HORIZONS, LAWS, LOSSES, METHODS
 
 
 def coarse_grain(command: ArgumentParser) -> None:

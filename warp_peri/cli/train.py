@@ -17,7 +17,7 @@ from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep, refuse_used
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
-from warp_peri.learning.options import DEGREES, HORIZONS
+from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
@@ -128,7 +128,7 @@ def run_train(given: argparse.Namespace) -> Result:
     from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
     from warp_peri.learning.run import train
     from warp_peri.micromodulus.learning import long_waves_of_data
-    from warp_peri.stability.conditions import Conditions
+    from warp_peri.regression.conditions import Conditions
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)

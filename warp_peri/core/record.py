@@ -52,15 +52,15 @@ KINDS: dict[tuple[str, str | None], Callable[[Any, Path | None], Any]] = {}
 PROVEN: set[tuple[type, str]] = set()
 """Contents whose proofs this process has gone through, by kind and hash."""
 HOMES = {
-    "warp_peri.model": "models.nonlinear",
-    "warp_peri.third_order_crystal": "micromodulus.third_order",
+    "warp_peri.model": "third_order.material",
+    "warp_peri.third_order_crystal": "third_order.material",
     "warp_peri.brittle_solid": "damage.solid",
     "warp_peri.soft_solid": "damage.softening",
     "warp_peri.micromodulus": "micromodulus.law",
     "warp_peri.dressed": "dressed.law",
     "warp_peri.dressed_finite": "dressed.finite",
     "warp_peri.hyperelastic": "tissue.solid",
-    "warp_peri.neural": "neural.file",
+    "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",
     "warp_peri.coupled_solid": "diffusion.coupled",
     "warp_peri.flow_law": "flow",

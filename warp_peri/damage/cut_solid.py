@@ -15,7 +15,7 @@ from warp_peri.damage.lattice_body import LatticeBody, cracked
 from warp_peri.damage.operator import bond_weights, cut_matrix
 from warp_peri.damage.stability import check_cut, check_horizon
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked
 from warp_peri.stability import inertia
 from warp_peri.statics.direct import MatrixProblem

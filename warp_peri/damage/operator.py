@@ -17,7 +17,7 @@ from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.launch import Recorded, floats, ints, launch_slices, threads, zeros
-from warp_peri.models.lps import Model, stiffnesses
+from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.points.families import BondClasses
 
 PAIR = 2

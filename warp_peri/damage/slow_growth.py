@@ -18,7 +18,7 @@ from warp_peri.damage.operator import unit_toughness
 from warp_peri.damage.stability import check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.arrays import check_whole
 
 TOGETHER = 1e-6

@@ -29,7 +29,7 @@ from warp_peri.damage.operator import bond_weights, stretch_rows
 from warp_peri.damage.stability import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.arrays import is_number, is_positive
 
 NEWTON = 40

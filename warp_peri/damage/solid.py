@@ -15,7 +15,7 @@ import numpy as np
 from warp_peri.core.record import Entry, OnLinear
 from warp_peri.damage.stability import breaking_time_step
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
 
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")

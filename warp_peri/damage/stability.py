@@ -15,7 +15,7 @@ from warp_peri.core.proof import largest
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import bond_weights, stiffness_across
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model, stencil_of
+from warp_peri.lps.model import Model, stencil_of
 from warp_peri.points.families import BondClasses
 from warp_peri.stability.inertia import pivots, symmetric_factors
 

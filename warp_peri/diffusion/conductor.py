@@ -1,20 +1,326 @@
-"""The law of nonlocal diffusion: an influence function and a conductivity (theory.md, D1)."""
+"""Conduction along bonds: numbers, force, equilibria."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+import scipy.sparse as sp
+import warp as wp
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import splu
 
 from warp_peri.core.record import Entry, Length, Record
+from warp_peri.damage.stability import negative_eigenvalues
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.influence import ALPHA_BOUND, bernstein_basis
-from warp_peri.points.samples import PointsLike
-from warp_peri.points.unit_names import USUAL, Units
+from warp_peri.kernels.diffusion import flux as kernels
+from warp_peri.launch import floats, ints, launch_slices, zeros
+from warp_peri.lps.model import ALPHA_BOUND, bernstein_basis
+from warp_peri.points.arrays import check_positive, check_whole, checked, checked_fields
+from warp_peri.points.families import Families, families_of
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.series import mean_inverse
+from warp_peri.points.unit_names import USUAL, Units, check_same
+from warp_peri.statics.settings import Direct, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
 
-if TYPE_CHECKING:
-    from warp_peri.diffusion.operator import Conductivity, DiffusionOperator
+Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
+ROUNDING = 1e-10
+"""Eigenvalues so far below zero, over the largest diagonal, count as zero."""
+RESIDUAL = 1e-9
+
+
+@dataclass(frozen=True)
+class DiffusionGradient:
+    """Derivatives of a scalar by what `DiffusionOperator` depends on.
+
+    Attributes:
+        phi: by φ, shape [N].
+        kappa: by the conductivity of each bond, shape [E].
+        D: by the coefficients of the influence function, shape [M + 1].
+        alpha: by its exponent.
+    """
+
+    phi: np.ndarray
+    kappa: np.ndarray
+    D: np.ndarray
+    alpha: float
+
+
+class DiffusionOperator:
+    """−∇·κ∇φ, nonlocal, on the interior of a point set (theory.md, D1).
+
+    Args:
+        law: influence function and conductivity.
+        points: a lattice or scattered points with a collar of δ; nodes outside break their bonds,
+            which leaves an insulated surface.
+        kappa: the conductivity: a number, one by node [N] (harmonic mean along a bond), or a
+            function of positions [..., 2], taken in series along each bond (D2). By default the
+            law's.
+
+    ``op(phi)`` takes φ on all nodes, shape [N] or [S, N], and returns L φ on the interior, [I] or
+    [S, I].
+
+    Raises InputError for a conductivity not > 0, or points that do not carry the horizon.
+    """
+
+    def __init__(
+        self, law: Conductor, points: PointsLike, *, kappa: Conductivity | None = None
+    ) -> None:
+        self.model, self.points = law, nodes_of(points)
+        check_same(law.units, self.points.units)
+        families = families_of(self.points, law.horizon, bond_based=True)
+        bond, self._owner = _bonds_of(families)
+        self.neighbour = families.neighbour[bond]
+        self.r, weight = _lengths_and_weights(families, bond, self._owner)
+        kept = self.neighbour >= 0
+        count = len(families.rows)
+        K = law.basis(self.r) @ law.D
+        self._volume = np.bincount(self._owner, K * self.r**2 * weight, count)
+        if (np.abs(self._volume) < 1e-300).any():
+            raise InputError("influence function: its weighted volume is zero")
+        # broken bonds count in m and carry nothing
+        self._owner_all, self._r_all, self._weight_all = self._owner, self.r, weight
+        self._kept = kept
+        scale = 2 * self.points.dimension
+        self.v = (scale * K * weight / self._volume[self._owner])[kept]
+        # weights of scattered points are negative here and there, of any kernel
+        signed = self.v if families.lattice is not None else (K / self._volume[self._owner])[kept]
+        self._changes_sign = bool((signed < 0).any())
+        self._owner, self.neighbour, self.r = (
+            part[kept] for part in (self._owner, self.neighbour, self.r)
+        )
+        self.rows = families.rows
+        self.kappa = bond_conductivity(self, law.conductivity if kappa is None else kappa)
+        row = np.concatenate([[0], np.cumsum(np.bincount(self._owner, minlength=count))])
+        self._links = (ints(self.rows), ints(row), ints(self.neighbour), floats(self.v))
+
+    def __call__(self, phi: np.ndarray) -> np.ndarray:
+        if np.ndim(phi) == 2:
+            return np.stack([self(one) for one in phi])
+        out = zeros(len(self.rows))
+        inputs = (*self._links, floats(self.kappa), self._field(phi))
+        launch_slices(kernels.flux, len(self.rows), inputs, (out,))
+        result: np.ndarray = out.numpy()
+        return result
+
+    def _field(self, phi: np.ndarray) -> wp.array[Any]:
+        values = np.ascontiguousarray(phi, dtype=float)
+        if values.shape != (len(self.points.x),):
+            raise InputError(f"phi: expected shape [{len(self.points.x)}], got {values.shape}")
+        return floats(values)
+
+    def matrix(self) -> sp.csr_array:
+        """L as a matrix, rows the interior in order, shape [I, N]."""
+        stiffness = self.v * self.kappa
+        shape = (len(self.rows), len(self.points.x))
+        far = sp.csr_array((-stiffness, (self._owner, self.neighbour)), shape=shape)
+        own = sp.csr_array((stiffness, (self._owner, self.rows[self._owner])), shape=shape)
+        return sp.csr_array(far + own)
+
+    def inner(self) -> sp.csc_array:
+        """The columns of `matrix` that belong to the interior, shape [I, I].
+
+        Raises InputError, with their number, where a kernel that changes sign gives L + Lᵗ
+        eigenvalues below zero: φ would grow without end.
+        """
+        matrix = sp.csc_array(self.matrix()[:, self.rows])
+        if self._changes_sign and len(self.rows):
+            shift = ROUNDING * np.abs(matrix.diagonal()).max()
+            count = negative_eigenvalues(matrix + shift * sp.eye_array(len(self.rows)))
+            if count:
+                raise InputError(
+                    f"influence function: it changes sign on these points, and L + Lᵗ has {count} "
+                    "eigenvalues below zero, with which φ grows without end; take D ≥ 0"
+                )
+        return matrix
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """The source on the interior nodes, [..., I]."""
+        inside = self.points.interior
+        return checked("b", b, float, (..., len(inside)), inside)[..., self.rows]
+
+    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The derivative along v, which is L v for every φ."""
+        return self(v)
+
+    def energy(self, u: np.ndarray) -> np.ndarray | None:
+        """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
+        if self.points.spacing == 0:
+            return None
+        u, inside = np.asarray(u, dtype=float), self.points.interior
+        own, collar = (self(np.where(mask, u, 0.0)) for mask in (inside, ~inside))
+        density = u[..., self.rows] * (own / 2 + collar)
+        return np.asarray(self.points.spacing**self.points.dimension * density.sum(axis=-1))
+
+    def stress(self, u: np.ndarray) -> None:
+        """None: there is a flux instead."""
+
+    def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
+        """φ with L φ = b on the interior, given on all other nodes.
+
+        Args:
+            b: source, shape [N] or [S, N], read on the interior; None for none.
+            u: φ, same shape, read off the interior.
+            solver: Direct().
+
+        Raises InputError for other shapes, values that are not finite, and when the matrix is
+        singular, as of a piece that nothing touches, or has eigenvalues below zero (`inner`).
+        """
+        refuse_solver(solver, (Direct,), "diffusion")
+        b, phi = checked_fields(self.points, b, u, (len(self.points.x),))
+        load = self.load(b)
+        matrix, inner, left = self.matrix(), self.inner(), 0.0
+        count = len(self.points.x)
+        try:
+            factors = splu(inner)
+        except RuntimeError as error:
+            raise InputError(f"diffusion: the problem has no one solution ({error})") from None
+        for potential, source in zip(phi.reshape(-1, count), load.reshape(-1, len(self.rows))):
+            potential[self.rows] = 0
+            right = source - matrix @ potential
+            x = factors.solve(right)
+            size = np.linalg.norm(right)
+            off = np.linalg.norm(inner @ x - right)
+            if not off <= RESIDUAL * size:
+                raise InputError("diffusion: the solve lost its digits")
+            potential[self.rows] = x
+            left = max(left, float(off / size) if size else 0.0)
+        return Solution(phi, self.points, self, load, "lu", measured=left)
+
+    def march(
+        self,
+        b: ArrayLike | None,
+        u: ArrayLike,
+        *,
+        step: float,
+        steps: int,
+        collar: Callable[[float], np.ndarray] | None = None,
+    ) -> Motion:
+        """∂φ/∂t = −L φ + b by Crank–Nicolson.
+
+        Args:
+            b: source, shape [N], read on the interior; None for none.
+            u: φ at the start, shape [N].
+            step: Δt > 0, any length is stable: L + Lᵗ is looked at where the kernel changes sign.
+            steps: number of steps.
+            collar: φ of all nodes at a time, of which those off the interior are taken; unchanged
+                by default.
+
+        Returns a motion whose history u is φ at the start and after every step, [steps + 1, N].
+
+        Raises InputError for other shapes, a step not > 0, a number of steps below 0, and as
+        `inner`.
+        """
+        check_steps(step, steps)
+        shape, rows = (len(self.points.x),), self.rows
+        now = checked("u", u, float, shape).copy()
+        source = self.load(checked_fields(self.points, b, now, shape)[0])
+        matrix, gain = self.matrix(), step * source
+        factors = splu(sp.csc_matrix(sp.eye_array(len(rows)) + step / 2 * self.inner()))
+        kept = [now]
+        for number in range(1, steps + 1):
+            later = now.copy()
+            if collar is not None:
+                outer = ~self.points.interior
+                later = checked("collar", collar(number * step), float, shape, outer).copy()
+            later[rows] = 0
+            right = now[rows] - step / 2 * (matrix @ now + matrix @ later) + gain
+            later[rows] = factors.solve(right)
+            now = later
+            kept.append(now)
+        return Motion(step * np.arange(steps + 1), now, None, {"u": np.stack(kept)})
+
+    def gradient(self, phi: np.ndarray, seed: np.ndarray) -> DiffusionGradient:
+        """Derivatives of seed · L φ, seed of shape [I]."""
+        count, bonds = len(self.rows), len(self.v)
+        own, far, by_kappa, by_v = zeros(count), zeros(bonds), zeros(bonds), zeros(bonds)
+        inputs = (*self._links, floats(self.kappa), self._field(phi))
+        given = floats(np.ascontiguousarray(seed, dtype=float))
+        launch_slices(kernels.flux_adjoint, count, (*inputs, given), (own, far, by_kappa, by_v))
+        by_phi = np.bincount(self.neighbour, far.numpy(), len(self.points.x))
+        by_phi[self.rows] += own.numpy()
+        on_all = np.zeros(len(self._kept))
+        on_all[self._kept] = by_v.numpy()
+        basis = self.model.basis(self._r_all)
+        K, weight, m = basis @ self.model.D, self._weight_all, self._volume
+        pulled = np.bincount(self._owner_all, on_all * K * weight, count) / m
+        scale = 2 * self.points.dimension
+        share = on_all - self._r_all**2 * pulled[self._owner_all]
+        by_K = scale * weight / m[self._owner_all] * share
+        return DiffusionGradient(
+            by_phi, by_kappa.numpy(), by_K @ basis, float(-(by_K * K) @ np.log(self._r_all))
+        )
+
+
+def check_steps(step: float, steps: int) -> None:
+    """Raise InputError for what is no step of time, or no number of them."""
+    check_positive("step", step)
+    check_whole("steps", steps, 0)
+
+
+def _bonds_of(families: Families) -> tuple[np.ndarray, np.ndarray]:
+    """Bonds of the interior nodes, by number, and whose they are, by place among the interior.
+
+    Bonds to a place that no node is at are left out; on a lattice these are marked −1 and cannot
+    be told from bonds broken to node 0, which carry nothing either.
+    """
+    starts, ends = families.row[families.rows], families.row[families.rows + 1]
+    counts = ends - starts
+    owner = np.repeat(np.arange(len(starts)), counts)
+    bond = np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)
+    return bond + np.repeat(starts, counts), owner
+
+
+def _lengths_and_weights(
+    families: Families, bond: np.ndarray, owner: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    if families.lattice is None:
+        return families.r[bond], families.weight[bond]
+    classes = families.lattice
+    number = classes.bond_class[bond - families.row[families.rows[owner]]]
+    return classes.r[number], classes.weight[number]
+
+
+def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.ndarray:
+    """κ of each bond: one number, the harmonic mean of its ends, or series resistance (D2).
+
+    Raises InputError for another shape, and for values that are not > 0, naming the smallest.
+    """
+    points = operator.points
+    near, far = operator.rows[operator._owner], operator.neighbour
+    if callable(kappa):
+        xi = points.x[far] - points.x[near]
+        if points.box is not None:
+            xi -= np.asarray(points.box) * np.rint(xi / points.box)
+
+        def along(place: float) -> np.ndarray:
+            values = np.asarray(kappa(points.x[near] + place * xi), dtype=float)
+            _check(values)
+            return np.broadcast_to(values, len(near))
+
+        return np.asarray(1 / mean_inverse(along))
+    values = checked("conductivity", kappa)
+    if values.shape not in ((), (len(points.x),)):
+        raise InputError(
+            f"conductivity: expected a number, a function, or shape [{len(points.x)}], got "
+            f"{list(values.shape)}"
+        )
+    values = np.broadcast_to(values, len(points.x))
+    _check(values)
+    harmonic: np.ndarray = 2 / (1 / values[near] + 1 / values[far])
+    return harmonic
+
+
+def _check(values: np.ndarray) -> None:
+    if not (values > 0).all() or not np.isfinite(values).all():
+        raise InputError(
+            f"conductivity: expected finite values > 0, got {np.nanmin(values):g}, with which "
+            "diffusion would run backwards"
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,6 +361,4 @@ class Conductor(Record, format="warp_peri.conductor"):
 
     def on(self, points: PointsLike, *, kappa: Conductivity | None = None) -> DiffusionOperator:
         """The law on points, with a conductivity of its own as of DiffusionOperator."""
-        from warp_peri.diffusion.operator import DiffusionOperator
-
         return DiffusionOperator(self, points, kappa=kappa)

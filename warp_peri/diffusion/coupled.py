@@ -15,11 +15,16 @@ from warp_peri.core.record import Record, Stress
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
 from warp_peri.damage.stability import check_cut
-from warp_peri.diffusion.conductor import Conductor
-from warp_peri.diffusion.operator import RESIDUAL, Conductivity, DiffusionOperator, check_steps
+from warp_peri.diffusion.conductor import (
+    RESIDUAL,
+    Conductivity,
+    Conductor,
+    DiffusionOperator,
+    check_steps,
+)
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
 from warp_peri.statics.settings import Direct, Solver, refuse_solver

@@ -1,11 +1,8 @@
 """Solids of a positive base between two short convolutions: accurate, uneven, with edges (D)."""
 
-from warp_peri.dressed.broken import grown, torn
-from warp_peri.dressed.finite import FiniteSolid
-from warp_peri.dressed.finite_learning import FiniteFit, FiniteStrain
-from warp_peri.dressed.law import DressedSolid
-from warp_peri.dressed.laws import Dressed, DressedFit
-from warp_peri.dressed.learning import from_phonons, transferred
+from warp_peri.dressed.body import grown, torn
+from warp_peri.dressed.finite import FiniteFit, FiniteSolid, FiniteStrain
+from warp_peri.dressed.law import Dressed, DressedFit, DressedSolid, from_phonons, transferred
 from warp_peri.dressed.maps import DensityLaw, MapFit, fit_density, fit_maps
 
 __all__ = [

@@ -1,8 +1,9 @@
-"""Dressed bodies that are uneven, end at edges or are broken (theory.md, D9–D11, D22)."""
+"""A dressed solid on nodes that end, vary and break, and at rest (theory.md, D1–D12, D23, D24)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -12,22 +13,276 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import eigsh, splu
 
 from warp_peri.core.grid import Grid, grid_of
-from warp_peri.dressed.bases import composed, half, spread
-from warp_peri.dressed.broken import key, pairs
-from warp_peri.dressed.grains import Grains, grains_of
-from warp_peri.dressed.outline import cut_elements
-from warp_peri.dressed.rest import at_rest
+from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
+from warp_peri.dressed.bases import composed, gauss_shapes, half, spread
 from warp_peri.dressed.sweeps import ByLayers
+from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.statics.settings import Solver
+from warp_peri.statics.conjugate_gradients import definite
+from warp_peri.statics.direct import MatrixProblem
+from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
 
 if TYPE_CHECKING:
     from warp_peri.dressed.law import DressedSolid
+
+
+def torn(points: Points, cracks: Sequence[ArrayLike]) -> np.ndarray:
+    """Pairs of neighbouring nodes of a plane lattice that cracks part, [n, 2], for `broken`.
+
+    Args:
+        points: without a box.
+        cracks: polylines [length], shape [P, 2] each.
+    """
+    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
+    return _parted(body, cracked(body, cracks))
+
+
+def grown(points: Points, growth: Motion) -> np.ndarray:
+    """Pairs of neighbouring nodes whose bond was cut or broke when cracks grew in the base, [n, 2].
+
+    Args:
+        points: of the body.
+        growth: of its `plain` solid, move(law.plain, Cracked(points, …), events=…) (D12, C7).
+
+    Raises InputError for another motion.
+    """
+    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
+    if np.shape(growth.details) != body.neighbour.shape:
+        raise InputError("growth: expected slow growth, move(…, events=…), on these points")
+    return _parted(body, np.asarray(growth.details))
+
+
+def _parted(body: LatticeBody, neighbour: np.ndarray) -> np.ndarray:
+    cut = (neighbour < 0) & (body.neighbour >= 0)
+    node, bond = np.nonzero(cut & (body.r < 1.5 * body.spacing))
+    other = body.neighbour[node, bond]
+    return np.stack([node, other], axis=1)[node < other]
+
+
+def pairs(broken: ArrayLike | None, count: int) -> np.ndarray:
+    """Pairs of nodes as one number each, whichever stands first."""
+    if broken is None:
+        return np.zeros(0, int)
+    given = checked("broken", broken, float)
+    whole = given.astype(int)
+    if given.ndim != 2 or given.shape[1] != 2 or (whole != given).any():
+        raise InputError(f"broken: expected pairs of nodes [n, 2], got {list(given.shape)}")
+    if len(given) and not (whole.min() >= 0 and whole.max() < count):
+        raise InputError(f"broken: expected numbers of nodes below {count}")
+    return np.unique(key(whole[:, 0], whole[:, 1], count))
+
+
+def key(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
+    """One number a pair, the same for both orders."""
+    return np.asarray(np.minimum(first, second) * count + np.maximum(first, second))
+
+
+Grains = tuple[Sequence["DressedSolid"], ArrayLike]
+"""Laws, and the number of that which each node belongs to, [N]."""
+SAME = 1e-6
+"""Relative, of spacings that are one."""
+
+
+def grains_of(
+    solid: DressedSolid, grains: Grains | None, count: int
+) -> tuple[list[DressedSolid], np.ndarray]:
+    """Laws and the number of each node's own, checked."""
+    if grains is None:
+        return [solid], np.zeros(count, int)
+    if not (isinstance(grains, tuple) and len(grains) == 2):
+        raise InputError("grains: expected a pair (laws, numbers of the nodes' own)")
+    laws, given = list(grains[0]), checked("grains", grains[1], float)
+    number = given.astype(int)
+    if given.shape != (count,) or (number != given).any():
+        raise InputError(f"grains: expected {count} whole numbers, got shape {list(given.shape)}")
+    if not (len(laws) and number.min() >= 0 and number.max() < len(laws)):
+        raise InputError(
+            f"grains: expected numbers of {len(laws)} laws, got {number.min()} to {number.max()}"
+        )
+    for law in laws:
+        same = law.base == solid.base and abs(law.spacing / solid.spacing - 1) < SAME
+        if not (
+            same
+            and law.units == solid.units
+            and np.array_equal(law.steps, solid.steps)
+            and law.tensors.shape == solid.tensors.shape
+            and len(law.parts.moduli) == len(solid.parts.moduli)
+        ):
+            raise InputError(
+                "grains: expected laws of one base, spacing, units and neighbours, with as many "
+                "parts each, as from_phonons or transferred make them for other orientations"
+            )
+    return laws, number
+
+
+FINE = {2: 20, 3: 8}
+"""Positions along an axis of an element that are asked whether they lie inside."""
+LEAST = 0.02
+"""Share of an element below which it is left out."""
+
+
+def cut_elements(
+    x: np.ndarray, axes: np.ndarray, spacing: float, inside: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """W, ∫ N_g N_g' over the part of each element inside a body, [N, 2^d, 2^d].
+
+    Args:
+        x: first corners of the elements, [N, d].
+        axes: of the nodes, as columns.
+        spacing: h.
+        inside: which positions [n, d] lie in the body, [n] bool.
+
+    Raises InputError for a function that says anything else.
+    """
+    d = len(axes)
+    line = (np.arange(FINE[d]) + 0.5) / FINE[d]
+    fine = np.array(list(itertools.product(line, repeat=d)))
+    shapes = gauss_shapes(fine)
+    square = np.einsum("ng,nf->ngf", shapes, shapes).reshape(len(shapes), -1) / len(shapes)
+    gram = np.zeros((len(x), 2**d, 2**d))
+    for part in np.array_split(np.arange(len(x)), len(x) // 1000 + 1):
+        at = x[part, None] + spacing * fine @ axes.T
+        said = np.asarray(inside(at.reshape(-1, d)), dtype=bool)
+        if said.shape != (at.size // d,):
+            raise InputError(f"edges: expected one bool a position, got {list(said.shape)}")
+        share = said.reshape(len(part), -1)
+        held = np.where(share.mean(axis=1, keepdims=True) < LEAST, 0.0, share)
+        gram[part] = (held @ square).reshape(len(part), 2**d, 2**d)
+        gram[part[share.all(axis=1)]] = np.eye(2**d) / 2**d
+    return gram
+
+
+MOST_DIRECT = 1500
+"""Nodes in space beyond which conjugate gradients are taken for a factorisation."""
+BALANCED, MET = 1e-4, 1e-6
+"""Relative, of the resultant of a free body's load, which is taken off, and of a residual."""
+WHY = "one answer; L = Gᵗ K G ⪰ 0 whatever is uneven, missing or broken"
+
+
+def at_rest(body: DressedBody, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+    """A body in equilibrium with b on the interior, u given elsewhere, shape [..., N, d].
+
+    With no node held the load must balance, and the answer neither moves nor turns as a whole (on a
+    period it does not move).
+
+    Raises InputError for another solver, for loads that do not balance, and for a body that falls
+    apart.
+    """
+    refuse_solver(solver, (Direct, Krylov), "a dressed body")
+    inside, iterated = body.points.interior, isinstance(solver, Krylov)
+    if solver is None:
+        iterated = body.points.x.shape[1] == 3 and int(inside.sum()) > MOST_DIRECT
+    asked = solver if isinstance(solver, Krylov) else Krylov()
+    if asked.preconditioner is not None:
+        raise InputError(
+            "solver: expected Krylov(tolerance=…) alone for a dressed body, whose "
+            f"preconditioner is its own diagonal, got {asked!r:.100}"
+        )
+    b, u = checked_fields(body.points, b, u)
+    turned, pulled = (body.fields(field) @ body.axes for field in (u, b))
+    alive = body.stiffness.any(axis=1)
+    dead = np.abs(pulled[:, inside & ~alive]).max(initial=0.0)
+    if dead > BALANCED * np.abs(pulled).max():
+        raise InputError("b: expected no load on nodes that nothing belongs to")
+    took: tuple[int, ...] = ()
+    if iterated:
+        answer, left, steps = _iterated(body, pulled, turned, alive & inside, asked.tolerance)
+        took = (steps,) * len(pulled)
+    elif inside.all():
+        answer, left = _free(body, pulled)
+    else:
+        unknown = np.repeat(alive & inside, turned.shape[-1])
+        problem = MatrixProblem(sp.csr_array(body.L[unknown]), alive & inside)
+        answer = problem.solve(pulled, turned)
+        left = problem.left
+    answer = (answer @ body.axes.T).reshape(np.shape(u))
+    answer = np.where(inside[:, None], answer, u)
+    method = "cg" if iterated else "lu"
+    return Solution(answer, body.points, body, body.load(b), method, took, WHY, measured=left)
+
+
+def _iterated(
+    body: DressedBody, loads: np.ndarray, held: np.ndarray, unknown: np.ndarray, tolerance: float
+) -> tuple[np.ndarray, float, int]:
+    """u [S, N, d] by conjugate gradients of G, K and G in turn, residual and iterations."""
+    shape, mask = held.shape, np.repeat(unknown, held.shape[-1])[:, None]
+    rigid = _rigid(body) if body.points.interior.all() else np.zeros((mask.size, 0))
+    diagonal = body.stiffness.reshape(-1, 1)
+    inverse = mask / np.where(diagonal > 0, diagonal, 1.0)
+
+    def alone(r: np.ndarray) -> np.ndarray:
+        return np.asarray(r - rigid @ (rigid.T @ r))
+
+    def product(v: np.ndarray) -> np.ndarray:
+        return alone(mask * body.in_turn(alone(v)))
+
+    def precondition(r: np.ndarray) -> np.ndarray:
+        return alone(inverse * alone(r))
+
+    flat, start = (f.reshape(len(f), -1).T for f in (loads, np.where(unknown[:, None], 0.0, held)))
+    right = mask * (_balanced(flat, rigid) - body.in_turn(start))
+    try:
+        found, record = definite(product, precondition, right, tolerance)
+    except InputError as error:  # L ⪰ 0: a direction without energy is a part that is loose
+        raise InputError(f"the body falls apart, or nearly: {error}") from None
+    answer = (start + found).T.reshape(shape)
+    return answer, record.residual, record.iterations
+
+
+def _balanced(right: np.ndarray, rigid: np.ndarray) -> np.ndarray:
+    """Loads [d N, S] without their resultant, which must be small."""
+    along = rigid.T @ right
+    if np.linalg.norm(along) > BALANCED * np.linalg.norm(right):
+        raise InputError(
+            "b: expected loads that balance, for no node is held; their resultant is "
+            f"{np.linalg.norm(along) / np.linalg.norm(right):.1e} of them"
+        )
+    return np.asarray(right - rigid @ along)
+
+
+def _free(body: DressedBody, loads: np.ndarray) -> tuple[np.ndarray, float]:
+    """u [S, N, d] of a body that nothing holds, and the relative residual."""
+    rigid = _rigid(body)
+    right = _balanced(loads.reshape(len(loads), -1).T, rigid)
+    stiffness = body.L.diagonal()
+    scale = float(stiffness.max())
+    # rigid motions are held by rows of their own, and so is what belongs to nothing
+    alone = sp.diags_array(np.where(stiffness > 0, 0.0, scale))
+    edge = sp.csr_array(scale * rigid)
+    bordered = sp.block_array([[body.L + alone, edge], [edge.T, None]], format="csc")
+    try:
+        found = splu(bordered).solve(np.vstack([right, np.zeros((rigid.shape[1], len(loads)))]))
+    except RuntimeError as error:
+        raise InputError(f"the body falls apart: it is singular ({error})") from None
+    answer = found[: len(right)]
+    size = np.maximum(np.linalg.norm(right, axis=0), 1e-300)
+    left = float((np.linalg.norm(body.L @ answer - right, axis=0) / size).max())
+    if not left < MET:
+        raise InputError(f"the body falls apart: the residual of its solve is {left:.1e}")
+    return answer.T.reshape(loads.shape), left
+
+
+def _rigid(body: DressedBody) -> np.ndarray:
+    """Orthonormal rigid motions of the nodes that carry something, [d N, m].
+
+    On a period translations alone.
+    """
+    x = (body.points.x - body.points.x.mean(axis=0)) @ body.axes
+    count, d = x.shape
+    found = [np.tile(np.eye(d)[a], count) for a in range(d)]
+    if body.points.box is None:
+        for a in range(d):
+            for c in range(a):
+                turn = np.zeros((count, d))
+                turn[:, a], turn[:, c] = x[:, c], -x[:, a]
+                found.append(turn.ravel())
+    return np.linalg.qr(np.array(found).T * (body.stiffness.ravel() > 0)[:, None])[0]
+
 
 Edges = bool | Callable[[np.ndarray], np.ndarray]
 """Whether a body may end before its bonds do; or which positions [n, d] lie inside, [n] bool."""

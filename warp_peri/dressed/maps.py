@@ -10,8 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.dressed.body import DressedBody
-from warp_peri.dressed.grains import Grains
+from warp_peri.dressed.body import DressedBody, Grains
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_positive

@@ -1,25 +1,26 @@
-"""Ensembles of dumbbells on a device: Hookean ones exact in the step, FENE of weak order two.
-
-Time in relaxation times, length in units in which a Hookean dumbbell at rest has ⟨q q⟩ = I, stress
-in n k T (theory, F1–F6).
-"""
+"""Dumbbells: their motion, ensembles under protocols, and twins that share their noise."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
+from scipy import stats
+from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
+from warp_peri.flow.laws import IDENTITY, trace
 from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
+from warp_peri.points.arrays import check_positive, check_whole, checked, fingerprint
 
 BLOCK = 2000
 """Dumbbells a thread sums up in single precision."""
@@ -252,3 +253,266 @@ def stretched_rest(K: np.ndarray, b: float) -> Moments:
     q2 = np.einsum("rha,cha,r->c", density, parts, r**2) / density.sum()
     f = r**2 / (1 - r**2 / b)
     return Moments(q2[None], (np.einsum("rha,cha,r->c", density, parts, f) / density.sum())[None])
+
+
+@dataclass(frozen=True)
+class Ensembles:
+    """Moments of ensembles at the ends of intervals.
+
+    Args:
+        interval: relaxation times between two rows.
+        K: what was felt, shape [T, m, 4].
+        C: ⟨q q⟩, shape [T + 1, m, 4].
+        S: ⟨q q f⟩, the same for Hookean dumbbells; the stress is S − I.
+        count: dumbbells in an ensemble, 0 for exact moments.
+
+    Raises InputError for an interval that is not positive, a count below 0, and moments of other
+    shapes or that are not finite.
+    """
+
+    interval: float
+    K: np.ndarray
+    C: np.ndarray
+    S: np.ndarray
+    count: int
+
+    def __post_init__(self) -> None:
+        check_positive("interval", self.interval)
+        check_whole("count", self.count, 0)
+        T, m, _ = checked("K", self.K, float, ("T", "m", 4)).shape
+        for name in ("C", "S"):
+            checked(name, getattr(self, name), float, (T + 1, m, 4))
+
+    @property
+    def stress(self) -> np.ndarray:
+        """s = S − I [n k T], shape [T + 1, m, 4]."""
+        return np.asarray(self.S - IDENTITY)
+
+
+def listed(records: Ensembles | Sequence[Ensembles]) -> list[Ensembles]:
+    """One record or several as a list. Raises InputError for none."""
+    several = [records] if isinstance(records, Ensembles) else list(records)
+    if not several:
+        raise InputError("records: expected one or more, got none")
+    return several
+
+
+def held(K: np.ndarray, intervals: int) -> np.ndarray:
+    """Every ensemble under one K of its own [m, 4] throughout."""
+    return np.tile(np.asarray(K, dtype=float), (intervals, 1, 1))
+
+
+def random_planar(n: int, largest: float, random: np.random.Generator) -> np.ndarray:
+    """Gradients without trace, each component within ± largest/√2; shape [n, 4]."""
+    a, b, c = random.uniform(-1, 1, (3, n)) * largest / np.sqrt(2)
+    return np.stack([a, b, c, -a], axis=-1)
+
+
+def mixed(m: int, intervals: int, largest: float, *, hold: int = 10, seed: int = 0) -> np.ndarray:
+    """Random planar gradients, a new one every `hold` intervals: what visits mixed states.
+
+    Raises InputError for a `largest` that is not positive.
+    """
+    check_positive("largest gradient", largest)
+    random = np.random.default_rng(seed)
+    pieces = -(-intervals // hold)
+    drawn = random_planar(pieces * m, largest, random).reshape(pieces, m, 4)
+    return np.repeat(drawn, hold, axis=0)[:intervals]
+
+
+def simulate(
+    dumbbells: Dumbbells,
+    K: np.ndarray,
+    interval: float,
+    *,
+    steps: int = 1,
+    checkpoint: str | os.PathLike[str] | None = None,
+    progress: bool = False,
+) -> Ensembles:
+    """Run dumbbells through a protocol.
+
+    Args:
+        dumbbells: as many ensembles as K has.
+        K: the protocol, shape [T, m, 4].
+        interval: relaxation times that each row is held.
+        steps: of the dumbbells in an interval; Hookean ones need one.
+        checkpoint: file written now and then; a run that finds its own goes on from it, and ends
+            with the same bits.
+        progress: whether to show a bar.
+
+    Raises InputError for a protocol of another shape, an interval that is not positive, steps below
+    1, or a checkpoint of another run.
+    """
+    check_positive("interval", interval)
+    check_whole("steps", steps, 1)
+    K = np.asarray(K, dtype=float)
+    if K.ndim != 3 or K.shape[1:] != (dumbbells.ensembles, 4):
+        raise InputError(f"K: expected shape [T, {dumbbells.ensembles}, 4], got {list(K.shape)}")
+    first, key = 0, f"{dumbbells.key}, {fingerprint(K, interval, steps)[:16]}"
+    moments = np.zeros((2, len(K) + 1, *K.shape[1:]))
+    if checkpoint is not None and Path(checkpoint).exists():
+        first, moments = _resume(checkpoint, dumbbells, moments, key)
+    else:
+        now = dumbbells.moments()
+        moments[:, 0] = now.C, now.S
+    rows = tqdm(range(first, len(K)), disable=not progress, desc="dumbbells", initial=first)
+    often = max(1, len(K) // 20)
+    for n in rows:
+        now = dumbbells.advance(K[n], interval / steps, steps)
+        moments[:, n + 1] = now.C, now.S
+        if checkpoint is not None and ((n + 1) % often == 0 or n + 1 == len(K)):
+            _keep(checkpoint, dumbbells, moments, n + 1, key)
+    return Ensembles(interval, K, moments[0], moments[1], dumbbells.count)
+
+
+def _keep(
+    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, done: int, key: str
+) -> None:
+    content: dict[str, Any] = {**dumbbells.state(), "moments": moments}
+    content |= {"done": np.array(done), "key": np.array(key)}
+    with whole_file(path) as temporary, open(temporary, "wb") as file:
+        np.savez(file, **content)
+
+
+def _resume(
+    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, key: str
+) -> tuple[int, np.ndarray]:
+    try:
+        content = read_arrays(path)
+        kept_key, done = str(content["key"]), int(content["done"])
+        kept, state = content["moments"], {name: content[name] for name in dumbbells.state()}
+    except (OSError, KeyError, ValueError) as error:
+        raise InputError(f"{path}: not a checkpoint of dumbbells ({error})") from None
+    if kept_key != key or kept.shape != moments.shape:
+        raise InputError(f"{path}: the checkpoint of another run ({kept_key})")
+    dumbbells.restore(state)
+    return done, kept
+
+
+def read_trajectory(
+    path: str | os.PathLike[str], relaxation_time: float, modulus: float, count: int
+) -> Ensembles:
+    """A stress trajectory of any simulator, as a record of one ensemble.
+
+    Args:
+        path: text with commas; columns t, K_xx, K_xy, K_yx, K_yy (in 1/time) and the stress of the
+            polymer s_xx, s_xy, s_yy, s_zz, at equal times; lines that begin with # are skipped.
+        relaxation_time: in the file's unit of time.
+        modulus: n k T in the file's unit of stress.
+        count: molecules, which set the noise.
+
+    C is given as S: a stress trajectory does not know the conformation. Raises InputError for a
+    file that cannot be read, other columns, times that are not equally spaced, a time or modulus
+    that is not positive, and a count below 1.
+    """
+    check_positive("relaxation_time", relaxation_time)
+    check_positive("modulus", modulus)
+    check_whole("count", count, 1)
+    try:
+        table = np.loadtxt(path, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a table of numbers ({error})") from None
+    if table.shape[1] != 9 or len(table) < 3:
+        raise InputError(f"{path}: expected 9 columns and 3 lines or more, got {table.shape}")
+    gaps = np.diff(table[:, 0]) / relaxation_time
+    if not (gaps[0] > 0 and np.allclose(gaps, gaps[0], rtol=1e-4)):
+        raise InputError(f"{path}: expected equally spaced times")
+    S = table[:, None, 5:] / modulus + IDENTITY
+    K = table[:-1, None, 1:5] * relaxation_time
+    return Ensembles(float(gaps[0]), K, S, S, count)
+
+
+FULLEST = 0.95
+"""Of ⟨q²⟩/b where the stiffness of the twins is taken."""
+
+
+class Twins(Dumbbells):
+    """As Dumbbells, but each FENE dumbbell has a Hookean twin with the same random numbers.
+
+    The twins' springs have the stiffness of the mean length, so that their moments are those of
+    FENE-P and known exactly. What these are off by in the sample is regressed out of C and S: the
+    fluctuations of both have the same cause.
+
+    Args:
+        ensembles: how many.
+        count: dumbbells in each, 20 or more.
+        b: largest q² of a dumbbell, above 3.
+        seed: of start and noise.
+
+    Raises InputError for fewer dumbbells, and as Dumbbells does.
+    """
+
+    b: float
+
+    def __init__(self, ensembles: int, count: int, *, b: float, seed: int = 0) -> None:
+        if count < 20:
+            raise InputError(f"twins: expected 20 dumbbells or more, got {count}")
+        super().__init__(ensembles, count, b=b, seed=seed)
+        self.twin = Dumbbells(ensembles, count, seed=seed)
+        self.twin.q.assign(relaxed(self.q.numpy(), b))
+        self.exact = np.tile(b / (b + 3) * IDENTITY, (ensembles, 1))
+
+    def advance(self, K: np.ndarray, dt: float, steps: int = 1) -> Moments:
+        """As Dumbbells.advance, with less noise in the moments."""
+        super().advance(K, dt, steps)
+        K = np.broadcast_to(np.asarray(K, dtype=float), (self.ensembles, 4))
+        for _ in range(steps):
+            longest = np.minimum(trace(self.exact) / self.b, FULLEST)
+            P, L = propagator(K, dt, 1 / (1 - longest))
+            self.twin.follow(P, L)
+            self.exact = carried_exactly(self.exact, P, L)
+        return self._controlled()
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What a checkpoint keeps."""
+        return super().state() | {"twin": self.twin.q.numpy(), "exact": self.exact}
+
+    def restore(self, state: dict[str, np.ndarray]) -> None:
+        """Go on from a state that was kept."""
+        super().restore(state)
+        self.twin.restore({"q": state["twin"], "steps": state["steps"]})
+        self.exact = np.array(state["exact"])
+
+    @property
+    def key(self) -> str:
+        """What the run depends on."""
+        return super().key + ", twins"
+
+    def _controlled(self) -> Moments:
+        """Moments with the twin as control variate (F35), an ensemble at a time."""
+        values = np.empty((self.ensembles, 8))
+        for i, (q, h) in enumerate(zip(self.q.numpy(), self.twin.q.numpy())):
+            squares, known = products(q), products(h)
+            f = 1 / (1 - squares[:, [0, 2, 3]].sum(axis=1, keepdims=True) / self.b)
+            sampled = np.concatenate([squares, squares * f], axis=1)
+            mean, off = sampled.mean(axis=0), known.mean(axis=0) - self.exact[i]
+            about = known - known.mean(axis=0)
+            slope = np.linalg.lstsq(about, sampled - mean)[0]
+            values[i] = mean - off @ slope
+        return Moments(values[:, :4].copy(), values[:, 4:].copy())
+
+
+def products(q: np.ndarray) -> np.ndarray:
+    """(xx, xy, yy, zz) of q q for dumbbells [n, 3], shape [n, 4], float64."""
+    x, y, z = np.asarray(q, dtype=float).T
+    return np.stack([x * x, x * y, y * y, z * z], axis=-1)
+
+
+def relaxed(q: np.ndarray, b: float) -> np.ndarray:
+    """Twins at rest, with the directions and the ranks of length of FENE dumbbells (F34)."""
+    q = np.asarray(q, dtype=float)
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    rank = stats.beta.cdf(length**2 / b, 1.5, b / 2 + 1)
+    wanted = np.sqrt(b / (b + 3)) * stats.chi.ppf(np.clip(rank, 1e-12, 1 - 1e-12), 3)
+    return np.asarray(q / length * wanted, dtype=np.float32)
+
+
+def carried_exactly(C: np.ndarray, P: np.ndarray, L: np.ndarray) -> np.ndarray:
+    """⟨q q⟩ [m, 4] after q → P q + L ξ (F3)."""
+    p = P[:, :4].reshape(-1, 2, 2)
+    plane = p @ C[:, [0, 1, 1, 2]].reshape(-1, 2, 2) @ np.swapaxes(p, 1, 2)
+    xx, yx, yy, zz = L.T
+    noise = np.stack([xx * xx, xx * yx, yx * yx + yy * yy, zz * zz], axis=-1)
+    out = P[:, 4] ** 2 * C[:, 3]
+    moments = np.stack([plane[:, 0, 0], plane[:, 0, 1], plane[:, 1, 1], out], axis=-1)
+    return np.asarray(moments + noise)

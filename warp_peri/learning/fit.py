@@ -1,41 +1,71 @@
-"""Learning a model: training data once, choose the loss, run the method, check it, certify."""
+"""Learning a model: training data once, the loss, the method, checks, the certificate."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 import platform
+import warnings
 from collections.abc import Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.learning.checks import check_explained, warn_of_bounds
 from warp_peri.learning.full_loss_check import ConsistencyCheck
-from warp_peri.learning.loss_choice import LossChoice, choose_loss
+from warp_peri.learning.loss_choice import choose_loss
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
-from warp_peri.learning.nonlinear import (
-    Nonlinear,
-    NonlinearFit,
-    check_nonlinear,
-    with_constants,
-)
-from warp_peri.learning.output_error import as_model
-from warp_peri.learning.result import Fit, Settings
-from warp_peri.learning.scale import Scale, scaled_data
+from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit, check_nonlinear, with_constants
+from warp_peri.learning.response import as_model
+from warp_peri.learning.result import Fit, LossChoice, Settings
 from warp_peri.learning.stages import Stages
-from warp_peri.learning.training_data import TrainingData, listed
-from warp_peri.models.shapes import InfluenceFunction, shapes_of
-from warp_peri.operator.symbol import moduli as moduli_of
+from warp_peri.learning.training_data import Scale, TrainingData, listed, scaled_data
+from warp_peri.lps.shapes import InfluenceFunction, shapes_of
+from warp_peri.lps.symbol import moduli as moduli_of
 from warp_peri.points.arrays import fingerprint
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
+from warp_peri.points.unit_names import symbols
 from warp_peri.points.wave_number import largest_wave_number
-from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.conditions import Conditions
+from warp_peri.regression.optimum import HEADROOM
+from warp_peri.regression.parameters import SMALLEST_MODULUS, Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
-from warp_peri.stability.conditions import Conditions
+
+ON_BOUND = 1e-3
+"""A modulus this near its bound, relative, has ended there."""
+
+
+def check_explained(final: Parameters, loss: str) -> None:
+    """Raise InputError for a fit that explains less than nothing: its loss is no less than without.
+
+    The last loss of the search is relative to the loads, or with "output" to the displacement.
+    """
+    if final.losses and not final.losses[-1] < 1:
+        what = "displacements" if loss == "output" else "loads"
+        raise InputError(
+            f"u, b: the best model leaves {100 * math.sqrt(final.losses[-1]):.4g} % of the {what}, "
+            "no less than no model: they do not belong together, or noise drowns them"
+        )
+
+
+def warn_of_bounds(final: Parameters, data: TrainingData, scale: Scale, method: Method) -> None:
+    """Warn of a modulus that ended on its lower bound; all but the scale in the fit's own units."""
+    zeta = HEADROOM * data.conditions[0].zeta
+    bound = SMALLEST_MODULUS if isinstance(method, TwoStage) else zeta
+    moduli = {"μ": final.mu, "λ + μ": final.lam + final.mu}
+    low = [name for name, value in moduli.items() if value <= bound * (1 + ON_BOUND)]
+    if low:
+        unit = symbols(scale.units)[1]
+        warnings.warn(
+            f"{' and '.join(low)} ended on the lower bound, {bound * scale.stress:.3g} {unit}, "
+            f"where the data show a stiffness of {scale.stiffness:.3g} {unit}: they do not "
+            "determine it, or ask for less",
+            stacklevel=3,
+        )
+
 
 CHECKED_DEGREE = 10
 """Of the kernel that reduced and full loss are compared at first, where none was asked for."""

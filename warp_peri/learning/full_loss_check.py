@@ -8,9 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 import torch
 
-from warp_peri.losses.full import FullLoss
-from warp_peri.losses.reduced import ReducedLoss
-from warp_peri.models.influence import bernstein_basis
+from warp_peri.lps.model import bernstein_basis
+from warp_peri.regression.losses import FullLoss, ReducedLoss
 from warp_peri.regression.parameters import Parameters, Variables
 
 ROUNDING = 1e-13

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from inspect import signature
@@ -10,15 +11,18 @@ from typing import Any, overload
 from warp_peri.contract import offered, taken
 from warp_peri.errors import InputError
 from warp_peri.learning.fit import learn, learn_third_order
+from warp_peri.learning.in_space import learn_in_space
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import listed
-from warp_peri.models.smoothing import Smoothing
+from warp_peri.micromodulus.learning import Micromodulus, one_set
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
+from warp_peri.regression.conditions import Conditions
 from warp_peri.regression.settings import Optimum
-from warp_peri.stability.conditions import Conditions
+from warp_peri.third_order.fit import ThirdOrderFit, fit_third_order
+from warp_peri.third_order.smoothing import Smoothing
 
 Sets = Samples | Dataset | Sequence[Samples]
 
@@ -62,8 +66,6 @@ class LPS:
         """
         sets = listed(samples, space=True)
         if any(each.points.dimension == 3 for each in sets):
-            from warp_peri.micromodulus.in_space import learn_in_space
-
             return learn_in_space(sets[0], self.horizon, **self._in_space(sets, noise))
         return learn(samples, **vars(self), noise=noise, progress=progress)
 
@@ -115,15 +117,15 @@ class ThirdOrder:
         progress: bool | None = None,
     ) -> Any:
         """The fit; arguments and errors as for learning.fit.learn, of tensors as for
-        micromodulus.third_order_learning.fit_third_order."""
+        fit_third_order, "auto" symmetry being "isotropic" there."""
         filtered = self.smoothing is not None
         form = ("filtered" if filtered else "energy") if self.form == "auto" else self.form
         if form not in ("filtered", "energy"):
             raise InputError(f"form: expected 'auto', 'filtered' or 'energy', got {form!r:.50}")
-        if hasattr(self.linear, "third_order"):  # micromodulus tensors
+        if isinstance(self.linear, Micromodulus):
             if noise:
                 raise InputError("noise: expected none for micromodulus tensors")
-            return self.linear.third_order(samples, self.smoothing, form)
+            return _on_tensors(self.linear, samples, self.smoothing, form)
         if filtered != (form == "filtered"):
             raise InputError(
                 "form: of an LPS the filtered form has a smoothing, and the energy form has none"
@@ -131,6 +133,40 @@ class ThirdOrder:
         three = Nonlinear(self.smoothing)
         options = vars(self.linear) | {"noise": noise, "progress": progress}
         return learn_third_order(samples, three, **options)
+
+
+def _on_tensors(
+    linear: Micromodulus, samples: Any, smoothing: Smoothing | None, form: str
+) -> ThirdOrderFit:
+    """Tensors and third-order constants at once.
+
+    A UserWarning says where training data reach beyond the proven strain.
+    """
+    if not isinstance(smoothing, Smoothing):
+        raise InputError(
+            f"smoothing: expected Smoothing(…) beside such tensors, got {smoothing!r:.60}"
+        )
+    if linear.moduli is None:
+        raise InputError("moduli: expected some that are held, beside third-order constants")
+    auto = isinstance(linear.symmetry, str) and linear.symmetry == "auto"
+    found = fit_third_order(
+        one_set(samples),
+        linear.horizon,
+        smoothing,
+        form=form,
+        symmetry="isotropic" if auto else linear.symmetry,
+        orientation=linear.orientation,
+        moduli=linear.moduli,
+    )
+    proven = found.material.proven_strain(found.material.spacing)
+    if found.largest_gradient > proven:
+        warnings.warn(
+            f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
+            f"reach {found.largest_gradient:.2%}; a larger ridge of the smoothing than "
+            f"{smoothing.ridge:g} may prove more",
+            stacklevel=5,
+        )
+    return found
 
 
 @overload

@@ -2,29 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.learning.options import LOSSES
+from warp_peri.learning import LOSSES
 from warp_peri.learning.response import products
+from warp_peri.learning.result import LossChoice
 from warp_peri.learning.training_data import TrainingData
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.wave_number import WAVE_VECTOR
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 
 SMALL_SHARE = 0.01
 """A residual loss is taken as it is when noise is less than this of its squares."""
-
-
-@dataclass(frozen=True)
-class LossChoice:
-    """A loss and, in words, why it was taken."""
-
-    name: str
-    reason: str
 
 
 def choose_loss(

@@ -1,4 +1,4 @@
-"""How a model is learned: what each method is asked for, apart from the data and the conditions."""
+"""How a model is learned: what each method is asked for."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 from warp_peri.errors import InputError
-from warp_peri.learning.options import METHODS
-from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.learning import METHODS
+from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.arrays import check_whole
 from warp_peri.regression.settings import Optimum
 

@@ -14,27 +14,27 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.learning.full_loss_check import held
 from warp_peri.learning.methods import Bernstein, Kernel, Method
-from warp_peri.learning.output_error import as_model
-from warp_peri.learning.response import products
+from warp_peri.learning.response import as_model, products
 from warp_peri.learning.result import Fit
-from warp_peri.learning.scale import Scale, scale_of
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.nonlinear import GradientLoss, reduce_nonlinear
-from warp_peri.models.nonlinear import NonlinearModel
-from warp_peri.models.smoothing import Smoothing
-from warp_peri.models.uniqueness import uniqueness
-from warp_peri.operator.nonlinear import NonlinearOperator
+from warp_peri.learning.training_data import Scale, scale_of
+from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
 from warp_peri.points.unit_names import symbols
+from warp_peri.regression.losses import Features, ReducedLoss, sample_weights, with_rows
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
+from warp_peri.third_order.fit import CONSTANTS, NonlinearFeatures
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.smoothing import Smoothing
+from warp_peri.third_order.uniqueness import uniqueness
 
 MOST_PASSES, SETTLED = 30, 1e-7
 """λ, μ and the weights of the energy form are carried over from pass to pass, until they change by
 no more than this, relative."""
+_BLOCK_BYTES = 2**27
 AGREEMENT, ROUNDING = 1e-10, 1e-12
 """Rounding of the reduced residual beside the full one: relative, and of the loads."""
 
@@ -254,7 +254,7 @@ class _Task:
             self.loss = self._reduced()  # with the weights that were settled on
         total, largest, errors = 0.0, 0.0, []
         for points, weight in zip(self.sets, self.weights):
-            operator = NonlinearOperator(model, points, allow_uncertified=True)
+            operator = model.on(points, allow_uncertified=True)
             largest = max(largest, float(operator.largest_gradient(points.u).max()))
             b = points.loads[:, points.interior]
             left = np.linalg.norm((operator(points.u) - b).reshape(len(b), -1), axis=1)
@@ -279,3 +279,74 @@ class _Task:
         units = self.sets[0].points.units
         linear = dataclasses.replace(as_model(parameters, self.horizon), units=units)
         return NonlinearModel(linear, t3, tq2, q3, smoothing=self.smoothing)
+
+
+@dataclass(frozen=True)
+class GradientLoss:
+    """The loss of a nonlinear solid with given p_in and p_out on one lattice.
+
+    Attributes:
+        classes: bond classes of the lattice.
+        R: triangular factor of the columns t3, tq2, q3, the F linear ones, λ and μ of the
+            geometric terms, and −b: shape [F + 6, F + 6].
+        pairs: class numbers of each quadratic feature, shape [2, C (C + 1) / 2].
+    """
+
+    classes: BondClasses
+    R: np.ndarray
+    pairs: np.ndarray
+
+    def reduced(self, lam: float, mu: float) -> ReducedLoss:
+        """The loss of the linear part, geometric terms at λ, μ [TPa], constants at their best."""
+        rows = self.R[CONSTANTS:, CONSTANTS:]
+        right = rows[:, -3:] @ (lam, mu, 1.0)
+        folded = np.column_stack([rows[:, :-3], right])
+        return ReducedLoss(self.classes, np.asarray(np.linalg.qr(folded, mode="r")), self.pairs)
+
+    def constants(self, products: np.ndarray, lam: float, mu: float) -> np.ndarray:
+        """The best t3, tq2 and q3 [TPa] beside c of (17), shape [F + 1]; back-substitution."""
+        others = np.concatenate([products[:-1], (lam, mu, 1.0)])
+        top = self.R[:CONSTANTS]
+        best: np.ndarray = np.linalg.solve(top[:, :CONSTANTS], -top[:, CONSTANTS:] @ others)
+        return best
+
+    def loss(self, constants: np.ndarray, products: np.ndarray, lam: float, mu: float) -> float:
+        """Σ_s weight_s ‖L u − b‖² of any constants."""
+        e = self.R @ np.concatenate([constants, products[:-1], (lam, mu, 1.0)])
+        return float(e @ e)
+
+
+def reduce_nonlinear(
+    sets: Sequence[Samples],
+    horizon: float,
+    sample_weights: Sequence[np.ndarray],
+    weights: tuple[np.ndarray, np.ndarray],
+) -> GradientLoss:
+    """Sweep data once and factorise their features.
+
+    Args:
+        sets: samples on lattices of one spacing, each with an axis of the crystal.
+        horizon: δ [Å].
+        sample_weights: of each sample of each set in the loss, shape [S].
+        weights: p_in and p_out by class, each of shape [C].
+
+    Raises InputError for sets of several spacings or without the collar.
+    """
+    spacings = sorted({points.spacing for points in sets})
+    if len(spacings) != 1:
+        raise InputError(f"points: expected lattices of one spacing, got {spacings}")
+    R = np.zeros((0, 0))
+    for points, weight in zip(sets, sample_weights):
+        features = Features(points, horizon)
+        nonlinear = NonlinearFeatures(points, horizon, weights)
+        columns = features.width + 6
+        R = R if R.size else np.zeros((0, columns))
+        block = max(1, _BLOCK_BYTES // (16 * columns * np.count_nonzero(points.interior)))
+        for first in range(0, len(points), block):
+            some = slice(first, first + block)
+            more = nonlinear(points.u[some])
+            parts = [more[:, :, :3], features(points.u[some]), more[:, :, 3:]]
+            parts.append(-points.loads[some][:, points.interior, None, :])
+            rows = np.concatenate(parts, axis=2) * np.sqrt(weight[some, None, None, None])
+            R = with_rows(R, rows.transpose(0, 1, 3, 2).reshape(-1, columns))
+    return GradientLoss(features.classes, R, features.pairs)

@@ -1,25 +1,24 @@
-"""The output-error loss: displacement of the model against that of the data, linearised.
-
-With û the model's displacement at parameters c₀, L(c) û is affine in the products c of (17), and
-û − L₀⁻¹ (L(c) û − b) is the displacement at c to first order (theory.md, 38). Its misfit is a
-reduced least-squares problem again. Noise in u enters it as it is, not through a second derivative,
-and does not bias the fit.
-"""
+"""The output-error loss and its optimum (theory.md, 38)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from typing import Protocol
 
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.losses.reduced import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
-from warp_peri.models.lps import Model, stiffnesses
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.regression.conditions import LatticeConditions
+from warp_peri.regression.losses import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
+from warp_peri.regression.optimum import Reached, constrained_optimum
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
 from warp_peri.statics.direct import MatrixProblem
 
 SAMPLES_AT_ONCE = 8
@@ -180,3 +179,77 @@ def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
     B = onto @ b
     best = max(parities, key=lambda p: float(np.hypot(B[p[0], 0], B[p[1], 1])))
     return np.asarray(onto[list(best)])
+
+
+STEPS = 12
+GAIN = 1e-5
+"""Steps end when one lowers the loss by less than this, relative."""
+
+
+def output_optimum(
+    responses: Sequence[Response],
+    start: Parameters,
+    conditions: Sequence[LatticeConditions],
+    horizon: float,
+    method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
+    *,
+    two_functions: bool = False,
+    tick: Callable[[float], None] = lambda loss: None,
+) -> Reached:
+    """Minimise the misfit of displacement under the conditions over the whole zone.
+
+    Each step is a constrained optimum of the loss linearised about the last one. A step that does
+    not lower the loss itself ends the search.
+
+    Args:
+        responses: of the training set on each lattice.
+        start: where to begin.
+        conditions: what must hold on each lattice.
+        horizon: δ [Å].
+        method, two_functions: as for constrained_optimum.
+        tick: called with the loss after each step.
+    """
+
+    def step(grids: Sequence[ReducedLoss], parameters: Parameters) -> Reached:
+        return constrained_optimum(
+            grids, parameters, conditions, method, two_functions=two_functions
+        )
+
+    def about(parameters: Parameters) -> tuple[list[ReducedLoss], float]:
+        model = as_model(parameters, horizon)
+        grids = [response.about(model) for response in responses]
+        return grids, sum(misfit(grid, model) for grid in grids)
+
+    best = step([response.start() for response in responses], start)
+    grids, loss = about(best.parameters)
+    losses = [loss]
+    for _ in range(STEPS):
+        reached = step(grids, best.parameters)
+        linearised, lower = about(reached.parameters)
+        if not (reached.converged and lower < loss):
+            break
+        gained = loss - lower
+        best, grids, loss = reached, linearised, lower
+        losses.append(loss)
+        tick(loss)
+        if gained <= GAIN * loss:
+            break
+    parameters = dataclasses.replace(best.parameters, losses=losses)
+    return dataclasses.replace(best, parameters=parameters, loss=loss)
+
+
+def as_model(parameters: Parameters, horizon: float) -> Model:
+    """The model of these parameters."""
+    return Model(
+        parameters.lam,
+        parameters.mu,
+        parameters.alpha,
+        parameters.D,
+        horizon,
+        D_dilatation=parameters.D_dilatation,
+    )
+
+
+def misfit(grid: ReducedLoss, model: Model) -> float:
+    """‖R c‖² of a reduced loss at a model."""
+    return float(np.sum((grid.R @ products(model, grid.classes)) ** 2))

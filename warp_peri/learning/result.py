@@ -6,14 +6,21 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from warp_peri.learning.loss_choice import LossChoice
-from warp_peri.models.lps import Model
-from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.lps.model import Model
+from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.unit_names import shown_moduli, symbols
+from warp_peri.regression.conditions import LatticeConditions
 from warp_peri.regression.parameters import Parameters
 from warp_peri.shown import Shown
 from warp_peri.stability.certificate import Certificate
-from warp_peri.stability.conditions import LatticeConditions
+
+
+@dataclass(frozen=True)
+class LossChoice:
+    """A loss and, in words, why it was taken."""
+
+    name: str
+    reason: str
 
 
 @dataclass(frozen=True)

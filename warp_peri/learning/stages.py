@@ -12,15 +12,17 @@ import numpy as np
 from tqdm.auto import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.learning.checkpoint import Checkpoint
-from warp_peri.learning.margins import DenseMargins, SymbolMargins
 from warp_peri.learning.methods import Bernstein, TwoStage
-from warp_peri.learning.output_error import STEPS, output_optimum
-from warp_peri.learning.response import responses_of
+from warp_peri.learning.response import STEPS, output_optimum, responses_of
 from warp_peri.learning.result import Stage
-from warp_peri.learning.scale import Scale
-from warp_peri.learning.training_data import TrainingData
-from warp_peri.learning.two_stage import positive_stage, sign_changing_stage
+from warp_peri.learning.training_data import Scale, TrainingData
+from warp_peri.learning.two_stage import (
+    Checkpoint,
+    DenseMargins,
+    SymbolMargins,
+    positive_stage,
+    sign_changing_stage,
+)
 from warp_peri.regression.optimum import Reached, constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum

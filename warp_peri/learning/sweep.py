@@ -15,16 +15,16 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
+from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein
-from warp_peri.learning.options import DEGREES, HORIZONS
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.arrays import fingerprint
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
-from warp_peri.stability.conditions import Conditions
+from warp_peri.regression.conditions import Conditions
 
 COST_TOLERANCE = 0.1
 """How much worse than the best AvgE the cheapest choice may be, relative."""

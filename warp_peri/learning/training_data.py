@@ -1,20 +1,36 @@
-"""The training sets of a fit, made ready once: full losses, reduced ones, conditions, noise."""
+"""Training sets made ready once, in the units of the fit (theory.md, U1–U2)."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from warp_peri.errors import InputError
-from warp_peri.losses.full import FullLoss, sample_weights
-from warp_peri.losses.noise import corrected, noise_loss
-from warp_peri.losses.reduced import ReducedLoss, reduce
+from warp_peri.learning.methods import Constrained, Method, TwoStage
+from warp_peri.learning.result import Settings
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.model import Model, Solid
+from warp_peri.lps.operator import lps_force
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.stability.conditions import Conditions, LatticeConditions
+from warp_peri.points.unit_names import USUAL, Units, check_units, search_length, search_unit
+from warp_peri.points.units import in_units_of, scaled
+from warp_peri.regression.conditions import Conditions, LatticeConditions
+from warp_peri.regression.losses import (
+    FullLoss,
+    ReducedLoss,
+    corrected,
+    noise_loss,
+    reduce,
+    sample_weights,
+)
+from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.settings import Optimum
 
 
 @dataclass(frozen=True)
@@ -134,3 +150,193 @@ def listed(
     if not space and any(each.points.dimension != 2 for each in sets):
         raise InputError(f"{name}: expected a sheet; in space LPS and Micromodulus are learned")
     return list(sets)
+
+
+RELATIVE_ZETA = 0.0161
+"""ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
+USUAL_STIFFNESS = 0.62
+"""A stiffness [TPa] that the search's own numbers suit: that of graphene."""
+PROBED_HORIZON = 2.0
+"""Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
+UNIT = Solid(1.0, 1.0, 1.0, np.ones(1))
+"""K = 1/r with λ = μ = 1."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Units of a fit.
+
+    Attributes:
+        length, stress: of the fit, in the units of the data.
+        stiffness: that the data show, in their unit of stress.
+        units: names of the units of the data.
+    """
+
+    length: float
+    stress: float
+    stiffness: float
+    units: Units = USUAL
+
+    def samples(self, given: Samples) -> Samples:
+        """The samples in these units."""
+        return in_units_of(scaled(given, 1 / self.length, 1 / self.stress), USUAL)
+
+    def conditions(self, asked: Conditions) -> Conditions:
+        """The conditions with their ζ [TPa]: that of the stiffness, where none was asked for."""
+        return dataclasses.replace(asked, zeta=self._zeta(asked))
+
+    def inner_conditions(self, asked: Conditions) -> Conditions:
+        """The conditions in these units."""
+        return dataclasses.replace(asked, zeta=self._zeta(asked) / self.stress)
+
+    def _zeta(self, asked: Conditions) -> float:
+        return RELATIVE_ZETA * self.stiffness if asked.zeta is None else asked.zeta
+
+    def method(self, given: Method) -> Method:
+        """The method with its lengths and moduli in these units."""
+        if isinstance(given, Constrained):
+            first, second = self._two_stage(given.two_stage), self._optimum(given.optimum)
+            return dataclasses.replace(given, two_stage=first, optimum=second)
+        return self._two_stage(given) if isinstance(given, TwoStage) else self._optimum(given)
+
+    def _two_stage(self, given: TwoStage) -> TwoStage:
+        spacing = given.lattice_spacing
+        inner = None if spacing is None else spacing / self.length
+        return dataclasses.replace(given, lattice_spacing=inner)
+
+    def _optimum(self, given: Optimum) -> Optimum:
+        return dataclasses.replace(given, moduli=self.moduli(given.moduli))
+
+    def moduli(self, held: tuple[float, float] | str | None) -> tuple[float, float] | str | None:
+        """Moduli to be held, in these units."""
+        if held is None or isinstance(held, str):
+            return held
+        lam, mu = held
+        return lam / self.stress, mu / self.stress
+
+    def lattice_conditions(self, data: TrainingData, horizon: float) -> list[LatticeConditions]:
+        """The conditions of training data in these units, in those of the data."""
+        return [
+            LatticeConditions(
+                bond_classes(lattice.classes.spacing * self.length, horizon),
+                dataclasses.replace(lattice.asked, zeta=lattice.zeta * self.stress),
+            )
+            for lattice in data.conditions
+        ]
+
+    def inner_model(self, model: Model) -> Model:
+        """λ, μ, kernels and horizon of a model in these units."""
+        lam, mu = model.lam / self.stress, model.mu / self.stress
+        horizon = model.horizon / self.length
+        return dataclasses.replace(model, lam=lam, mu=mu, horizon=horizon, units=USUAL)
+
+    def outer_model(self, inner: Model, like: Model) -> Model:
+        """A model of these units in those of the data, with the horizon of another."""
+        lam, mu, horizon = inner.lam * self.stress, inner.mu * self.stress, like.horizon
+        return dataclasses.replace(inner, lam=lam, mu=mu, horizon=horizon, units=like.units)
+
+    def inner_settings(self, given: Settings) -> Settings:
+        """What a fit kept, in these units."""
+        kept = [
+            LatticeConditions(
+                bond_classes(
+                    lattice.classes.spacing / self.length, lattice.classes.horizon / self.length
+                ),
+                dataclasses.replace(lattice.asked, zeta=lattice.zeta / self.stress),
+            )
+            for lattice in given.conditions
+        ]
+        return dataclasses.replace(given, conditions=kept, moduli=self.moduli(given.moduli))
+
+    def parameters(self, parameters: Parameters) -> Parameters:
+        """What was found in these units, in those of the data."""
+        return dataclasses.replace(
+            parameters, lam=parameters.lam * self.stress, mu=parameters.mu * self.stress
+        )
+
+
+def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale:
+    """The units of a fit to these samples.
+
+    Args:
+        sets: training sets.
+        horizon: δ [Å].
+        lengths: whether lengths may be scaled; those of a shape's own parameters are the user's.
+
+    Raises InputError as stiffness_of does.
+    """
+    stiffness = stiffness_of(sets, horizon)
+    units = sets[0].points.units
+    length = search_length(units, horizon) if lengths and 0 < horizon < np.inf else 1.0
+    stress = search_unit(units[1], stiffness, USUAL_STIFFNESS, 4)
+    return Scale(length, stress, stiffness, units)
+
+
+def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
+    """The stiffness that loads and displacements show together [TPa].
+
+    That of the bond-based solid, K = 1/r, whose loads have the given work with the loads: ‖b‖² over
+    b·A u, A of unit stiffness. Noise in u, which b knows nothing of, averages out of it.
+
+    Raises InputError where it is not above zero: loads and displacements of opposite work.
+    """
+    if not sets:
+        raise InputError("points: expected at least one training set, got none")
+    large_b = max(
+        float(np.abs(samples.loads[:, samples.interior]).max(initial=0.0)) for samples in sets
+    )
+    large_u = max(float(np.abs(samples.u).max(initial=0.0)) for samples in sets)
+    loads = work = 0.0
+    if large_b > 0 and large_u > 0:
+        for samples in sets:
+            reach = (
+                min(PROBED_HORIZON * samples.spacing, horizon) if samples.spacing > 0 else horizon
+            )
+            bonds = Bonds(samples.points, reach, bond_based=True)
+            force = lps_force(bonds, torch.from_numpy(samples.u / large_u), UNIT).numpy()
+            b = samples.loads[:, samples.interior] / large_b
+            loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
+    if not work > 0:
+        raise InputError(
+            "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
+            "loads so; expected b to be the load, which is minus the internal force"
+        )
+    return large_b / large_u * loads / work
+
+
+def scaled_data(
+    sets: Sequence[Samples],
+    horizon: float,
+    conditions: Conditions,
+    noise: Sequence[Samples],
+    lattice_spacing: float | None,
+    *,
+    normalise: bool,
+    lengths: bool,
+) -> tuple[TrainingData, Scale]:
+    """Training data in the units of a fit, and these units; see training_data and scale_of."""
+
+    def made(scale: Scale | None) -> TrainingData:
+        length = 1.0 if scale is None else scale.length
+        return training_data(
+            [samples if scale is None else scale.samples(samples) for samples in sets],
+            horizon / length,
+            conditions if scale is None else scale.inner_conditions(conditions),
+            noise=[samples if scale is None else scale.samples(samples) for samples in noise],
+            normalise=normalise,
+            lattice_spacing=None if lattice_spacing is None else lattice_spacing / length,
+        )
+
+    named = {" and ".join(check_units(each.points.units)) for each in (*sets, *noise)}
+    if len(named) > 1:
+        raise InputError(f"units: expected the same for all sets, got {', '.join(sorted(named))}")
+    try:
+        scale = scale_of(sets, horizon, lengths=lengths)
+    except InputError:
+        made(None)  # what is wrong with the sets themselves comes first
+        raise
+    try:
+        return dataclasses.replace(made(scale), stress=scale.stress), scale
+    except InputError:
+        made(None)  # the same refusal, with the user's own numbers
+        raise

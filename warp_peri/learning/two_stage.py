@@ -1,19 +1,275 @@
-"""Algorithm 1 of You et al. (2021): Adam on positive kernels, then an augmented Lagrangian."""
+"""Algorithm 1 of You et al. (2021): positive kernels, then an augmented Lagrangian on margins."""
 
 from __future__ import annotations
 
+import itertools
+import os
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import torch
+import warp as wp
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
+from scipy.spatial import KDTree
 
-from warp_peri.files.atomic import locked
-from warp_peri.learning.checkpoint import Checkpoint
-from warp_peri.learning.margins import DenseMargins, SymbolMargins
+from warp_peri.core.once import differentiable_once
+from warp_peri.errors import InputError
+from warp_peri.files.archive import read_arrays
+from warp_peri.files.atomic import locked, whole_file
 from warp_peri.learning.methods import TwoStage
-from warp_peri.losses.full import FullLoss
-from warp_peri.losses.reduced import ReducedLoss
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.matrices import assemble
+from warp_peri.lps.symbol import Symbol, symbol, zone_wedge
+from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
+from warp_peri.regression.conditions import LatticeConditions
+from warp_peri.regression.losses import FullLoss, ReducedLoss
 from warp_peri.regression.parameters import Parameters, Variables
+
+ZONE_INTERVALS = 24
+DENSE_ZETA = 1e-4
+"""ζ of the dense conditions: Λmin(Γ) [Å⁻²] and Λmin(ΦΓ⁻¹Φᵗ)."""
+
+Weights = Sequence[tuple[torch.Tensor, torch.Tensor]]
+Blocks = list[tuple[np.ndarray, np.ndarray]]
+
+
+class _Values(torch.autograd.Function):
+    """Values with derivatives that are already known, to (κ, w, p)."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, evaluate: Callable[..., tuple[np.ndarray, np.ndarray]], *inputs: torch.Tensor
+    ) -> torch.Tensor:
+        numbers = [tensor.detach().numpy() for tensor in inputs]
+        values, slopes = evaluate(*numbers)
+        ctx.slopes = torch.from_numpy(slopes)
+        ctx.save_for_backward(*inputs)
+        ctx.sizes = [tensor.numel() for tensor in inputs]
+        return torch.from_numpy(values)
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        kappa, *rest = torch.split(upstream[0] @ ctx.slopes, ctx.sizes)
+        return None, kappa.reshape(()), *rest
+
+
+_values: Callable[..., torch.Tensor] = _Values.apply
+
+
+class SymbolMargins:
+    """Smallest margins of the conditions over sampled wave vectors, on each lattice [TPa]."""
+
+    def __init__(self, conditions: Sequence[LatticeConditions]) -> None:
+        self.conditions = conditions
+        self.lattices = [asked.classes for asked in conditions]
+        self.tables = [
+            symbol(classes, zone_wedge(classes.spacing, ZONE_INTERVALS))
+            for classes in self.lattices
+        ]
+        self.count = sum(len(asked.names) for asked in conditions)
+
+    def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
+        """Margins, shape [count]."""
+        kappa = (lam - mu) / mu**2
+        parts = []
+        for asked, table, (w, p) in zip(self.conditions, self.tables, weights):
+
+            def evaluate(
+                kappa: np.ndarray,
+                v: np.ndarray,
+                z: np.ndarray,
+                asked: LatticeConditions = asked,
+                table: Symbol = table,
+            ) -> tuple[np.ndarray, np.ndarray]:
+                margins = asked.margins(table, v, z, float(kappa))
+                slopes = []
+                for form, k in enumerate(margins.argmin(axis=1)):
+                    worst = Symbol(table.gamma[[k]], table.phi[[k]], table.laplacian[[k]])
+                    slopes.append(asked.gradients(worst, v, z, float(kappa))[form, 0])
+                return margins.min(axis=1), np.array(slopes)
+
+            parts.append(_values(evaluate, kappa, mu * w, mu * p))
+        return torch.cat(parts)
+
+
+class DenseMargins:
+    """The three conditions (4.6) on the interior of each training set.
+
+    Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
+    interior nodes. Γ and Φ are linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c. Where a domain is
+    its own mirror image the matrices fall into blocks, a tenth of the work with the same values.
+    """
+
+    def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
+        self.lattices = [bond_classes(points.spacing, horizon) for points in sets]
+        self.parts = [
+            _blocks(*_class_matrices(points, horizon), points.x[points.interior]) for points in sets
+        ]
+        self.count = 3 * len(sets)
+
+    def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
+        """Margins, shape [3 · sets]."""
+        parts = []
+        for blocks, (w, p) in zip(self.parts, weights):
+
+            def evaluate(
+                _: np.ndarray, w: np.ndarray, p: np.ndarray, blocks: Blocks = blocks
+            ) -> tuple[np.ndarray, np.ndarray]:
+                return _dense(blocks, w, p)
+
+            parts.append(_values(evaluate, torch.zeros((), dtype=torch.float64), w, p))
+        return torch.cat(parts)
+
+
+def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+    """Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
+    bonds = Bonds(points, horizon)
+    unknown = np.repeat(points.interior, 2)
+    ones = wp.full(len(points.x), 1.0, dtype=wp.float64, device=bonds.device)
+    gammas, phis = [], []
+    for unit in np.eye(len(bonds.families.classes.r)):
+        table: wp.array[Any] = wp.array(unit, dtype=wp.float64, device=bonds.device)
+        parts = assemble(bonds, (table, ones, table, ones))
+        gammas.append(parts.gamma[:, unknown].toarray())
+        phis.append(parts.phi[points.interior][:, unknown].toarray())
+    return np.array(gammas), np.array(phis)
+
+
+def _blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks:
+    """Γ_c and Φ_c between fields that both mirrors of the nodes keep or turn round.
+
+    All as one block where a mirror takes some node of `x`, shape [I, 2], to a place without one.
+    """
+    mirrors = []
+    for axis in (0, 1):
+        image = x.copy()
+        image[:, axis] = x[:, axis].min() + x[:, axis].max() - x[:, axis]
+        distance, node = KDTree(x).query(image)
+        if distance.max() > 1e-6 * np.ptp(x):
+            return [(gammas, phis)]
+        mirrors.append(np.eye(len(x))[node])
+    blocks = []
+    for signs in itertools.product((1, -1), repeat=2):
+        # The component of u along an axis changes its sign in the mirror of that axis.
+        scalar, along, across = (
+            _kept(mirrors, [a * signs[0], b * signs[1]]) for a, b in ((1, 1), (-1, 1), (1, -1))
+        )
+        vector = np.zeros((2 * len(x), along.shape[1] + across.shape[1]))
+        vector[::2, : along.shape[1]], vector[1::2, along.shape[1] :] = along, across
+        blocks.append((vector.T @ gammas @ vector, scalar.T @ phis @ vector))
+    return blocks
+
+
+def _kept(mirrors: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
+    """Orthonormal scalar fields that each mirror multiplies by its sign, as columns."""
+    one = np.eye(len(mirrors[0]))
+    projection = (one + signs[0] * mirrors[0]) @ (one + signs[1] * mirrors[1]) / 4
+    values, fields = eigh(projection)
+    return np.array(fields[:, values > 0.5])
+
+
+def _dense(blocks: Blocks, w: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The margins, shape [3], and their derivatives to (κ, w, p), shape [3, 1 + 2 C]."""
+    gammas = [np.tensordot(w, block[0], 1) for block in blocks]
+    phis = [np.tensordot(p, block[1], 1) for block in blocks]
+
+    def slope(number: int, e: np.ndarray, scale_w: float, f: np.ndarray) -> np.ndarray:
+        """Derivatives of scale_w · eᵗΓe + 2 fᵗΦe, e and f held, to (κ, w, p)."""
+        of_gamma, of_phi = blocks[number]
+        by_w = of_gamma.reshape(len(w), -1) @ np.outer(e, e).ravel()
+        return np.concatenate([np.zeros(1), scale_w * by_w, 2 * (of_phi @ e) @ f])
+
+    number, coercive, e = _least(gammas)
+    rows = [slope(number, e, 1.0, np.zeros(len(phis[number])))]
+    if coercive > 0:
+        flows = [cho_solve(cho_factor(gamma), phi.T) for gamma, phi in zip(gammas, phis)]
+        number, inf_sup, y = _least([phi @ flow for phi, flow in zip(phis, flows)])
+        rows.append(slope(number, flows[number] @ y, -1.0, y))
+    else:  # no inf-sup constant without coercivity: its condition asks for that first
+        inf_sup = coercive
+        rows.append(rows[0])
+    number, schwarz, e = _least([g - 2 * phi.T @ phi for g, phi in zip(gammas, phis)])
+    rows.append(slope(number, e, 1.0, -2 * phis[number] @ e))
+    return np.array([coercive - DENSE_ZETA, inf_sup - DENSE_ZETA, schwarz]), np.array(rows)
+
+
+def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
+    """Which of some symmetric matrices has the smallest eigenvalue, the value and its vector.
+
+    A matrix that is positive definite after the least value so far is taken away has none smaller:
+    a tenth of the work of its eigenvalues.
+    """
+    which, least, vector = 0, np.inf, np.zeros(0)
+    for number, matrix in enumerate(matrices):
+        if np.isfinite(least):
+            with suppress(LinAlgError):
+                cholesky(matrix - least * np.eye(len(matrix)))
+                continue
+        values, vectors = eigh(matrix, subset_by_index=[0, 0])
+        if values[0] < least:
+            which, least, vector = number, float(values[0]), vectors[:, 0]
+    return which, least, vector
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What stage 2 needs to go on: its tensors, the losses so far, penalty and iteration."""
+
+    tensors: list[np.ndarray]
+    losses: list[float]
+    penalty: float
+    iteration: int
+
+
+class Checkpoint:
+    """The state of one run in an .npz file, written whole or not at all.
+
+    Args:
+        path: of the file.
+        key: says what the run depends on; a file of another run is refused.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], key: str) -> None:
+        self.path, self.key = Path(path), key
+
+    def save(
+        self, tensors: Sequence[np.ndarray], *, losses: list[float], penalty: float, iteration: int
+    ) -> None:
+        """Write the state to the checkpoint's file, whole."""
+        content: dict[str, Any] = {"key": np.array(self.key), "losses": np.array(losses)}
+        content |= {"penalty": penalty, "iteration": iteration}
+        content |= {f"tensor{number}": value for number, value in enumerate(tensors)}
+        with whole_file(self.path) as temporary, open(temporary, "wb") as file:
+            np.savez(file, **content)
+
+    def load(self) -> Progress | None:
+        """The state, or None when there is no file.
+
+        Raises InputError for a file that cannot be read or belongs to another run.
+        """
+        if not self.path.exists():
+            return None
+        try:
+            content = read_arrays(self.path)
+            key = str(content["key"])
+            state = Progress(
+                [content[f"tensor{number}"] for number in range(len(content) - 4)],
+                content["losses"].tolist(),
+                float(content["penalty"]),
+                int(content["iteration"]),
+            )
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
+        if key != self.key:
+            raise InputError(f"{self.path}: the checkpoint of a run on other data or settings")
+        return state
+
 
 LEARNING_RATE = 1e-3
 STAGNATION = 1e-3

@@ -1,38 +1,155 @@
-"""How sure a fit is: covariance of what noise in the displacement makes of it (theory.md, 39).
-
-Noise moves the gradient of the loss; the optimum follows by the Gauss–Newton Hessian within the
-tangent space of the active conditions. Fields of noise, put on every sample in turn, give the
-covariance of the gradient, and their independence from one seed to the next adds it up.
-"""
+"""How sure a fit is: by its noise, and by learning again from parts."""
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy.linalg
-from scipy.special import ndtri
+from scipy.special import ndtri, stdtrit
+from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.learning.output_error import as_model
-from warp_peri.learning.response import WaveResponse, products
+from warp_peri.learning.laws import fit
+from warp_peri.learning.response import WaveResponse, as_model, products
 from warp_peri.learning.result import Fit
-from warp_peri.learning.scale import scale_of
-from warp_peri.learning.training_data import listed
-from warp_peri.losses.full import sample_weights
-from warp_peri.losses.noise import check_noise, corrected, noise_loss
-from warp_peri.losses.reduced import Features, ReducedLoss, reduce
-from warp_peri.models.lps import Model
-from warp_peri.operator.symbol import symbol
+from warp_peri.learning.training_data import listed, scale_of
+from warp_peri.lps.model import Model
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, part
 from warp_peri.points.unit_names import check_same
 from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.regression.losses import (
+    Features,
+    ReducedLoss,
+    check_noise,
+    corrected,
+    noise_loss,
+    reduce,
+    sample_weights,
+)
 from warp_peri.regression.optimum import ConstrainedProblem, coordinates_of
 from warp_peri.regression.parameters import Parameters
-from warp_peri.stability.conditions import ZoneSearch
+
+LEAST_LOADS, DRAWS = 4, 40
+ONE_DEVIATION = (0.1587, 0.8413)
+"""Of normal numbers, the parts below minus and plus one standard deviation."""
+REDRAWN = 0.2
+"""Of the draws, that may determine no law and are drawn again."""
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """Materials learned from other choices of the loads.
+
+    It is asked as `Uncertainty` of `fit_uncertainty` is.
+
+    Attributes:
+        materials: one of each choice.
+        loads: how many there were.
+        spread: what the materials' standard deviation is multiplied by.
+        drawn: whether they are draws. Their deviation then is half of what lies between 16 and
+            84 % of them: a draw that hardly determines a law does not widen the band.
+        knows: what the bands hold and what they do not, in a sentence.
+    """
+
+    materials: list[Any]
+    loads: int
+    spread: float
+    knows: str
+    drawn: bool = False
+
+    def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
+        """Standard deviation of anything a material determines, of the shape of the quantity."""
+        values = np.array([np.asarray(quantity(material)) for material in self.materials])
+        if not self.drawn:
+            return np.asarray(self.spread * values.std(axis=0))
+        low, high = np.quantile(values, ONE_DEVIATION, axis=0)
+        return np.asarray(self.spread * (high - low) / 2)
+
+    def band(
+        self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: float = 0.9
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Lower and upper end of the band that holds a quantity with probability `level`.
+
+        About the material learned from all loads, by Student's distribution of their number.
+        Raises InputError for a level that is no probability.
+        """
+        if not 0 < level < 1:
+            raise InputError(f"level: expected a probability between 0 and 1, got {level}")
+        half = stdtrit(self.loads - 1, (1 + level) / 2) * self.deviation(quantity)
+        middle = np.asarray(quantity(material))
+        return middle - half, middle + half
+
+
+def resample_loads(
+    samples: Samples | Dataset,
+    law: Any,
+    *,
+    leave_one_out: bool = False,
+    draws: int = DRAWS,
+    seed: int = 0,
+    progress: bool = False,
+    **options: Any,
+) -> Resampled:
+    """The same fit to other choices of the loads: bootstrap, or each load left out in turn.
+
+    Args:
+        samples: that the law is learned from; of a Dataset `train`, or its only set.
+        law: as for `fit`; one with symmetry="auto" is given the symmetry that all loads have.
+        leave_one_out: as many fits as loads, instead of `draws` choices with repetition.
+        draws, seed: of the bootstrap.
+        progress: show a progress bar.
+        options: of `fit`.
+
+    Raises InputError for fewer than four loads or ten draws, and what `fit` raises: for a load left
+    out always, of a bootstrap where a fifth of the draws determine no law.
+    """
+    one = samples.obvious("train") if isinstance(samples, Dataset) else samples
+    count = len(one)
+    if count < LEAST_LOADS:
+        raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")
+    if not leave_one_out and draws < 10:
+        raise InputError(f"draws: expected at least 10, got {draws}")
+    if getattr(law, "symmetry", None) == "auto":
+        law = dataclasses.replace(law, symmetry=fit(one, law, **options).material.symmetry)
+    rng, again = np.random.default_rng(seed), 0
+    wanted = count if leave_one_out else draws
+    bar = tqdm(total=wanted, desc="fits", unit="fit", disable=not progress)
+    materials: list[Any] = []
+    while len(materials) < wanted:
+        if leave_one_out:
+            choice = np.delete(np.arange(count), len(materials))
+        else:
+            choice = rng.integers(count, size=count)
+        try:
+            with warnings.catch_warnings():  # the fit to all loads warns; a draw has less to go by
+                warnings.simplefilter("ignore", UserWarning)
+                materials.append(fit(part(one, choice), law, **options).material)
+        except InputError:
+            again += 1
+            if leave_one_out or again > REDRAWN * draws:
+                raise
+            continue
+        bar.update()
+    bar.close()
+    if leave_one_out:
+        spread, how = float(np.sqrt(count - 1)), "each load left out in turn"
+    else:
+        spread = float(np.sqrt(count / (count - 1)))
+        how = f"{draws} choices of the loads with repetition"
+        how += f" ({again} more told of no law)" if again else ""
+    knows = (
+        f"{how}, of {count}: what differs from load to load, noise among it; not an error that all "
+        "loads share"
+    )
+    return Resampled(materials, count, spread, knows, drawn=not leave_one_out)
+
 
 ACTIVE = 0.02
 """A condition is active where its margin is below this part of ζ."""
@@ -366,12 +483,9 @@ def _sets_and_noise(
 def _tangent(problem: ConstrainedProblem, y: np.ndarray) -> np.ndarray:
     """Directions that keep the active conditions where they are, shape [Y, T]."""
     point = problem.coordinates.point(y)
-    tables = []
-    for asked, v, z in zip(problem.asked, point.v, point.z):
-        _, worst = ZoneSearch(asked).worst(v, z, point.kappa)
-        tables.append(symbol(asked.classes, worst))
-    active = problem.margins(point, tables) < ACTIVE * problem.asked[0].zeta
-    rows = problem.margin_slopes(point, tables)[active]
+    problem.look(point, all_of_them=True)
+    active = problem.margins(point) < ACTIVE * problem.asked[0].zeta
+    rows = problem.margin_slopes(point)[active]
     if problem.moduli is not None:
         rows = np.concatenate([rows, problem.departure_slopes(point)])
     if len(rows) == 0:

@@ -1,9 +1,10 @@
-"""Laws learned from fields (theory.md, T7–T8)."""
+"""Crystals learned from fields (theory.md, T7–T8)."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,10 +20,11 @@ from warp_peri.core.groups import (
     shared_with_nodes,
 )
 from warp_peri.errors import InputError
-from warp_peri.micromodulus import fields
+from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.arrays import check_positive
+from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples, part
 from warp_peri.points.unit_names import symbols
@@ -62,7 +64,7 @@ def fit(
             nodes with which the fit is as good as without one.
         orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
             without it the nodes' axes.
-        moduli: "long waves" holds the moduli that fields.long_wave_moduli finds, None holds
+        moduli: "long waves" holds the moduli that regression.long_wave_moduli finds, None holds
             Huang's relations alone, and a Voigt matrix (crystal's axes) holds its own.
         normalise: weigh each sample by 1/‖b‖.
 
@@ -90,10 +92,10 @@ def fit(
     group = point_group(name, d)
     shared = shared_with_nodes(group, turn)
     bonds = invariant_basis(reach, shared)
-    R, y = fields.rows(samples, bonds, normalise=normalise)
+    R, y = regression.rows(samples, bonds, normalise=normalise)
     C, misfit = None, None
     if isinstance(moduli, str):
-        C, misfit = fields.long_wave_moduli(samples, allowed_tensors(name, group, turn))
+        C, misfit = regression.long_wave_moduli(samples, allowed_tensors(name, group, turn))
         if misfit > POOR:
             warnings.warn(
                 f"moduli: those of the longest waves leave {misfit:.0%} of what these loads do to "
@@ -141,7 +143,7 @@ def _judged(
     )
     u, b = samples.u, samples.loads
     halves = [Samples(samples.points, u[n::2], b[n::2]) for n in range(min(2, len(u)))]
-    equations = [fields.rows(half, least, normalise=normalise) for half in halves]
+    equations = [regression.rows(half, least, normalise=normalise) for half in halves]
     R = np.concatenate([rows for rows, _ in equations])
     if auto and np.linalg.matrix_rank(R) < R.shape[1]:
         raise InputError(
@@ -149,7 +151,7 @@ def _judged(
             "one, or give more loads"
         )
     try:
-        long = [fields.long_wave_equations(half, any_tensor) for half in halves]
+        long = [regression.long_wave_equations(half, any_tensor) for half in halves]
     except InputError:  # too few nodes to see long waves on
         long = []
 
@@ -234,3 +236,62 @@ def long_waves_of_data(
         f"moduli: of long waves the fit has {told[0]} {unit}, and the data {told[1]} by tensors, "
         "more apart than their spread: --law tensors, Micromodulus(…), has them"
     )
+
+
+@dataclass(frozen=True)
+class CrystalFit:
+    """A learned crystal.
+
+    Attributes:
+        material: with its certificate.
+        history: loss, symmetry found, cuts and numbers.
+    """
+
+    material: Crystal
+    history: dict[str, Any]
+
+    @property
+    def certificate(self) -> Any:
+        """What is proven of the symbol."""
+        return self.material.certificate
+
+
+@dataclass(frozen=True)
+class Micromodulus:
+    """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory.md, T).
+
+    Attributes:
+        horizon: length of the longest bond.
+        symmetry: name of the crystal's point group, rotations, or "auto": the largest group with
+            which the fit is as good as without one.
+        orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
+            the points' own axis by default.
+        moduli: "long waves" holds those that a fit of long waves finds, None holds none, a Voigt
+            matrix (crystal's axes) holds its own.
+        normalise: weigh each sample by 1/‖b‖.
+    """
+
+    horizon: float
+    symmetry: Symmetry = "auto"
+    orientation: Any = None
+    moduli: Any = "long waves"
+    normalise: bool = False
+
+    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> CrystalFit:
+        """The fit; errors as of learning.fit. It is one least squares, with no progress to show."""
+        sets = one_set(samples)
+        stated = sets.axis if self.orientation is None else self.orientation
+        material = fit(sets, **(vars(self) | {"orientation": stated}))
+        return CrystalFit(material, dict(material.provenance["fit"]))
+
+
+def one_set(samples: Any) -> Samples:
+    """The samples of one set; of a Dataset `train`, or its only set."""
+    if isinstance(samples, (list, tuple)) and len(samples) != 1:
+        raise InputError(f"samples: expected one set for micromodulus tensors, got {len(samples)}")
+    given = samples[0] if isinstance(samples, (list, tuple)) else samples
+    if isinstance(given, Dataset):
+        return given.obvious("train")
+    if not isinstance(given, Samples):
+        raise InputError(f"samples: expected Samples, got {type(given).__name__}")
+    return given

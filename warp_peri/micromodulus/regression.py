@@ -1,21 +1,25 @@
-"""Least squares under equalities, and cuts that keep a symbol above a floor (theory.md, T7–T9)."""
+"""What fields say of a law, and least squares under equalities and cuts (theory.md, T7–T10)."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
-import scipy.linalg
-from scipy.optimize import nnls
 
 from warp_peri.core.basis import Basis
+from warp_peri.core.grid import Grid, grid_of
 from warp_peri.core.stencil import bend, laplacian, ratios, zone_sample
 from warp_peri.errors import InputError
+from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.samples import Samples
+from warp_peri.regression.search import compressed, least_squares_above, particular
 
 ROUNDS, NEW_CUTS = 60, 40
 MET = 1e-6
 """Relative, of the floor: what is above (1 − MET) of it is met."""
-DEPENDENT = 1e-10
+NOTHING = 1e-10
+"""Of equalities of size one, that are rounding."""
 
 
 @dataclass
@@ -61,7 +65,15 @@ def learn(
     tell, or a floor that no law of this family meets.
     """
     R, y = compressed(R, y)
-    p0, free = particular(*equal)
+    A, a = equal
+    said = np.linalg.norm(A, axis=1) > NOTHING
+    A, a = A[said], a[said]
+    p0, free = particular(A, a)
+    if np.abs(A @ p0 - a).max(initial=0.0) > MET * max(np.abs(a).max(initial=0.0), 1e-300):
+        raise InputError(
+            "moduli: no law of this horizon and symmetry has them; a larger horizon or a "
+            "smaller symmetry may"
+        )
     reduced = R @ free
     rest = y - R @ p0
     scale = float(np.linalg.norm(y)) or 1.0
@@ -74,7 +86,7 @@ def learn(
     phase = zone_sample(group, bonds.dimension)
     s, wave = laplacian(phase), bend(phase, bonds.steps)
     G, g = np.zeros((0, free.shape[1])), np.zeros(0)
-    x = _inequality_least_squares(reduced, rest, G, g)
+    x = least_squares_above(reduced, rest, G, g)
     unbound = float(np.linalg.norm(reduced @ x - rest)) / scale
     for _ in range(ROUNDS):
         tensors = np.tensordot(p0 + free @ x, bonds.basis, 1)
@@ -87,55 +99,195 @@ def learn(
         work = np.einsum("axij,ki,kj->kax", bonds.basis, v, v, optimize=True)
         rows = np.einsum("kax,kx->ka", work, wave[below]) / s[below, None]
         G, g = np.concatenate([G, rows @ free]), np.append(g, floor - rows @ p0)
-        x = _inequality_least_squares(reduced, rest, G, g)
+        try:
+            x = least_squares_above(reduced, rest, G, g)
+        except InputError:
+            raise InputError(
+                "stability: no law of this horizon and symmetry meets the floor"
+            ) from None
     else:
         raise InputError(f"stability: the cuts did not settle in {ROUNDS} rounds")
     loss = float(np.linalg.norm(reduced @ x - rest)) / scale
     return Learned(p0 + free @ x, loss, unbound, len(g), float(value.min()))
 
 
-def compressed(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As few rows with the same least squares."""
-    if len(R) <= R.shape[1] + 1:
-        return R, y
-    factor = scipy.linalg.qr(np.column_stack([R, y]), mode="r", overwrite_a=True)[0]
-    factor = factor[: R.shape[1] + 1]
-    return factor[:, :-1], factor[:, -1]
+CHUNK = 2**24
+"""Numbers of a block of rows before it is compressed."""
+MODES = 1
+"""Half waves along an axis of the longest test fields."""
 
 
-def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """One solution of A p = a and a basis of those of A p = 0, as columns."""
-    if not len(A):
-        return np.zeros(A.shape[1]), np.eye(A.shape[1])
-    U, size, V = np.linalg.svd(A)
-    rank = int((size > DEPENDENT).sum())
-    p0 = V[:rank].T @ ((U[:, :rank].T @ a) / size[:rank])
-    if np.abs(A @ p0 - a).max() > 1e-6 * max(np.abs(a).max(), 1e-300):
-        raise InputError(
-            "moduli: no law of this horizon and symmetry has them; a larger horizon or a "
-            "smaller symmetry may"
+def rows(samples: Samples, bonds: Basis, *, normalise: bool = False) -> tuple[np.ndarray, ...]:
+    """R and y so that ‖R p − y‖² is the sum of squares of L u − b, as few rows as that takes.
+
+    Args:
+        samples: fields on lattice nodes, along whose axes the basis is.
+        bonds: the family.
+        normalise: divide each sample by ‖b‖.
+
+    Raises InputError as grid_of does, and for samples without loads.
+    """
+    nodes = grid_of(samples.points, bonds.steps)
+    b = samples.loads[:, samples.interior] @ nodes.axes
+    count = bonds.basis.shape[0]
+    weight = np.ones(len(b))
+    if normalise:
+        size = np.linalg.norm(b.reshape(len(b), -1), axis=1)
+        weight = np.where(size > 0, 1 / np.where(size > 0, size, 1), 0.0)
+    step = max(1, CHUNK // (count * b[0].size))
+    R, y = np.zeros((0, count)), np.zeros(0)
+    for first in range(0, len(b), step):
+        some = slice(first, first + step)
+        features = _features(samples.u[some], nodes, bonds) * weight[some, None, None, None]
+        right = b[some] * weight[some, None, None]
+        R, y = compressed(
+            np.concatenate([R, features.reshape(-1, count)]), np.append(y, right.ravel())
         )
-    return p0, V[rank:].T
+    return R, y
 
 
-def _inequality_least_squares(
-    R: np.ndarray, y: np.ndarray, G: np.ndarray, g: np.ndarray
-) -> np.ndarray:
-    """min ‖R x − y‖ with G x ≥ g, by non-negative least squares (Lawson and Hanson, ch. 23)."""
-    Q, T = np.linalg.qr(R)
-    z = Q.T @ y
-    if len(g):
-        moved = scipy.linalg.solve_triangular(T, G.T, trans="T").T
-        right = g - moved @ z
-        size = np.linalg.norm(moved, axis=1)
-        moved, right = moved / size[:, None], right / size
-        unit = max(float(np.abs(right).max()), 1e-300)
-        stacked = np.vstack([moved.T, right / unit])
-        last = np.zeros(len(stacked))
-        last[-1] = 1.0
-        weight, _ = nnls(stacked, last, maxiter=50 * stacked.shape[1])
-        left = stacked @ weight - last
-        if abs(left[-1]) < 1e-14:
-            raise InputError("stability: no law of this horizon and symmetry meets the floor")
-        z = z - left[:-1] / left[-1] * unit
-    return np.asarray(scipy.linalg.solve_triangular(T, z))
+def _features(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
+    """L u of every basis tensor at the interior nodes, shape [S, I, d, P]."""
+    planes = nodes.scatter(u)
+    asked = nodes.unknown
+    order = np.argsort(np.argsort(nodes.interior))
+    middle = planes[(slice(None), slice(None), *nodes.core)][:, :, asked]
+    r = nodes.reach
+    F = np.zeros((len(u), middle.shape[2], nodes.dimension, bonds.basis.shape[0]))
+    for step, tensors in zip(bonds.steps, bonds.basis.transpose(1, 0, 2, 3)):
+        pulled = 2 * middle
+        for sign in (1, -1):
+            part = tuple(slice(r + sign * s, n - r + sign * s) for s, n in zip(step, nodes.wide))
+            pulled = pulled - planes[(slice(None), slice(None), *part)][:, :, asked]
+        some = np.flatnonzero(tensors.any(axis=(1, 2)))
+        F[..., some] += np.einsum("sji,ajk->sika", pulled, tensors[some], optimize=True)
+    return F[:, order]
+
+
+def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+    """The elastic tensor that the longest waves of fields have (theory.md, T10).
+
+    Smooth test fields v that end before the nodes do see of a solid only its moduli:
+    Σ b·v = −Σ u·div(C : grad v), linear in C. Long waves dominate both sides, whatever else the
+    fields hold.
+
+    Args:
+        samples: fields and loads on a lattice, periodic or with a collar.
+        allowed: elastic tensors along the nodes' axes that may be mixed, [m, d, d, d, d].
+
+    Returns:
+        the tensor [d, d, d, d], and the relative residual of the equations.
+
+    Raises InputError for loads that do not tell the tensors apart.
+    """
+    c, misfit = moduli_of(*long_wave_equations(samples, allowed))
+    return np.tensordot(c, allowed, 1), misfit
+
+
+def long_wave_equations(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R and y of what `long_wave_moduli` solves, shape [n, m] and [n]."""
+    values, kept, R = long_wave_rows(samples, allowed, MODES)
+    axes = lattice_steps(samples.points)[1]
+    y = np.einsum("vn,snk->svk", values, (samples.loads @ axes)[:, kept], optimize=True)
+    return R.reshape(-1, R.shape[-1]), y.ravel()
+
+
+def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
+    """Test fields with up to so many half waves each way, and what they see of elastic tensors.
+
+    Returns v, shape [V, n], the numbers of the nodes it is on, and −Σ u·div(C : grad v) of each
+    tensor, [S, V, d, m].
+    """
+    grid, axes = lattice_steps(samples.points)
+    values, slopes, kept = _test_fields(samples, grid, modes)
+    u = (samples.u @ axes)[:, kept]
+    moments = np.einsum("vnjl,sni->svijl", slopes, u, optimize=True)
+    return values, kept, -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
+
+
+def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
+    """Least squares of rows [..., m], and its relative residual; InputError where rows tell less
+    than m constants apart."""
+    R, y = R.reshape(-1, R.shape[-1]), y.ravel()
+    size = np.linalg.norm(R, axis=0)
+    R = R / np.where(size > 0, size, 1)
+    if np.linalg.matrix_rank(R, tol=1e-6 * np.linalg.norm(R, 2)) < R.shape[1]:
+        raise InputError(
+            f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
+            "give them, or more loads of long waves"
+        )
+    c = np.linalg.lstsq(R, y, rcond=None)[0]
+    return c / size, float(np.linalg.norm(R @ c - y) / np.linalg.norm(y))
+
+
+def _test_fields(samples: Samples, grid: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
+    """v, shape [V, n], ∂_j ∂_l v, shape [V, n, d, d], and the numbers of the nodes they are on.
+
+    Plane waves of a period; else products of sin⁴(π t) cos(m π t) on a box of interior nodes.
+    """
+    points = samples.points
+    h, d = points.spacing, grid.shape[1]
+    if points.box is not None:
+        kept = np.arange(len(grid))
+        x, length = grid * h, np.asarray(points.box)
+        lines = [_waves(x[:, a], length[a]) for a in range(d)]
+    else:
+        kept = _largest_box(grid, samples.interior)
+        low, high = grid[kept].min(axis=0) - 1, grid[kept].max(axis=0) + 1
+        if (high - low).min() < 8:
+            raise InputError(
+                f"moduli: expected an interior of at least 7 nodes each way to find them in, got "
+                f"{(high - low).min() - 1}; give them"
+            )
+        t = (grid[kept] - low) / (high - low)
+        lines = [_bumps(t[:, a], h * (high - low)[a], modes) for a in range(d)]
+    values, slopes = [], []
+    for numbers in itertools.product(range(len(lines[0])), repeat=d):
+        chosen = [lines[a][m] for a, m in enumerate(numbers)]
+        second = np.empty((len(kept), d, d))
+        for j, k in itertools.product(range(d), repeat=2):
+            order = [int(a == j) + int(a == k) for a in range(d)]
+            second[:, j, k] = np.prod([chosen[a][n] for a, n in enumerate(order)], axis=0)
+        values.append(np.prod([line[0] for line in chosen], axis=0))
+        slopes.append(second)
+    return np.array(values), np.array(slopes), kept
+
+
+def _bumps(t: np.ndarray, length: float, modes: int) -> list[tuple[np.ndarray, ...]]:
+    """sin⁴(π t) cos(m π t) on 0 < t < 1, with its first and second derivative to length t."""
+    found: list[tuple[np.ndarray, ...]] = []
+    for m in range(modes + 1):
+        # sin⁴ = (3 − 4 cos 2πt + cos 4πt)/8, a sum of cosines of whole numbers of half waves
+        parts = [(3 / 8, m), (-1 / 4, m + 2), (-1 / 4, m - 2), (1 / 16, m + 4), (1 / 16, m - 4)]
+        wave = [(size, np.pi * number) for size, number in parts]
+        found.append(
+            (
+                np.sum([c * np.cos(q * t) for c, q in wave], axis=0),
+                np.sum([-c * q * np.sin(q * t) for c, q in wave], axis=0) / length,
+                np.sum([-c * q * q * np.cos(q * t) for c, q in wave], axis=0) / length**2,
+            )
+        )
+    return found
+
+
+def _waves(x: np.ndarray, length: float) -> list[tuple[np.ndarray, ...]]:
+    """1, cos and sin of the first wave of a period, with two derivatives."""
+    k = 2 * np.pi / length
+    cos, sin, one = np.cos(k * x), np.sin(k * x), np.ones(len(x))
+    return [
+        (one, 0 * one, 0 * one),
+        (cos, -k * sin, -k * k * cos),
+        (sin, k * cos, -k * k * sin),
+    ]
+
+
+def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:
+    """Numbers of the interior nodes in the largest box about their middle that they fill."""
+    inside = np.flatnonzero(interior)
+    low, high = grid[inside].min(axis=0), grid[inside].max(axis=0)
+    while (high >= low).all():
+        within: np.ndarray = inside[((grid[inside] >= low) & (grid[inside] <= high)).all(axis=1)]
+        if len(within) == np.prod(high - low + 1):
+            return within
+        low, high = low + 1, high - 1
+    return np.empty(0, int)

@@ -30,9 +30,10 @@ from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.regression import Learned, compressed, learn
+from warp_peri.micromodulus.regression import Learned, learn
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.unit_names import USUAL, Units, factors, symbols
+from warp_peri.regression.search import compressed
 
 FLOOR = 0.3
 """ζ over the softest acoustic modulus."""

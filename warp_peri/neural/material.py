@@ -1,28 +1,129 @@
-"""The peridynamic neural operator as a material: two networks, their scales and their units."""
+"""The peridynamic neural operator: networks, material, file."""
 
 from __future__ import annotations
 
+import binascii
 import copy
+import hashlib
+import itertools
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import h5py
 import numpy as np
 import torch
 
+from warp_peri.core import record
+from warp_peri.core.once import differentiable_once
+from warp_peri.core.record import Length, Positive
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.neural.networks import evaluate, network
+from warp_peri.neural.placed import AtRest
+from warp_peri.neural.training import NeuralFit, Training, train
 from warp_peri.points.arrays import check_positive, is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, check_units, factors, symbols
 from warp_peri.shown import Shown
 
-if TYPE_CHECKING:  # the operator stands above its numbers
-    from warp_peri.neural.at_rest import AtRest
-    from warp_peri.neural.training import NeuralFit, Training
+if TYPE_CHECKING:
     from warp_peri.points.samples import Samples
+
+CHUNK = 2048
+"""Bonds at once: their hidden layers stay in a processor's cache."""
+
+
+def network(*widths: int) -> torch.nn.Sequential:
+    """Linear layers with rectifiers between them."""
+    layers: list[torch.nn.Module] = []
+    for width, following in itertools.pairwise(widths):
+        layers += [torch.nn.Linear(width, following), torch.nn.ReLU()]
+    return torch.nn.Sequential(*layers[:-1])
+
+
+def evaluate(layers: torch.nn.Sequential, inputs: torch.Tensor) -> torch.Tensor:
+    """Values of a network of three layers, shape [n], of inputs of shape [n, k].
+
+    Inputs that lie together in memory are best alike: a unit of the first layer whose sign is the
+    same for a whole chunk acts linearly, and takes no part in the large product.
+    """
+    numbers = [p for n in (0, 2, 4) for p in (layers[n].weight, layers[n].bias)]
+    value: torch.Tensor = _Chunks.apply(inputs, *numbers)  # type: ignore[no-untyped-call]
+    return value
+
+
+class _Chunks(torch.autograd.Function):
+    """The network chunk by chunk, with its adjoint."""
+
+    @staticmethod
+    def forward(context: Any, x: torch.Tensor, *numbers: torch.Tensor) -> torch.Tensor:
+        keep = any(context.needs_input_grad)
+        out, hidden = [], []
+        for part in x.split(CHUNK):
+            second = _second(part, numbers)[0]
+            out.append(second @ numbers[4][0])
+            if keep:
+                hidden.append(second)
+        context.save_for_backward(x, *numbers, *hidden)
+        return torch.cat(out).add_(numbers[5])
+
+    @staticmethod
+    @differentiable_once
+    def backward(context: Any, seed: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        x, W1, b1, W2, b2, W3, _, *hidden = context.saved_tensors
+        learns = any(context.needs_input_grad[1:])
+        by_x = torch.empty_like(x)
+        by_W1, by_b1 = torch.zeros_like(W1), torch.zeros_like(b1)
+        by_W2, by_b2, by_W3 = torch.zeros_like(W2), torch.zeros_like(b2), torch.zeros_like(W3)
+        for part, g, second, out in zip(
+            x.split(CHUNK), seed.split(CHUNK), hidden, by_x.split(CHUNK)
+        ):
+            steady, mixed = units(part, W1, b1)
+            if learns:
+                by_W3[0].addmv_(second.t(), g)
+            back = torch.outer(g, W3[0]).mul_(second > 0)
+            first = torch.addmm(b1[mixed], part, W1[mixed].t()).relu_()
+            down = (back @ W2[:, mixed]).mul_(first > 0)
+            torch.mm(down, W1[mixed], out=out)
+            through = W2[:, steady] @ W1[steady]
+            out.addmm_(back, through)
+            if not learns:
+                continue
+            total, moments = back.sum(dim=0), back.t() @ part
+            by_b2 += total
+            by_W2[:, mixed] += back.t() @ first
+            by_W2[:, steady] += moments @ W1[steady].t() + torch.outer(total, b1[steady])
+            by_W1[mixed] += down.t() @ part
+            by_b1[mixed] += down.sum(dim=0)
+            by_W1[steady] += W2[:, steady].t() @ moments
+            by_b1[steady] += W2[:, steady].t() @ total
+        if not learns:
+            return by_x, *6 * [None]
+        return by_x, by_W1, by_b1, by_W2, by_b2, by_W3, seed.sum()[None]
+
+
+def units(x: torch.Tensor, W: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Units of the first layer that act for all of a box around the inputs, and undecided ones."""
+    low, high = x.amin(dim=0), x.amax(dim=0)
+    middle, half = (low + high) / 2, (high - low) / 2
+    centre, reach = W @ middle + b, W.abs() @ half
+    steady = centre - reach > 0
+    mixed = ~steady & (centre + reach > 0)
+    return steady.nonzero()[:, 0], mixed.nonzero()[:, 0]
+
+
+def _second(x: torch.Tensor, numbers: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, ...]:
+    """The second hidden layer."""
+    W1, b1, W2, b2 = numbers[:4]
+    steady, mixed = units(x, W1, b1)
+    first = torch.addmm(b1[mixed], x, W1[mixed].t()).relu_()
+    bias = torch.addmv(b2, W2[:, steady], b1[steady])
+    second = torch.addmm(bias, first, W2[:, mixed].t())
+    second.addmm_(x, (W2[:, steady] @ W1[steady]).t())
+    return second.relu_(), steady, mixed
+
 
 STRAIN = 0.1
 """Extensions and dilatations are counted in this strain as the networks' inputs."""
@@ -130,15 +231,11 @@ class NeuralOperator(Shown, torch.nn.Module):
 
         Raises InputError for scattered points, an interior without its 2δ collar, or other units.
         """
-        from warp_peri.neural.at_rest import AtRest
-
         check_same(self.units, nodes_of(points).units)
         return AtRest(self, NetworkBonds(points, self.horizon))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a JSON file with the weights in it; see file.save for their precision."""
-        from warp_peri.neural.file import save
-
         save(self, path)
 
     def learn(
@@ -151,8 +248,6 @@ class NeuralOperator(Shown, torch.nn.Module):
         progress: bool = True,
     ) -> NeuralFit:
         """Train a copy of these networks; arguments and errors as of training.train."""
-        from warp_peri.neural.training import NeuralFit, Training, train
-
         material = copy.deepcopy(self)
         asked = Training() if training is None else training
         if not isinstance(asked, Training):
@@ -245,3 +340,148 @@ def _pair(widths: Sequence[int]) -> tuple[int, int]:
     """Widths of two hidden layers."""
     first, second = widths
     return int(first), int(second)
+
+
+PRECISIONS = ("float16", "float32", "float64")
+FITS = record.LARGEST_FILE * 3 // 4 - 2**16
+"""Bytes of weights whose file is read again."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class NeuralFile(record.Record, format="warp_peri.neural", version=2):
+    """What a file says of an operator.
+
+    Attributes:
+        horizon, influence, state, anisotropic, proportional, strain, scale, units, provenance: of
+            the operator.
+        precision: of the weights.
+        weights: by name, in base 64; of files of version 1 the name and hash of a file beside.
+    """
+
+    horizon: Length
+    influence: tuple[int, int]
+    state: tuple[int, int]
+    anisotropic: bool
+    proportional: bool
+    strain: Positive
+    scale: float
+    provenance: dict[str, Any]
+    precision: str
+    weights: dict[str, str]
+    units: Units
+    ORDER = ("horizon", "influence", "state", "anisotropic", "proportional", "strain", "scale",
+             *record.UNITS, "provenance", "precision", "weights")  # fmt: skip
+
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """Files of version 1 have weights in HDF5 beside them, of any precision."""
+        if content.get("version") != 1:
+            return content
+        beside = {"beside": content.get("weights"), "hash": content.pop("hash", None)}
+        return content | {"version": 2, "precision": PRECISIONS[-1], "weights": beside}
+
+    def _read_from(self, path: Path | None) -> NeuralOperator:  # type: ignore[override]
+        material = NeuralOperator(
+            self.horizon,
+            self.influence,
+            self.state,
+            anisotropic=self.anisotropic,
+            proportional=self.proportional,
+            strain=self.strain,
+            units=self.units,
+        ).double()
+        material.scale, material.provenance = self.scale, self.provenance
+        wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
+        try:
+            if "beside" in self.weights:
+                weights = _beside(path, self.weights, wanted)
+            else:
+                raw = {key: binascii.a2b_base64(self.weights[key]) for key in wanted}
+                flat = {key: np.frombuffer(each, self.dtype) for key, each in raw.items()}
+                weights = {key: flat[key].reshape(shape) for key, shape in wanted.items()}
+        except InputError:
+            raise
+        except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
+            raise InputError(f"not a readable neural operator ({error!r:.400})") from None
+        _check_finite(weights)
+        material.load_state_dict({k: torch.as_tensor(v.astype(float)) for k, v in weights.items()})
+        return material
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of the weights; InputError for a precision that is none."""
+        if self.precision not in PRECISIONS:
+            raise InputError(f"precision: expected one of {PRECISIONS}, got {self.precision!r}")
+        return np.dtype(self.precision).newbyteorder("<")
+
+
+def save(
+    material: NeuralOperator, path: str | os.PathLike[str], *, precision: str | None = None
+) -> None:
+    """Write one JSON file, whole or not at all.
+
+    Args:
+        material: to save.
+        path: ends in .json.
+        precision: of the weights in the file: "float16", "float32" or "float64"; the material's own
+            where none is given.
+
+    Raises InputError for another ending or precision, and for weights that are not finite in it or
+    too many for a file.
+    """
+    path = Path(path)
+    if path.suffix != ".json":
+        raise InputError(f"{path}: expected a name that ends in .json")
+    weights = {key: part.detach().numpy() for key, part in material.state_dict().items()}
+    precision = precision or next(iter(weights.values())).dtype.name
+    own = {key: value for key, value in material.content().items() if key not in record.UNITS}
+    said = NeuralFile(**own, precision=precision, weights={}, units=material.units)
+    written = {key: part.astype(said.dtype) for key, part in weights.items()}
+    _check_finite(written)
+    size = sum(part.nbytes for part in written.values())
+    if size > FITS:
+        raise InputError(f"{path}: expected at most {FITS} bytes of weights, got {size}: precision")
+    coded = {
+        key: binascii.b2a_base64(part.tobytes(), newline=False).decode()
+        for key, part in written.items()
+    }
+    replace(said, weights=coded).save(path)
+
+
+def load(path: str | os.PathLike[str], *, units: Units | None = None) -> NeuralOperator:
+    """Read a material, in float64; in other units where they are given.
+
+    Files of version 1, whose weights lie beside them in HDF5, are read too.
+
+    Raises InputError for what is no such file, for weights that are missing, of other shapes, not
+    finite, or not those that were written.
+    """
+    material: NeuralOperator = record.load(path)
+    return material if units is None else material.in_units(units)
+
+
+def _beside(
+    path: Path | None, said: dict[str, Any], wanted: dict[str, Any]
+) -> dict[str, np.ndarray]:
+    """The weights of a file of version 1."""
+    name, found, whole = str(said["beside"]), {}, hashlib.sha256()
+    if path is None or Path(name).name != name:
+        raise InputError("weights: expected a file beside it")
+    with h5py.File(path.with_name(name), "r") as file:
+        for key, shape in sorted(wanted.items()):
+            stored = file[key]
+            if stored.shape != shape or stored.dtype.name not in PRECISIONS:
+                raise InputError(
+                    f"{key}: expected shape {[*shape]}, got {[*stored.shape]} of {stored.dtype}"
+                )
+            found[key] = np.asarray(stored[:])
+            whole.update(key.encode() + np.ascontiguousarray(found[key]).tobytes())
+    if whole.hexdigest() != said["hash"]:
+        raise InputError(f"{name}: these are not the weights of {path.name}")
+    return found
+
+
+def _check_finite(weights: dict[str, np.ndarray]) -> None:
+    for key, part in weights.items():
+        if not np.isfinite(part).all():
+            raise InputError(f"{key}: expected finite numbers")

@@ -1,15 +1,267 @@
-"""The neural operator on the nodes of a lattice: force, tangent product and its transpose."""
+"""A neural material on nodes: force, tangent, equilibria, other lattices."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, Protocol
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+import scipy.sparse as sp
 import torch
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import LinearOperator, SuperLU, gmres, splu
+from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import Gather, NetworkBonds, Scatter
+from warp_peri.points.arrays import checked_fields
+from warp_peri.points.samples import Samples
+from warp_peri.statics.at_rest import probed
+from warp_peri.statics.equilibria import Equilibria
+from warp_peri.statics.linear import Linear
+from warp_peri.statics.settings import Newton, Solver, refuse_solver
+from warp_peri.statics.solution import Solution
+
+if TYPE_CHECKING:
+    from warp_peri.neural.material import NeuralOperator
+
+SOLVED = 1e-5
+"""Tolerance of the equilibria of frames."""
+
+
+def matrix(tangent: Tangent) -> sp.csr_array:
+    """J = ∂force/∂u, rows of the interior and columns of all nodes, shape [2 I, 2 N], (NO9)."""
+    bonds = tangent.bonds
+    u = tangent.u[0].double().numpy()
+    nodes, listed, acting = len(u), len(bonds.near), bonds.acting
+    Y = bonds.xi[bonds.place] + u[bonds.far] - u[bonds.near]
+    length = np.linalg.norm(Y, axis=1)
+    M = Y / length[:, None]
+    stretching = _between(bonds.near, bonds.far, M, nodes)
+    k, p = np.indices((len(bonds.whole), len(bonds.xi))).reshape(2, -1)
+    share = tangent.share.double().numpy()[p]
+    number = bonds.number[bonds.whole].ravel()
+    average = sp.csr_array((share, (k, number)), shape=(len(bonds.whole), listed)) @ stretching
+    first = stretching[:acting]
+    rows = (2 * bonds.rows[:, None] + [0, 1]).ravel()
+    pull = first.T[rows]
+    J = pull @ (sp.diags_array(tangent.to_e.double().numpy().ravel()) @ first)
+    slopes = np.concatenate([tangent.to_own.double().numpy(), tangent.to_other.double().numpy()])
+    ends = np.tile(np.arange(acting), 2), np.concatenate([bonds.own.numpy(), bonds.other.numpy()])
+    by_theta = sp.csr_array((slopes, ends), shape=(acting, len(bonds.whole)))
+    J = J + (pull @ by_theta) @ average
+    t = tangent.tension.double().numpy().ravel() / length[:acting]
+    across = np.stack([-M[:acting, 1], M[:acting, 0]], axis=1)
+    turned = _between(bonds.near[:acting], bonds.far[:acting], across, nodes)
+    J = J + turned.T[rows] @ (sp.diags_array(t) @ turned)
+    return sp.csr_array(bonds.area * J)
+
+
+def _between(near: np.ndarray, far: np.ndarray, M: np.ndarray, nodes: int) -> sp.csr_array:
+    """Rows M·(v_far − v_near), shape [n, 2 nodes]."""
+    n = np.arange(len(near))
+    columns = np.stack([2 * near, 2 * near + 1, 2 * far, 2 * far + 1], axis=1)
+    values = np.concatenate([-M, M], axis=1)
+    given = (values.ravel(), (np.repeat(n, 4), columns.ravel()))
+    return sp.csr_array(given, shape=(len(n), 2 * nodes))
+
+
+TOLERANCE = 1e-8
+"""‖force − b‖ over that of the field that the search begins with."""
+ROUNDING = 16
+"""In units of the networks' precision: a residual that steps of Newton no longer lower."""
+ADJOINT = 1e-8
+"""Relative residual of an adjoint's linear solve."""
+MOST_PRODUCTS, ROUNDS = 40, 5
+"""Directions that the adjoint's GMRES keeps, and how often it begins anew."""
+LOADS = 8
+"""Loads that the solid at rest is set up for."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """An equilibrium, or where the search ended.
+
+    Attributes:
+        u: displacement of all nodes [length], shape [N, 2].
+        residual: ‖force − b‖ over that of the start.
+        steps: solves of the solid at rest.
+        converged: whether the residual is within the tolerance, or within rounding: networks in
+            single precision leave some 1e-7 of it.
+    """
+
+    u: np.ndarray
+    residual: float
+    steps: int
+    converged: bool
+
+
+class NeuralEquilibrium:
+    """Equilibria of one operator, with the stencil that it was at rest before them.
+
+    The material's numbers may change meanwhile. Raises InputError for points without a collar.
+    """
+
+    def __init__(self, placed: Placed) -> None:
+        points = placed.points
+        if points.interior.all():
+            raise InputError(
+                "points: expected a collar where u is given; without one it is known up to a motion"
+            )
+        self.placed, self.rows = placed, placed.bonds.rows
+        self.unknown = (2 * self.rows[:, None] + [0, 1]).ravel()
+        linear = Linear(probed(placed), points)
+        self.inverse = linear.cheapest_inverse(LOADS, definite=False)
+        straight = lambda u: linear(u[None])[0]  # noqa: E731
+        self.way = Equilibria(placed, straight, self.inverse, points.interior)
+
+    @property
+    def _rounding(self) -> float:
+        return float(ROUNDING * torch.finfo(self.placed.dtype).eps)
+
+    def factors_of(self, tangent: Tangent) -> SuperLU:
+        """LU of the tangent's rows and columns of the interior."""
+        return splu(matrix(tangent)[:, self.unknown].tocsc())
+
+    def solve(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
+        """Where the force on the interior is b [stress/length], of shape [N, 2].
+
+        Args:
+            b: load; only interior values count.
+            u: displacement [length], shape [N, 2]: data on the collar, the start on the interior.
+            tolerance: ‖force − b‖ over that of the start with a zero interior.
+
+        Raises InputError for arrays of other shapes.
+        """
+        load, field = self._checked(b, u)
+        enough = max(tolerance, self._rounding)
+        found, record = self.way.solve_from(load, field, enough)
+        return Found(found, record.residual, record.solves, record.residual <= enough)
+
+    def from_rest(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
+        """Where the force on the interior is b, on the branch that leaves the state of rest.
+
+        Arguments and errors are those of `solve`; what `u` has inside does not count. Where it is
+        not found, what the solid at rest answers is returned.
+        """
+        load, given = self._checked(b, u)
+        enough = max(tolerance, self._rounding)
+        try:
+            found, record = self.way.solve(load, given, enough)
+        except InputError:
+            field = np.where(self.placed.points.interior[:, None], 0.0, given)
+            field[self.rows] = self.inverse(load - self.way.straight(field), enough)
+            left = np.linalg.norm(load - self.placed(field))
+            return Found(field, float(left / (np.linalg.norm(load) or 1.0)), 1, False)
+        return Found(found, record.residual, record.solves, True)
+
+    def gradient(self, u: torch.Tensor, by_u: torch.Tensor) -> None:
+        """Add to the gradients of the material's numbers those of a loss of an equilibrium, (NO10).
+
+        Args:
+            u: the equilibrium [length], shape [N, 2].
+            by_u: derivative of the loss to u on the interior, shape [I, 2].
+
+        What it takes in time and memory does not depend on how the equilibrium was found. Raises
+        InputError where the tangent there is singular, or nearly.
+        """
+        placed, rows = self.placed, self.rows
+        tangent, right = placed.tangent(u), by_u.detach().double().numpy()
+        enough = max(ADJOINT, self._rounding)  # a smaller residual would never be reached
+
+        def product(v: np.ndarray) -> np.ndarray:
+            inner = torch.as_tensor(v.reshape(-1, 2), dtype=placed.dtype)
+            return np.asarray(tangent.transposed(inner)[rows].double().numpy().ravel())
+
+        def before(v: np.ndarray) -> np.ndarray:
+            return self.inverse(v.reshape(-1, 2), ADJOINT).ravel()
+
+        J, M = (
+            LinearOperator(2 * (right.size,), matvec=part, dtype=float)
+            for part in (product, before)
+        )
+        asked = {"rtol": enough, "restart": MOST_PRODUCTS, "maxiter": ROUNDS}
+        w, failed = gmres(J, right.ravel(), M=M, **asked)
+        if failed:
+            raise InputError("the tangent of the operator is singular at this field, or nearly")
+        weight = torch.as_tensor(w.reshape(-1, 2), dtype=u.dtype)
+        (-(placed(u.detach()) * weight).sum()).backward()
+
+    def _checked(self, b: ArrayLike, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """The load on the interior, and the field."""
+        load, field = checked_fields(self.placed.points, b, u)
+        return load[self.rows], field
+
+
+CELLS = 16
+"""Of the grid, along the range of the dilatation and that of the extension."""
+MARGIN = 1 + 1e-4
+"""Grids are so much larger than the range of the values."""
+
+
+def interpolated_force(
+    placed: Placed,
+    u: torch.Tensor,
+    *,
+    cells: int = CELLS,
+    offset: tuple[float, float] = (0.5, 0.5),
+) -> torch.Tensor:
+    """Forces on the interior [stress/length], shape [S, I, 2], for u of shape [S, N, 2].
+
+    Args:
+        placed: the operator on a lattice.
+        u: displacements [length].
+        cells: of the grid along each axis, not counting one more.
+        offset: share of a cell by which the grid begins before the range; drawn anew in every step
+            of a training, corners stand nowhere twice.
+
+    Differentiable in the material's numbers; the error falls with the square of 1/cells.
+    """
+    bonds, material = placed.bonds, placed.material
+    omega, share, r = placed.shares(u.dtype)
+    e, theta = Gather.apply(u, share, bonds)  # type: ignore[no-untyped-call]
+    kinds = np.arange(len(bonds.xi)) if material.anisotropic else bonds.kind
+    first = torch.as_tensor(np.unique(kinds, return_index=True)[1])
+    kind = torch.as_tensor(kinds, dtype=torch.int64)
+    side = cells + 2
+    low, step = _range(theta.detach().abs().max(), cells, offset[0])
+    ends = []
+    for nodes, places in ((bonds.own, bonds.forward), (bonds.other, bonds.backward)):
+        ends.append((kind[places], (theta[:, nodes] - low) / step))
+    largest, most = e.detach().abs().amax(dim=0), e.new_zeros(len(first))
+    for k, _ in ends:
+        most.scatter_reduce_(0, k, largest, "amax")
+    least, rise = _range(most, cells, offset[1])
+    corners = []
+    for k, x in ends:
+        y = (e - least[k]) / rise[k]
+        column, row = (part.detach().floor().clamp(0, side - 2) for part in (x, y))
+        corners.append((((k * side + row.long()) * side + column.long()), x - column, y - row))
+    wanted = torch.zeros(len(first) * side * side, dtype=torch.bool)
+    beside = (0, 1, side, side + 1)
+    for corner, _, _ in corners:
+        for shift in beside:
+            wanted[corner + shift] = True
+    place = wanted.nonzero()[:, 0]
+    k, row, column = place // side**2, place // side % side, place % side
+    state = material.force_state(
+        omega[first][k], low + column * step, least[k] + row * rise[k], r[first][k]
+    )
+    table = state.new_zeros(len(wanted)).index_copy(0, place, state)
+    tension = torch.zeros_like(e)
+    for corner, x, y in corners:
+        a, b, c, d = (table[corner + shift] for shift in beside)
+        tension = tension + (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
+    force: torch.Tensor = Scatter.apply(u, tension, bonds)  # type: ignore[no-untyped-call]
+    return force
+
+
+def _range(most: torch.Tensor, cells: int, offset: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Where a grid over values from −most to most begins, and its step."""
+    most = most * MARGIN + torch.finfo(most.dtype).tiny
+    step = 2 * most / cells
+    return -most - offset * step, step
 
 
 class NeuralLaw(Protocol):
@@ -200,3 +452,106 @@ class Tangent:
         bonds.spread(seed, self.share, by_theta[None])
         out = bonds.pull(self.u, seed, "every") + bonds.turn(self.u, wide, self.tension, "every")
         return out[0]
+
+
+def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
+    """A field with the interior on the affine motion that fits its collar best, shape [N, 2]."""
+    places = np.column_stack([samples.x, np.ones(len(u))])
+    collar = ~samples.interior
+    motion, *_ = np.linalg.lstsq(places[collar], u[collar], rcond=None)
+    return np.where(collar[:, None], u, places @ motion)
+
+
+SMALL = {torch.float64: 1e-8, torch.float32: 1e-5}
+"""Of the solves that an error is told of, by precision."""
+
+
+def evaluate(
+    material: NeuralOperator,
+    samples: Samples,
+    *,
+    solve: bool = True,
+    most: int | None = None,
+    tolerance: float | None = None,
+    progress: bool = False,
+) -> dict[str, Any]:
+    """Errors on one set, means over samples and by sample ("samples"), relative ℓ2 norms.
+
+    E_res_abs is ‖force − b‖ [stress/length], E_u the error of the displacement that is solved for
+    from zero or, without loads, from the affine motion of the collar, "converged" the share of the
+    samples whose equilibrium was found; an E_u is told of all, found or not. A sample without a
+    load has no E_res, and nodes that are all interior, as of a periodic sheet, have no E_u. With
+    `most`, only the first so many samples are solved.
+    """
+    placed = material.on(samples.points)
+    inside = samples.interior
+    loads = np.zeros_like(samples.u) if samples.b is None else samples.loads
+    search = NeuralEquilibrium(placed) if solve and not inside.all() else None
+    enough = SMALL[placed.dtype] if tolerance is None else tolerance
+    rows: dict[str, list[float]] = {"E_res": [], "E_res_abs": [], "E_u": [], "converged": []}
+    pairs = tqdm(list(zip(samples.u, loads)), disable=not progress, leave=False)
+    for number, (u, b) in enumerate(pairs):
+        with torch.no_grad():
+            miss = float(np.linalg.norm(placed(u) - b[inside]))
+        size = float(np.linalg.norm(b[inside]))
+        rows["E_res_abs"].append(miss)
+        rows["E_res"].append(miss / size if size else np.nan)
+        if search is not None and (most is None or number < most):
+            if samples.b is None:
+                found = search.solve(b, affine(samples, u), tolerance=enough)
+            else:
+                found = search.from_rest(b, u, tolerance=enough)
+            gap = np.linalg.norm((found.u - u)[inside])
+            rows["E_u"].append(float(gap / np.linalg.norm(u[inside])))
+            rows["converged"].append(float(found.converged))
+    kept = {key: values for key, values in rows.items() if values and np.isfinite(values).all()}
+    if not kept:
+        raise InputError("samples: expected at least one")
+    return {key: float(np.mean(values)) for key, values in kept.items()} | {"samples": kept}
+
+
+class AtRest(Placed):
+    """Placed, with equilibria by Newton's method."""
+
+    @property
+    def model(self) -> Any:
+        """The material."""
+        return self.material
+
+    def load(self, b: ArrayLike) -> np.ndarray:
+        """b on the interior nodes, which the operator equals in equilibrium."""
+        loads: np.ndarray = np.asarray(b, dtype=float)[..., self.points.interior, :]
+        return loads
+
+    def errors(self, samples: Samples) -> dict[str, Any]:
+        """For `evaluate`: samples whose equilibrium is not found are told apart."""
+        return evaluate(self.model, samples)
+
+    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+        """Equilibrium with b on the interior, u given on the collar, shape [N, 2] or [S, N, 2].
+
+        The details of the solution are what Equilibrium.solve found of each sample. Raises
+        InputError for arrays that do not fit or are not finite, and for a sample without an
+        equilibrium, naming it.
+        """
+        refuse_solver(solver, (Newton,), "a neural operator")
+        asked = solver if isinstance(solver, Newton) else Newton()
+        load, given = checked_fields(self.points, b, u)
+        search = NeuralEquilibrium(self)
+        pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (load, given)))
+        found = [search.from_rest(*pair, tolerance=asked.tolerance) for pair in pairs]
+        for number, one in enumerate(found):
+            if not one.converged:
+                raise InputError(
+                    f"sample {number}: no equilibrium was found; residual {one.residual:.1e}"
+                )
+        return Solution(
+            np.reshape([one.u for one in found], given.shape),
+            self.points,
+            self,
+            self.load(load),
+            "newton",
+            tuple(one.steps for one in found),
+            details=tuple(found),
+            measured=max((one.residual for one in found), default=None),
+        )

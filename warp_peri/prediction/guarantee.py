@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.models.uniqueness import curvature_bound
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.prediction.placed import PlacedMembers
+from warp_peri.third_order.uniqueness import curvature_bound
 
 ACCURATE = 1e-5
 """Relative residual of the one solve that the bound takes."""

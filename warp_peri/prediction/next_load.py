@@ -12,8 +12,8 @@ from warp_peri.contract import offered
 from warp_peri.core.basis import Basis, invariant_basis
 from warp_peri.core.elastic import bracket_rows, huang_rows
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.fields import rows
 from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.regression import rows
 from warp_peri.micromodulus.waves import wave_rows
 from warp_peri.points.samples import Samples, part
 from warp_peri.prediction.solid_numbers import WAVES, Quantity, Told, of_solid

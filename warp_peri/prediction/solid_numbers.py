@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.samples import Samples
 from warp_peri.transfer.waves import dispersion, wave_vectors
 

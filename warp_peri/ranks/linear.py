@@ -13,7 +13,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.states import tensors_of
+from warp_peri.micromodulus.lps import tensors_of
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.convolution import LONG, Convolution, inverse_filter

@@ -13,8 +13,8 @@ import numpy as np
 
 from warp_peri.core.elements import q1_tensors
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.states import tensors_of
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
+from warp_peri.micromodulus.lps import tensors_of
 from warp_peri.points.interpolation import FINER, NEIGHBOURS
 from warp_peri.points.points import Points
 from warp_peri.ranks.halo import NodeHalo

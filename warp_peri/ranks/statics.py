@@ -9,8 +9,8 @@ import numpy as np
 
 from warp_peri.contract import MATERIAL, offered, taken
 from warp_peri.errors import InputError
+from warp_peri.lps.model import Model
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.models.lps import Model
 from warp_peri.points.arrays import checked
 from warp_peri.ranks.kept import Kept
 from warp_peri.ranks.linear import RowOperator, tensors_at

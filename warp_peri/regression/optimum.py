@@ -1,37 +1,25 @@
-"""Stage 3: the optimum that the conditions allow, by cutting planes (theory.md, 26–28).
-
-Fit by SLSQP with exact gradients on sampled wave vectors, find the worst of all wave vectors, add
-them, until none is violated.
-"""
+"""Stage 3: the optimum that the conditions allow, by cutting planes (theory.md, 26–28)."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Generic, TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize
 
-from warp_peri.losses.reduced import ReducedLoss
-from warp_peri.operator.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
+from warp_peri.lps.symbol import long_wave_moduli, symbol
 from warp_peri.points.families import BondClasses
-from warp_peri.regression.coordinates import Coordinates, Point
+from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.coordinates import Coordinates, Point, ShapeCoordinates
+from warp_peri.regression.losses import ReducedLoss, symbol_rows
 from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.search import State, settle
 from warp_peri.regression.settings import SMOOTHNESS, Optimum
-from warp_peri.regression.shape_coordinates import ShapeCoordinates
-from warp_peri.stability.conditions import Conditions, LatticeConditions, ZoneSearch
 
-LOSS_TOLERANCE = 1e-14
-"""Changes of the loss that SLSQP takes for none; losses are relative to the loads."""
-NO_LOSS = 1e-20
-"""Of data that are in equilibrium to the last digit: nothing is gained below it."""
-RESTARTS, RESTART_GAIN = 10, 1e-6
-"""SLSQP is begun again at most so often, while its loss falls by more than this, relative."""
 HEADROOM = 1.01
 """A fit asks for ζ times this, so that ζ itself holds between the points it sampled."""
-SEARCH_TOLERANCE = 1e-9
-"""Margin [TPa] below zero that counts as kept; (iii) is active, at zero, at every optimum."""
+MET = 1e-7
+"""Of ζ: a margin this little below zero is kept; (iii) is active, at zero, at every optimum."""
 MODULI_TOLERANCE = 1e-6
 """Distance [TPa] from moduli to be held that counts as none."""
 
@@ -74,29 +62,27 @@ def constrained_optimum(
         method: moduli to hold, and how many rounds of cutting planes there may be.
         two_functions: give the dilatation coefficients of its own.
     """
-    classes = [grid.classes for grid in grids]
-    coordinates = coordinates_of(classes, start, two_functions=two_functions)
+    coordinates = coordinates_of(
+        [grid.classes for grid in grids], start, two_functions=two_functions
+    )
     problem = ConstrainedProblem(grids, conditions, coordinates, method.moduli, method.smoothness)
-    searches = [ZoneSearch(lattice) for lattice in conditions]
-    cuts = [zone_wedge(bonds.spacing, method.first_cuts) for bonds in classes]
+    zeta = problem.asked[0].zeta if conditions else 0.0
+    if start.mu < zeta:  # from where the moduli keep what is asked
+        start = replace(start, lam=0.0, mu=2 * zeta)
     y = coordinates.start(start)
     losses: list[float] = []
+    rows = sum(len(grid.R) for grid in grids)
     for _ in range(method.rounds):
-        y, loss = problem.settle(y, [symbol(bonds, k) for bonds, k in zip(classes, cuts)])
+        y, state = settle(problem.state, y)
+        loss = float(state.residual[:rows] @ state.residual[:rows])
         losses.append(loss)
-        point = coordinates.point(y)
-        margin, kept = np.inf, True
-        for number, search in enumerate(searches):
-            smallest, worst = search.worst(point.v[number], point.z[number], point.kappa)
-            margin = min(margin, float(smallest.min()))
-            if (smallest < -SEARCH_TOLERANCE).any():
-                cuts[number], kept = np.concatenate([cuts[number], worst]), False
-        if kept:
+        margin = problem.look(coordinates.point(y))
+        if kept := margin >= -MET * zeta:
             break
     departure = problem.farthest(y)
     kept = kept and departure <= MODULI_TOLERANCE
     parameters = coordinates.parameters(y, losses)
-    return Reached(parameters, loss, margin, departure, sum(map(len, cuts)), kept)
+    return Reached(parameters, loss, margin, departure, problem.count, kept)
 
 
 def coordinates_of(
@@ -126,6 +112,11 @@ class ConstrainedProblem:
             LatticeConditions(asked.classes, Conditions(asked.kind, HEADROOM * asked.zeta))
             for asked in conditions
         ]
+        self.searches = [ZoneSearch(asked) for asked in self.asked]
+        self.cuts = [
+            [np.zeros((0, grid.R.shape[1] - 1)) for _ in asked.names]
+            for grid, asked in zip(grids, self.asked)
+        ]
         self._shears = [  # C44 of unit v per class
             np.array(
                 [
@@ -136,76 +127,18 @@ class ConstrainedProblem:
             for grid in grids
         ]
 
-    def settle(self, y: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
-        """SLSQP, begun again where it stopped until that gains nothing.
-
-        It can call success far from an optimum, where the scaling of its start no longer fits.
-        """
-        y, loss = self.solve(y, tables)
-        for _ in range(RESTARTS):
-            again, lower = self.solve(y, tables)
-            if not lower < loss * (1 - RESTART_GAIN) - NO_LOSS:
-                break
-            y, loss = again, lower
-        return y, loss
-
-    def solve(self, y0: np.ndarray, tables: Sequence[Symbol]) -> tuple[np.ndarray, float]:
-        """SLSQP from y0 with the conditions at given wave vectors; returns y and the loss there.
-
-        Variables are scaled by the Gauss–Newton Hessian at y0, which makes SLSQP's first
-        quadratic model nearly exact, and the loss by its value there, since SLSQP stops at an
-        absolute change.
-        """
-        e, slope = self.residual(y0)
-        unit = max(float(e @ e), np.finfo(float).tiny)
-        free = self.coordinates.directions(y0)
-        bend = slope @ free
-        curvature, axes = np.linalg.eigh(bend.T @ bend)
-        scaling = free @ axes * np.sqrt(unit / (2 * np.maximum(curvature, 1e-14 * curvature[-1])))
-
-        def reached(t: np.ndarray) -> tuple[np.ndarray, Point, np.ndarray]:
-            y = y0 + scaling @ t
-            point = self.coordinates.point(y)
-            return y, point, self.values(y, point)
-
-        state = _Last(reached)
-
-        def loss(t: np.ndarray) -> float:
-            e = state(t)[2]
-            return float(e @ e) / unit
-
-        def gradient(t: np.ndarray) -> np.ndarray:
-            y, point, e = state(t)
-            slope: np.ndarray = 2 / unit * scaling.T @ (self.slopes(y, point).T @ e)
-            return slope
-
-        constraints = [
-            {
-                "type": "ineq",
-                "fun": lambda t: self.margins(state(t)[1], tables),
-                "jac": lambda t: self.margin_slopes(state(t)[1], tables) @ scaling,
-            }
-        ]
+    def state(self, y: np.ndarray) -> State:
+        """Residual and conditions at y, those of waves as far as they were looked at."""
+        point = self.coordinates.point(y)
+        zeta, none = self.asked[0].zeta, np.zeros((0, len(y)))
+        equal, A = np.zeros(0), none
         if self.moduli is not None:
-            constraints.append(
-                {
-                    "type": "eq",
-                    "fun": lambda t: self.departure(state(t)[1]),
-                    "jac": lambda t: self.departure_slopes(state(t)[1]) @ scaling,
-                }
-            )
-        result = minimize(
-            loss,
-            np.zeros(scaling.shape[1]),
-            jac=gradient,
-            method="SLSQP",
-            constraints=constraints,
-            options={"maxiter": 500, "ftol": LOSS_TOLERANCE},
-        )
-        y = y0 + scaling @ result.x
-        e = self.values(y, self.coordinates.point(y))
-        rows = sum(len(grid.R) for grid in self.grids)
-        return y, float(e[:rows] @ e[:rows])
+            equal, A = self.departure(point) / zeta, self.departure_slopes(point) / zeta
+        margins = self.margins(point) / zeta
+        return State(
+            self.values(y, point), self.slopes(y, point), equal, A,
+            margins, self.margin_slopes(point) / zeta,
+        )  # fmt: skip
 
     def residual(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """R (v, κ z⊗z, 1) of all grids, then the roughness, and the derivative to y."""
@@ -226,45 +159,92 @@ class ConstrainedProblem:
 
     def products(self, point: Point) -> list[np.ndarray]:
         """(v, κ z⊗z, 1) of each grid, shape [F + 1]."""
-        out = []
-        for grid, v, z in zip(self.grids, point.v, point.z):
-            i, j = grid.pairs
-            out.append(np.concatenate([v, point.kappa * z[i] * z[j], [1.0]]))
-        return out
+        return [
+            np.append(self._products(point, number, point.kappa), 1.0)
+            for number in range(len(self.grids))
+        ]
 
     def product_slopes(self, point: Point) -> list[np.ndarray]:
         """Their derivatives to y, [F + 1, Y]."""
-        out = []
-        for grid, z, dv, dz in zip(self.grids, point.z, point.dv, point.dz):
-            i, j = grid.pairs
-            slope = np.zeros((len(dv) + len(i) + 1, dv.shape[1]))
-            slope[: len(dv)] = dv
-            slope[len(dv) : -1] = point.kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
-            slope[len(dv) : -1, 0] += z[i] * z[j]  # y₀ is κ
-            out.append(slope)
-        return out
+        by_kappa = np.eye(len(point.dmu))[0]  # y₀ is κ
+        slopes = (
+            self._slopes(point, number, point.kappa, by_kappa) for number in range(len(self.grids))
+        )
+        return [np.vstack([slope, np.zeros(len(by_kappa))]) for slope in slopes]
 
-    def margins(self, point: Point, tables: Sequence[Symbol]) -> np.ndarray:
+    def _products(self, point: Point, number: int, kappa: float) -> np.ndarray:
+        """(v, κ z⊗z) of a lattice, with the κ of a form, shape [F]."""
+        (i, j), z = self.grids[number].pairs, point.z[number]
+        return np.concatenate([point.v[number], kappa * z[i] * z[j]])
+
+    def _slopes(self, point: Point, number: int, kappa: float, by_kappa: np.ndarray) -> np.ndarray:
+        """Their derivatives to y, [F, Y], with that of κ."""
+        (i, j), z, dz = self.grids[number].pairs, point.z[number], point.dz[number]
+        bent = kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
+        return np.concatenate([point.dv[number], bent + np.outer(z[i] * z[j], by_kappa)])
+
+    def _forms(self, point: Point, names: Sequence[str]) -> list[tuple[float, np.ndarray, float]]:
+        """Of each condition κ of its form Γ + κ φφᵗ, its derivative to y, and the level."""
+        mu, zeta = point.mu, self.asked[0].zeta
+        forms = {
+            "D": (point.kappa, np.eye(len(point.dmu))[0], zeta),
+            "gamma": (0.0, 0 * point.dmu, zeta),
+            "gamma_minus_2phi": (-2 / mu, 2 / mu**2 * point.dmu, 0.0),
+        }
+        return [forms[name] for name in names]
+
+    def look(self, point: Point, *, all_of_them: bool = False) -> float:
+        """The smallest margin over the zones [stress]; waves below zero become cuts.
+
+        A cut vᵗ D(k) v ≥ level s(k) is linear in the products and holds where the condition does.
+        """
+        smallest = np.inf
+        for number, search in enumerate(self.searches):
+            conditions = search.conditions
+            v, z = point.v[number], point.z[number]
+            least, where = search.worst(v, z, point.kappa)
+            smallest = min(smallest, float(least.min()))
+            waves = where.reshape(len(least), -1, 2)
+            for form, (kappa, _, level) in enumerate(self._forms(point, conditions.names)):
+                table = symbol(conditions.classes, waves[form])
+                some = (table.ratio(v, z, kappa) < level) | all_of_them
+                if not some.any():
+                    continue
+                d11, d22, d12 = (entry[some] for entry in table.entries(v, z, kappa))
+                angle = np.arctan2(2 * d12, d11 - d22) / 2  # of the larger eigenvalue's vector
+                parts = np.stack([np.sin(angle) ** 2, np.cos(angle) ** 2, -np.sin(2 * angle)])
+                entries = symbol_rows(conditions.classes, waves[form][some])
+                rows = np.einsum("pk,kpf->kf", parts, entries) / table.laplacian[some, None]
+                self.cuts[number][form] = np.concatenate([self.cuts[number][form], rows])
+        return smallest
+
+    @property
+    def count(self) -> int:
+        """Of cuts."""
+        return sum(len(rows) for forms in self.cuts for rows in forms)
+
+    def margins(self, point: Point) -> np.ndarray:
         """What must not be negative."""
         kappa, mu = point.kappa, point.mu
         # μ and λ + μ = 2μ + κμ²
         values = [np.array([mu, 2 * mu + kappa * mu**2]) - self.asked[0].zeta]
-        for conditions, table, v, z in zip(self.asked, tables, point.v, point.z):
-            values.append(conditions.margins(table, v, z, kappa).ravel())
+        for number, forms in enumerate(self.cuts):
+            asked = self._forms(point, self.asked[number].names)
+            for rows, (own, _, level) in zip(forms, asked):
+                values.append(rows @ self._products(point, number, own) - level)
         values.append(point.limits)
         return np.concatenate(values)
 
-    def margin_slopes(self, point: Point, tables: Sequence[Symbol]) -> np.ndarray:
+    def margin_slopes(self, point: Point) -> np.ndarray:
         """The derivative of the margins to y."""
         kappa, mu, dmu = point.kappa, point.mu, point.dmu
         dkappa = np.zeros_like(dmu)
         dkappa[0] = 1.0
         slopes = [np.array([dmu, (2 + 2 * kappa * mu) * dmu + mu**2 * dkappa])]
-        for conditions, table, v, z, dv, dz in zip(
-            self.asked, tables, point.v, point.z, point.dv, point.dz
-        ):
-            by = conditions.gradients(table, v, z, kappa).reshape(-1, 1 + 2 * len(v))
-            slopes.append(by @ np.concatenate([dkappa[None], dv, dz]))
+        for number, forms in enumerate(self.cuts):
+            asked = self._forms(point, self.asked[number].names)
+            for rows, (own, by_own, _) in zip(forms, asked):
+                slopes.append(rows @ self._slopes(point, number, own, by_own))
         slopes.append(point.dlimits)
         return np.concatenate(slopes)
 
@@ -292,20 +272,3 @@ class ConstrainedProblem:
         for by_v, dv in zip(self._shears, point.dv):
             slopes.append(by_v @ dv - point.dmu)
         return np.array(slopes)
-
-
-_Value = TypeVar("_Value")
-
-
-class _Last(Generic[_Value]):
-    """A function of an array that keeps its last value: SLSQP asks for value and slope in turn."""
-
-    def __init__(self, function: Callable[[np.ndarray], _Value]) -> None:
-        self.function = function
-        self.kept: tuple[bytes, _Value] | None = None
-
-    def __call__(self, t: np.ndarray) -> _Value:
-        key = t.tobytes()
-        if self.kept is None or self.kept[0] != key:
-            self.kept = key, self.function(t)
-        return self.kept[1]

@@ -1,4 +1,4 @@
-"""λ, μ, α and D while they are being learned: plain values, and torch leaves with their bounds."""
+"""Numbers of a solid while they are learned: plain values, and torch leaves with their bounds."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 import torch
 
-from warp_peri.losses.full import FullLoss
-from warp_peri.losses.reduced import ReducedLoss, class_weights
-from warp_peri.models.shapes import InfluenceFunction
+from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.families import BondClasses
+from warp_peri.regression.losses import FullLoss, ReducedLoss, class_weights
 
 SMALLEST_MODULUS, LARGEST_ALPHA = 1e-3, 3 - 1e-3
 """μ and λ + μ [TPa] stay above the first, α below the second."""

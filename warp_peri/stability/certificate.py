@@ -12,8 +12,8 @@ from warp_peri.contract import linear_part, offered
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model, lps_stencil
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import Model, lps_stencil
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
 

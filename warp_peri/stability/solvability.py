@@ -9,8 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from warp_peri.models.lps import Model
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import Model
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike

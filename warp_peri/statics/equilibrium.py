@@ -18,12 +18,11 @@ import torch
 from warp_peri.core.once import differentiable_once
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model, lps_stencil
-from warp_peri.models.solid import Solid
-from warp_peri.operator.bonds import Bonds
-from warp_peri.operator.launches import influence
-from warp_peri.operator.lps import lps_force
-from warp_peri.operator.matrices import assemble
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.launches import influence
+from warp_peri.lps.matrices import assemble
+from warp_peri.lps.model import Model, Solid, lps_stencil
+from warp_peri.lps.operator import lps_force
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE

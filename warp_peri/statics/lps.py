@@ -14,10 +14,8 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
-from warp_peri.models.lps import lps_stencil
-from warp_peri.models.solid import Solid
-from warp_peri.operator.matrices import matrices
-from warp_peri.operator.stress import node_fields
+from warp_peri.lps.matrices import matrices, node_fields
+from warp_peri.lps.model import Solid, lps_stencil
 from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points

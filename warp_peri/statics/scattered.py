@@ -9,8 +9,8 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import eigsh
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
-from warp_peri.operator.matrices import matrices
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import Model
 from warp_peri.points.interpolation import NEIGHBOURS
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.strain import largest_strain

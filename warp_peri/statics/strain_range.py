@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 
 BEYOND = 2.0
 """Strains above this many times those of the training data are worth a warning."""

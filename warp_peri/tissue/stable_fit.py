@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.regression.least_distance import least_squares_above
+from warp_peri.regression.search import least_squares_above
 from warp_peri.tissue.uniform_strain import UniformTangents
 
 ROUNDS = 60

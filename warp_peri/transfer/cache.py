@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.arrays import is_number
 from warp_peri.transfer.lattice import RECIPE, new_lattice
 

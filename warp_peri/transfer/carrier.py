@@ -11,7 +11,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import ConvexHull, cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.interpolation import (
     FOR_DATA,
     FULL,

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
+from warp_peri.regression.conditions import Conditions, LatticeConditions
 from warp_peri.regression.optimum import constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import Certificate, certify
-from warp_peri.stability.conditions import Conditions, LatticeConditions
 from warp_peri.transfer.waves import (
     WAVES,
     dispersion,

@@ -10,8 +10,8 @@ import torch
 
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
-from warp_peri.models.lps import Model
-from warp_peri.operator import lps
+from warp_peri.lps import operator as lps
+from warp_peri.lps.model import Model
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.transfer.carrier import Carrier

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from warp_peri.errors import InputError
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.collar import carried_horizon
 from warp_peri.points.families import AT_EDGES
 from warp_peri.points.samples import PointsLike, nodes_of

@@ -10,12 +10,12 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from warp_peri.errors import InputError
-from warp_peri.losses.reduced import ReducedLoss
-from warp_peri.models.lps import Model
+from warp_peri.lps.model import Model
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.coordinates import SMALLEST_ALPHA, Coordinates
+from warp_peri.regression.losses import ReducedLoss
 from warp_peri.regression.optimum import ConstrainedProblem
 from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
 from warp_peri.stability.certificate import certify

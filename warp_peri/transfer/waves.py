@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_peri.losses.reduced import ReducedLoss, class_pairs, symbol_rows
-from warp_peri.models.lps import Model, stiffnesses
-from warp_peri.operator.symbol import symbol
+from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.regression.losses import ReducedLoss, class_pairs, symbol_rows
 
 WAVES = 60
 """Wave vectors that a kernel is fitted on; twice as many change no error in its third digit."""

@@ -1,0 +1,143 @@
+"""Derivatives through the coupled solve against central differences."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.support.plates import plate
+from warp_peri import Model
+from warp_peri.edges.body import Coupling, body_gradient, solve_body
+from warp_peri.edges.rim import Moduli, Rim, RimProblem
+from warp_peri.errors import InputError
+from warp_peri.points.mesh import make_mesh
+from warp_peri.statics import linear
+
+MODEL = Model(
+    lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,)
+)
+EACH = ("lam",), ("mu",), ("hold",), ("pull",), ("push",)
+MESH = plate(8.0, 32.0, 8, 40)
+
+
+def disk(radius):
+    """Triangles of a disk, ring by ring; part "edge"."""
+    around, rings = 48, 6
+    angle = 2 * np.pi * np.arange(around) / around
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    shares = np.arange(1, rings + 1)[:, None, None] / rings
+    x = np.concatenate([np.zeros((1, 2)), (radius * shares * circle).reshape(-1, 2)])
+    here, after = np.arange(around), (np.arange(around) + 1) % around
+    triangles = [np.stack([0 * here, 1 + here, 1 + after], axis=1)]
+    for ring in range(1, 1 + (rings - 1) * around, around):
+        a, b, c, d = ring + here, ring + after, ring + around + here, ring + around + after
+        triangles += [np.stack([a, c, d], axis=1), np.stack([a, d, b], axis=1)]
+    last = 1 + (rings - 1) * around
+    edge = np.stack([last + here, last + after], axis=1)
+    middle = x[edge].sum(axis=1)
+    middle *= radius / np.hypot(*middle.T)[:, None]
+    pairs = map(tuple, np.sort(edge, axis=1).tolist())
+    return make_mesh(x, np.concatenate(triangles), {"edge": edge}, dict(zip(pairs, middle)))
+
+
+def stretch(x):
+    return np.stack([0.01 * x[:, 0], 0.003 * np.sin(x[:, 0] / 9)], axis=1)
+
+
+def wave(x):
+    return np.stack([np.cos(x[:, 1] / 8), 0 * x[:, 0]], axis=1)
+
+
+def solved(mesh=MESH, *, lam=0.0, mu=0.0, hold=0.0, pull=0.0, push=0.0, edge=0.3):
+    """The plate with every number moved a little."""
+    return solve_body(
+        dataclasses.replace(MODEL, lam=MODEL.lam + lam, mu=MODEL.mu + mu),
+        mesh,
+        displacement={"sides": lambda x: (1 + hold) * stretch(x)},
+        traction={"hole": lambda x, n: (2e-3 + pull) * n},
+        b=lambda x: (1e-4 + push) * wave(x),
+        edge={"hole": edge},
+        coupling=Coupling(spacing=1.0, tolerance=1e-12),
+    )
+
+
+def difference(measure, step, mesh):
+    """Of a measure, over two moves by a step of every number."""
+    moved = [
+        measure(solved(mesh, **{name: sign * size for name, size in step.items()}))
+        for sign in (1, -1)
+    ]
+    return (moved[0] - moved[1]) / 2
+
+
+@pytest.mark.parametrize(
+    ("mesh", "direct", "groups"),
+    [
+        pytest.param(
+            MESH,
+            4000,
+            [("lam",), ("mu",), ("hold", "pull", "push")],
+            id="factorised",
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(MESH, 10, [("lam", "hold", "push")], id="iterated"),
+        pytest.param(plate(4.0, 10.0, 5, 24), 4000, list(EACH), id="alone"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:mesh. no triangle")
+def test_the_gradient_is_the_difference(monkeypatch, mesh, direct, groups):
+    monkeypatch.setattr(linear, "DIRECT", direct)
+    rng = np.random.default_rng(1)
+    half = mesh.x.max() * 0.9
+    x = rng.uniform(-half, half, (60, 2))
+    x = x[np.hypot(*x.T) > 9 / 32 * mesh.x.max() * 1.5]
+    weight = rng.normal(size=x.shape)
+
+    def measure(solution):
+        u = solution.displacement(x)
+        return float((weight * u).sum() + 50 * (u**2).sum())
+
+    solution = solved(mesh)
+    by_u = weight + 100 * solution.displacement(x)
+    R, B = solution.probe(x)
+    gradient = body_gradient(solution, R.T @ by_u, B.T @ by_u, tolerance=1e-12)
+    steps = {"lam": 1e-4, "mu": 1e-4, "hold": 1e-2, "pull": 1e-4, "push": 1e-5}
+    slopes = {
+        "lam": gradient.lam,
+        "mu": gradient.mu,
+        "hold": gradient.along(displacement={"sides": stretch}),
+        "pull": gradient.along(traction={"hole": lambda x, n: n}),
+        "push": gradient.along(b=wave),
+    }
+    for names in groups:
+        expected = sum(slopes[name] * steps[name] for name in names)
+        step = {name: steps[name] for name in names}
+        assert expected == pytest.approx(difference(measure, step, mesh), rel=1e-6), names
+
+
+@pytest.mark.filterwarnings("ignore:mesh. no triangle")
+def test_what_does_not_fit_is_refused():
+    solution = solved(plate(4.0, 10.0, 5, 24))
+    with pytest.raises(InputError, match="by_rim, by_bulk: expected shapes"):
+        body_gradient(solution, np.zeros((3, 2)))
+    gradient = body_gradient(solution, np.ones_like(solution.u_rim))
+    with pytest.raises(InputError, match="expected parts that are held"):
+        gradient.along(displacement={"hole": (1.0, 0.0)})
+    with pytest.raises(InputError, match="1 positions are outside the mesh"):
+        solution.probe(np.zeros((1, 2)))
+
+
+def test_an_edge_of_its_own_carries_force():
+    """A disk pulled at its edge: u = t r / ((C11 + C12) + E_s / R), where C44 is isotropic."""
+    radius, size, pull = 12.0, 6.0, 0.01
+    mesh = disk(radius)
+    moduli = Moduli.square(C11=1.2, C12=0.4, C44=0.4)
+    rim = Rim(mesh, np.ones(len(mesh.triangles), bool))
+    K = rim.stiffness(moduli) + rim.edge_stiffness("edge", size)
+    fixed = np.zeros(rim.x.shape, bool)
+    fixed[np.hypot(*rim.x.T) < 1e-9] = True
+    fixed[np.argmin(np.hypot(*(rim.x - (radius, 0)).T)), 1] = True
+    f = rim.traction("edge", lambda x, n: pull * n)
+    u = RimProblem(K, fixed.ravel()).solve(f.ravel(), np.zeros(f.size)).reshape(-1, 2)
+    expected = pull / (moduli.C11 + moduli.C12 + size / radius) * rim.x
+    assert np.abs(u - expected).max() < 1e-4 * np.abs(expected).max()

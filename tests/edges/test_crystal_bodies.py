@@ -1,0 +1,158 @@
+"""Bodies of crystals: anisotropic triangles and tetrahedra at the edge, the crystal inside."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import warp_peri
+from examples.exact import plate_with_hole
+from tests.micromodulus.crystals import cubic_tensor, dispersive, learned
+from warp_peri.edges.body import Coupling, solve_body
+from warp_peri.edges.rim import Moduli
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.waves import fit_symbol
+from warp_peri.points.outlines import Circle, box, mesh_outline
+from warp_peri.points.solids import Block, Sphere, mesh_solid
+from warp_peri.points.tetrahedra import make_tetrahedra
+
+TURNED = {2: 20.0, 3: [[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]}
+SIDES = ("left", "right", "top", "bottom")
+
+
+def plate(size=2.0):
+    return mesh_outline(box(60, 60), [Circle(10, size=size / 2)], size=size)
+
+
+def ball():
+    return mesh_solid(Sphere(19.0, name="skin"), size=4.0)
+
+
+def one_cell():
+    return make_tetrahedra([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
+
+
+BODIES = {2: (plate, SIDES, 2), 3: (ball, ("skin",), 1)}
+
+
+@pytest.fixture(scope="module", params=[2, 3])
+def body(request):
+    """A law of a turned crystal, a mesh, its held parts and the degree of its elements."""
+    d = request.param
+    law = learned(d, orientation=TURNED[d], symmetry="4mm" if d == 2 else "m-3m")
+    make, held, degree = BODIES[d]
+    return law, make(), held, degree
+
+
+def test_an_affine_field_is_exact_and_its_stress_too(body):
+    law, mesh, held, degree = body
+    A = 1e-3 * np.random.default_rng(0).normal(size=(law.dimension,) * 2)
+    stress = np.einsum("ijkl,kl->ij", law.tensor(), A)
+    pulls = {name: lambda x, n: n @ stress for name in mesh.parts if name not in held}
+    found = solve_body(
+        law,
+        mesh,
+        displacement={name: lambda x: x @ A.T for name in held},
+        traction=pulls,
+        coupling=Coupling(degree=degree, tolerance=1e-11),
+    )
+    assert found.points is not None
+    assert found.points.interior.sum() > 300
+    for x, u in ((found.rim.x, found.u_rim), (found.points.x, found.u_bulk)):
+        assert np.abs(u - x @ A.T).max() < 1e-10 * np.abs(x @ A.T).max()
+    assert np.abs(found.on_corners()[1] - stress).max() < 1e-9 * np.abs(stress).max()
+
+
+def test_a_turned_body_with_free_faces_feels_nothing(body):
+    law, mesh, held, degree = body
+    W = np.zeros((law.dimension,) * 2)
+    W[0, 1], W[1, 0] = 1e-3, -1e-3
+    found = solve_body(
+        law,
+        mesh,
+        displacement={held[0]: lambda x: x @ W.T},
+        coupling=Coupling(degree=degree, tolerance=1e-11),
+    )
+    feels = 1e-3 * law.surface_traction()  # of cut bonds
+    assert feels > 0.01 * 1e-3 * np.abs(law.tensor()).max()
+    assert np.abs(found.rim_stress).max() < 1e-8 * feels
+    assert np.abs(found.bulk_stress).max() < 1e-8 * feels
+
+
+def test_a_hole_converges_to_the_exact_plate():
+    C, errors, spacings = cubic_tensor(2), [], (3.0, 2.0, 1.5)
+    for h in spacings:
+        law = fit_symbol(dispersive(C, h), h, 2.5 * h, symmetry="4mm", tensor=C)
+        mesh = mesh_outline(box(120, 120), [Circle(12.0, size=h / 2)], size=2 * h)
+        held = {side: lambda x, law=law: exact(x, law)[0] for side in SIDES}
+        solution = warp_peri.solve(law, warp_peri.Body(mesh, held))
+        parts = solution.details
+        gaps = [
+            (u - exact(x, law)[0], exact(x, law)[0])
+            for x, u in ((parts.rim.x, parts.u_rim), (parts.points.x, parts.u_bulk))
+        ]
+        errors.append(max(np.linalg.norm(gap) / np.linalg.norm(u) for gap, u in gaps))
+    rate = np.polyfit(np.log(spacings), np.log(errors), 1)[0]
+    assert rate > 1.5
+    assert errors[-1] < 5e-5
+
+
+def exact(x, law):
+    return plate_with_hole(x, 12.0, 0.005, Moduli(law.tensor()))
+
+
+def test_tetrahedra_know_their_parts_their_voids_and_what_they_hold():
+    mesh = mesh_solid(Block((40.0, 40.0, 40.0)), [Sphere(6.0, size=3.0)], size=8.0)
+    assert set(mesh.parts) == {"left", "right", "front", "back", "bottom", "top", "void"}
+    assert mesh.hole_sizes == pytest.approx([12.0], rel=0.02)
+    middles = mesh.x[mesh.cells].mean(axis=1)
+    assert (mesh.holding(middles) == np.arange(len(mesh.cells))).all()
+    assert (mesh.holding(np.array([[0.0, 0.0, 0.0], [21.0, 0.0, 0.0]])) == -1).all()
+    top = np.unique(mesh.faces[mesh.parts["top"]])
+    assert mesh.x[top, 2] == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"coupling": Coupling(spacing=1.0)}, "coupling: expected spacing 1.5 or None, got 1"),
+        ({"mesh": one_cell}, "mesh: expected triangles, for the law is one of 2 dimensions"),
+        ({"stress": np.eye(2)}, "model: expected a crystal at rest"),
+    ],
+)
+def test_bad_input_is_named(change, message):
+    law = learned(2)
+    if "stress" in change:
+        law = dataclasses.replace(law, stress=0.01 * change.pop("stress"))
+    mesh = change.pop("mesh", plate)()
+    held = {next(iter(mesh.parts)): (0.0,) * mesh.x.shape[1]}
+    with pytest.raises(InputError, match=message):
+        solve_body(law, mesh, displacement=held, **change)
+
+
+def test_a_cell_without_volume_is_named():
+    flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
+    with pytest.raises(InputError, match="tetrahedra: number 0 has no volume"):
+        make_tetrahedra(flat, [[0, 1, 2, 3]])
+
+
+@pytest.mark.slow
+def test_a_void_under_pressure_is_that_of_a_hollow_ball():
+    """G. Lamé's field in an isotropic ball, on curved quadratic tetrahedra; at 1.3 of the page."""
+    lam, mu, inner, outer, pressure = 0.1, 0.08, 8.0, 25.0, 0.01
+    C, K = cubic_tensor(3, lam + 2 * mu, lam, mu), lam + 2 * mu / 3
+    law = fit_symbol(dispersive(C), 1.0, 2.0, symmetry="m-3m", tensor=C)
+
+    def field(x):
+        r = np.linalg.norm(x, axis=1)
+        size = pressure * inner**3 / (outer**3 - inner**3)
+        return (size * (r / (3 * K) + outer**3 / (4 * mu * r**2)) / r)[:, None] * x
+
+    for side, told in ((4.0, (0.0115, 0.0073)), (3.0, (0.0091, 0.0051))):
+        mesh = mesh_solid(Sphere(outer, name="skin"), [Sphere(inner, size=side)], size=4.0)
+        held, pulls = {"skin": field}, {"void": lambda x, n: -pressure * n}
+        found = solve_body(law, mesh, displacement=held, traction=pulls)
+        for most, x, u in zip(
+            told, (found.rim.x, found.points.x), (found.u_rim, found.u_bulk), strict=True
+        ):
+            assert np.linalg.norm(u - field(x)) < 1.3 * most * np.linalg.norm(field(x))

@@ -1,0 +1,187 @@
+"""The gathering adjoint: equal to Warp's tape and to differences, on any number of threads."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from tests.support.clouds import cloud, periodic_cloud
+from tests.support.problems import KERNELS, LAM, MU, difference, lattice, noise, periodic
+from warp_peri import InputError
+from warp_peri.launch import set_threads, threads
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.launches import evaluate
+from warp_peri.lps.operator import lps_force
+from warp_peri.methods import Solid
+
+TAPE = 1e-12
+DIFFERENCES = 1e-8
+HORIZON = 3.0
+STEPS = {"u": (1.0, 2), "lam": (1.0, 2), "mu": (1.0, 2), "alpha": (0.005, 8), "D": (0.002, 8)}
+STEPS["D_dilatation"] = STEPS["D"]
+
+
+def cut(points):
+    return points.x[:, 0] > points.x[points.interior, 0].mean()
+
+
+def body(points):
+    """The interior without the half that is cut away."""
+    outside = cut(points)
+    return replace(points, interior=points.interior & ~outside, outside=outside)
+
+
+def bonds_of(kind):
+    if "periodic" in kind:
+        points, _ = periodic((7, 8)) if "lattice" in kind else periodic_cloud(7)
+        return Bonds(points, HORIZON), points
+    points = lattice(2, HORIZON) if "lattice" in kind else cloud(2, HORIZON)
+    if "cut" in kind:
+        points = body(points)
+        return Bonds(points, HORIZON), points
+    return Bonds(points, HORIZON), points
+
+
+KINDS = ("lattice", "periodic lattice", "cloud", "periodic cloud", "cut lattice", "cut cloud")
+
+
+class Problem:
+    """A scalar of L u as a function of everything."""
+
+    def __init__(self, name, kind, samples=2):
+        self.bonds, points = bonds_of(kind)
+        self.u = noise(points, samples)
+        self.seed = noise(points, samples, seed=4)[:, points.interior]
+        values = {"u": self.u, "lam": LAM, "mu": MU, **KERNELS[name]}
+        self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in values.items()}
+
+    def scalar(self, *leaves):
+        Lu = lps_force(self.bonds, leaves[0], Solid(*leaves[1:]))
+        return (torch.from_numpy(self.seed) * Lu).sum() + (Lu**2).sum() / 100
+
+    def gathered(self):
+        given = [torch.tensor(leaf, requires_grad=True) for leaf in self.leaves.values()]
+        gradients = torch.autograd.grad(self.scalar(*given), given)
+        return {part: by.numpy() for part, by in zip(self.leaves, gradients)}
+
+    def taped(self):
+        types = [wp.vec2d] + (len(self.leaves) - 1) * [wp.float64]
+        arrays = [
+            wp.array(leaf, dtype=dtype, requires_grad=True, device="cpu")
+            for leaf, dtype in zip(self.leaves.values(), types)
+        ]
+        with wp.Tape() as tape:
+            Lu = evaluate(self.bonds, *arrays, gradient=True).Lu
+        g = wp.array(self.seed + Lu.numpy() / 50, dtype=wp.vec2d, device="cpu")
+        tape.backward(grads={Lu: g})
+        return {part: array.grad.numpy() for part, array in zip(self.leaves, arrays)}
+
+    def value(self, part, leaf):
+        leaves = self.leaves | {part: leaf.reshape(self.leaves[part].shape)}
+        with torch.no_grad():
+            return self.scalar(*map(torch.from_numpy, leaves.values())).item()
+
+
+def error(value, expected):
+    return np.abs(value - expected).max() / np.abs(expected).max()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["sign-changing", "two functions"])
+def test_is_the_tape(name, kind):
+    problem = Problem(name, kind)
+    expected = problem.taped()
+    for part, by in problem.gathered().items():
+        assert error(by, expected[part]) <= TAPE, part
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("name", ["sign-changing", "two functions"])
+def test_is_the_difference_quotient(name, kind):
+    problem = Problem(name, kind, samples=1)
+    random = np.random.default_rng(0)
+    for part, by in problem.gathered().items():
+        leaf = problem.leaves[part]
+        if part == "u":  # along 20 directions, the components being many
+            ways = random.normal(size=(20, leaf.size))
+
+            def along(t, ways=ways, leaf=leaf):
+                return problem.value("u", leaf.ravel() + t @ ways)
+
+            expected = difference(along, np.zeros(20), *STEPS["u"])
+            assert error(ways @ by.ravel(), expected) <= DIFFERENCES
+            continue
+        expected = difference(partial(problem.value, part), leaf, *STEPS[part])
+        assert error(by, expected) <= DIFFERENCES, part
+
+
+@pytest.mark.parametrize("kind", ["lattice", "cloud"])
+def test_of_bond_based_forces(kind):
+    points = lattice(3, HORIZON) if kind == "lattice" else cloud(3, HORIZON)
+    bonds = Bonds(points, HORIZON, bond_based=True)
+    u = noise(points)
+    leaves = [u, 0.7, 0.7, 1.3, [1.0, 0.5, -0.2]]
+    given = [torch.tensor(leaf, dtype=torch.float64, requires_grad=True) for leaf in leaves]
+    Lu = lps_force(bonds, given[0], Solid(*given[1:]))
+    whole = lps_force(Bonds(points, HORIZON), given[0], Solid(*given[1:]))
+    torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
+    gradients = torch.autograd.grad((Lu**3).sum(), given)
+    expected = torch.autograd.grad((whole**3).sum(), given)
+    for n in (0, 3, 4):
+        assert error(gradients[n].numpy(), expected[n].numpy()) < 1e-11
+    assert gradients[1] == 0
+    assert error(gradients[2].numpy(), (expected[1] + expected[2]).numpy()) < 1e-11
+    with pytest.raises(InputError, match=r"lambda, mu: expected equal values \(bond-based\)"):
+        lps_force(bonds, given[0], Solid(0.1, 0.7, 1.3, [1.0]))
+
+
+def test_bond_based_forces_need_half_the_collar():
+    points = lattice(3, HORIZON / 2)
+    with pytest.raises(InputError, match="out to twice the horizon"):
+        Bonds(points, HORIZON)
+    Bonds(points, HORIZON, bond_based=True)
+    with pytest.raises(InputError, match="interior nodes need complete families: "):
+        Bonds(lattice(3, 1.0), HORIZON, bond_based=True)
+
+
+@pytest.mark.parametrize("kind", ["periodic lattice", "periodic cloud"])
+def test_threads_change_no_bit(kind, monkeypatch):
+    monkeypatch.setattr("warp_peri.launch.SLICE", 3)
+    problem = Problem("two functions", kind, samples=3)
+    before = threads()
+    try:
+        results = []
+        for count in (1, 2, 3, 7):
+            set_threads(count)
+            results.append(problem.gathered())
+    finally:
+        set_threads(before)
+    for other in results[1:]:
+        assert all(np.array_equal(results[0][part], other[part]) for part in other)
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, True, "2"])
+def test_a_number_of_threads_that_is_none_is_refused(count):
+    with pytest.raises(InputError, match="threads: expected a whole number"):
+        set_threads(count)
+
+
+def test_single_precision_is_double_precision_rounded():
+    points, _ = periodic_cloud(7)
+    results = {}
+    for precision in ("float64", "float32"):
+        bonds = Bonds(points, HORIZON, precision=precision)
+        dtype = getattr(torch, precision)
+        values = (noise(points), LAM, MU, 1.6, [1.0, 0.4, -0.3])
+        given = [torch.tensor(v, dtype=dtype, requires_grad=True) for v in values]
+        Lu = lps_force(bonds, given[0], Solid(*given[1:]))
+        results[precision] = [Lu.detach(), *torch.autograd.grad(Lu.sum() + (Lu**2).sum(), given)]
+    for double, single in zip(*results.values()):
+        assert error(single.double().numpy(), double.numpy()) < 2e-4
+    with pytest.raises(InputError, match="u: expected float32 of shape"):
+        lps_force(bonds, torch.from_numpy(noise(points)), Solid(LAM, MU, 1.6, [1.0]))
+    with pytest.raises(InputError, match="precision: expected one of"):
+        Bonds(points, HORIZON, precision="float16")

@@ -1,0 +1,90 @@
+"""The symbol, against plane waves through the Warp operator and against a slow sum."""
+
+import numpy as np
+import pytest
+
+from tests.support import reference
+from tests.support.problems import KERNELS, kernel, lattice, periodic
+from warp_peri.lps.model import stiffnesses
+from warp_peri.lps.symbol import moduli, symbol, zone_wedge
+from warp_peri.points.families import bond_classes
+from warp_peri.transfer.operator import LPSOperator
+
+every_kernel = pytest.mark.parametrize("name", KERNELS)
+
+
+def matrix(model, classes, k):
+    """D(k), shape [K, 2, 2]."""
+    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
+    return np.stack([d11, d12, d12, d22], axis=-1).reshape(-1, 2, 2)
+
+
+@every_kernel
+@pytest.mark.parametrize("spacing", [1.0, 2.5])
+def test_plane_waves_through_the_operator(name, spacing):
+    model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
+    points, box = periodic((8, 7), spacing)
+    operator = LPSOperator(model, points)
+    a = np.array([0.7 + 0.2j, -0.4 + 1.1j])
+    for p, q in ((1, 0), (0, 2), (3, 2), (4, 0), (-2, 3)):
+        k = 2 * np.pi * np.array([p, q]) / box
+        wave = np.exp(1j * points.x @ k)[:, None]
+        Lu = operator((wave * a).real) + 1j * operator((wave * a).imag)
+        expected = wave * (matrix(model, bond_classes(spacing, model.horizon), k[None])[0] @ a)
+        np.testing.assert_allclose(Lu, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+@every_kernel
+def test_is_the_slow_sum(name):
+    model = kernel(name, 3.0)
+    points = lattice(1, 3.0)
+    centre = np.flatnonzero(points.interior)[0]
+    _, bonds, w, p = reference.weights(points.x, centre, model)
+    k = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, 2))
+    expected = [reference.symbol(wave, bonds, w, p, model.lam, model.mu) for wave in k]
+    np.testing.assert_allclose(matrix(model, bond_classes(1.0, 3.0), k), expected, atol=1e-12)
+
+
+@every_kernel
+def test_long_waves_feel_the_moduli(name):
+    model, classes = kernel(name, 2.5), bond_classes(1.0, 2.5)
+    C = moduli(model, classes)
+    small = 1e-4
+    straight, diagonal = matrix(model, classes, small * np.array([[1, 0], [1, 1]])) / small**2
+    expected = np.diag([C["C11"], C["C44"]])
+    np.testing.assert_allclose(straight, expected, rtol=0, atol=1e-6)
+    expected = np.full((2, 2), C["C12"] + C["C44"]) + np.eye(2) * (C["C11"] - C["C12"])
+    np.testing.assert_allclose(diagonal, expected, rtol=0, atol=1e-6)
+
+
+@every_kernel
+def test_ratio_is_the_smallest_eigenvalue_over_the_laplacian(name):
+    model, classes = kernel(name, 2.5, 2.0 / 2), bond_classes(1.0, 2.5)
+    k = np.random.default_rng(1).uniform(-np.pi, np.pi, (20, 2))
+    smallest = np.linalg.eigvalsh(matrix(model, classes, k))[:, 0]
+    laplacian = 4 * (np.sin(k / 2) ** 2).sum(1)
+    ratio = symbol(classes, k).ratio(*stiffnesses(model, classes))
+    np.testing.assert_allclose(ratio, smallest / laplacian, rtol=1e-11)
+
+
+def test_the_laplacian_is_the_five_point_one():
+    points, (n1, n2) = periodic((6, 5), 2.0)
+    k = 2 * np.pi * np.array([2 / n1, 1 / n2])
+    wave = np.exp(1j * points.x @ k).reshape(6, 5)
+    five = sum(wave - np.roll(wave, step, axis) for axis in (0, 1) for step in (1, -1)) / 4.0
+    plain = symbol(bond_classes(2.0, 4.0), k[None]).laplacian
+    np.testing.assert_allclose(five, plain * wave, atol=1e-13)
+
+
+@every_kernel
+def test_the_wedge_has_the_values_of_the_whole_zone(name):
+    model, classes = kernel(name, 2.5), bond_classes(1.0, 2.5)
+    intervals = 8
+    line = np.pi * np.arange(-intervals, intervals + 1) / intervals
+    zone = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
+    zone = zone[np.abs(zone).sum(1) > 0]
+    wedge = zone_wedge(1.0, intervals)
+    ratio = [symbol(classes, k).ratio(*stiffnesses(model, classes)) for k in (zone, wedge[9:])]
+    assert ratio[0].min() == pytest.approx(ratio[1].min(), rel=1e-12)
+    assert ratio[0].max() == pytest.approx(ratio[1].max(), rel=1e-12)
+    assert np.abs(wedge[:9]).max() < 1e-3

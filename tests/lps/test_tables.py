@@ -1,0 +1,112 @@
+"""A fixed model on scattered points: the force from tables is the force, and no table is stale."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from tests.support.clouds import cloud, periodic_cloud
+from tests.support.problems import KERNELS, LAM, ROUNDING, kernel, noise
+from warp_peri import InputError
+from warp_peri.lps import operator as lps
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.launches import Tabulated
+from warp_peri.lps.operator import lps_force
+from warp_peri.transfer.operator import LPSOperator
+
+HORIZON = 3.0
+pytestmark = pytest.mark.filterwarnings("ignore:spacing")
+
+
+def beside_a_crack():
+    points = cloud(6, HORIZON)
+    outside = points.x[:, 0] > 3
+    return replace(points, interior=points.interior & ~outside, outside=outside)
+
+
+SETS = {"cloud": lambda: cloud(5, HORIZON), "periodic": lambda: periodic_cloud(8)[0]}
+SETS["body"] = beside_a_crack
+VANISHING = [([0.0, 1.0], [1.0, 0.0]), ([1.0, 1.0], [0.0, 1.0]), ([1.0, 0.0], [1.0, 1.0])]
+
+
+def anew(operator, u):
+    """L u with K of every bond computed now."""
+    return lps_force(operator.bonds, torch.from_numpy(u), operator.model.solid).numpy()
+
+
+def relative(value, expected):
+    return np.abs(value - expected).max() / np.abs(expected).max()
+
+
+@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize("name", KERNELS)
+def test_is_the_force_to_rounding(kind, name):
+    points = SETS[kind]()
+    operator = lps.NodeOperator(kernel(name, HORIZON), points, allow_uncertified=True)
+    u = noise(points, 2)
+    assert relative(operator(u), anew(operator, u)) < ROUNDING
+    np.testing.assert_array_equal(operator(u[1]), operator(u)[1])
+    given = torch.tensor(u, requires_grad=True)
+    assert relative(operator(u), operator(given).detach().numpy()) < ROUNDING
+    assert torch.autograd.grad(operator(given).sum(), given)[0].abs().max() > 0
+
+
+def test_is_the_force_without_a_dilatation():
+    points = cloud(5, HORIZON / 2)
+    bond_based = kernel("sign-changing", HORIZON, lam=0.8, mu=0.8)
+    operator = lps.NodeOperator(bond_based, points, allow_uncertified=True)
+    assert operator.bonds.bond_based
+    assert relative(operator(noise(points)), anew(operator, noise(points))) < ROUNDING
+
+
+@pytest.mark.parametrize(("D", "D_dilatation"), VANISHING)
+def test_a_bond_that_one_of_two_functions_does_not_see(D, D_dilatation):
+    """Bernstein coefficients of degree 1: K vanishes where r = 0 or r = δ, at the last bond."""
+    x = cloud(5, HORIZON).x
+    points = replace(cloud(5, HORIZON), x=np.round(x * 4) / 4)
+    model = replace(kernel("two functions", HORIZON), D=D, D_dilatation=D_dilatation)
+    operator = lps.NodeOperator(model, points, allow_uncertified=True)
+    u = noise(points)
+    assert (operator.bonds.families.r == HORIZON).any()
+    assert relative(operator(u), anew(operator, u)) < ROUNDING
+
+
+def test_no_table_is_stale():
+    points = cloud(5, HORIZON)
+    u = noise(points)
+    operator = lps.NodeOperator(kernel("positive", HORIZON), points, allow_uncertified=True)
+    before = operator(u)
+    for change in (
+        {"lam": -0.1},
+        {"mu": 0.5},
+        {"alpha": 0.9},
+        {"D": [0.2, 1.0, 0.4, 0.2], "D_dilatation": [0.2, 1.0, 0.4, 0.2]},
+        {"D_dilatation": [0.3, 1.0, 0.0, 0.1]},
+        {"D": [0.1, 0.7], "D_dilatation": [0.1, 0.7]},
+    ):
+        operator.model = replace(operator.model, **change)
+        assert relative(operator(u), anew(operator, u)) < ROUNDING
+        assert relative(operator(u), before) > 1e-3
+        before = operator(u)
+
+
+def test_refuses_what_the_force_refuses():
+    points = cloud(5, HORIZON)
+    operator = LPSOperator(kernel("positive", HORIZON), points, allow_uncertified=True)
+    with pytest.raises(InputError, match="u: expected float64 of shape"):
+        operator(np.zeros((3, 2)))
+    with pytest.raises(InputError, match="u: expected float64 of shape"):
+        operator(torch.zeros(len(points.x), 2))
+
+
+def test_single_precision():
+    points = SETS["periodic"]()
+    solid = kernel("two functions", HORIZON, lam=LAM).solid
+    forces = []
+    for precision in ("float32", "float64"):
+        bonds = Bonds(points, HORIZON, precision=precision)
+        u = torch.as_tensor(noise(points, 1), dtype=getattr(torch, precision))
+        forces.append(Tabulated(bonds)(wp.from_torch(u, dtype=bonds.vec), solid).numpy())
+    assert relative(*forces) < 2e-5

@@ -1,0 +1,225 @@
+"""Losses under noise: the correction, the linearised response, and what a fit makes of them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from tests.support.problems import kernel, lattice, manufactured, with_nodes
+from tests.support.solving import solve
+from tests.support.waves import fluctuation, noisy, waves
+from warp_peri import Bernstein, InputError
+from warp_peri.learning.fit import learn as fit
+from warp_peri.learning.response import CollarResponse, WaveResponse, products
+from warp_peri.lps.model import Model
+from warp_peri.lps.operator import NodeOperator
+from warp_peri.methods import TwoStage
+from warp_peri.regression.losses import corrected, noise_loss, reduce, sample_weights
+
+HORIZON, DEGREE = 3.0, 5
+SIZE = 0.02
+
+
+@pytest.fixture(scope="module")
+def model():
+    return kernel("sign-changing", HORIZON, lam=-0.2, mu=0.7)
+
+
+@pytest.fixture(scope="module")
+def clean(model):
+    return waves(model)
+
+
+def near(model, seed=1, size=0.03):
+    """A model a little off."""
+    random = np.random.default_rng(seed)
+    return Model(
+        model.lam + size * random.normal(),
+        model.mu + size * random.normal(),
+        model.alpha,
+        model.D * (1 + size * random.normal(size=len(model.D))),
+        model.horizon,
+        certified_on=(1.0,),
+    )
+
+
+def square(grid, model):
+    return float(np.sum((grid.R @ products(model, grid.classes)) ** 2))
+
+
+def test_waves_are_in_equilibrium(model, clean):
+    force = NodeOperator(model, clean, allow_uncertified=True)(clean.u)
+    np.testing.assert_allclose(force, clean.b[:, clean.interior], atol=1e-12)
+
+
+def test_noise_adds_what_the_correction_expects(model, clean):
+    weight = sample_weights([clean], normalise=True)[0]
+    noise = fluctuation(clean, 200, SIZE, seed=5)
+    R = noise_loss(noise, clean, HORIZON, weight)
+    operator = NodeOperator(model, clean, allow_uncertified=True)
+    expected = weight.sum() * (operator(noise.u) ** 2).sum() / len(noise)
+    assert np.sum((R @ products(model, reduce(clean, HORIZON, weight).classes)) ** 2) == (
+        pytest.approx(expected, rel=1e-10)
+    )
+
+
+def test_the_corrected_form_is_the_difference_where_that_is_positive(clean):
+    weight = sample_weights([clean], normalise=True)[0]
+    loss = reduce(noisy(clean, 0.001, seed=1), HORIZON, weight)
+    R = noise_loss(fluctuation(clean, 50, 0.0003, seed=2), clean, HORIZON, weight)
+    difference = loss.R.T @ loss.R - R.T @ R
+    less = corrected(loss, R)
+    assert np.linalg.eigvalsh(difference).min() > 0
+    size = np.abs(difference).max()
+    np.testing.assert_allclose(less.R.T @ less.R, difference, atol=1e-12 * size)
+
+
+def test_the_corrected_form_never_turns_negative(model, clean):
+    weight = sample_weights([clean], normalise=True)[0]
+    loss = reduce(noisy(clean, SIZE, seed=1), HORIZON, weight)
+    R = noise_loss(fluctuation(clean, 3, 2 * SIZE, seed=2), clean, HORIZON, weight)
+    assert np.linalg.eigvalsh(loss.R.T @ loss.R - R.T @ R).min() < 0
+    less = corrected(loss, R)
+    before = np.linalg.eigvalsh((loss.R.T @ loss.R - less.R.T @ less.R)[:-1, :-1])
+    assert before.min() > -1e-10 * before.max()  # of what the model does, never more than before
+    assert np.isfinite(less.R).all()
+
+
+def test_the_corrected_form_has_the_minimum_of_the_difference(clean):
+    """At the minimum noise is all that is left, so that the difference itself is below zero."""
+    random = np.random.default_rng(1)
+    loss = reduce(clean, HORIZON, np.ones(len(clean)))
+    width = loss.R.shape[1] - 1
+    F, c = random.normal(size=(3 * width, width)), random.normal(size=width)
+    data = np.column_stack([F, 0.1 * random.normal(size=3 * width) - F @ c])
+    loss = dataclasses.replace(loss, R=np.linalg.qr(data, mode="r"))
+    R = np.zeros_like(loss.R)
+    R[:, :-1] = random.normal(size=(width + 1, width)) / 2
+    difference = loss.R.T @ loss.R - R.T @ R
+    inside, load = difference[:-1, :-1], difference[:-1, -1]
+    assert np.linalg.eigvalsh(inside).min() > 0 > np.linalg.eigvalsh(difference).min()
+    less = corrected(loss, R).R
+    lowest = np.linalg.lstsq(less[:, :-1], -less[:, -1], rcond=None)[0]
+    np.testing.assert_allclose(inside @ lowest, -load, atol=1e-9 * np.abs(load).max())
+
+
+def misfit(model, points):
+    """Mean of ‖û − u‖²/‖u‖² on the interior, by the library's own solver."""
+    solved = solve(model, points, points.b, points.u, allow_uncertified=True)
+    inside = points.interior
+    wrong = ((solved - points.u)[:, inside] ** 2).sum(axis=(1, 2))
+    return float(np.mean(wrong / (points.u[:, inside] ** 2).sum(axis=(1, 2))))
+
+
+def test_the_collar_response_is_the_solve_and_its_tangent(model):
+    points = manufactured(model, lattice(4, HORIZON), 5)
+    other = near(model)
+    weight = sample_weights([points], normalise=True)[0]
+    response = CollarResponse(points, HORIZON, reduce(points, HORIZON, weight))
+    grid = response.about(other)
+    assert square(grid, other) == pytest.approx(misfit(other, points), rel=1e-9)
+    assert_tangent(lambda model: square(response.about(model), model), grid, other)
+
+
+def test_the_wave_response_is_exact_and_its_tangent_is(model, clean):
+    response = WaveResponse(clean, HORIZON)
+    assert square(response.about(model), model) < 1e-20
+    assert square(response.start(), model) < 1e-20
+    other = near(model)
+    grid = response.about(other)
+    assert square(grid, other) > 1e-5
+    assert_tangent(lambda model: square(response.about(model), model), grid, other)
+
+
+def assert_tangent(loss, grid, model, step=1e-5):
+    """The linearised loss has the gradient of the loss, by central differences."""
+    for change in ("lam", "mu", "alpha", *range(len(model.D))):
+
+        def moved(by, change=change):
+            if isinstance(change, int):
+                D = model.D.copy()
+                D[change] += by
+                return dataclasses.replace(model, D=D, D_dilatation=D)
+            return dataclasses.replace(model, **{change: getattr(model, change) + by})
+
+        exact = (loss(moved(step)) - loss(moved(-step))) / (2 * step)
+        by_step = (square(grid, moved(step)) - square(grid, moved(-step))) / (2 * step)
+        assert by_step == pytest.approx(exact, rel=1e-5, abs=1e-8)
+
+
+def test_every_parity_of_waves_is_known(model, clean):
+    """Moved by any distance, a wave is answered by the same symbol."""
+    response = WaveResponse(clean, HORIZON)
+    k, x = clean.arrays["wave_vector"], clean.x
+    quarter = np.pi / 2 / np.where(k == 0, np.inf, k)  # cos becomes sin along axis 0
+    for shift in ([1, 0], [0, 1], [1, 1]):
+        u, b = np.zeros_like(clean.u), np.zeros_like(clean.b)
+        for s in range(len(clean)):
+            moved = x - quarter[s] * shift
+            c, d = np.cos(k[s] * moved).prod(axis=1), np.sin(k[s] * moved).prod(axis=1)
+            axis = s % 2
+            u[s, :, axis] = response.u[s, axis] * c
+            u[s, :, 1 - axis] = -response.u[s, 1 - axis] * d
+            b[s, :, axis] = response.b[s, axis] * c
+        points = dataclasses.replace(clean, u=u, b=b)
+        assert square(WaveResponse(points, HORIZON).about(model), model) < 1e-20
+
+
+def test_bias_of_the_raw_loss_is_gone(model, clean):
+    """Noise softens what the residual learns; the correction and the response are not misled."""
+    data = noisy(clean, SIZE, seed=3)
+    noise = fluctuation(clean, 12, SIZE, seed=4)
+    options = {"horizon": HORIZON, "kernel": Bernstein(DEGREE), "normalise": True}
+    wrong = {}
+    for loss in ("residual", "corrected", "output"):
+        result = fit(data, noise=noise, loss=loss, **options)
+        assert result.loss.name == loss
+        assert result.material.certified_on == (1.0,)
+        wrong[loss] = abs(result.material.mu / model.mu - 1)
+    assert wrong["residual"] > 0.1
+    assert wrong["corrected"] < wrong["residual"] / 3
+    assert wrong["output"] < wrong["residual"] / 5
+
+
+def test_the_default_follows_the_data(model, clean):
+    options = {"horizon": HORIZON, "kernel": Bernstein(DEGREE), "normalise": True}
+    data = noisy(clean, SIZE, seed=3)
+    loud, faint = (fluctuation(clean, 8, size, seed=4) for size in (SIZE, 1e-6))
+    without = fit(data, **options).loss
+    assert without.name == "residual"
+    assert "no fields of noise" in without.reason
+    quiet = fit(data, noise=faint, **options).loss
+    assert quiet.name == "residual"
+    assert "%" in quiet.reason
+    assert fit(data, noise=loud, **options).loss.name == "output"
+    plain = dataclasses.replace(data, arrays={})
+    assert fit(plain, noise=loud, **options).loss.name == "corrected"
+
+
+def refusals(clean):
+    noise = fluctuation(clean, 2, SIZE, seed=4)
+    return {
+        "another loss": ({"loss": "huber"}, "one of auto"),
+        "nothing to correct by": ({"loss": "corrected"}, "needs fields of noise"),
+        "no output by two stages": ({"loss": "output", "method": TwoStage()}, "two-stage"),
+        "no noise in the noise": (
+            {"noise": dataclasses.replace(noise, u=noise.u[:0])},
+            "at least one field",
+        ),
+        "noise elsewhere": ({"noise": with_nodes(noise, x=noise.x + 0.5)}, "nodes"),
+        "two noises": ({"noise": [noise, noise]}, "expected 1 sets"),
+    }
+
+
+@pytest.mark.parametrize("name", list(refusals(waves(kernel("1/r", HORIZON), cells=2))))
+def test_what_cannot_be_used_is_refused(name, clean):
+    options, words = refusals(clean)[name]
+    with pytest.raises(InputError, match=words):
+        fit(clean, HORIZON, Bernstein(2), **options)
+
+
+def test_a_sample_without_its_wave_is_named(clean):
+    b = clean.b.copy()
+    b[3] = 0
+    with pytest.raises(InputError, match="sample 3"):
+        WaveResponse(dataclasses.replace(clean, b=b), HORIZON)

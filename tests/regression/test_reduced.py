@@ -1,0 +1,139 @@
+"""The reduced loss is the full one: its value, its gradients, whatever the data."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.problems import (
+    KERNELS,
+    REDUCED,
+    ROUNDING,
+    ell,
+    kernel,
+    lattice,
+    manufactured,
+    noise,
+)
+from warp_peri import InputError
+from warp_peri.regression import losses as reduced
+from warp_peri.regression.losses import FullLoss, sample_weights
+from warp_peri.transfer.operator import LPSOperator
+
+HORIZON = 2.5
+
+
+def samples(spacing=1.0, seed=0):
+    """Loads of very different size that no kernel explains."""
+    points = lattice(ell(), HORIZON, spacing=spacing)
+    points = manufactured(kernel("growing", HORIZON, spacing), points, 4, seed=seed)
+    size = np.array([1.0, 0.1, 3.0, 1.0])[:, None, None]
+    return replace(points, u=size * points.u, b=size * (points.b + noise(points, 4, seed=seed)))
+
+
+SETS = {"one lattice": [samples()], "two lattices": [samples(), samples(0.5, seed=1)]}
+
+
+def both(sets, normalise):
+    weights = sample_weights(sets, normalise=normalise)
+    grids = [reduced.reduce(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
+    return grids, [FullLoss(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
+
+
+def leaves(lam=-0.2, mu=0.7, *, alpha, D, D_dilatation=None):
+    """λ, μ, α, D and, if it is its own, D of the dilatation."""
+    values = [lam, mu, alpha, D] + ([] if D_dilatation is None else [D_dilatation])
+    return [torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in values]
+
+
+def reduced_loss(grids, lam, mu, alpha, *kernels):
+    return sum(grid.loss(lam, mu, alpha, *kernels) for grid in grids)
+
+
+def compare(grids, full, parameters):
+    """Relative difference of the losses, the difference of the gradients, and their size."""
+    losses = [reduced_loss(grids, *parameters), sum(part.loss(*parameters) for part in full)]
+    gradient, expected = (
+        torch.cat([part.reshape(-1) for part in torch.autograd.grad(loss, parameters)])
+        for loss in losses
+    )
+    relative = abs(losses[0].item() / losses[1].item() - 1)
+    return relative, (gradient - expected).norm(), expected.norm()
+
+
+@pytest.mark.parametrize("block", [None, 1], ids=["one block", "many blocks"])
+@pytest.mark.parametrize("normalise", [False, True], ids=["absolute", "normalised"])
+@pytest.mark.parametrize("sets", SETS.values(), ids=SETS)
+def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch):
+    if block:
+        monkeypatch.setattr(reduced, "_BLOCK_BYTES", block)
+    grids, full = both(sets, normalise)
+    start = leaves(0.0, 1.0, alpha=1.0, D=np.random.default_rng(0).uniform(size=4))
+    _, _, size = compare(grids, full, start)
+    for name, shape in KERNELS.items():
+        loss, gradient, _ = compare(grids, full, leaves(**shape))
+        assert loss <= REDUCED, name
+        assert gradient <= REDUCED * size, name
+
+
+def test_blocks_leave_the_loss_as_it_is(monkeypatch):
+    (points,) = SETS["one lattice"]
+    (weight,) = sample_weights([points], normalise=False)
+    whole = reduced.reduce(points, HORIZON, weight).R
+    launches = []
+    real = reduced.Features.__call__
+    monkeypatch.setattr(reduced, "_BLOCK_BYTES", 1)
+    monkeypatch.setattr(
+        reduced.Features, "__call__", lambda self, u: launches.append(u) or real(self, u)
+    )
+    blocks = reduced.reduce(points, HORIZON, weight).R
+    assert [len(u) for u in launches] == [1, 1, 1, 1]
+    assert blocks.shape == whole.shape
+    np.testing.assert_allclose(
+        blocks.T @ blocks, whole.T @ whole, atol=ROUNDING * np.abs(whole.T @ whole).max()
+    )
+
+
+@pytest.mark.parametrize("normalise", [False, True], ids=["absolute", "normalised"])
+@pytest.mark.parametrize("sets", SETS.values(), ids=SETS)
+def test_the_loss_is_its_definition(sets, normalise):
+    residual, load = 0.0, 0.0
+    for samples in sets:
+        model = kernel("positive", HORIZON, samples.spacing, lam=-0.2, mu=0.7)
+        Lu = LPSOperator(model, samples)(samples.u)
+        for force, b in zip(Lu, samples.b[:, samples.interior]):
+            size = np.sum(b**2) if normalise else 1.0
+            residual += np.sum((force - b) ** 2) / size
+            load += np.sum(b**2) / size
+    grids, full = both(sets, normalise)
+    parameters = leaves(**KERNELS["positive"])
+    for loss in (reduced_loss(grids, *parameters), sum(part.loss(*parameters) for part in full)):
+        assert loss.item() == pytest.approx(residual / load, rel=1e-11)
+
+
+def test_errors_are_those_of_each_loaded_sample():
+    (points,) = SETS["one lattice"]
+    b = points.b.copy()
+    b[2] = 0
+    full = FullLoss(replace(points, b=b), HORIZON, np.ones(4))
+    Lu = LPSOperator(kernel("steep", HORIZON, lam=0.1, mu=0.7), points)(points.u)
+    inside = b[:, points.interior]
+    expected = [np.linalg.norm(Lu[s] - inside[s]) / np.linalg.norm(inside[s]) for s in (0, 1, 3)]
+    errors = full.errors(0.1, 0.7, 2.9, [1.0])
+    np.testing.assert_allclose(errors, expected, rtol=1e-12)
+
+
+def test_sets_that_carry_nothing_to_fit_are_refused():
+    (points,) = SETS["one lattice"]
+    none = np.empty((0, len(points.x), 2))
+    with pytest.raises(InputError, match="the training set has no samples"):
+        sample_weights([points, replace(points, u=none, b=none)], normalise=False)
+    collar = np.where(points.interior[:, None], 0.0, noise(points, 4))
+    with pytest.raises(InputError, match="the training set has no loads on its interior"):
+        sample_weights([replace(points, b=collar)], normalise=False)
+    b = points.b.copy()
+    b[1, points.interior] = 0
+    sample_weights([replace(points, b=b)], normalise=False)
+    with pytest.raises(InputError, match="sample 1 has no load and cannot be normalised"):
+        sample_weights([replace(points, b=b)], normalise=True)

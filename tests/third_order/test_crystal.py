@@ -1,0 +1,227 @@
+"""Third-order constants on micromodulus tensors: force, proof, learning, files."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import warp_peri
+from tests.micromodulus.crystals import cubic_tensor, dispersive
+from tests.support.nonlinear import psi
+from tests.support.problems import lattice, smooth
+from warp_peri.core.elastic import allowed_tensors, voigt
+from warp_peri.core.grid import grid_of
+from warp_peri.core.groups import point_group
+from warp_peri.errors import InputError
+from warp_peri.learning.laws import ThirdOrder, fit
+from warp_peri.learning.methods import Bernstein
+from warp_peri.micromodulus.learning import Micromodulus
+from warp_peri.micromodulus.regression import long_wave_moduli
+from warp_peri.micromodulus.waves import fit_symbol
+from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples
+from warp_peri.statics import linear
+from warp_peri.third_order.material import ThirdOrderCrystal
+from warp_peri.third_order.operator import energy_density
+from warp_peri.third_order.smoothing import Smoothing
+from warp_peri.third_order.uniqueness import proven_kappa
+
+LAM, MU = 0.3, 0.7
+TENSOR = cubic_tensor(2, LAM + 2 * MU, LAM, MU)
+REACH = 3.0
+AXIS = 20.0
+
+
+def crystal(form, spacing=1.0):
+    """A certified law with its guarantee."""
+    linear = fit_symbol(
+        dispersive(TENSOR, spacing), spacing, REACH * spacing, symmetry="isotropic", tensor=TENSOR
+    )
+    smoothing = Smoothing(2.0 * spacing, 0.2)
+    law = ThirdOrderCrystal(linear, -0.5, -6.8, 1.04, smoothing, form, REACH * spacing)
+    return law.certified()
+
+
+@pytest.fixture(scope="module", params=["filtered", "energy"])
+def law(request):
+    return crystal(request.param)
+
+
+def nodes(interior=5, spacing=1.0, angle=0.0):
+    return replace(lattice(interior, REACH * spacing, spacing, angle), axis=AXIS)
+
+
+def loaded(law, points, size, count=1, seed=0, wave_number=0.8):
+    """Smooth fields in equilibrium with a law."""
+    u = size * smooth(points.x, count, seed, wave_number=wave_number)
+    b = np.zeros_like(u)
+    b[:, points.interior] = law.on(points)(u)
+    return Samples(points, u, b)
+
+
+def test_the_energy_is_that_of_the_green_strain(law):
+    H = 0.3 * np.random.default_rng(0).normal(size=(20, 2, 2))
+
+    class Model:
+        linear = type("", (), {"lam": LAM, "mu": MU})
+        t3, tq2, q3 = law.t3, law.tq2, law.q3
+
+    expected = psi(H, Model, 0.3)
+    np.testing.assert_allclose(energy_density(H, law.numbers_at(0.3)), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.4])
+def test_force_is_the_slope_of_the_energy_and_the_tangent_that_of_the_force(law, angle):
+    points = nodes(angle=angle)
+    operator = law.on(points)
+    rng = np.random.default_rng(1)
+    u = 0.02 * rng.normal(size=points.x.shape)
+    v = np.where(points.interior[:, None], rng.normal(size=u.shape), 0.0)
+    step = 1e-4
+    slope = (operator(u + step * v) - operator(u - step * v)) / (2 * step)
+    np.testing.assert_allclose(operator.product(u, v), slope, atol=1e-5 * np.abs(slope).max())
+    if law.form == "filtered":
+        assert operator.energy(u) is None
+        return
+    work = (operator.energy(u + step * v) - operator.energy(u - step * v)) / (2 * step)
+    own = law.spacing**2 * (operator(u) * v[points.interior]).sum()
+    assert work == pytest.approx(own, rel=1e-6)
+    free = np.repeat(2 * np.flatnonzero(points.interior), 2) + np.tile([0, 1], 25)
+    square = operator.tangent(u).toarray()[:, free]
+    np.testing.assert_allclose(square, square.T, atol=1e-12 * np.abs(square).max())
+
+
+def test_uniform_strain_has_no_force_and_the_stress_of_an_objective_solid(law):
+    points = nodes()
+    H = np.array([[0.02, 0.03], [-0.01, -0.015]])
+    u = points.x @ H.T
+    operator = law.on(points)
+    assert np.abs(operator(u)).max() < 1e-12
+    tiny = 1e-9 * smooth(points.x, 2)  # where tensors are all there is
+    np.testing.assert_allclose(operator(tiny), operator.straight(tiny), rtol=1e-6, atol=1e-15)
+    turn = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    turned = points.x @ (turn @ (np.eye(2) + H) - np.eye(2)).T
+    here, there = operator.stress(u)[0], operator.stress(turned)[0]
+    np.testing.assert_allclose(there, turn @ here, atol=1e-10)  # first Piola stress turns along
+
+
+def test_crystal_nodes_and_fields_turned_together_answer_turned(law):
+    straight, angle = nodes(), np.deg2rad(25)
+    turned = replace(nodes(angle=angle), axis=AXIS + 25)
+    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    order = np.argmin(np.linalg.norm(turned.x[:, None] - straight.x @ R.T, axis=2), axis=0)
+    u = 0.05 * smooth(straight.x, 1)[0]
+    moved = np.empty_like(u)
+    moved[order] = u @ R.T
+    force = np.zeros_like(u)
+    force[turned.interior] = law.on(turned)(moved)
+    expected = law.on(straight)(u) @ R.T
+    np.testing.assert_allclose(
+        force[order][straight.interior], expected, atol=1e-10 * np.abs(expected).max()
+    )
+
+
+def test_kappa_is_above_every_wave_and_little_above_the_worst(law):
+    classes = bond_classes(1.0, REACH)
+    rng = np.random.default_rng(2)
+    for p in law.weights(classes):
+        kappa = proven_kappa(law.linear.stencil, law.linear.group, classes, p)
+        phase = rng.uniform(-np.pi, np.pi, (20000, 2))
+        phase[:4000] *= 1e-3
+        stiff = np.linalg.eigvalsh(law.linear.symbol(phase))[:, 0]
+        pull = 2 * np.sin(phase @ classes.xi.T) @ (p[classes.bond_class][:, None] * classes.xi)
+        worst = np.sqrt(((pull**2).sum(axis=1) / stiff).max())
+        assert worst <= kappa <= 1.02 * worst
+
+
+def test_equilibria_are_found_and_known_to_be_the_only_ones(law, monkeypatch):
+    points = nodes(6)
+    samples = loaded(law, points, 0.01, count=2)
+    problem = warp_peri.Dirichlet(points, samples.b, samples.u)
+    solution = warp_peri.solve(law, problem)
+    np.testing.assert_allclose(solution.u, samples.u, atol=1e-6 * np.abs(samples.u).max())
+    assert all(record.unique for record in solution.details)
+    assert 0 < max(record.largest_gradient for record in solution.details) < law.proven["strain"]
+    monkeypatch.setattr(linear, "cheapest_method", lambda *points, **options: "lu")
+    again = warp_peri.solve(law, problem)
+    np.testing.assert_allclose(again.u, solution.u, atol=1e-6 * np.abs(samples.u).max())
+    errors = warp_peri.evaluate(law, samples)
+    assert errors["E_res"] < 1e-12
+    assert errors["unique"]
+
+
+def test_on_other_spacings_it_keeps_moduli_and_constants_and_is_proven_anew(law):
+    fine = lattice(5, REACH, 0.75)
+    operator = law.on(replace(fine, axis=AXIS))
+    np.testing.assert_allclose(operator.model.numbers, law.numbers, rtol=1e-6)
+    assert operator.model.proven_strain(0.75) > 0.3 * law.proven_strain(1.0) > 0
+    assert law.proven_strain(0.75) == 0
+    with pytest.raises(InputError, match="spacing"):
+        law.on(replace(fine, axis=AXIS), transfer=False)(0 * fine.x)
+
+
+def test_what_made_the_data_is_found_again(law):
+    points = nodes(11)
+    samples = loaded(law, points, 0.05, count=6)
+    recipe = Micromodulus(REACH, moduli=voigt(TENSOR))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        found = fit(samples, ThirdOrder(recipe, law.smoothing, law.form))
+    model = found.material
+    np.testing.assert_allclose(model.numbers, law.numbers, rtol=1e-6)
+    size = np.abs(law.linear.tensors).max()
+    np.testing.assert_allclose(model.linear.tensors, law.linear.tensors, atol=1e-7 * size)
+    assert found.E_res_train < 1e-8
+    assert model.proven["strain"] == pytest.approx(law.proven["strain"], rel=1e-4)
+
+
+def test_moduli_of_long_waves_are_found_beside_the_constants(law):
+    points = nodes(15)
+    samples = loaded(law, points, 0.1, count=8, wave_number=0.3)
+    allowed = allowed_tensors("isotropic", point_group("isotropic", 2), np.eye(2))
+    plain, _ = long_wave_moduli(samples, allowed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        found = fit(samples, ThirdOrder(Micromodulus(REACH), law.smoothing, law.form))
+    assert found.material.provenance["fit"]["long_wave_misfit"] < 5e-4
+    without = np.array([plain[0, 0, 1, 1], plain[0, 1, 0, 1]])
+    np.testing.assert_allclose(found.material.numbers[:2], (LAM, MU), atol=0.005 * MU)
+    assert np.abs(without - (LAM, MU)).max() > 0.02 * MU
+
+
+def test_files_and_units_carry_the_law(law, tmp_path):
+    path = tmp_path / "law.json"
+    law.save(path)
+    again = warp_peri.load(path)
+    points = nodes()
+    u = 0.03 * smooth(points.x, 1)[0]
+    assert np.array_equal(again.on(points)(u), law.on(points)(u))
+    assert again.content()["sha256"] == law.content()["sha256"]
+    other = warp_peri.load(path, units=("nm", "GPa"))
+    moved = replace(points, x=points.x / 10, spacing=0.1, units=("nm", "GPa"))
+    np.testing.assert_allclose(other.on(moved)(u / 10), 1e4 * law.on(points)(u), rtol=1e-9)
+    assert other.proven_strain(0.1) == law.proven_strain(1.0)
+
+
+def test_what_does_not_fit_is_refused(law):
+    points = nodes()
+    other = cubic_tensor(2)
+    square = fit_symbol(dispersive(other), 1.0, REACH, symmetry="4mm", tensor=other)
+    with pytest.raises(InputError, match="isotropic long waves"):
+        replace(law, linear=square)
+    with pytest.raises(InputError, match="certificate"):
+        replace(law, linear=replace(law.linear, certificate=None)).on(points)
+    with pytest.raises(InputError, match="form"):
+        replace(law, form="both")
+    samples = loaded(law, points, 0.01)
+    with pytest.raises(InputError, match="smoothing"):
+        fit(samples, ThirdOrder(Micromodulus(REACH)))
+    with pytest.raises(InputError, match="moduli"):
+        fit(samples, ThirdOrder(Micromodulus(REACH, moduli=None), Smoothing(2.0)))
+    with pytest.raises(InputError, match="form"):
+        fit(samples, ThirdOrder(warp_peri.LPS(REACH, Bernstein(3)), Smoothing(2.0), "energy"))
+    with pytest.raises(InputError, match="one set"):
+        fit([samples, samples], ThirdOrder(Micromodulus(REACH), Smoothing(2.0)))
+    assert law.certified().proven["strain"] == law.proven["strain"]
+    assert grid_of(points, law.linear.steps).reach == 3

@@ -1,0 +1,148 @@
+"""The nonlinear model as numbers: its file, its weights, what is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.nonlinear import FORMS, solid
+from warp_peri import InputError, Model, load
+from warp_peri.lps.model import stiffnesses
+from warp_peri.points.families import bond_classes
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.smoothing import Smoothing
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_file_gives_the_model_back(form, tmp_path):
+    model = replace(solid(form), proven={"1": {"strain": 0.03}}, provenance={"data": "x.h5"})
+    model.save(tmp_path / "m.json")
+    again = NonlinearModel.load(tmp_path / "m.json")
+    assert again.form == form
+    assert again.smoothing == model.smoothing
+    assert np.array_equal(again.numbers, model.numbers)
+    assert np.array_equal(again.linear.D, model.linear.D)
+    assert again.proven_strain(1.0) == 0.03
+    assert again.proven_strain(2.0) == 0
+    assert isinstance(load(tmp_path / "m.json"), NonlinearModel)
+    with pytest.raises(InputError, match="expected a Model, got a NonlinearModel"):
+        Model.load(tmp_path / "m.json")
+    model.linear.save(tmp_path / "linear.json")
+    assert isinstance(load(tmp_path / "linear.json"), Model)
+    with pytest.raises(InputError, match="expected a NonlinearModel, got a Model"):
+        NonlinearModel.load(tmp_path / "linear.json")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("t3", None, "t3: expected a finite number"),
+        ("smoothing", {"radius": 10.0}, "smoothing: missing keys: ridge"),
+        ("smoothing", {"radius": -1.0, "ridge": 0.1}, "radius: expected a number > 0"),
+        ("linear", {}, "linear: format: expected 'warp_peri.model'"),
+        ("proven", [], "proven: expected an object"),
+        ("gradient", [0.1, "x"], "gradient: expected a finite number, got 'x'"),
+        ("colour", "red", "unknown keys: colour"),
+        ("q3", 7.0, "sha256: the contents are not what was written"),
+    ],
+)
+def test_wrong_files_are_refused(key, value, words, tmp_path):
+    solid("energy").save(tmp_path / "m.json")
+    content = json.loads((tmp_path / "m.json").read_text()) | {key: value}
+    if key != "q3":
+        del content["sha256"]
+    (tmp_path / "m.json").write_text(json.dumps(content))
+    with pytest.raises(InputError, match=words):
+        load(tmp_path / "m.json")
+
+
+def test_a_gradient_of_its_own_has_weights_for_its_classes(tmp_path):
+    classes = bond_classes(1.0, 3.0)
+    weights = np.arange(len(classes.r)) / (classes.count * classes.r**2)
+    weights /= np.arange(len(classes.r)).sum()
+    model = replace(solid("energy"), gradient=weights)
+    model.save(tmp_path / "m.json")
+    again = NonlinearModel.load(tmp_path / "m.json")
+    assert again.gradient == model.gradient
+    p_in, p_out = again.weights(classes)
+    assert p_in is p_out
+    assert np.array_equal(p_in, weights)
+    with pytest.raises(InputError, match="expected weights of 7 classes of bonds, got 6"):
+        again.weights(bond_classes(1.0, 3.5))
+    with pytest.raises(InputError, match=r"weights of this lattice, Σ n r² p = 1, got 1\.02"):
+        again.weights(bond_classes(1.01, 3.05))
+    with pytest.raises(InputError, match="gradient: expected a finite number, got nan"):
+        replace(model, gradient=(np.nan,))
+    with pytest.raises(InputError, match="gradient: expected None beside a smoothing"):
+        replace(solid("filtered"), gradient=model.gradient)
+
+
+def test_numbers_that_are_none_are_refused():
+    for value in (np.nan, "1", True, None):
+        with pytest.raises(InputError, match="tq2: expected a finite number"):
+            replace(solid("energy"), tq2=value)
+    with pytest.raises(InputError, match="ridge: expected a number ≥ 0"):
+        Smoothing(10.0, -0.1)
+    with pytest.raises(InputError, match="radius: expected a length > 0"):
+        Smoothing("wide")
+
+
+def test_energy_form_takes_the_weights_of_the_dilatation():
+    model, classes = solid("energy"), bond_classes(1.0, 3.0)
+    p_in, p_out = model.weights(classes)
+    _, z, _ = stiffnesses(model.linear, classes)
+    assert p_in is p_out
+    assert np.allclose(p_in, z / model.linear.mu, rtol=1e-13)
+
+
+@pytest.mark.parametrize("ridge", [0.0, 0.1])
+def test_filtered_form_takes_weights_that_undo_the_smoothing(ridge):
+    smoothing, classes = Smoothing(10.0, ridge), bond_classes(5.0, 20.0)
+    inward, outward = smoothing.weights(classes)
+    for number in (0.05, 0.15, 0.25):
+        angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+        k = number * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        sine = 2 * np.sin(k @ classes.xi.T)
+        for p, factor, most in (
+            (inward, smoothing.inverse, 0.1),  # kept small, for the sake of the proof
+            (outward, smoothing.transform, 1e-3),
+        ):
+            symbol = sine @ (p[classes.bond_class, None] * classes.xi)
+            wanted = k * factor(np.array([number]))
+            assert np.abs(symbol - wanted).max() <= most * np.abs(wanted).max()
+        assert smoothing.transform(np.array([number])) == pytest.approx(
+            1 - number**2 * 0.3 * 100 / 4, abs=0.4 * (number * 10 / 3) ** 4
+        )
+    sigma = classes.count * classes.r**2
+    assert [sigma @ p for p in (inward, outward)] == pytest.approx([1, 1])
+
+
+@pytest.mark.parametrize("kind", [*FORMS, "gradient"])
+def test_other_units_are_the_same_solid(kind, tmp_path):
+    model = solid("filtered" if kind == "filtered" else "energy")
+    if kind == "gradient":
+        model = replace(model, gradient=model.weights(bond_classes(1.0, 3.0))[0])
+    linear = replace(model.linear, certified_on=(1.0,))
+    model = replace(model, linear=linear, proven={"1": {"strain": 0.03}})
+    assert model.in_units(("angstrom", "TPa")) is model
+    other = model.in_units(("nm", "GPa"))
+    assert other.units == ("nm", "GPa")
+    assert other.numbers == pytest.approx(1e3 * model.numbers)
+    for here, there in zip(
+        model.weights(bond_classes(1.0, 3.0)), other.weights(bond_classes(0.1, 0.3))
+    ):
+        np.testing.assert_allclose(there, 100 * here, rtol=1e-9)
+    assert other.proven_strain(0.1) == 0.03
+    other.save(tmp_path / "m.json")
+    assert NonlinearModel.load(tmp_path / "m.json").gradient == other.gradient
+    with pytest.raises(InputError, match="stress_unit: expected one of"):
+        model.in_units(("nm", "furlong"))
+
+
+def test_either_kind_of_model_knows_its_file(tmp_path):
+    model, path = solid("energy"), tmp_path / "m.json"
+    model.save(path)
+    assert load(path).linear.file == NonlinearModel.load(path).linear.file == path
+    model.linear.save(path)
+    assert load(path).file == path

@@ -1,0 +1,493 @@
+"""Bodies with free edges at rest, and its gradient to load and material (theory.md, B)."""
+
+from __future__ import annotations
+
+import dataclasses
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import ArrayLike
+
+from warp_peri.edges.bulk import MARGIN, Bulk, Tried, bulk_lattice, bulk_points, cubic, on_all
+from warp_peri.edges.rim import Field, Moduli, Rim, RimProblem, Traction, check_part, loads_on
+from warp_peri.edges.schwarz import Exchange, Schwarz, WholeBody
+from warp_peri.errors import InputError
+from warp_peri.lps.model import Model
+from warp_peri.lps.operator import NodeOperator
+from warp_peri.lps.symbol import moduli
+from warp_peri.points.arrays import is_number
+from warp_peri.points.families import bond_classes
+from warp_peri.points.mesh import Mesh
+from warp_peri.points.points import Points
+from warp_peri.points.strain import edge_strain, largest_strain
+from warp_peri.points.tetrahedra import Tetrahedra
+from warp_peri.points.unit_names import symbols
+from warp_peri.stability.certificate import certify
+from warp_peri.stability.inertia import definite_factors
+from warp_peri.statics.settings import TOLERANCE
+from warp_peri.statics.settings import Coupling as Coupling
+from warp_peri.statics.strain_range import warn_beyond
+from warp_peri.transfer.cache import model_at
+from warp_peri.transfer.lattice import LARGEST
+
+UNTOLD = Coupling()
+OVERLAP, CRYSTAL_OVERLAP = 2.0, 4.0
+"""Overlap of rim and bulk where none is given: in horizons, of a crystal in spacings."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodySolution:
+    """A body in equilibrium.
+
+    Attributes:
+        model: of the bulk, on its lattice; a peridynamic solid or a crystal.
+        spacing: of this lattice [Å].
+        tried: lattices that were looked at, where none was asked for.
+        moduli: of the rim, and of the bulk at long waves.
+        rim: its elements, with their nodes `rim.x`.
+        u_rim: displacement of these [Å], shape [n, d].
+        points: nodes of the bulk, unknown and collar; None where elements are alone.
+        u_bulk: displacement of these [Å], shape [N, d].
+        overlap: of the two [Å].
+        exchange: what it took, and residuals of both.
+        problem: what was solved, factorised; for gradients.
+    """
+
+    model: Any
+    spacing: float
+    tried: tuple[Tried, ...]
+    moduli: Moduli
+    rim: Rim
+    u_rim: np.ndarray
+    points: Points | None
+    u_bulk: np.ndarray
+    overlap: float
+    exchange: Exchange
+    problem: Schwarz | RimProblem
+
+    @property
+    def rim_stress(self) -> np.ndarray:
+        """σ [TPa] at the rim's nodes, shape [n, d, d]."""
+        return self.rim.stress(self.moduli, self.u_rim)
+
+    @property
+    def bulk_stress(self) -> np.ndarray:
+        """σ [TPa] at the unknown nodes of the bulk, shape [I, d, d]."""
+        if not isinstance(self.problem, Schwarz):
+            return np.zeros((0, self.rim.d, self.rim.d))
+        return self.problem.bulk.stress(self.u_bulk)
+
+    def on_corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """u [Å], shape [P, d], and σ [TPa], shape [P, d, d], at the mesh's corners.
+
+        The rim's where it is, the bulk's elsewhere.
+        """
+        mesh = self.rim.mesh
+        d = self.rim.d
+        u, stress = np.empty(mesh.x.shape), np.empty((len(mesh.x), d, d))
+        corner_nodes = self.rim.corner_nodes
+        u[self.rim.corners] = self.u_rim[corner_nodes]
+        stress[self.rim.corners] = self.rim_stress[corner_nodes]
+        rest = np.setdiff1d(np.arange(len(mesh.x)), self.rim.corners)
+        if len(rest) and self.points is not None:
+            matrix = cubic(self.points, mesh.x[rest])
+            u[rest] = matrix @ self.u_bulk[self.points.interior]
+            flat = matrix @ self.bulk_stress.reshape(-1, d * d)
+            stress[rest] = flat.reshape(-1, d, d)
+        return u, stress
+
+    def probe(self, x: np.ndarray) -> tuple[sp.csr_array, sp.csr_array]:
+        """Matrices R and B, u(x) = R u_rim + B u_bulk, shapes [m, n] and [m, N].
+
+        The rim's where it is, the bulk's elsewhere.
+
+        Args:
+            x: positions [Å], shape [m, d].
+
+        Raises InputError for positions outside the mesh.
+        """
+        cell = self.rim.mesh.holding(x)
+        if (cell < 0).any():
+            raise InputError(f"x: {np.count_nonzero(cell < 0)} positions are outside the mesh")
+        in_rim = self.rim.cells[cell] >= 0
+        to_x = _rows(np.flatnonzero(in_rim), len(x))
+        R = to_x @ self.rim.probe(x[in_rim], cell[in_rim])
+        B = sp.csr_array((len(x), len(self.u_bulk)))
+        if self.points is not None and not in_rim.all():
+            inside = np.flatnonzero(self.points.interior)
+            from_bulk = cubic(self.points, x[~in_rim]) @ _rows(inside, len(self.u_bulk)).T
+            B = _rows(np.flatnonzero(~in_rim), len(x)) @ from_bulk
+        return sp.csr_array(R), sp.csr_array(B)
+
+    def displacement(self, x: np.ndarray) -> np.ndarray:
+        """u [Å] at positions of the body, both of shape [m, 2]; as `probe`."""
+        R, B = self.probe(x)
+        return np.asarray(R @ self.u_rim + B @ self.u_bulk)
+
+
+def _rows(kept: np.ndarray, count: int) -> sp.csr_array:
+    """Puts values in the rows that are kept, shape [count, len(kept)]."""
+    entries = (np.ones(len(kept)), (kept, np.arange(len(kept))))
+    return sp.csr_array(entries, shape=(count, len(kept)))
+
+
+def solve_body(
+    model: Any,
+    mesh: Mesh | Tetrahedra,
+    *,
+    displacement: Mapping[str, Field | ArrayLike],
+    traction: Mapping[str, Traction | ArrayLike] | None = None,
+    b: Field | None = None,
+    edge: Mapping[str, float] | None = None,
+    coupling: Coupling = UNTOLD,
+    allow_uncertified: bool = False,
+) -> BodySolution:
+    """A body in equilibrium, its outline held in part, pulled in part, free elsewhere (B1–B7).
+
+    Args:
+        model: a peridynamic solid, certified on some lattice and transferred to that of the bulk,
+            in the plane; or a crystal, on its own lattice, its axes those of the mesh.
+        mesh: the body [Å], triangles or tetrahedra.
+        displacement: [Å] by part, vectors or functions of positions [n, 2]; NaN leaves one free.
+        traction: force per area [TPa] by part, or functions of positions and outward normals.
+        b: body force density [TPa/Å] as a function of positions [n, 2].
+        edge: stiffness of an edge of its own [TPa Å] by part, negative where it is softer (B10);
+            in the plane.
+        coupling: how rim and bulk meet.
+        allow_uncertified: the model's own numbers on a lattice that nothing is proven of.
+
+    Warns of strains far beyond the data that the model was trained on.
+
+    Raises InputError for unknown parts, other shapes, loads that are not finite, a body free to
+    move, a mesh in another unit or of another dimension, a hole below the overlap, or what is not
+    positive definite.
+    """
+    loads = loads_on(mesh, displacement, traction, b)
+    springs = _springs(edge or {}, mesh)
+    if isinstance(model, Model):
+        _refuse_dimension(2, mesh)
+        model, spacing, tried = _on_lattice(
+            model, mesh, loads.b, coupling, allowed=allow_uncertified
+        )
+        stiff = long_wave(model, spacing)
+        reach, usual = 2 * model.horizon, OVERLAP * model.horizon
+    else:
+        stiff, spacing, tried = _of_crystal(model, mesh, coupling), model.spacing, ()
+        reach, usual = model.horizon, CRYSTAL_OVERLAP * spacing
+    overlap = usual if coupling.overlap is None else coupling.overlap
+    lattice = bulk_points(mesh, spacing, reach, units=model.units)
+    collar = reach + MARGIN * spacing
+    depth = mesh.distance(mesh.x, spacing / 10)
+    kept = _rim_cells(mesh, depth < collar + overlap, lattice)
+    rim = Rim(mesh, kept, coupling.degree)
+    f, (given, fixed) = loads.on(rim), loads.given(rim)
+    loads.refuse_loose(rim, fixed)
+    fixed[rim.inner] = True
+    problem = RimProblem(stiffness(rim, stiff, springs), fixed.ravel())
+    if min(springs.values(), default=0.0) < 0:
+        _refuse_soft_edges(problem)
+    told = model, spacing, tried, stiff, rim
+    if lattice is None or kept.all():
+        deepest = depth[mesh.cells].min(axis=1).max()
+        warnings.warn(_alone(model, collar + overlap, deepest, coupling), stacklevel=2)
+        u = problem.solve(f.ravel(), given.ravel())
+        record = Exchange(rim_residual=problem.residual(f.ravel(), u))
+        alone = u.reshape(f.shape), None, np.zeros((0, rim.d))
+        solution = BodySolution(*told, *alone, overlap, record, problem)
+        _warn_beyond(solution)
+        return solution
+    _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
+    points, cell = lattice
+    if not isinstance(model, Model):  # the mesh lies as the nodes of the law do
+        points = replace(points, axis=_axis_of(model))
+    bulk = Bulk(model, points)
+    elements = Rim(mesh, np.ones(len(mesh.cells), bool), degree=1)
+    whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
+    to_bulk = rim.probe(points.x[bulk.collar], cell[bulk.collar])
+    two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk, whole)
+    b_bulk = loads.density(points.x[bulk.inside], spacing)
+    u_rim, inner, record = two.solve(f, given, b_bulk, coupling.tolerance)
+    fields = u_rim, points, on_all(bulk, inner, two.to_bulk @ u_rim)
+    solution = BodySolution(*told, *fields, overlap, record, two)
+    _warn_beyond(solution)
+    return solution
+
+
+def _refuse_dimension(dimension: int, mesh: Mesh | Tetrahedra) -> None:
+    """Raise InputError for a mesh of another dimension than the law."""
+    if mesh.x.shape[1] != dimension:
+        kind = {2: "triangles", 3: "tetrahedra"}
+        raise InputError(
+            f"mesh: expected {kind[dimension]}, for the law is one of {dimension} dimensions, got "
+            f"{kind[mesh.x.shape[1]]}"
+        )
+
+
+def _of_crystal(crystal: Any, mesh: Mesh | Tetrahedra, coupling: Coupling) -> Moduli:
+    """The long waves' moduli of a crystal; InputError for what elements cannot go on with."""
+    _refuse_dimension(crystal.dimension, mesh)
+    if coupling.spacing not in (None, crystal.spacing):
+        raise InputError(
+            f"coupling: expected spacing {crystal.spacing:g} or None, got {coupling.spacing:g}; "
+            "transferred(law, spacing) fits another"
+        )
+    if crystal.stress is not None and np.any(crystal.stress):
+        raise InputError(
+            "model: expected a crystal at rest; one under stress pulls on its free faces, which "
+            "elements do not know"
+        )
+    C, d = crystal.tensor(), crystal.dimension
+    pairs = [(a, c) for a in range(d) for c in range(a, d)]
+    voigt = np.array([[C[a, b, i, j] for i, j in pairs] for a, b in pairs])
+    if np.linalg.eigvalsh(voigt).min() <= 0:
+        raise InputError("model: expected long-wave moduli of positive energy, got some of none")
+    return Moduli(C)
+
+
+def _axis_of(crystal: Any) -> Any:
+    """How the crystal lies on its own nodes, as points state it."""
+    turn = np.asarray(crystal.orientation)
+    return float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))) if len(turn) == 2 else turn
+
+
+def _warn_beyond(solution: BodySolution) -> None:
+    if isinstance(solution.model, Model):
+        warn_beyond(solution.model, lambda: _largest_strain(solution))
+
+
+def _largest_strain(found: BodySolution) -> float:
+    """Largest strain along an edge of the rim's triangles, or between nodes of the bulk."""
+    rim = found.rim
+    triangles = np.searchsorted(rim.corners, rim.mesh.cells[rim.cells >= 0])
+    of_rim = edge_strain(rim.mesh.x[rim.corners], triangles, found.u_rim[rim.corner_nodes])
+    if found.points is None:
+        return of_rim
+    return max(of_rim, largest_strain(found.points, found.u_bulk))
+
+
+def _on_lattice(
+    model: Model, mesh: Any, b: Field | None, coupling: Coupling, *, allowed: bool
+) -> tuple[Model, float, tuple[Tried, ...]]:
+    """The model on the bulk's lattice, its spacing, and what was tried where none was asked for."""
+    if not (model.certified_on or (allowed and coupling.spacing)):
+        model = _proven(model, coupling.spacing)
+    if coupling.spacing is not None:
+        here = model_at(model, coupling.spacing, allow_uncertified=allowed)
+        return here, coupling.spacing, ()
+    here, tried = bulk_lattice(model, mesh, b, coupling.overlap)
+    return here, tried[-1].spacing, tried
+
+
+def _proven(model: Model, spacing: float | None) -> Model:
+    """A model without a certificate with one on a lattice, of a third of its horizon by default;
+    InputError where nothing is proven."""
+    home = spacing or max(model.trained_on, default=model.horizon / 3)
+    proof = certify(model, spacing=home)
+    if not proof.holds:
+        unit = symbols(model.units)[0]
+        raise InputError(f"model: nothing is proven of it on {home:g} {unit}; {proof.statement}")
+    figures = {f"{proof.spacing:g}": proof.figures()}
+    return replace(model, certified_on=(proof.spacing,), certificate=figures)
+
+
+def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str:
+    """Why elements are alone, and what gives the lattice room.
+
+    Args:
+        model: on the lattice that was tried.
+        needed: depth of a triangle without elements: two horizons, a margin and the overlap [Å].
+        deepest: of the mesh's triangles [Å].
+        coupling: what was asked for.
+    """
+    unit, plane = symbols(model.units)[0], isinstance(model, Model)
+    cell = "triangle" if model.dimension == 2 else "tetrahedron"
+    reach = "two horizons" if plane else "a horizon"
+    cures = [f"a body {np.ceil(11 * needed / deepest) / 10:g} times as large"]
+    own, horizons = (0.0, 4) if coupling.overlap is None else (coupling.overlap, 2)
+    room = (deepest - own) / (horizons * LARGEST + MARGIN)  # of kernels with the most bonds
+    if room > 0 and plane:
+        digits = 10.0 ** (np.floor(np.log10(room)) - 1)
+        cures.insert(0, f"Coupling(spacing={np.floor(room / digits) * digits:.2g}) or less")
+    return (
+        f"mesh: no {cell} is {needed:g} {unit} from the body's edge, {reach} and the "
+        f"overlap (the deepest is {deepest:.3g} {unit}); it is solved by elements alone. Room for "
+        f"the lattice: {', or '.join(cures)}"
+    )
+
+
+def _refuse_small_holes(mesh: Mesh | Tetrahedra, overlap: float, unit: str) -> None:
+    """Raise InputError where a hole is smaller than the overlap."""
+    smallest = mesh.hole_sizes.min(initial=np.inf)
+    if smallest < overlap:
+        raise InputError(
+            f"mesh: a hole of {smallest:.3g} {unit} is smaller than the overlap of rim and bulk, "
+            f"{overlap:g} {unit}"
+        )
+
+
+def long_wave(model: Model, spacing: float) -> Moduli:
+    """The moduli of a model on its lattice; InputError unless their energy is positive."""
+    stiff = Moduli.square(**moduli(model, bond_classes(spacing, model.horizon)))
+    if not (stiff.C44 > 0 and stiff.C11 > abs(stiff.C12)):
+        raise InputError(
+            "model: expected long-wave moduli of positive energy, got C11, C12, C44 = "
+            f"{stiff.C11:.4g}, {stiff.C12:.4g}, {stiff.C44:.4g} "
+            f"{symbols(model.units)[1]}"
+        )
+    return stiff
+
+
+def _springs(edge: Mapping[str, float], mesh: Mesh | Tetrahedra) -> dict[str, float]:
+    """Edge stiffnesses by part, checked."""
+    if edge:
+        _refuse_dimension(2, mesh)
+    for name, size in edge.items():
+        check_part(name, mesh)
+        if not (is_number(size) and np.isfinite(size)):
+            raise InputError(f"edge '{name}': expected a finite stiffness, got {size!r}")
+    return {name: float(size) for name, size in edge.items()}
+
+
+def _refuse_soft_edges(problem: RimProblem) -> None:
+    """Raise InputError where negative stiffness of edges outweighs the elements beside them."""
+    if definite_factors(problem.inside) is None:
+        raise InputError(
+            "edge: with this negative stiffness the rim is not positive definite, so that its "
+            "equilibria are not stable; expected a smaller size, or larger triangles at the edge"
+        )
+
+
+def stiffness(rim: Rim, stiff: Moduli, springs: Mapping[str, float]) -> sp.csr_array:
+    """K of elements with the stiffness of edges [TPa], shape [d n, d n]."""
+    K = rim.stiffness(stiff)
+    for name, size in springs.items():
+        K = K + rim.edge_stiffness(name, size)
+    return sp.csr_array(K)
+
+
+def _rim_cells(
+    mesh: Mesh | Tetrahedra, near: np.ndarray, lattice: tuple[Points, np.ndarray] | None
+) -> np.ndarray:
+    """Cells with a corner near the outline, or that hold the collar; shape [T] bool."""
+    if lattice is None:
+        return np.ones(len(mesh.cells), bool)
+    points, cell = lattice
+    kept = near[mesh.cells].any(axis=1)
+    kept[cell[~points.interior]] = True
+    return np.asarray(kept)
+
+
+@dataclass(frozen=True, eq=False)
+class BodyGradient:
+    """Derivatives of J(u), with everything else held.
+
+    Attributes:
+        lam, mu: by λ and μ of the model on its lattice [J/TPa], in the bulk and the rim's moduli.
+        f: by the load on the rim's nodes [J/(TPa Å)], shape [n, 2].
+        b: by the body force density at the bulk's unknown nodes [J/(TPa/Å)], shape [I, 2].
+        given: by the displacement of the rim's held nodes [J/Å], shape [n, 2]; zero elsewhere.
+        solution: of the body.
+    """
+
+    lam: float
+    mu: float
+    f: np.ndarray
+    b: np.ndarray
+    given: np.ndarray
+    solution: BodySolution
+
+    def along(
+        self,
+        *,
+        displacement: Mapping[str, Field | ArrayLike] | None = None,
+        traction: Mapping[str, Traction | ArrayLike] | None = None,
+        b: Field | None = None,
+    ) -> float:
+        """dJ of a change of the loads, given as solve_body takes them.
+
+        Raises InputError for a part that the mesh has not, and displacement where none was held.
+        """
+        rim, points = self.solution.rim, self.solution.points
+        change = loads_on(rim.mesh, displacement or {}, traction, b)
+        total = float(np.vdot(self.f, change.on(rim)))
+        if points is not None:
+            total += float(
+                np.vdot(self.b, change.density(points.x[points.interior], points.spacing))
+            )
+        given, fixed = change.given(rim)
+        if (fixed & ~_held(self.solution)).any():
+            raise InputError("displacement: expected parts that are held, and the same components")
+        return total + float(np.vdot(self.given, given))
+
+
+def _held(solution: BodySolution) -> np.ndarray:
+    """Displacements of the rim's nodes that were held, shape [n, 2] bool."""
+    problem = solution.problem
+    rim = problem.rim if isinstance(problem, Schwarz) else problem
+    held = ~rim.free.reshape(-1, 2)
+    held[solution.rim.inner] = False
+    return held
+
+
+def body_gradient(
+    solution: BodySolution,
+    by_rim: np.ndarray,
+    by_bulk: np.ndarray | None = None,
+    *,
+    tolerance: float = TOLERANCE,
+) -> BodyGradient:
+    """Derivatives of J by loads, held displacement, λ and μ, by one adjoint solve.
+
+    Args:
+        solution: of solve_body.
+        by_rim: ∂J/∂u of the rim's nodes, shape [n, 2].
+        by_bulk: ∂J/∂u of the bulk's nodes, shape [N, 2]; None for none. `probe` of the solution
+            turns derivatives at positions into both.
+        tolerance: of the adjoint exchange.
+
+    Raises InputError for other shapes.
+    """
+    if not isinstance(solution.model, Model):
+        raise InputError("solution: expected a body of a peridynamic solid, got one of a crystal")
+    by_bulk = np.zeros_like(solution.u_bulk) if by_bulk is None else np.asarray(by_bulk, float)
+    by_rim = np.asarray(by_rim, dtype=float)
+    if by_rim.shape != solution.u_rim.shape or by_bulk.shape != solution.u_bulk.shape:
+        raise InputError(
+            f"by_rim, by_bulk: expected shapes {list(solution.u_rim.shape)} and "
+            f"{list(solution.u_bulk.shape)}, got {list(by_rim.shape)} and {list(by_bulk.shape)}"
+        )
+    problem = solution.problem
+    if isinstance(problem, Schwarz):
+        bulk = problem.bulk
+        by_rim = by_rim + problem.to_bulk.T @ by_bulk[bulk.collar]
+        (f, b), given = problem.solve_back(by_rim, by_bulk[bulk.inside], tolerance)
+        given[problem.inner] = 0  # not held: the bulk's
+    else:
+        f, given = (part.reshape(-1, 2) for part in problem.solve_back(by_rim.ravel()))
+        b = np.zeros((0, 2))
+    lam, mu = _by_lame(solution, f, b)
+    return BodyGradient(lam, mu, f, b, given, solution)
+
+
+def _by_lame(solution: BodySolution, f: np.ndarray, b: np.ndarray) -> tuple[float, float]:
+    """−(w · ∂K u + v · ∂L u) by λ and μ, of which K and L are homogeneous of degree one (B14)."""
+    model = solution.model
+    here = _work(solution, model, f, b)
+    further = _work(solution, dataclasses.replace(model, lam=model.lam + model.mu), f, b)
+    lam = (further - here) / model.mu
+    return -lam, -(here - model.lam * lam) / model.mu
+
+
+def _work(solution: BodySolution, model: Model, f: np.ndarray, b: np.ndarray) -> float:
+    """w · K u + v · L u with the λ and μ of a model."""
+    classes = bond_classes(solution.spacing, model.horizon)
+    K = solution.rim.stiffness(Moduli.square(**moduli(model, classes)))
+    total = float(np.vdot(f, (K @ solution.u_rim.ravel()).reshape(-1, 2)))
+    if solution.points is not None:
+        force = NodeOperator(model, solution.points, allow_uncertified=True)(solution.u_bulk)
+        total += float(np.vdot(b, force))
+    return total

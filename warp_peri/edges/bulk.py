@@ -1,0 +1,317 @@
+"""The lattice inside a body: laid into it, and its operator (theory.md, B4, B15)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.ndimage import distance_transform_edt
+
+from warp_peri.edges.rim import Field
+from warp_peri.errors import InputError
+from warp_peri.lps.matrices import node_fields
+from warp_peri.lps.model import Model
+from warp_peri.points.mesh import Mesh
+from warp_peri.points.points import Points
+from warp_peri.points.tetrahedra import Tetrahedra
+from warp_peri.points.unit_names import USUAL, Units, symbols
+from warp_peri.statics.equilibrium import lps_linear
+from warp_peri.transfer.cache import on_lattice
+from warp_peri.transfer.lattice import LEAST, TOLERANCE
+
+EXCHANGES = 40
+"""Solves that a coupling takes, for which the inverse is set up."""
+MARGIN = 0.25
+"""Distance of collar nodes from the outline, in spacings: room for what curves between corners."""
+SAMPLED = 0.1
+"""Points of the outline that distances are measured to, in spacings."""
+LARGEST = 20_000_000
+"""Most lattice nodes in the box around a body."""
+SHARE = 1e-2
+"""Tolerance of iterative solves, of the one that is asked for."""
+LOOSEST = 1e-3
+"""Largest tolerance of an iterative solve."""
+
+
+def bulk_points(
+    mesh: Mesh | Tetrahedra, spacing: float, reach: float, *, units: Units = USUAL
+) -> tuple[Points, np.ndarray] | None:
+    """Lattice nodes of a body, unknown where they are a collar and a margin off the outline.
+
+    Args:
+        mesh: of the body.
+        spacing: h [Å]; nodes are multiples of it.
+        reach: of the collar [Å]: 2δ of a peridynamic solid, δ of a crystal.
+
+    Returns:
+        The nodes with their collar, and the cell that holds each, shape [N]; None where no node is
+        so far inside.
+
+    Raises InputError for a body of more nodes than LARGEST, or of less than one spacing.
+    """
+    check_extent(mesh, spacing, units)
+    low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
+    first = np.floor(low / spacing).astype(int) - 1
+    shape = np.ceil(high / spacing).astype(int) + 2 - first
+    axes = [spacing * (start + np.arange(n)) for start, n in zip(first, shape)]
+    x = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, len(low))
+    held = mesh.holding(x)
+    inside = np.flatnonzero(held >= 0)
+    away = np.zeros(len(x))
+    away[inside] = mesh.distance(x[inside], SAMPLED * spacing)
+    unknown = away >= reach + MARGIN * spacing
+    if not unknown.any():
+        return None
+    from_unknown = spacing * distance_transform_edt(~unknown.reshape(shape)).ravel()
+    needed = from_unknown <= reach * (1 + 1e-6)
+    return Points(x[needed], unknown[needed], spacing, units=units), held[needed]
+
+
+def check_extent(mesh: Mesh | Tetrahedra, spacing: float, units: Units = USUAL) -> None:
+    """Raise InputError for a body of more nodes than LARGEST, or of less than one spacing."""
+    sides = np.ptp(mesh.x, axis=0)
+    if (sides / spacing + 3).prod() > LARGEST or sides.max() < spacing:
+        size = " by ".join(f"{side:.3g}" for side in sides)
+        raise InputError(
+            f"mesh: {size}, expected positions of a body that a "
+            f"lattice of {spacing:g} {symbols(units)[0]} fills with 1 to {LARGEST:.0e} nodes"
+        )
+
+
+class Bulk:
+    """L u = b on the unknown nodes of a linear material, for any load and collar.
+
+    Args:
+        model: the material, on its own lattice, or a model that is certified or allowed there.
+        points: the unknown nodes and their collar.
+
+    Raises InputError for an operator that is singular or indefinite.
+    """
+
+    def __init__(self, model: Any, points: Points) -> None:
+        self.model, self.points = model, points
+        self.stress: Callable[[np.ndarray], np.ndarray]
+        if isinstance(model, Model):
+            self.linear = lps_linear(points, model.solid, model.horizon)
+            self.stress = lambda u: np.asarray(node_fields(model, points, u).stress[0])
+        else:
+            placed = model.on(points)
+            self.linear, self.stress = placed.linear, placed.stress
+        self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
+        self.inverse = self.linear.cheapest_inverse(EXCHANGES)
+
+    def pull(self, collar: np.ndarray) -> np.ndarray:
+        """L of what the collar moves, shape [C, d], on the unknown nodes, shape [I, d]."""
+        return self._force(self.collar, collar)
+
+    def apply(self, inner: np.ndarray) -> np.ndarray:
+        """L_II of displacements of the unknown nodes, shape [I, d]."""
+        return self._force(self.inside, inner)
+
+    def push(self, inner: np.ndarray) -> np.ndarray:
+        """The transpose of pull: [I, d] to [C, d]."""
+        return np.asarray(self.linear.push(inner)[self.collar])
+
+    def solve(self, right: np.ndarray, tolerance: float) -> np.ndarray:
+        """L_II⁻¹ of a right-hand side, shape [I, d], well within a tolerance."""
+        return np.asarray(self.inverse(right, min(LOOSEST, SHARE * tolerance)))
+
+    def _force(self, some: np.ndarray, values: np.ndarray) -> np.ndarray:
+        u = np.zeros(self.points.x.shape)
+        u[some] = values
+        return np.asarray(self.linear(u[None])[0])
+
+
+def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
+    """Matrix from values at unknown nodes to values at positions, cubic along each axis (B5).
+
+    Shape [m, I]; Lagrange's polynomials of the 4^d nodes around each position.
+
+    Raises InputError where one of them is not an unknown node.
+    """
+    h, d = points.spacing, x.shape[1]
+    grid = np.rint(points.x / h).astype(int)
+    corner = grid.min(axis=0)
+    number = np.full(grid.max(axis=0) - corner + 1, -1)
+    number[tuple((grid[points.interior] - corner).T)] = np.arange(points.interior.sum())
+    place = x / h - corner
+    base = np.floor(place).astype(int) - 1
+    if (base < 0).any() or (base + 3 >= number.shape).any():
+        raise InputError(_TOO_NARROW)
+    s = place - base  # in [1, 2)
+    steps = np.arange(4)
+    weight = np.ones((len(x), d, 4))
+    for k in steps:
+        for j in steps[steps != k]:
+            weight[:, :, k] *= (s - j) / (k - j)
+    around = np.stack(np.meshgrid(*[steps] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    node = number[tuple(np.moveaxis(base[:, None] + around, -1, 0))]
+    if (node < 0).any():
+        raise InputError(_TOO_NARROW)
+    value = np.prod([weight[:, a, around[:, a]] for a in range(d)], axis=0)
+    row = np.broadcast_to(np.arange(len(x))[:, None], node.shape)
+    shape = (len(x), int(points.interior.sum()))
+    entries = (value.ravel(), (row.ravel(), node.ravel()))
+    return sp.csr_array(sp.coo_array(entries, shape=shape))
+
+
+def on_all(bulk: Bulk, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
+    """Displacement of the unknown nodes and of the collar on all nodes, shape [N, d]."""
+    u = np.empty_like(bulk.points.x)
+    u[bulk.inside], u[bulk.collar] = inner, collar
+    return u
+
+
+_TOO_NARROW = (
+    "overlap: the inner side of the rim leaves the nodes that are solved for; expected an overlap "
+    "of three spacings or more, or a wider body"
+)
+
+
+RATIOS = (2.0, 1.5, 1.0, 0.75, 0.5)
+"""Spacings that are tried, over the coarsest that the model is certified on; coarse ones first."""
+WAVE_SHARE = 0.5
+"""Of the body's area that lies two horizons inside, at least."""
+SAMPLES = 20_000
+"""About how many points of the box around a body its depth and its load are looked at."""
+
+
+@dataclass(frozen=True)
+class Tried:
+    """A lattice that was looked at.
+
+    Attributes:
+        spacing: h [Å].
+        horizon: δ of the model there [Å]; the least there can be where that is too much already.
+        share: of the body's area that lies two horizons inside.
+        wave_error: relative error, against the model at home, of the displacement by waves of the
+            length that the load has; NaN where nothing was transferred.
+        verdict: "taken", or why not.
+    """
+
+    spacing: float
+    horizon: float
+    share: float
+    wave_error: float
+    verdict: str
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What a lattice is chosen for: depth of points of the body, its smallest hole [Å], the wave
+    number of its load [1/Å] and the overlap, None for two horizons."""
+
+    depth: np.ndarray
+    hole: float
+    wave_number: float
+    overlap: float | None
+
+    def share(self, horizon: float) -> float:
+        return float(np.mean(self.depth > 2 * horizon))
+
+    def refusal(self, horizon: float) -> str:
+        """Why a horizon is too large for the body; empty where it is not."""
+        if self.hole < (2 * horizon if self.overlap is None else self.overlap):
+            return "a hole is smaller than the overlap"
+        if self.share(horizon) < WAVE_SHARE:
+            return f"only {self.share(horizon):.0%} of the body is two horizons inside"
+        return ""
+
+
+def bulk_lattice(
+    model: Model, mesh: Mesh, b: Field | None, overlap: float | None
+) -> tuple[Model, tuple[Tried, ...]]:
+    """The model on the coarsest lattice that resolves the loads and the body, and the search.
+
+    The loads are resolved where waves as long as those of the body force, by its mean square
+    slope, agree with the model at home to the tolerance of a transfer. The body is where half of
+    its area lies two horizons inside, and no hole is smaller than the overlap. Where no lattice
+    does, the finest is taken, with a warning when it is for the loads.
+
+    Args:
+        model: certified on some lattice.
+        mesh: of the body.
+        b: body force density [TPa/Å] as a function of positions; None for none.
+        overlap: of rim and bulk [Å]; None for two horizons.
+
+    Returns:
+        The model on the lattice that was chosen, and what was tried; the last is what was taken.
+
+    Raises InputError for a model that is certified on no lattice, or a mesh that is not in Å.
+    """
+    if not model.certified_on:
+        raise InputError(
+            "model: expected one that is certified on a lattice, which others are fitted to; "
+            "this one is certified on none"
+        )
+    home = max(model.certified_on)
+    check_extent(mesh, home, model.units)
+    depth, wave_number = _depth_and_wave_number(mesh, b)
+    seen = _Seen(depth, float(mesh.hole_sizes.min(initial=np.inf)), wave_number, overlap)
+    tried: list[Tried] = []
+    for ratio in RATIOS:
+        last = ratio == RATIOS[-1]
+        attempt, here = _attempt(model, home * ratio, seen, wanted=last)
+        if here is not None and (last or attempt.verdict == "taken"):
+            if wave_number and attempt.wave_error > TOLERANCE:
+                unit = symbols(model.units)[0]
+                warnings.warn(
+                    f"b: waves of {2 * np.pi / wave_number:.3g} {unit} are not resolved to "
+                    f"{TOLERANCE:.1%} on the lattice of {attempt.spacing:g} {unit}, the finest",
+                    stacklevel=3,
+                )
+            return here, (*tried, attempt)
+        tried.append(attempt)
+    raise InputError(f"model: {tried[-1].verdict}; give a spacing")
+
+
+def _attempt(
+    model: Model, spacing: float, seen: _Seen, *, wanted: bool
+) -> tuple[Tried, Model | None]:
+    """One lattice, and the model there; None where it does not get so far, unless it is wanted."""
+    least = LEAST * spacing
+    refusal = seen.refusal(least)
+    if refusal and not wanted:
+        return Tried(spacing, least, seen.share(least), np.nan, refusal), None
+    try:
+        here = on_lattice(model, spacing=spacing)
+    except InputError as error:
+        return Tried(spacing, least, seen.share(least), np.nan, str(error)), None
+    if model.is_certified_on(spacing) and here.horizon >= model.horizon * (1 - 1e-9):
+        here, wave_error = model, 0.0  # fewer bonds do not serve: no copy of what is there
+    else:
+        wave_error = _wave_error(here, seen.wave_number)
+    refusal = seen.refusal(here.horizon)
+    if not refusal and wave_error > TOLERANCE:
+        refusal = "the waves of the load are not resolved"
+    share = seen.share(here.horizon)
+    return Tried(spacing, here.horizon, share, wave_error, refusal or "taken"), here
+
+
+def _wave_error(model: Model, wave_number: float) -> float:
+    """Largest error of waves as long, or longer, that the transfer's record knows."""
+    record = model.provenance["transfer"]
+    numbers = 2 * np.pi / np.array(record["wavelength"])
+    errors = np.maximum.accumulate(record["error"])
+    return float(np.interp(wave_number, numbers, errors, right=np.inf))
+
+
+def _depth_and_wave_number(mesh: Mesh, b: Field | None) -> tuple[np.ndarray, float]:
+    """Distance of points of a body from its outline [Å], and √(Σ |∇b|² / Σ |b|²) of its load."""
+    low, high = mesh.x.min(axis=0), mesh.x.max(axis=0)
+    step = float(np.sqrt(np.prod(high - low) / SAMPLES))
+    axes = [np.arange(start + step / 2, end, step) for start, end in zip(low, high)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    held = mesh.holding(grid.reshape(-1, 2)) >= 0
+    depth = mesh.distance(grid.reshape(-1, 2)[held], step / 10)
+    if b is None:
+        return depth, 0.0
+    x = grid.reshape(-1, 2)[held]
+    size = float(np.square(b(x)).sum())
+    slopes = [(b(x + d) - b(x - d)) / step for d in step / 2 * np.eye(2)]
+    slope = float(sum(np.square(s).sum() for s in slopes))
+    return depth, float(np.sqrt(slope / size)) if size else 0.0

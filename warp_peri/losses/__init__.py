@@ -1,1 +1,0 @@
-"""What is minimised: residuals, reduced and in full, responses, and what noise adds."""

@@ -1,0 +1,1 @@
+"""The linear peridynamic solid: numbers, influence functions, force, gradient, symbol, matrices."""

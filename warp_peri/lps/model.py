@@ -1,0 +1,454 @@
+"""The linear peridynamic solid as numbers: influence function, model, file (`warp_peri.model`)."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.special import comb
+
+from warp_peri.core.groups import lattice_group
+from warp_peri.core.proof import Proof, prove
+from warp_peri.core.record import Entry, Length, Record, Stress, taken
+from warp_peri.core.stencil import Stencil
+from warp_peri.errors import InputError
+from warp_peri.points.arrays import check_whole, is_number
+from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.quadrature import DEGREE, SINGULARITY
+from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
+from warp_peri.shown import error_rows, proven_rows
+
+if TYPE_CHECKING:
+    from warp_peri.points.samples import PointsLike
+    from warp_peri.statics.lps import PlacedLPS
+
+ALPHA_BOUND = 3.0
+"""The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
+
+
+CANCELLED = 1e-10
+"""A weighted volume below this fraction of the sum of its terms' sizes counts as zero."""
+LARGEST_DEGREE = 1000
+"""Above 1029 the binomial coefficients are no floating-point numbers."""
+
+
+def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
+    """Bernstein polynomials B_k,M(r/δ), shape [..., M + 1].
+
+    Args:
+        r: bond lengths [Å] in [0, δ]; a rounding error beyond δ counts as δ.
+        horizon: δ [Å].
+        degree: M from 0 to LARGEST_DEGREE.
+    """
+    check_whole("degree", degree, 0)
+    if degree > LARGEST_DEGREE:
+        raise InputError(f"degree: expected at most {LARGEST_DEGREE}, got {degree}")
+    t = np.minimum(np.asarray(r, dtype=float) / horizon, 1.0)[..., None]
+    k = np.arange(degree + 1)
+    basis: np.ndarray = comb(degree, k) * t**k * (1 - t) ** (degree - k)
+    return basis
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """λ, μ, α and the Bernstein coefficients of the influence functions (theory.md, 4–9).
+
+    Numbers and arrays, or torch tensors with their gradients.
+
+    Attributes:
+        lam: Lamé parameter λ [TPa].
+        mu: Lamé parameter μ, the shear modulus [TPa].
+        alpha: exponent α < 3.
+        D: Bernstein coefficients, shape [M + 1].
+        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
+            shares that of D.
+
+    Raises InputError where λ, μ or α is no single number.
+    """
+
+    lam: Any
+    mu: Any
+    alpha: Any
+    D: Any
+    D_dilatation: Any = None
+
+    def __post_init__(self) -> None:
+        for name in ("lam", "mu", "alpha"):
+            if np.prod(shape := np.shape(getattr(self, name))) != 1:
+                raise InputError(
+                    f"{name}: expected one number of a homogeneous solid, got shape {list(shape)}"
+                )
+
+    @property
+    def dilatation(self) -> Any:
+        """Coefficients of the dilatation's influence function."""
+        return self.D if self.D_dilatation is None else self.D_dilatation
+
+    @property
+    def bond_based(self) -> bool:
+        """Whether λ = μ: then no dilatation enters (theory.md, 42), and a collar of δ is enough."""
+        return bool(self.lam == self.mu)
+
+    def values(self) -> tuple[Any, ...]:
+        """λ, μ, α, D and, if it has coefficients of its own, those of the dilatation."""
+        own = () if self.D_dilatation is None else (self.D_dilatation,)
+        return (self.lam, self.mu, self.alpha, self.D, *own)
+
+    def map(self, convert: Callable[[Any], Any]) -> Solid:
+        """The same solid with every value converted."""
+        return Solid(*map(convert, self.values()))
+
+
+QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
+SPACING_TOLERANCE = 1e-6
+"""A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
+NOTHING = 1e-14
+"""Relative, of tensors that are rounding."""
+LARGEST_MODULUS = 1e100
+"""[TPa]; products of larger ones soon are no numbers."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Model(Record, format="warp_peri.model"):
+    """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9, V1–V3).
+
+    Attributes:
+        lam: Lamé parameter λ [TPa].
+        mu: Lamé parameter μ, the shear modulus [TPa].
+        alpha: exponent α < 3.
+        D: Bernstein coefficients of any sign, shape [M + 1]; their common scale has no effect.
+        D_dilatation: coefficients of the dilatation's own influence function, shape [M + 1]; those
+            of D where none are given.
+        horizon: δ [Å].
+        trained_on: spacings of the training lattices [Å].
+        certified_on: spacings of the lattices that solves accept [Å].
+        trained_strain: largest strain of neighbouring nodes in the training fields, if known.
+        largest_wave_number: largest |k| that the training loads held [1/Å], if known; nothing is
+            claimed of the model beyond it.
+        certificate: figures of the certificate, by spacing.
+        errors: on data sets, by name.
+        provenance: of the data and the fit.
+        versions: of the packages.
+        units: names of the units of length and stress that all of it is in; Å and TPa where these
+            lines say so.
+        file: that the model was read from; not part of its contents.
+        dimension: 2, a sheet, or 3, a solid.
+
+    Raises InputError naming the first number out of its range.
+    """
+
+    lam: Annotated[float, Entry(stress=1, key="lambda")]
+    mu: Stress
+    alpha: float
+    D: np.ndarray
+    horizon: Length
+    D_dilatation: np.ndarray | None = None
+    trained_on: Annotated[tuple[float, ...], Entry(length=1)] = ()
+    certified_on: Annotated[tuple[float, ...], Entry(length=1)] = ()
+    trained_strain: Annotated[float | None, Entry(omit=True)] = None
+    largest_wave_number: Annotated[float | None, Entry(length=-1, positive=True, omit=True)] = None
+    certificate: dict[str, Any] = field(default_factory=dict)
+    errors: dict[str, Any] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
+    versions: dict[str, Any] = field(default_factory=dict)
+    units: Units = USUAL
+    file: Annotated[Path | None, Entry(kept=False)] = None
+    dimension: Annotated[int, Entry(omit=True)] = 2
+    ORDER = ("lambda", "mu", "alpha", "horizon", "degree", "D", "D_dilatation", "quadrature",
+             "trained_on", "certified_on", "certificate", "errors", "provenance", "versions",
+             "trained_strain", "largest_wave_number", "dimension")  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        stress = symbols(self.units)[1]
+        if self.dimension not in (2, 3):
+            raise InputError(f"dimension: expected 2 or 3, got {self.dimension!r:.50}")
+        if self.D_dilatation is None:
+            object.__setattr__(self, "D_dilatation", self.D)
+        if self.D.ndim != 1 or self.dilatation.ndim != 1:
+            raise InputError("D: expected a list of numbers, got lists")
+        if len(self.D) == 0:
+            raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
+        if len(self.D) > LARGEST_DEGREE + 1:
+            raise InputError(f"D: expected at most {LARGEST_DEGREE + 1}, got {len(self.D)} of them")
+        if not self.alpha < ALPHA_BOUND:
+            raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
+        if not max(abs(self.lam), abs(self.mu)) <= LARGEST_MODULUS:
+            raise InputError(
+                f"lambda, mu: expected at most {LARGEST_MODULUS:g} {stress}, got {self.lam}, "
+                f"{self.mu}"
+            )
+        bulk = "λ + μ" if self.dimension == 2 else "λ + 2μ/3"
+        if not (self.mu > 0 and self.lam + 2 * self.mu / self.dimension > 0):
+            raise InputError(
+                f"lambda, mu: expected μ > 0 and {bulk} > 0, got {self.lam}, {self.mu}"
+            )
+        if not (np.any(self.D) and np.any(self.dilatation)):
+            raise InputError("D: expected a coefficient other than 0")
+        if len(self.dilatation) != len(self.D):
+            raise InputError(
+                f"D_dilatation: expected {len(self.D)} coefficients, got {len(self.dilatation)}"
+            )
+
+    @property
+    def degree(self) -> int:
+        """Degree M of the Bernstein polynomial."""
+        return len(self.D) - 1
+
+    @property
+    def solid(self) -> Solid:
+        """λ, μ, α, D and D of the dilatation as one value."""
+        return Solid(self.lam, self.mu, self.alpha, self.D, self.dilatation)
+
+    @property
+    def linear(self) -> Model:
+        """Itself: the linear solid at zero strain, which nonlinear laws have too."""
+        return self
+
+    @property
+    def bond_based(self) -> bool:
+        """Whether λ = μ: no dilatation enters (theory.md, 42), and a collar of δ is enough."""
+        return self.solid.bond_based
+
+    @property
+    def E(self) -> float:
+        """Young's modulus of the continuum [TPa]; of a sheet in plane stress."""
+        if self.dimension == 3:
+            return self.mu * (3 * self.lam + 2 * self.mu) / (self.lam + self.mu)
+        return 4 * self.mu * (self.lam + self.mu) / (self.lam + 2 * self.mu)
+
+    @property
+    def nu(self) -> float:
+        """Poisson's ratio of the continuum; of a sheet in plane stress."""
+        if self.dimension == 3:
+            return self.lam / (2 * (self.lam + self.mu))
+        return self.lam / (self.lam + 2 * self.mu)
+
+    @property
+    def dilatation(self) -> np.ndarray:
+        """Coefficients of the dilatation's influence function, shape [M + 1]."""
+        return self.D if self.D_dilatation is None else self.D_dilatation
+
+    def influence(self, r: ArrayLike) -> np.ndarray:
+        """K of the deviatoric part at the distances r [Å] in (0, δ]."""
+        return self._kernel(r, self.D)
+
+    def influence_dilatation(self, r: ArrayLike) -> np.ndarray:
+        """K of the dilatation at the distances r [Å] in (0, δ]."""
+        return self._kernel(r, self.dilatation)
+
+    def _kernel(self, r: ArrayLike, D: np.ndarray) -> np.ndarray:
+        r = np.asarray(r, dtype=float)
+        K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ D)
+        return K
+
+    def nominal_spacing(self, spacing: float) -> float:
+        """The certified spacing [Å] that a lattice within SPACING_TOLERANCE of it is taken as.
+
+        Between bond lengths K may swing by orders of magnitude, so that what is proven of one
+        spacing says nothing of the next millionth. Any other spacing is returned as it is.
+        """
+        known = min(self.certified_on, key=lambda h: abs(h - spacing), default=0.0)
+        near = 0 < known and abs(spacing - known) <= SPACING_TOLERANCE * known
+        return known if near else spacing
+
+    def is_certified_on(self, spacing: float) -> bool:
+        """Whether a lattice spacing [Å] counts as one that the model holds a certificate for."""
+        return spacing > 0 and self.nominal_spacing(spacing) in self.certified_on
+
+    def check_spacing(self, spacing: float, *, allow_uncertified: bool = False) -> None:
+        """Refuse, or warn about, a lattice spacing [Å] that the model is not certified for."""
+        if self.is_certified_on(spacing):
+            return
+        unit = symbols(self.units)[0]
+        known = ", ".join(f"{value:.10g} {unit}" for value in self.certified_on) or "no spacing"
+        here = f"{spacing:.10g} {unit}" if spacing else "scattered points"
+        message = (
+            f"spacing: the model is certified on {known}, not on {here}, where its static "
+            "problems may have no solution or a wrong one"
+        )
+        if not allow_uncertified:
+            raise InputError(message)
+        warnings.warn(message, stacklevel=3)
+
+    def check_dimension(self, points: PointsLike) -> None:
+        """Raise InputError for points of another dimension than the model's."""
+        if points.x.shape[1] != self.dimension:
+            raise InputError(
+                f"points: expected {self.dimension} dimensions, the model's, got shape "
+                f"{list(points.x.shape)}"
+            )
+
+    @property
+    def transferred_from(self) -> float | None:
+        """Spacing [Å] of the lattice whose dispersion this model was fitted to; None at home."""
+        record = self.provenance.get("transfer")
+        spacing = record.get("from_spacing") if isinstance(record, dict) else None
+        return float(spacing) if isinstance(spacing, (int, float)) else None
+
+    def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
+        """Figures of the certificate go along, for a transfer asks for as much as is proven.
+
+        K keeps its coefficients, whose common scale has no effect; the provenance names the units
+        that its statement and records of errors and of the fit stay in.
+        """
+        return {
+            "certificate": {
+                f"{h * length:g}": _figures_in(self.certificate[f"{h:g}"], length, stress)
+                for h in dict.fromkeys((*self.certified_on, *self.trained_on))
+                if f"{h:g}" in self.certificate
+            },
+            "provenance": {**self.provenance, "units_before": list(self.units)},
+            "file": None,
+        }
+
+    def derived(self) -> dict[str, Any]:
+        """Degree and quadrature, which a file names."""
+        return {"degree": self.degree, "quadrature": QUADRATURE}
+
+    def check_proofs(self) -> None:
+        """As of a Record, on every spacing that the model is said to be certified on."""
+        figures = by_spacing("certificate", self.certificate, self.certified_on)
+        group = lattice_group(self.dimension)
+        for spacing in dict.fromkeys((*self.certified_on, *figures)):
+            each, stencil = figures.get(spacing, {}), lps_stencil(self, spacing)
+            if (bound := each.get("symbol_bound")) is not None:
+                numbers = (bound, each.get("symbol_min", bound))
+                proven, least = (taken("certificate", float, each) for each in numbers)
+                Proof(proven, least, 0.0, 0, 0.0).check_of(stencil, group)
+            elif spacing in self.certified_on and not prove(stencil, group).holds:
+                raise InputError(f"certified_on: nothing is proven on {spacing:g}")
+
+    def _read_from(self, path: Path | None) -> Model:
+        return replace(self, file=path)
+
+    def on(self, points: PointsLike, **options: Any) -> PlacedLPS:
+        """The model on points: transferred there, certified, its bonds built when first needed.
+
+        Args:
+            points: a lattice or scattered points.
+            options: transfer=False refuses what the model itself holds no certificate for;
+                allow_uncertified=True takes its own numbers, with a warning; device,
+                quadrature_degree.
+
+        Raises InputError as LPSOperator does.
+        """
+        from warp_peri.statics.lps import PlacedLPS
+
+        return PlacedLPS(self, points, **options)
+
+    def summary(self) -> dict[str, Any]:
+        """Constants, lattices and errors, as plain values."""
+        names = ("mu", "E", "nu", "alpha", "degree", "horizon")
+        lists = ("units", "trained_on", "certified_on")
+        return {
+            "format": "model",
+            "lambda": self.lam,
+            **{name: getattr(self, name) for name in names},
+            **{name: list(getattr(self, name)) for name in lists},
+            "errors": self.errors,
+            "versions": self.versions,
+        }
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        length = symbols(self.units)[0]
+        kernels = "K" if np.array_equal(self.D, self.dilatation) else "K, K of dilatation"
+        rows = [
+            ("λ, μ", shown_moduli(self.units, (self.lam, self.mu))),
+            ("E, ν", f"{shown_moduli(self.units, (self.E,))}, {self.nu:.3g}"),
+            ("horizon", f"{self.horizon:g} {length}"),
+            (kernels, f"degree {self.degree}, α = {self.alpha:.3g}"),
+        ]
+        spacings = (f"{h:g} {length}" for h in self.certified_on)
+        rows.append(("certified on", ", ".join(spacings) or "no lattice"))
+        return rows + proven_rows(self.certificate) + error_rows(self.errors)
+
+
+def by_spacing(
+    key: str, figures: dict[str, Any], known: tuple[float, ...]
+) -> dict[float, dict[str, Any]]:
+    """Figures of a certificate by the spacing that they are of, one of those known to all digits.
+
+    Raises InputError naming the key for figures of none.
+    """
+    exact, found = {f"{h:g}": h for h in known}, {}
+    for name, each in figures.items():
+        try:
+            found[exact.get(name) or float(each.get("spacing", name))] = each
+        except (AttributeError, TypeError, ValueError):
+            raise InputError(f"{key}: expected figures of a spacing, got {name!r:.50}") from None
+    return found
+
+
+def _figures_in(figures: Any, length: float, stress: float) -> Any:
+    """Figures of a certificate in other units; anything else as it is."""
+    if not isinstance(figures, dict):
+        return figures
+    times = {"spacing": length} | dict.fromkeys(("symbol_min", "symbol_bound"), stress)
+    times |= dict.fromkeys(("gamma_min", "gamma_minus_2phi_min", "gamma_max"), length**-2)
+    return {
+        name: value * times[name] if name in times and is_number(value) else value
+        for name, value in figures.items()
+    }
+
+
+def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndarray, float]:
+    """v and z [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
+
+    Raises InputError for an influence function whose weighted volume is zero, and a lattice of
+    another dimension than the model's.
+    """
+    if classes.steps.shape[1] != model.dimension:
+        raise InputError(
+            f"model: expected one of {classes.steps.shape[1]} dimensions, those of the lattice, "
+            f"got {model.dimension}; in space micromodulus.tensors_of(model, spacing) is proven"
+        )
+    tables = []
+    r = classes.r * (model.nominal_spacing(classes.spacing) / classes.spacing)
+    for K in (model.influence(r), model.influence_dilatation(r)):
+        kw = K * classes.weight
+        terms = classes.count * kw * classes.r**2
+        if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
+            raise InputError(
+                "influence function: its weighted volume m (theory.md, 5) is zero on the lattice "
+                f"of spacing {classes.spacing:g}: positive and negative parts cancel"
+            )
+        tables.append(model.mu * kw / terms.sum())
+    return tables[0], tables[1], (model.lam - model.mu) / model.mu**2
+
+
+def lps_stencil(model: Model, spacing: float, *, degree: int = DEGREE) -> Stencil:
+    """The LPS on a lattice as a stencil of twice its range, exactly (theory.md, T17).
+
+    Raises InputError as `stiffnesses` does, and for a spacing without bonds.
+    """
+    classes = bond_classes(spacing, model.horizon, dimension=model.dimension, degree=degree)
+    return stencil_of(classes, *stiffnesses(model, classes))
+
+
+def stencil_of(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float) -> Stencil:
+    """Stiffnesses of bond classes as a stencil: products of dilatations make bonds of range 2δ."""
+    d = classes.steps.shape[1]
+    reach = int(np.abs(classes.steps).max())
+    near, of, xi = tuple((classes.steps + reach).T), classes.bond_class, classes.xi
+    C = np.zeros((d * (2 * reach + 1,)) + (d, d))
+    each = 2 * d * (d + 2) * v[of] / (xi**2).sum(axis=1)
+    C[near] = each[:, None, None] * (xi[:, :, None] * xi[:, None])
+    if kappa:  # φ is odd: minus φ φᵗ of the symbol (18) is a convolution of its stencil with itself
+        phi = np.zeros((*C.shape[:d], d))
+        phi[near] = d * z[of, None] * xi
+        C = np.pad(C, d * [(reach, reach)] + 2 * [(0, 0)])
+        for step, other in zip(classes.steps + reach, d * kappa * z[of, None] * xi):
+            C[tuple(slice(n, n + len(phi)) for n in step)] += other[:, None] * phi[..., None, :]
+    steps = np.indices(C.shape[:d]).reshape(d, -1).T - C.shape[0] // 2
+    tensors = C.reshape(-1, d, d)
+    half = np.arange(len(steps)) > len(steps) // 2
+    kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors[half]).max())
+    both = (tensors + tensors.transpose(0, 2, 1)) / 2
+    return Stencil(classes.spacing, steps[kept], both[kept])

@@ -1,0 +1,430 @@
+"""The LPS on a point set: Warp forward and backward, torch or NumPy outside."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, overload
+
+import numpy as np
+import torch
+import warp as wp
+
+from warp_peri.core.once import differentiable_once, refuse_tangents
+from warp_peri.errors import InputError
+from warp_peri.kernels.lps import influence as influence_kernels
+from warp_peri.kernels.lps.adjoint import adjoints
+from warp_peri.launch import DEVICE, at_once, empty, launch, launch_slices
+from warp_peri.lps.bonds import BLOCKS, Bonds
+from warp_peri.lps.launches import (
+    Evaluation,
+    Tabulated,
+    check_volumes,
+    evaluate,
+    filled,
+    influence_inputs,
+)
+from warp_peri.lps.model import Model, Solid
+from warp_peri.lps.rows import Rows
+from warp_peri.points.points import Points
+from warp_peri.points.quadrature import DEGREE
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import check_same
+
+
+def on_nominal_lattice(model: Model, points: PointsLike) -> Points:
+    """The nodes, scaled to the certified spacing that theirs is taken as.
+
+    What is proven of a lattice holds there, and not a millionth beside it: with the bond lengths of
+    the certified lattice the operator is the one of the proof. Any other lattice, and scattered
+    points, are returned as they are.
+
+    Raises InputError where the points are in other units or dimensions than the model.
+    """
+    nodes = nodes_of(points)
+    check_same(model.units, nodes.units)
+    model.check_dimension(nodes)
+    spacing = model.nominal_spacing(nodes.spacing)
+    if spacing == nodes.spacing:
+        return nodes
+    scale = spacing / nodes.spacing
+    box = None if nodes.box is None else tuple(scale * side for side in nodes.box)
+    return dataclasses.replace(nodes, x=scale * nodes.x, spacing=spacing, box=box)
+
+
+@dataclass(frozen=True)
+class Gradient:
+    """Derivatives of a scalar; None where they were not asked for.
+
+    Attributes:
+        u: shape [S, N] of vectors.
+        lam, mu, alpha: numbers.
+        D, D_dilatation: shape [M + 1]; the second is None with one influence function.
+    """
+
+    u: wp.array[Any] | None = None
+    lam: float = 0.0
+    mu: float = 0.0
+    alpha: float = 0.0
+    D: np.ndarray | None = None
+    D_dilatation: np.ndarray | None = None
+
+
+def gradient(
+    bonds: Bonds,
+    evaluation: Evaluation,
+    arrays: Sequence[wp.array[Any]],
+    g: wp.array[Any],
+    *,
+    displacement: bool = True,
+    parameters: bool = True,
+) -> Gradient:
+    """Gradient of a scalar, given its derivative g to L u.
+
+    Args:
+        bonds: of a point set without broken bonds.
+        evaluation: what evaluate(bonds, *arrays) returned.
+        arrays: u, λ, μ, α, D and, with two influence functions, D of the dilatation.
+        g: shape [S, I] of vectors.
+        displacement: whether to return the derivative to u.
+        parameters: whether to return those to λ, μ, α, D.
+    """
+    u, lam, mu, alpha, *coefficients = arrays
+    kernels = adjoints(bonds.scalar, bonds.dimension)
+    e = evaluation
+    law = filled(kernels.Law, e.kw, e.m, e.kd, e.md, lam, mu)
+    h, hd = _scaled(bonds, evaluation, g)
+    tau = bonds.zeros(*u.shape)
+    u_bar = empty(*u.shape, dtype=bonds.vec, device=bonds.device) if displacement else None
+    if bonds.laid_out is not None:
+        _by_rows(bonds, bonds.laid_out, law, g, tau if parameters else None, u_bar)
+    else:
+        _by_bonds(bonds, law, (h, hd), tau, u_bar)
+    if not parameters:
+        return Gradient(u_bar)
+    fields = filled(kernels.Fields, u, evaluation.theta, h, hd, tau)
+    tables = _Tables(bonds, law, fields, alpha, coefficients)
+    tables.run()
+    shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
+    by_D, by_alpha = tables.gradients()
+    d = bonds.dimension
+    c1, c2 = d, 2 * d * (d + 2)
+    return Gradient(u_bar, -c1 * bulk, c1 * bulk - c2 * shear, by_alpha, *by_D)
+
+
+def _scaled(
+    bonds: Bonds, evaluation: Evaluation, g: wp.array[Any]
+) -> tuple[wp.array[Any], wp.array[Any]]:
+    """h = g/m and hd = g/md on all nodes, one array where they are the same."""
+    scaled = []
+    for m in (evaluation.m, evaluation.md)[: 1 + (evaluation.md is not evaluation.m)]:
+        scaled.append(bonds.zeros(len(g), bonds.nodes, dtype=bonds.vec))
+        inputs = (bonds.rows, bonds.arrays, m, g)
+        kernel = adjoints(bonds.scalar, bonds.dimension).scaled
+        launch_slices(kernel, len(bonds.rows), inputs, (scaled[-1],), samples=len(g))
+    return scaled[0], scaled[-1]
+
+
+def _by_bonds(
+    bonds: Bonds,
+    law: Any,
+    scaled: tuple[wp.array[Any], wp.array[Any]],
+    tau: wp.array[Any],
+    u_bar: wp.array[Any] | None,
+) -> None:
+    """τ, and ∂/∂u where an array is given, through the lists of neighbours."""
+    kernels, links = adjoints(bonds.scalar, bonds.dimension), (bonds.arrays, bonds.reverse)
+    inputs: tuple[Any, ...]
+    if not bonds.bond_based:
+        inputs = (bonds.full, *links, law.kd, law.md, law.lam, law.mu, scaled[1])
+        count, samples = len(bonds.full), len(tau)
+        launch_slices(kernels.dilatation_adjoint, count, inputs, (tau,), samples=samples)
+    if u_bar is not None:
+        inputs = (*links, law.kw, law.kd, law.mu, scaled[0], tau)
+        launch_slices(kernels.displacement_adjoint, bonds.nodes, inputs, (u_bar,), samples=len(tau))
+
+
+def _by_rows(
+    bonds: Bonds,
+    rows: Rows,
+    law: Any,
+    g: wp.array[Any],
+    tau: wp.array[Any] | None,
+    u_bar: wp.array[Any] | None,
+) -> None:
+    """τ by node and ∂/∂u, where arrays are given, on a lattice laid out in rows."""
+    kernels, pieces = rows.kernels, rows.pieces
+    planes, dilatation = rows.planes("backward", len(g))
+    rows.lay_out(pieces.row_images, g, planes, law.md)
+    law_of_bonds = (bonds.arrays, law, planes)
+    rows.sweep(kernels.dilatation_adjoint, pieces.needed, law_of_bonds, dilatation)
+    if u_bar is not None:
+        if law.m is not law.md:
+            rows.lay_out(pieces.row_images, g, planes, law.m)
+        inputs = (*law_of_bonds, dilatation)
+        rows.sweep(kernels.displacement_adjoint, pieces.nodes, inputs, u_bar)
+    if tau is not None:
+        rows.take_up(dilatation, tau)
+    rows.give_back("backward", planes, dilatation)
+
+
+class _Tables:
+    """The sums over bonds behind ∂/∂(K W), block by block, and from there to α and D."""
+
+    def __init__(
+        self,
+        bonds: Bonds,
+        law: Any,
+        fields: Any,
+        alpha: wp.array[Any],
+        coefficients: Sequence[wp.array[Any]],
+    ) -> None:
+        self.bonds, self.law, self.fields = bonds, law, fields
+        self.alpha, self.coefficients = alpha, coefficients
+        self.parts = bonds.zeros(BLOCKS, 2)
+        self.blocks = bonds.blocks
+        self.kernel = adjoints(bonds.scalar, bonds.dimension).table_adjoint
+        self.backwards, self.sums = [], []
+        for D in coefficients:
+            kernel = influence_kernels.influence_adjoint(len(D) - 1, bonds.scalar)
+            self.backwards.append((kernel, influence_inputs(bonds, len(D) - 1), D))
+            self.sums.append(bonds.zeros(BLOCKS, len(D) + 1))
+        self.bars: list[wp.array[Any]] = []
+
+    def run(self) -> None:
+        """All blocks: ∂/∂(K W) of their bonds; on scattered points onwards to α and D."""
+        bonds, blocks = self.bonds, self.blocks
+        if bonds.lattice:
+            size = BLOCKS * len(bonds.families.pattern)
+            self.bars = [bonds.zeros(size) for _ in self.coefficients]
+            outputs = (self.bars[0], self.bars[-1], self.parts)
+            weight = max(len(bonds.full) // BLOCKS, 1)
+            launch_slices(self.kernel, BLOCKS, self._inputs(), outputs, weight=weight)
+            return
+        for kernel in (self.kernel, *(kernel for kernel, *_ in self.backwards)):
+            kernel.module.load(wp.get_device(bonds.device))  # not from two threads at once
+        at_once([self._job(n) for n in range(BLOCKS) if blocks.ends[n] < blocks.ends[n + 1]])
+
+    def _inputs(self) -> tuple[Any, ...]:
+        bonds = self.bonds
+        reads = (bonds.full, bonds.arrays, bonds.r, self.law, self.fields)
+        return (self.blocks.spans, *reads, int(len(self.coefficients) == 1))
+
+    def _job(self, block: int) -> Callable[[], None]:
+        """One block of scattered points, whose bonds take memory while it runs."""
+        first, last = self.blocks.bonds[block]
+
+        def run() -> None:
+            bars = [self.bonds.zeros(last - first) for _ in self.coefficients]
+            outputs = (bars[0], bars[-1], self.parts)
+            launch(self.kernel, 1, (block, *self._inputs()), outputs)
+            for n, bar in enumerate(bars):
+                self._backward(n, block, first, last, bar)
+
+        return run
+
+    def _backward(self, n: int, block: int, first: int, last: int, bar: wp.array[Any]) -> None:
+        kernel, inputs, D = self.backwards[n]
+        launch(kernel, 1, (block, first, last, *inputs, self.alpha, D, bar), (self.sums[n],))
+
+    def gradients(self) -> tuple[list[np.ndarray], float]:
+        """∂/∂D of each influence function and ∂/∂α, after all blocks."""
+        bonds, by_D, by_alpha = self.bonds, [], 0.0
+        for n, sums in enumerate(self.sums):
+            if bonds.lattice:
+                bars = self.bars[n].numpy().reshape(BLOCKS, -1).sum(axis=0, dtype=float)
+                by_class = np.bincount(bonds.families.classes.bond_class, bars)
+                self._backward(n, 0, 0, len(by_class), bonds.floats(by_class))
+            total = sums.numpy().sum(axis=0, dtype=float)
+            by_D.append(total[:-1])
+            by_alpha += float(total[-1])
+        return by_D, by_alpha
+
+
+class _Force(torch.autograd.Function):
+    """L u as a torch function; its gradient gathers over bonds, or is Warp's tape run backwards."""
+
+    @staticmethod
+    def forward(ctx: Any, bonds: Bonds, *inputs: torch.Tensor) -> torch.Tensor:
+        ctx.bonds = bonds
+        # The gathering adjoint knows no broken bonds, and its few blocks are no work for a GPU,
+        # where the tape's atomic sums are right.
+        ctx.gathers = len(bonds.cut) == 0 and bonds.device == DEVICE
+        ctx.save_for_backward(*inputs)  # the arrays share their memory
+        taped = any(ctx.needs_input_grad) and not ctx.gathers
+        ctx.arrays = _arrays(bonds, inputs, gradient=taped)
+        if taped:
+            with wp.Tape() as ctx.tape:
+                ctx.evaluation = evaluate(bonds, *ctx.arrays, gradient=True)
+        else:
+            ctx.evaluation = evaluate(bonds, *ctx.arrays)
+        Lu: torch.Tensor = wp.to_torch(ctx.evaluation.Lu, requires_grad=False)
+        return Lu
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        inputs = ctx.saved_tensors  # an error where one was changed in place since
+        seed = wp.from_torch(upstream[0].detach().contiguous(), dtype=ctx.bonds.vec)
+        if not ctx.gathers:
+            ctx.tape.zero()  # a second backward pass through the same graph starts afresh
+            ctx.tape.backward(grads={ctx.evaluation.Lu: seed})
+            return None, *(wp.to_torch(array.grad).clone() for array in ctx.arrays)
+        wanted = ctx.needs_input_grad[1:]
+        by = gradient(
+            ctx.bonds,
+            ctx.evaluation,
+            ctx.arrays,
+            seed,  # type: ignore[arg-type]  # Warp declares a wider return type
+            displacement=wanted[0],
+            parameters=any(wanted[1:]),
+        )
+        by_u = None if by.u is None else wp.to_torch(by.u, requires_grad=False)
+        parts = (by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
+        return (
+            None,
+            by_u,
+            *(
+                torch.as_tensor(part, dtype=tensor.dtype).reshape(-1) if asked else None
+                for part, tensor, asked in zip(parts, inputs[1:], wanted[1:])
+            ),
+        )
+
+
+_force: Callable[..., torch.Tensor] = _Force.apply
+
+
+def _arrays(bonds: Bonds, tensors: Sequence[torch.Tensor], *, gradient: bool = False) -> list[Any]:
+    """u and the numbers as Warp arrays, which share the tensors' memory."""
+    types = [bonds.vec] + (len(tensors) - 1) * [bonds.scalar]
+    return [
+        wp.from_torch(tensor.detach().contiguous(), dtype=dtype, requires_grad=gradient)
+        for tensor, dtype in zip(tensors, types)
+    ]
+
+
+class NodeOperator:
+    """Minus the internal force density of a model on a point set; equals b in equilibrium.
+
+    Args:
+        model: the model.
+        points: a lattice or scattered points, whose interior has the 2δ collar; bonds to nodes
+            outside the body are broken.
+        quadrature_degree: of the polynomials that the weights are exact for.
+        allow_uncertified: warn instead of raising when the model holds no certificate for this
+            spacing.
+        device: where the kernels run, as for Bonds.
+
+    A model with λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough.
+
+    Raises InputError for a point set that does not carry the horizon, or an uncertified spacing.
+
+    ``op(u)`` takes u [Å] of shape [N, d] or [S, N, d] on all nodes and returns L u [TPa/Å] on the
+    interior nodes, shape [I, d] or [S, I, d]: NumPy in, NumPy out; torch in, differentiable torch
+    out.
+    """
+
+    at_once = True
+    """Whether bonds are built at the start; solves by stencils need none."""
+
+    def __init__(
+        self,
+        model: Model,
+        points: PointsLike,
+        *,
+        quadrature_degree: int = DEGREE,
+        allow_uncertified: bool = False,
+        device: str = DEVICE,
+    ) -> None:
+        model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
+        self.model, self.nodes = model, on_nominal_lattice(model, points)
+        self.quadrature_degree, self.device = quadrature_degree, device
+        if self.at_once:
+            _ = self.bonds
+
+    @cached_property
+    def bonds(self) -> Bonds:
+        """The bonds of the nodes, on the device."""
+        bonds = Bonds(
+            self.nodes,
+            self.model.horizon,
+            bond_based=self.model.bond_based,
+            quadrature_degree=self.quadrature_degree,
+            device=self.device,
+        )
+        check_volumes(bonds, self.model)
+        return bonds
+
+    @cached_property
+    def _tabulated(self) -> Tabulated | None:
+        apart = not self.bonds.lattice and self.device == DEVICE
+        return Tabulated(self.bonds) if apart else None
+
+    @overload
+    def __call__(self, u: np.ndarray) -> np.ndarray: ...
+    @overload
+    def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
+    def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
+        if isinstance(u, torch.Tensor):
+            tensor = u
+        else:
+            tensor = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
+        solid = self.model.solid
+        differentiated = torch.is_grad_enabled() and tensor.requires_grad
+        if self._tabulated is None or differentiated:
+            Lu = lps_force(self.bonds, tensor, solid)
+        else:
+            check_field(self.bonds, tensor)
+            refuse_tangents(tensor)
+            fields = tensor.detach().reshape(-1, *tensor.shape[-2:]).contiguous()
+            vectors: Any = wp.from_torch(fields, dtype=self.bonds.vec)
+            made = self._tabulated(vectors, solid)
+            Lu = wp.to_torch(made, requires_grad=False)
+            Lu = Lu.reshape(*tensor.shape[:-2], -1, tensor.shape[-1])
+        return Lu if isinstance(u, torch.Tensor) else Lu.cpu().numpy()
+
+
+def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
+    """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable in u and in every value
+    of the solid.
+
+    Args:
+        bonds: of a point set with N nodes.
+        u: displacement [Å], shape [N, d] or [S, N, d], in the precision of the bonds.
+        solid: numbers, arrays or tensors; λ = μ for bonds that are bond-based.
+
+    Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based bonds, whose
+    derivative to λ is zero: (42) is a function of μ.
+    """
+    check_field(bonds, u)
+    refuse_tangents(u, *solid.values())
+    numbers = [
+        torch.as_tensor(value, dtype=u.dtype, device=u.device).reshape(-1)
+        for value in solid.values()
+    ]
+    if bonds.bond_based and not torch.equal(*numbers[:2]):
+        raise InputError(
+            f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
+        )
+    inputs = (u.reshape(-1, bonds.nodes, bonds.dimension), *numbers)
+    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs):
+        Lu = _force(bonds, *inputs)
+    else:  # autograd's own bookkeeping takes longer than a sweep over a thousand nodes
+        made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
+        Lu = wp.to_torch(made, requires_grad=False)
+    return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)
+
+
+def check_field(bonds: Bonds, u: torch.Tensor) -> None:
+    """Refuse a displacement whose device, type or shape is not that of the bonds."""
+    nodes, d, dtype = bonds.nodes, bonds.dimension, getattr(torch, bonds.scalar.__name__)
+    if u.device != torch.device(bonds.device):
+        raise InputError(f"u: expected a tensor on {bonds.device}, got one on {u.device}")
+    fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, d) and u.shape[0] > 0
+    if u.dtype != dtype or not fits:
+        raise InputError(
+            f"u: expected {bonds.scalar.__name__} of shape [S, {nodes}, {d}], S ≥ 1, or "
+            f"[{nodes}, {d}], got {u.dtype} of shape {list(u.shape)}"
+        )

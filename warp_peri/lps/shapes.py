@@ -1,0 +1,309 @@
+"""Influence functions of any shape: a callable of r with parameters to learn (theory.md, 59–60)."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.errors import InputError
+from warp_peri.lps.model import Model, bernstein_basis
+from warp_peri.points.families import bond_classes
+from warp_peri.points.unit_names import USUAL, Units
+
+DEGREES = ((10, 0.0), (20, 0.0), (40, 0.0), (60, 0.0), (80, 1e-6))
+"""Degrees M that are tried, one after the other, to write a function as a polynomial, with the
+weight of D itself in the fit: without it D of a function with kinks grows beyond 1e7."""
+EXACT = 1e-8
+"""A polynomial must meet a function to this at the bond lengths, relative to its largest value
+there, and is not made finer once it does so between them."""
+BOND_WEIGHT = 1e5
+"""Weight of an error at a bond length, where one between bond lengths has 1."""
+BETWEEN = 1000
+"""Distances between the bond lengths that a polynomial is fitted at."""
+STEP, SEEN = 1e-4, 1e-7
+"""A derivative is taken with a step of this times the parameter, or with a larger one, up to this
+itself, where K changes by less than SEEN of its size; of fourth order, hence exact to 1e-12."""
+
+
+CENTRAL = {-2: 1 / 12, -1: -2 / 3, 1: 2 / 3, 2: -1 / 12}
+FORWARD = {1: 4.0, 2: -3.0, 3: 4 / 3, 4: -1 / 4}
+"""Differences of fourth order from the value itself, by steps."""
+
+
+@dataclass(frozen=True, eq=False)
+class InfluenceFunction:
+    """K(r) as a function of the bond length and of parameters; its scale has no effect.
+
+    Attributes:
+        function: called as function(r, **parameters) with r [Å] of shape [R]; returns K, shape [R].
+        parameters: the values to start from, or learned: numbers or arrays of one axis.
+        bounds: of a parameter, (lowest, highest); each of an array's elements keeps them.
+
+    Raises InputError for parameters that are no finite numbers or outside their bounds, and bounds
+    of no parameter. Calling it raises InputError where K is not finite or of another shape.
+    """
+
+    function: Callable[..., ArrayLike]
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not callable(self.function):
+            raise InputError(f"influence: expected a function of r, got {self.function!r:.60}")
+        for name in ("parameters", "bounds"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise InputError(f"{name}: expected a dict, got {getattr(self, name)!r:.60}")
+        values = {}
+        for name, value in self.parameters.items():
+            array = np.array(value)
+            if array.dtype.kind not in "iuf" or array.ndim > 1 or not np.isfinite(array).all():
+                raise InputError(f"{name}: expected finite numbers, got {value!r:.60}")
+            values[name] = array.astype(float) if array.ndim else float(array)
+        object.__setattr__(self, "parameters", values)
+        for name, ends in self.bounds.items():
+            if name not in self.parameters:
+                known = ", ".join(self.parameters) or "none"
+                raise InputError(f"bounds: no parameter {name!r}; there are: {known}")
+            if not _is_interval(ends):
+                raise InputError(f"bounds of {name}: expected (lowest, highest), got {ends!r}")
+        lowest, highest = self.ends
+        if not ((lowest <= self.vector) & (self.vector <= highest)).all():
+            raise InputError(f"parameters: {dict(self.parameters)} are not within {self.bounds}")
+
+    @property
+    def name(self) -> str:
+        """Name of the function."""
+        inner = getattr(self.function, "func", self.function)  # of a functools.partial
+        return str(getattr(inner, "__name__", type(inner).__name__))
+
+    @property
+    def vector(self) -> np.ndarray:
+        """All parameters one after the other, shape [P]."""
+        return np.concatenate([np.zeros(0), *map(np.ravel, self.parameters.values())]).astype(float)
+
+    @property
+    def ends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Lowest and highest value of each of them, infinite where it has no bounds."""
+        free = (-np.inf, np.inf)
+        pairs = [
+            np.tile(self.bounds.get(name, free), (np.size(value), 1))
+            for name, value in self.parameters.items()
+        ]
+        lowest, highest = np.concatenate([np.zeros((0, 2)), *pairs]).T
+        return lowest, highest
+
+    def at(self, vector: np.ndarray) -> InfluenceFunction:
+        """This function with other values of its parameters, one after the other, shape [P]."""
+        values, first = {}, 0
+        for name, value in self.parameters.items():
+            part = vector[first : first + np.size(value)]
+            values[name] = part if np.ndim(value) else part[0]
+            first += np.size(value)
+        return dataclasses.replace(self, parameters=values)
+
+    def __call__(self, r: ArrayLike) -> np.ndarray:
+        """K at the distances r [Å], of the shape of r."""
+        distance = np.asarray(r, dtype=float)
+        K = np.array(self.function(distance.copy(), **copy.deepcopy(self.parameters)))
+        if K.dtype.kind not in "iufb":
+            raise InputError(f"influence '{self.name}': expected real K, got {K.dtype}")
+        K = K.astype(float)
+        if K.shape != distance.shape:
+            raise InputError(
+                f"influence '{self.name}': expected K of shape {list(distance.shape)}, "
+                f"the shape of r, got {list(K.shape)}"
+            )
+        if not np.isfinite(K).all():
+            where = distance[~np.isfinite(K)].flat[0]
+            raise InputError(
+                f"influence '{self.name}': K is not finite at r = {where:g} with "
+                f"{dict(self.parameters)}; give `bounds` that keep it so"
+            )
+        return K
+
+    def slopes(self, r: np.ndarray) -> np.ndarray:
+        """Derivatives of K to the parameters, shape [R, P], by differences within the bounds."""
+        p, K = self.vector, self(r)
+        size = np.abs(K).max()
+        out = np.empty((len(r), len(p)))
+        for n, (value, low, high) in enumerate(zip(p, *self.ends)):
+            step = min(STEP * (abs(value) or 1.0), (high - low) / 8)
+
+            def moved(by: float, n: int = n) -> np.ndarray:
+                return self.at(np.where(np.arange(len(p)) == n, p + by, p))(r)
+
+            while True:
+                if value - low < 2 * step:
+                    stencil = FORWARD
+                elif high - value < 2 * step:
+                    stencil = {-m: -c for m, c in FORWARD.items()}
+                else:
+                    stencil = CENTRAL
+                changes = {m: moved(m * step) - K for m in stencil}
+                largest = max(np.abs(change).max() for change in changes.values())
+                if largest >= SEEN * size or 10 * step > min(STEP, (high - low) / 8):
+                    break
+                step *= 10
+            out[:, n] = sum(c * changes[m] for m, c in stencil.items()) / step
+        return out
+
+    def coefficients(self, lengths: ArrayLike, horizon: float) -> tuple[np.ndarray, float]:
+        """Bernstein coefficients with α = 0, and how far they are off between the bond lengths.
+
+        Least squares over distances down to half the shortest bond, the bond lengths themselves
+        held, with the first degree of DEGREES that is exact, or the last (theory.md, 60).
+
+        Args:
+            lengths: bond lengths [Å], shape [R].
+            horizon: δ [Å].
+
+        Returns:
+            D, shape [M + 1], and the largest error relative to the largest |K| at a bond length.
+
+        Raises InputError for a function whose values at the bond lengths no D reaches.
+        """
+        r = np.unique(np.asarray(lengths, dtype=float))
+        nodes = np.cos(np.pi * (np.arange(BETWEEN) + 0.5) / BETWEEN)
+        shortest = r[0] / 2
+        s = shortest + (horizon - shortest) * (nodes + 1) / 2
+        K, between = self(r), self(s)
+        size = np.abs(K).max()
+        if not size > 0:
+            raise InputError(f"influence '{self.name}': K is zero at every bond length")
+        for degree, small in DEGREES:
+            basis = [bernstein_basis(lengths, horizon, degree) for lengths in (r, s)]
+            system = [BOND_WEIGHT * basis[0], basis[1], small * np.eye(degree + 1)]
+            target = np.concatenate([BOND_WEIGHT * K, between, np.zeros(degree + 1)]) / size
+            D = np.linalg.lstsq(np.concatenate(system), target, rcond=1e-15)[0]
+            error = np.abs(basis[0] @ D - K / size).max()
+            departure = float(np.abs(basis[1] @ D - between / size).max())
+            if max(error, departure) <= EXACT:
+                break
+        if error > EXACT:
+            raise InputError(
+                f"influence '{self.name}': no polynomial of degree {degree} takes its values "
+                f"at the {len(r)} bond lengths; it is off by {error:.0e} of the largest"
+            )
+        return D * size, departure
+
+    def model(
+        self,
+        *,
+        lam: float,
+        mu: float,
+        horizon: float,
+        spacings: Sequence[float],
+        units: Units = USUAL,
+    ) -> Model:
+        """The solid with this influence function and these constants, not certified.
+
+        Args:
+            lam, mu: Lamé parameters [TPa].
+            horizon: δ [Å].
+            spacings: of the lattices [Å] whose bonds shall have exactly K(r).
+            units: names of the units of length and stress of all these, if others.
+
+        Raises InputError as `coefficients` does, and for numbers out of range.
+        """
+        lengths = np.concatenate([bond_classes(spacing, horizon).r for spacing in spacings])
+        D, departure = self.coefficients(lengths, horizon)
+        kept = {"influence": self.record(departure)}
+        return Model(lam, mu, 0.0, D, horizon, provenance=kept, units=units)
+
+    def record(self, departure: float) -> dict[str, Any]:
+        """What a model keeps of it beside the polynomial, with the departure of that."""
+        values = {name: np.asarray(value).tolist() for name, value in self.parameters.items()}
+        return {"function": self.name, "parameters": values, "departure": departure}
+
+
+def gaussian(r: np.ndarray, width: float) -> np.ndarray:
+    """exp(−(r/width)²), width [Å]."""
+    return np.exp(-((r / width) ** 2))
+
+
+def exponential(r: np.ndarray, length: float) -> np.ndarray:
+    """exp(−r/length), length [Å]."""
+    return np.exp(-r / length)
+
+
+def damped_wave(r: np.ndarray, length: float, period: float, phase: float) -> np.ndarray:
+    """exp(−r/length) cos(2π r/period + phase), lengths [Å]."""
+    return np.exp(-r / length) * np.cos(2 * np.pi * r / period + phase)
+
+
+def conical(r: np.ndarray, reach: float) -> np.ndarray:
+    """1 − r/reach out to the reach [Å], 0 beyond."""
+    return np.maximum(1 - r / reach, 0.0)
+
+
+NAMED = {"gaussian": gaussian, "exponential": exponential, "conical": conical}
+"""Shapes with one length to learn."""
+
+
+def named(name: str, horizon: float) -> InfluenceFunction:
+    """One of NAMED, its length from the horizon [Å] on, within 1/20 and 20 times of it."""
+    if name not in NAMED:
+        raise InputError(f"influence: expected {', '.join(NAMED)} or a .csv file, got {name!r}")
+    function = NAMED[name]
+    (length,) = list(inspect.signature(function).parameters)[1:]
+    ends = (horizon / 20, 20 * horizon)
+    return InfluenceFunction(function, {length: float(horizon)}, {length: ends})
+
+
+def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunction:
+    """K on straight lines between given values, constant beyond the ends.
+
+    Args:
+        r: distances [Å], rising, shape [T].
+        K: values there, shape [T].
+        learned: take K as parameters to learn, not as given.
+    """
+    knots, given = np.asarray(r, dtype=float), np.asarray(K, dtype=float)
+    if knots.ndim != 1 or len(knots) < 2 or knots.shape != given.shape:
+        raise InputError(
+            f"table: expected r and K of one shape [T], T ≥ 2, got {knots.shape}, {given.shape}"
+        )
+    if not (np.isfinite(given).all() and np.isfinite(knots).all() and (np.diff(knots) > 0).all()):
+        raise InputError("table: expected finite K at rising finite r")
+
+    if learned:
+        return InfluenceFunction(functools.partial(tabulated, knots=knots), {"K": given})
+    return InfluenceFunction(functools.partial(tabulated, knots=knots, K=given))
+
+
+def tabulated(r: np.ndarray, K: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """K on straight lines between its values at the knots."""
+    return np.asarray(np.interp(r, knots, K))
+
+
+def shapes_of(influence: Any) -> list[InfluenceFunction]:
+    """One influence function, several or None, as a list.
+
+    Raises InputError for anything else.
+    """
+    if influence is None:
+        return []
+    shapes = list(influence) if isinstance(influence, (list, tuple)) else [influence]
+    for shape in shapes:
+        if not isinstance(shape, InfluenceFunction):
+            raise InputError(
+                "influence: expected an InfluenceFunction or a list of them, got "
+                f"{shape!r:.60}; a function f(r, width) is InfluenceFunction(f, {{'width': 8.0}})"
+            )
+    return shapes
+
+
+def _is_interval(ends: Any) -> bool:
+    try:
+        low, high = map(float, ends)
+    except (TypeError, ValueError):
+        return False
+    return low < high

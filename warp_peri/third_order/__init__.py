@@ -1,0 +1,1 @@
+"""A linear solid with third-order elastic constants (theory.md, N)."""
