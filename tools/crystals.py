@@ -187,7 +187,9 @@ def force_constants(name: str, strain: np.ndarray | None = None) -> ForceConstan
         lammps.forces(supercell.positions)
         if strain is not None:
             stress = lammps.stress()
-        phi = finite_differences(lammps.nearby_forces, supercell.positions, range(len(cell)))
+        phi, change = finite_differences(
+            lammps.nearby_forces, supercell.positions, range(len(cell))
+        )
     polar = None
     if recipe.charges:
         born = [recipe.charges[s] * np.eye(3) for s in cell.get_chemical_symbols()]
@@ -202,4 +204,5 @@ def force_constants(name: str, strain: np.ndarray | None = None) -> ForceConstan
         thickness=recipe.thickness,
         polar=polar,
         stress=stress[:d, :d] if held else None,
+        change=change,
     )

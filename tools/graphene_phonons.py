@@ -49,8 +49,8 @@ def force_constants(
         def forces(moved: np.ndarray) -> np.ndarray:
             return np.pad(session.forces(moved[:, :2]), ((0, 0), (0, 1)))
 
-        phi = finite_differences(forces, x, range(4))
-    return from_supercell(one, many, phi, range(4), thickness=THICKNESS)
+        phi, change = finite_differences(forces, x, range(4))
+    return from_supercell(one, many, phi, range(4), thickness=THICKNESS, change=change)
 
 
 def free_disk(spacing: float = 5.0, loads: int = 8, seed: int = 3) -> tuple[Samples, np.ndarray]:

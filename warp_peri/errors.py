@@ -22,7 +22,10 @@ class InputError(ValueError):
 
 
 def exit_status(
-    work: Callable[[], int | None], interrupted: str = "what is finished is kept", *, name: str = ""
+    work: Callable[[], int | None],
+    interrupted: str | Callable[[], str] = "what is finished is kept",
+    *,
+    name: str = "",
 ) -> int:
     """Run the work of a command and return its exit status.
 
@@ -34,7 +37,8 @@ def exit_status(
     try:
         return work() or 0
     except KeyboardInterrupt:
-        print(f"interrupted; {interrupted}", file=sys.stderr)
+        said = interrupted() if callable(interrupted) else interrupted
+        print(f"interrupted; {said}", file=sys.stderr)
         return 130
     except InputError as error:
         return _ended(f"{begin}error: {error}", 2)

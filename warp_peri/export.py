@@ -18,7 +18,7 @@ from warp_peri.files.series import in_space, item, meshio_of, write_vtu
 from warp_peri.lps.matrices import matrices, node_fields
 from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import PointsLike, Samples
+from warp_peri.points.samples import PointsLike, Samples, nodes_of
 from warp_peri.points.unit_names import symbols
 
 if TYPE_CHECKING:
@@ -149,6 +149,7 @@ def write_operator(path: str | os.PathLike[str], model: Any, points: PointsLike)
     Of a linear solid or a crystal. Component a of node i is number d i + a; rows are interior nodes
     in their order.
     """
+    model = carried(model, points)
     if isinstance(model, Model):
         L = matrices(model, points).operator(model.lam, model.mu)
     else:
@@ -247,6 +248,7 @@ def _write_xdmf(
 
 def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:
     """The point data of each sample."""
+    model = carried(model, points)
     inside = _of_linear(model, points, u) if is_linear_solid(model) else _of_law(model, points, u)
     return [
         {
@@ -263,6 +265,17 @@ def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.nd
 def is_linear_solid(model: Any) -> bool:
     """Whether its linear part is that of `node_fields`."""
     return isinstance(getattr(model, "linear", None), Model)
+
+
+def carried(model: Any, points: PointsLike) -> Any:
+    """The material that `solve` takes on these points: one of another lattice is carried there.
+
+    A linear solid that is certified nowhere stays as it is, and so does any on scattered points.
+    """
+    linear = getattr(model, "linear", None)
+    if not isinstance(linear, Model) or not linear.certified_on or not points.spacing > 0:
+        return model
+    return model if linear.is_certified_on(points.spacing) else model.on(nodes_of(points)).model
 
 
 def _of_linear(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:

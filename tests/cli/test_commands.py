@@ -9,16 +9,20 @@ import sys
 import tomllib
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 
-from tests.support.problems import kernel
+from tests.micromodulus import crystals
+from tests.support.plates import plate
+from tests.support.problems import kernel, smooth
 from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import Dataset, InputError
+from warp_peri import Dataset, InputError, Samples, load
 from warp_peri.cli.inputs import atom_forces
 from warp_peri.cli.main import main
 from warp_peri.lps.model import Model
+from warp_peri.micromodulus import fit_symbol
 from warp_peri.points.dataset_file import load_dataset, save_dataset
 from warp_peri.points.families import bond_classes
 
@@ -419,3 +423,75 @@ def test_sets_on_the_line_take_the_place_of_those_in_the_file(trained, data, tmp
     assert set(answer(capsys, *words)) == {"train"}
     assert set(answer(capsys, *words, "--set", "test")) == {"test"}
     assert set(answer(capsys, *words, "--set=test", "--set", "train")) == {"test", "train"}
+
+
+def crystal_data(folder):
+    """Waves of a crystal that no isotropic solid is, the moduli of whose fits the data deny."""
+    C = crystals.cubic_tensor(2)
+    C[1, 1, 1, 1] *= 1.3
+    law = fit_symbol(crystals.dispersive(C), 1.5, 3.0, symmetry="2mm", tensor=C)
+    points = crystals.lattice(2, 20, 8, law.spacing)
+    sets = {name: crystal_waves(law, points, 16, seed) for name, seed in (("train", 0), ("val", 1))}
+    save_dataset(folder / "crystal.h5", Dataset(sets, 3.35, 2200.0))
+    return law, folder / "crystal.h5"
+
+
+def crystal_waves(law, points, count, seed):
+    u = 1e-3 * smooth(points.x, count, seed, wave_number=0.25)
+    b = np.zeros_like(u)
+    b[:, points.interior] = law.on(points)(u)
+    return Samples(points, u, b)
+
+
+def test_moduli_that_the_data_deny_are_told_beside_those_that_they_have(tmp_path, capsys):
+    law, path = crystal_data(tmp_path)
+    words = ["train", path, "--out", tmp_path / "lps", "--horizon", law.horizon, "--degree", 3]
+    assert main([*map(str, words)]) == 0
+    printed = capsys.readouterr()
+    assert "--law tensors, Micromodulus(…), has them" in printed.err
+    told = json.loads((tmp_path / "lps" / "metrics.json").read_text())
+    for name, value in law.moduli().items():
+        assert told["moduli by tensors"][name] == pytest.approx(value, abs=0.006)  # 3.5 % of C11
+    assert max(abs(told["moduli"][n] / law.moduli()[n] - 1) for n in ("C11", "C12", "C44")) > 0.05
+    assert "moduli by tensors" in printed.out
+
+
+@pytest.mark.parametrize("kind", ["tensors", "dressed", "third-order"])
+def test_every_law_is_trained_at_the_shell(kind, tmp_path, capsys):
+    law, path = crystal_data(tmp_path)
+    words = ["train", path, "--law", kind, "--out", tmp_path / "out", "--degree", 2]
+    words = words[:-2] if kind != "third-order" else words
+    found = answer(capsys, *words, "--horizon", law.horizon)
+    kept = load(tmp_path / "out" / "model.json")
+    if kind != "third-order":
+        assert found["moduli"]["C22"] == pytest.approx(law.moduli()["C22"], rel=0.02)
+    assert type(kept).__name__ == {
+        "tensors": "Crystal", "dressed": "DressedSolid", "third-order": "NonlinearModel"
+    }[kind]  # fmt: skip
+    assert set(found["E_u"]) == {"train", "val"}
+    if kind == "tensors":
+        assert found["E_u"]["val"] < 0.03
+        assert kept.provenance["data"] == "crystal.h5"
+    assert main([*map(str, words), "--influence", "gaussian", "--out", str(tmp_path / "b")]) == 2
+    assert f"--influence: not of --law {kind}" in capsys.readouterr().err
+
+
+def test_an_interrupt_says_whether_anything_is_kept(data, tmp_path, capsys, monkeypatch):
+    def stops(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("warp_peri.learning.run.learn", stops)
+    words = ["train", str(data), "--out", str(tmp_path / "new"), "--horizon", "2.5"]
+    assert main(words) == 130
+    assert "interrupted; nothing is kept yet" in capsys.readouterr().err
+
+
+def test_info_of_a_mesh(tmp_path, capsys):
+    mesh = plate(3.0, 12.0, 6, 24)
+    cells = [("triangle", mesh.triangles)]
+    meshio.Mesh(np.pad(mesh.x, ((0, 0), (0, 1))), cells).write(tmp_path / "plate.msh")
+    told = answer(capsys, "info", tmp_path / "plate.msh")
+    assert told["format"] == "mesh"
+    assert (told["corners"], told["triangles"]) == (len(mesh.x), len(mesh.triangles))
+    assert told["box"] == np.stack([mesh.x.min(axis=0), mesh.x.max(axis=0)], axis=1).tolist()
+    assert sum(told["parts"].values()) == len(mesh.edges)

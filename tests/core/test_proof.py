@@ -1,15 +1,17 @@
 """What is proven of a stencil's symbol holds, and what does not hold is not proven."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from tests.micromodulus.crystals import learned
+import warp_peri as wp
+from tests.micromodulus.crystals import learned, random_law
 from tests.support.problems import KERNELS, difference, kernel
 from warp_peri.core import proof
 from warp_peri.core.groups import lattice_group
-from warp_peri.core.proof import largest, long_wave_radius, parts, prove
+from warp_peri.core.proof import Proof, largest, long_wave_radius, parts, prove
 from warp_peri.core.stencil import (
     Stencil,
     half_ball,
@@ -171,3 +173,26 @@ def test_a_bound_that_takes_too_much_work_is_still_a_bound(monkeypatch):
     tight = largest(stencil, SQUARE)
     monkeypatch.setattr(proof, "MOST_CELLS", {2: 1})
     assert largest(stencil, SQUARE, tolerance=1e-9) > tight
+
+
+def test_a_law_of_which_nothing_is_proven_is_read_again(tmp_path):
+    """Its smallest sampled ratio is below zero by rounding, and nothing is claimed."""
+    law = random_law(2)
+    for sampled in (-1e-13, -0.3):
+        proof = Proof(proven=0.0, sampled=sampled, long_waves=0.0, cells=0, seconds=0.0)
+        wp.save(tmp_path / "law.json", replace(law, certificate=proof))
+        assert wp.load(tmp_path / "law.json").certificate.statement == "Nothing is proven."
+    wp.save(tmp_path / "law.json", replace(law, certificate=replace(proof, proven=0.1)))
+    with pytest.raises(wp.InputError, match="is not proven of these tensors"):
+        wp.load(tmp_path / "law.json")
+
+
+def test_what_was_sampled_is_no_number_of_ones_own(tmp_path):
+    law = learned(2)
+    for times in (0.995, 1.7):
+        forged = replace(law.certificate, sampled=times * law.certificate.sampled)
+        wp.save(tmp_path / "law.json", replace(law, certificate=forged))
+        with pytest.raises(wp.InputError, match="is not proven of these tensors"):
+            wp.load(tmp_path / "law.json")
+    wp.save(tmp_path / "law.json", law)
+    assert wp.load(tmp_path / "law.json").certificate.statement == law.certificate.statement

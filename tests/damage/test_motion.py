@@ -132,6 +132,23 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
         CrackRun(body, step=dt, sections=lines[1], **options).march(body.start(), steps=4)
 
 
+def test_a_checkpoint_of_another_watch_is_not_joined(tmp_path):
+    """The same name, another function: the records would be of two things in one column."""
+    body = pulled(**KINDS["bond-based"])
+    dt = 0.4 * body.longest_step
+    options = {"checkpoint": tmp_path / "run.npz", "every": 1, "checkpoint_every": 1}
+
+    def march(function, steps):
+        run = CrackRun(body, step=dt, watch={"damage": function}, **options)
+        run.march(body.start(cracks=CRACK), steps=steps)
+        return run.history.watched["damage"]
+
+    march(lambda phi: phi.max(), 3)
+    assert len(march(lambda phi: phi.max(), 5)) == 5
+    with pytest.raises(InputError, match="what differs: records"):
+        march(lambda phi: phi.mean(), 7)
+
+
 def ramped(ramp):
     """A body pulled by a load that follows a ramp, and a step."""
     body = pulled(**KINDS["bond-based"])

@@ -23,6 +23,7 @@ from warp_peri.lps.matrices import node_fields
 from warp_peri.lps.model import stiffnesses
 from warp_peri.points.dataset_file import save_dataset
 from warp_peri.points.families import bond_classes
+from warp_peri.stability.certificate import certify
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
@@ -224,6 +225,25 @@ def test_the_matrix_is_the_operator(model, points, tmp_path):
     force = LPSOperator(model, points)(points.u)
     fields = (L @ points.u.reshape(2, -1).T).T.reshape(force.shape)
     np.testing.assert_allclose(fields, force, atol=1e-12 * np.abs(force).max())
+
+
+@pytest.mark.filterwarnings("ignore:transferred:UserWarning")
+def test_on_another_lattice_stress_and_matrix_are_by_the_kernel_that_is_solved_with(tmp_path):
+    home = kernel("positive", HORIZON)
+    home = replace(home, certificate={"1": certify(home, spacing=1.0).figures()})
+    points = lattice(6, HORIZON, spacing=0.8)
+    there = home.on(points)
+    u = 1e-3 * np.stack([points.x[:, 0] ** 2, points.x[:, 0] * points.x[:, 1]], axis=-1)[None]
+    samples = Samples(points, u, 0 * u)
+    (path,) = write_fields(tmp_path, home, samples, u)
+    found = meshio.read(path).point_data
+    wanted = node_fields(there.model, points, u)
+    stress = symmetric(found["stress"][points.interior])[:, :2, :2]
+    np.testing.assert_allclose(stress, wanted.stress[0], rtol=1e-12, atol=1e-16)
+    np.testing.assert_allclose(found["energy"][points.interior], wanted.energy[0], rtol=1e-12)
+    L = sp.load_npz(write_operator(tmp_path / "L.npz", home, points))
+    force = there(u[0])
+    np.testing.assert_allclose((L @ u[0].ravel()).reshape(force.shape), force, atol=1e-12)
 
 
 def test_the_command(model, points, tmp_path, capsys):

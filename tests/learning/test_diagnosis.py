@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.cubes import cube, solid
-from tests.support.problems import kernel, lattice, manufactured
+from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.waves import fluctuation
 from warp_peri import Bernstein, InputError, Samples, diagnose
 from warp_peri.learning.diagnosis import Diagnosis, SheetFeatures
@@ -53,6 +53,23 @@ def test_the_planted_cause_is_named(samples, cause):
     assert sum(diagnosis.shares.values()) == pytest.approx(1.0)
     assert diagnosis.sentence.startswith("The model leaves ")
     assert cause in diagnosis.sentence or "short waves" in diagnosis.sentence
+
+
+def test_forces_that_species_share_unlike_their_masses_are_named():
+    """Two atoms a cell, one of them loaded: their mean moves by κ b beyond what it answers to b."""
+    points = lattice(11, HORIZON)
+    operator, inside = LPSOperator(MODEL, points), points.interior
+    u = noise(points, COUNT) + manufactured(MODEL, points, COUNT).u
+    b = np.zeros_like(u)
+    b[:, inside] = operator(u)
+    left = operator(b)
+    seen = Samples(points, u + 0.1 * b * np.linalg.norm(b[:, inside]) / np.linalg.norm(left), b)
+    diagnosis = diagnose(MODEL, seen)
+    assert diagnosis.residual == pytest.approx(0.1, rel=0.01)
+    assert diagnosis.causes[0] == "species"
+    assert diagnosis.shares["species"] > 0.5
+    louder = replace(seen, u=u + 2 * (seen.u - u))
+    assert "forces in proportion to the masses" in diagnose(MODEL, louder).advice
 
 
 def test_noise_is_named_where_its_fields_are_given(samples):

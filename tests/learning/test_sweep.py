@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from tests.support.problems import kernel, lattice, manufactured
-from warp_peri import InputError
+from tests.support.problems import kernel, lattice, manufactured, with_nodes
+from warp_peri import InputError, Model
 from warp_peri.learning.sweep import Trial, choose
 from warp_peri.methods import sweep
 
@@ -80,6 +80,23 @@ def test_other_data_are_not_taken_for_finished(sets, tmp_path):
     louder = dataclasses.replace(train, b=1.1 * train.b)
     second = sweep(louder, val, tmp_path, **options)
     assert second.trials[0].mu == pytest.approx(1.1 * first.trials[0].mu, rel=1e-6)
+
+
+def test_units_and_what_a_set_is_for_tell_a_trial_from_others(sets, tmp_path):
+    """The same numbers in other units were one trial, and so were test=X and noise=X."""
+    train, val = sets
+    options = {"horizons": (2.0,), "degrees": (0,), "jobs": 1}
+    sweep(train, val, tmp_path, **options)
+    others = [with_nodes(one, units=("nm", "GPa")) for one in sets]
+    sweep(*others, tmp_path, **options)
+    sweep(train, val, tmp_path, test=val, **options)
+    models = [Model.load(path) for path in sorted(tmp_path.glob("*.model.json"))]
+    assert len(models) == 3
+    assert {model.units for model in models} == {("angstrom", "TPa"), ("nm", "GPa")}
+    quiet = dataclasses.replace(val, u=1e-9 * val.u)
+    sweep(train, val, tmp_path, noise=quiet, **options)
+    sweep(train, val, tmp_path, test=quiet, **options)
+    assert len(list(tmp_path.glob("*.model.json"))) == 5
 
 
 def test_an_empty_sweep_is_refused(sets, tmp_path):

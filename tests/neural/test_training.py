@@ -1,5 +1,7 @@
 """Learning: errors fall, work that was stopped goes on, and what cannot be learned is refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -125,6 +127,10 @@ def test_checkpoints_of_other_trainings(tmp_path):
         goes_on(NeuralOperator(HORIZON, (8, 9), (16, 16), strain=0.2).double(), loads(0))
     with pytest.raises(InputError, match="the checkpoint has samples"):
         goes_on(student(), loads(3))
+    moved = loads(0)
+    moved = replace(moved, points=replace(moved.points, x=moved.x + 1.0))
+    with pytest.raises(InputError, match="the checkpoint has samples"):
+        goes_on(student(), moved)
     with pytest.raises(InputError, match="the checkpoint has validation"):
         train(student(), loads(0), loads(2), settings, checkpoint=path, progress=False)
     with pytest.raises(InputError, match="the checkpoint has precision"):

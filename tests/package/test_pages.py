@@ -52,7 +52,7 @@ def own_atoms():
     from ase.build import bulk
     from ase.calculators.emt import EMT
 
-    return wp.micromodulus.from_calculator(bulk("Cu", a=3.59, cubic=True), EMT(), (2, 2, 2))
+    return wp.micromodulus.from_calculator(bulk("Cu", a=3.59, cubic=True), EMT(), (3, 3, 3))
 
 
 def of_bodies(home):

@@ -124,7 +124,10 @@ BAD_FILES = {
     "two spacings": (attribute("spacing", [5, 5], "train"), "set 'train': spacing: .* got array"),
     "no x": (array("x", None), "set 'train': arrays missing: x"),
     "x in four": (array("x", np.ones((N, 4))), rf"set 'train': x: .*\[N, 3\].* got \[{N}, 4\]"),
-    "x in space": (array("x", np.ones((N, 3))), rf"set 'train': u: .*{N}, 3\], got .*{N}, 2\]"),
+    "x in space": (
+        array("x", np.arange(3.0 * N).reshape(N, 3)),
+        rf"set 'train': u: .*{N}, 3\], got .*{N}, 2\]",
+    ),
     "no nodes": (array("x", np.ones((0, 2))), r"set 'train': x: .*N > 0, got \[0, 2\]"),
     "x text": (array("x", ["a"]), "set 'train': x: expected float values"),
     "x nothing": (array("x", h5py.Empty("f8")), "set 'train': x: expected"),

@@ -139,10 +139,6 @@ BAD_POINTS = {
     "spacing too large": (moved(POINTS, spacing=2.0), "square lattice of spacing 2.0"),
     "a rectangular lattice": (moved(POINTS, x=POINTS.x * (1, 1.001)), "square lattice"),
     "one point": (Points([[0.0, 0.0]], [True], 1.0), "no two points"),
-    "a point twice": (
-        Points(np.append(POINTS.x, POINTS.x[:3], 0), np.append(POINTS.interior, [False] * 3), 1.0),
-        "3 duplicates: 0, 1, 2",
-    ),
 }
 
 

@@ -163,7 +163,6 @@ def with_points(*extra):
 
 NUMBER = len(GOOD.x)
 BAD = {
-    "a point twice": (with_points(GOOD.x[7]), 3.0, f"1 duplicates: 7 and {NUMBER}"),
     "an isolated point": (with_points((400.0, 0.0)), 3.0, f"isolated.*: {NUMBER}"),
     "a horizon below the spacing": (GOOD, 0.1, "horizon: expected at least the spacing"),
     "no horizon": (GOOD, 0.0, "horizon: expected a length > 0"),
@@ -230,3 +229,14 @@ def test_negative_weights_are_counted():
     share = solvability(plain(3.0), points).negative_weights
     assert share == np.count_nonzero(inside < 0) / len(inside) > 0
     assert solvability(plain(3.0), lattice(4, 3.0)).negative_weights == 0
+
+
+@pytest.mark.parametrize("spacing", [0.0, 1.0])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_nodes_that_stand_twice_are_refused_where_points_are_made(spacing, dimension):
+    x = np.argwhere(np.ones((5,) * dimension)).astype(float)
+    for scale in (1e-9, 1.0, 1e9):
+        Points(scale * x, np.ones(len(x), bool), scale * spacing)  # near is not twice
+        more = scale * np.concatenate([x, x[[7, 3]] + 1e-12])
+        with pytest.raises(InputError, match=f"points: 2 duplicates: 3 and {len(x) + 1}, 7 and"):
+            Points(more, np.ones(len(more), bool), scale * spacing)

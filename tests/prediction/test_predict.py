@@ -14,6 +14,7 @@ from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
 from warp_peri.points import axis
+from warp_peri.points.strain import largest_strain
 from warp_peri.points.unit_names import factors
 from warp_peri.prediction import (
     Factors,
@@ -25,6 +26,7 @@ from warp_peri.prediction import (
     strain,
     stress,
 )
+from warp_peri.prediction.learning import off_axis
 from warp_peri.prediction.placed import BEYOND, pulled
 from warp_peri.prediction.spectrum import ErrorSpectrum, Spectrum
 from warp_peri.proofs import certify, uniqueness
@@ -305,3 +307,60 @@ def test_members_are_pulled_half_way_to_their_record():
     assert pulled(0.01, 0.0025) == pytest.approx(0.5)
     assert pulled(0.01, 1.0) == 2
     assert pulled(0.01, None) == pulled(0.0, 1.0) == 1
+
+
+def held_in(rich, level, count, seed=0, wave_number=0.5, interior=14):
+    """Samples in equilibrium with a nonlinear member, their largest strain as told."""
+    points = lattice(interior, HORIZON)
+    u = smooth(points.x, count, seed, wave_number)
+    u = np.array([level / largest_strain(points, one) * one for one in u])
+    b = np.zeros_like(u)
+    b[:, points.interior] = rich.on(points)(u)
+    return wp.Samples(points, u, b)
+
+
+@pytest.mark.parametrize("law", [wp.Micromodulus(3.0, "4mm"), wp.LPS(3.0, wp.Bernstein(4))])
+@pytest.mark.parametrize("trained", [0.01, 0.04])
+def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
+    """Few loads: the member itself takes up some of it, and the half that saw a sample too."""
+    learned = wp.fit(held_in(family.rich, trained, 8), Family(law), progress=False).material
+    seen = held_in(family.rich, 0.04, 6, seed=5)
+    given = np.where(seen.interior[:, None], 0.0, seen.u)
+    answers = wp.predict(learned, wp.Dirichlet(seen.points, seen.b, given), None)
+    for answer, truth in zip(answers, seen.u):
+        beyond = any(one.startswith("strain") for one in answer.uncovered)
+        assert beyond == (trained < 0.02)
+        assert answer.error > far(answer.u, truth, seen.points) / 1.5
+        assert answer.parts["strain"] > 0.02
+    unknown = replace(learned, factors=replace(learned.factors, stretch=0.0))  # an older file
+    answer = wp.predict(unknown, wp.Dirichlet(seen.points, seen.b[0], given[0]), None)
+    assert any("nothing in the family tells" in one for one in answer.uncovered)
+
+
+def test_without_a_tolerance_the_best_that_was_computed_comes_back(family):
+    for level in (0.1, 0.15, 0.2):  # beyond what corrections converge for
+        for seed in range(2):
+            one = held_in(family.rich, level, 1, seed, wave_number=0.3)
+            asked = wp.Dirichlet(one.points, one.b[0], np.where(one.interior[:, None], 0, one.u[0]))
+            bars = [wp.predict(family, asked, t).error for t in (0.1, 0.05, 0.02, 0.01, 0.005)]
+            assert wp.predict(family, asked, None).error < 1.1 * min(bars)
+
+
+def test_a_stated_axis_is_held_against_the_data_and_said_to_be_believed(family):
+    data = held_in(family.rich, 0.03, 8)
+    points = replace(data.points, axis=data.points.axis + 12)
+    law = wp.ThirdOrder(
+        wp.LPS(HORIZON, wp.Bernstein(3, two_functions=True), normalise=True,
+               method=wp.methods.Optimum(moduli="isotropic")), wp.methods.Smoothing(2.0)
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match="is stated, and the data are explained best at 1[78]"):
+        learned = wp.fit(replace(data, points=points), Family(law), progress=False).material
+    assert learned.axis_off == pytest.approx(-12, abs=1)  # of what other constants left
+    one = held_in(family.rich, 0.03, 1, seed=7)
+    given = np.where(one.interior[:, None], 0.0, one.u[0])
+    answer = wp.predict(learned, wp.Dirichlet(points, one.b[0], given), 0.01)
+    assert answer.parts["axis"] > 0
+    assert answer.error > far(answer.u, one.u[0], points)
+    assert "stated, believed" in repr(answer)
+    right = off_axis(family.rich, data)
+    assert right == 0 == off_axis(family.rich, replace(data, points=replace(points, axis=None)))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import lattice
-from warp_peri import InputError
+from warp_peri import InputError, Points
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.sources.dumps import (
     Atoms,
@@ -239,3 +239,24 @@ def test_wrapped_atoms_need_a_box(tmp_path):
     with pytest.raises(InputError, match="beyond half the box; are they wrapped"):
         dump_displacement(path, REFERENCE)
     assert np.abs(dump_displacement(path, REFERENCE, box=BOX)).max() < 2
+
+
+def test_a_torn_sheet_is_remarked(tmp_path):
+    """Half of the atoms moved away from the other half; a stretch of a tenth says nothing."""
+    x = np.argwhere(np.ones((8, 8))).astype(float) * 2.5
+    points = Points(np.array([[8.0, 8.0]]), np.array([True]), 0.0)
+    omega = smoothing_matrix(x, points.x, radius=8.0)
+
+    def grained(name, moved, **options):
+        frame = "ITEM: TIMESTEP\n0\nITEM: NUMBER OF ATOMS\n64\nITEM: BOX BOUNDS pp pp pp\n"
+        frame += 3 * "-99 99\n" + "ITEM: ATOMS id type xu yu zu\n"
+        rows = (f"{n + 1} 1 {a} {b} 0\n" for n, (a, b) in enumerate(x + moved))
+        (tmp_path / name).write_text(frame + "".join(rows))
+        return coarse_grain_dumps(
+            [tmp_path / name], omega, points, Atoms(x), force=np.zeros((1, 64, 2)),
+            node_area=6.25, thickness=1.0,
+        )  # fmt: skip
+
+    grained("whole.dump", 0.1 * x)
+    with pytest.warns(UserWarning, match="torn.dump: 16 of 64 atoms are 50% or more further"):
+        grained("torn.dump", np.where(x[:, :1] > 9, 2.0, 0.0) * [1.0, 0.0])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+import warp_peri as wp
 from tests.points.test_interpolation import cloud
 from tests.support.problems import kernel, lattice
 from tests.support.solving import solve
@@ -141,4 +142,17 @@ def test_points_that_fill_no_plane():
     with pytest.raises(InputError, match="they are on a line"):
         LPSOperator(HOME, Points(x, x[:, 0] == 25, 0.0))
     with pytest.raises(InputError, match="expected at least 40 nodes"):
-        LPSOperator(HOME, Points(np.eye(2)[[0, 1, 0]] * 2.0, np.array([True, False, False]), 0.0))
+        LPSOperator(
+            HOME, Points(np.array([[2.0, 0], [0, 2], [0, 0]]), np.array([True, False, False]), 0.0)
+        )
+
+
+def test_a_load_that_is_no_number_on_the_collar_is_told(operator):
+    """It was called singular: a load between scattered nodes is read beside the interior too."""
+    u, b = waves(operator.points.x)
+    unknown = np.where(operator.points.interior[:, None], b, np.nan)
+    with pytest.raises(InputError, match="b: expected finite values on the collar too"):
+        operator.solve(unknown, u)
+    problem = wp.Dirichlet(operator.points, unknown[0], u[0])
+    with pytest.raises(InputError, match="b: expected finite values on the collar too"):
+        wp.solve(HOME, problem)

@@ -1,16 +1,23 @@
 """Structures to laws: moduli of finite strains, sheets and solids found, what is refused."""
 
 import json
+import re
 import sys
+import warnings
 from dataclasses import replace
+from typing import ClassVar
 
 import ase.build
 import ase.io
 import numpy as np
 import pytest
 import tomli_w
+from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
+from ase.filters import FrechetCellFilter
+from ase.neighborlist import neighbor_list
+from ase.optimize import BFGS
 
 import warp_peri as wp
 from tools.crystals import LEWIS_CATLOW
@@ -18,7 +25,7 @@ from warp_peri.cli.main import main
 from warp_peri.core.elastic import voigt
 from warp_peri.core.groups import group_of_structure
 from warp_peri.structures.campaign import load_campaign
-from warp_peri.structures.lammps import LammpsError, lammps_calculator
+from warp_peri.structures.lammps import LammpsError, lammps_calculator, potential_file
 from warp_peri.structures.phonons import born_charges, force_constants
 from warp_peri.structures.rest import at_rest
 
@@ -94,6 +101,132 @@ class Ions(EMT):
         self.results["dielectric_tensor"] = np.eye(3)
 
 
+class Exchange(Calculator):
+    """Pairs that are stiffer where an array of the atoms has other signs, 40 % by default."""
+
+    implemented_properties: ClassVar = ["energy", "forces", "stress"]
+
+    def __init__(self, name, gain=0.4):
+        super().__init__()
+        self.name_of_array, self.gain = name, gain
+
+    def calculate(self, atoms=None, properties=(), changes=()):
+        super().calculate(atoms, properties, changes)
+        i, j, D, r = neighbor_list("ijDd", atoms, 4.8)
+        sign = np.sign(atoms.arrays.get(self.name_of_array, np.ones(len(atoms))))
+        s = 0.5 * (1 + self.gain * (sign[i] * sign[j] < 0))
+        fade, dfade = (4.8 - r) ** 4 / 20, -4 * (4.8 - r) ** 3 / 20
+        well, dwell = (2.6 / r) ** 6 - 2.2, -6 * (2.6 / r) ** 6 / r
+        pull = (s * (dwell * fade + well * dfade) / r)[:, None] * D
+        forces = np.zeros((len(atoms), 3))
+        np.add.at(forces, i, 2 * pull)
+        stress = np.einsum("na,nb->ab", pull, D) / atoms.get_volume()
+        self.results = {
+            "energy": float((s * well * fade).sum()), "forces": forces,
+            "stress": stress[(0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)],
+        }  # fmt: skip
+
+
+def ordered(name):
+    """A cubic cell of four atoms of nickel in layers across z, with an array that orders them."""
+    atoms = ase.build.bulk("Ni", a=3.6, cubic=True)
+    order = np.argsort(np.argsort(atoms.positions[:, 2], kind="stable"), kind="stable")
+    atoms.set_array(name, np.where(order < 2, 1.0, -1.0))
+    return atoms
+
+
+@pytest.mark.parametrize("name", ["initial_magmoms", "initial_charges", "tags", "own"])
+def test_what_tells_atoms_of_one_element_apart_is_kept_in_the_smallest_cell(name):
+    """Moments, charges and tags by themselves; what else a calculator goes by keeps the cell."""
+    calculator, given = Exchange(name), ordered(name)
+    if name == "own":
+        with pytest.warns(UserWarning, match="the cell of 4 atoms is kept: the calculator has"):
+            rest = at_rest(given, calculator)
+    else:
+        rest = at_rest(given, calculator)
+    assert len(rest.cell) == (4 if name == "own" else 2)
+    assert sorted(rest.cell.arrays[name])[:: len(rest.cell) - 1] == [-1, 1]
+    found = from_atoms_of(given, calculator)
+    C = 1e3 * voigt(found.tensor)
+    np.testing.assert_allclose(C, strained_by_hand(given, calculator), atol=0.01 * C[0, 0])
+    bare = given.copy()
+    del bare.arrays[name]
+    assert abs(1e3 * voigt(from_atoms_of(bare, calculator).tensor) - C).max() > 0.1 * C[0, 0]
+
+
+def from_atoms_of(atoms, calculator):
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "structure: the cell of 4 atoms is kept")
+        return wp.from_atoms(atoms, calculator, symmetry="-1", supercell=None)
+
+
+def strained_by_hand(given, calculator):
+    """C [GPa] of the cell as it was given, relaxed, by finite strains; its atoms are centres."""
+    cell = given.copy()
+    cell.calc = calculator
+    BFGS(FrechetCellFilter(cell), logfile=None).run(fmax=1e-6, steps=500)
+    edges, columns = np.array(cell.cell), []
+    for i, j in ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)):
+        found = []
+        for sign in (1e-3, -1e-3):
+            strain = np.zeros((3, 3))
+            strain[i, j] += sign / 2
+            strain[j, i] += sign / 2
+            cell.set_cell(edges @ (np.eye(3) + strain), scale_atoms=True)
+            found.append(cell.get_stress())
+        columns.append((found[0] - found[1]) / 2e-3)
+    return np.array(columns) * 160.21766
+
+
+def test_elements_of_a_typed_pair_coeff_are_its_types():
+    alloy = ase.Atoms("AlNi3", scaled_positions=[[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5],
+                      [0.5, 0.5, 0]], cell=[3.57] * 3, pbc=True)  # fmt: skip
+    path = potential_file("NiAlH_jea.eam.alloy")
+    energy = {}
+    for elements in ("Ni Al", "Al Ni", "H Ni Al"):
+        line = f"lammps:eam/alloy; pair_coeff * * {path} {elements}"
+        alloy.calc = wp.atoms.named_calculator(line, ["Al", "Ni"])
+        energy[elements] = alloy.get_potential_energy()
+    alloy.calc = lammps_calculator("eam/alloy", ["Al", "Ni"], path)
+    assert list(energy.values()) == pytest.approx([alloy.get_potential_energy()] * 3, rel=1e-12)
+    for elements in ("Ni", "Ni Ni", "Ni H"):
+        with pytest.raises(
+            wp.InputError, match=f"element of the structure, Al, Ni, once, got {elements}"
+        ):
+            lammps_calculator(f"eam/alloy; pair_coeff * * {path} {elements}", ["Al", "Ni"])
+    lines = "; ".join(f"pair_coeff * * a {e}" for e in ("Ni NULL", "Al Ni"))
+    with pytest.raises(wp.InputError, match="one element for type 1, got Ni and Al"):
+        lammps_calculator(f"hybrid a b; {lines}", ["Al", "Ni"])
+
+
+def test_a_potential_with_kinks_is_called_one():
+    """Tables of CoAl.eam.alloy have kinks; AIREBO's graphyne was called piezoelectric."""
+    alloy = ase.Atoms("CoAl", scaled_positions=[[0, 0, 0], [0.5] * 3], cell=[2.86] * 3, pbc=True)
+    made = lammps_calculator("eam/alloy", ["Co", "Al"], "CoAl.eam.alloy")
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        try:
+            found = wp.from_atoms(alloy, made)
+        except wp.InputError as error:
+            seen.append(error)
+        else:
+            assert "of the largest from steps of 0.002 to 0.01" in repr(found)
+    told = " ".join(str(getattr(one, "message", one)) for one in seen)
+    assert re.search(r"change by [\d.]+% of the largest .* the potential has kinks", told)
+    with pytest.raises(wp.InputError, match="the potential has kinks") as raised:
+        wp.from_atoms(graphyne(), lammps_calculator("airebo 3.0 1 1", ["C"], "CH.airebo"))
+    assert "piezoelectric" not in str(raised.value)
+
+
+def graphyne():
+    """γ-graphyne: hexagons of carbon on a triangular lattice, joined by C≡C."""
+    turns = np.stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)], axis=1)
+    x = np.pad(np.concatenate([1.43 * turns, 2.84 * turns]), ((0, 0), (0, 1)))
+    a = 2 * 2.84 + 1.22
+    cell = [[a, 0, 0], [-a / 2, a * 0.75**0.5, 0], [0, 0, 20]]
+    return ase.Atoms("C12", positions=x, cell=cell, pbc=[True, True, False])
+
+
 def test_born_charges_of_a_calculator_are_asked_for():
     solid = at_rest(ase.build.bulk("Cu", a=3.59), EMT())
     calculator = Ions()
@@ -143,11 +276,19 @@ def test_a_calculator_with_charges_has_the_field_of_its_ions():
 
 def test_a_supercell_that_forces_leave_is_said():
     nickel = ase.build.bulk("Ni")
-    with pytest.warns(UserWarning, match=r"moduli: those of long waves are \d+.\d% off"):
+    with (
+        pytest.warns(UserWarning, match=r"moduli: those of long waves are \d+.\d% off"),
+        pytest.warns(UserWarning, match="16% of what moduli are made of"),
+    ):
         found = wp.from_atoms(nickel, EMT(), supercell=(3, 3, 3))
     assert 0.02 < off(found) < 0.2
-    assert "forces reach further than 3 x 3 x 3 cells" in repr(found)
-    with pytest.raises(wp.InputError, match="forces reach further than 2 x 2 x 2 cells"):
+    with pytest.warns(UserWarning, match="16% of what moduli are made of"):
+        said = repr(found)
+    assert "forces reach further than 3 x 3 x 3 cells" in said
+    with (
+        pytest.raises(wp.InputError, match="forces reach further than 2 x 2 x 2 cells"),
+        pytest.warns(UserWarning, match="100% of what moduli are made of"),
+    ):
         wp.from_atoms(ase.build.bulk("Al"), EMT(), supercell=(2, 2, 2))
     with pytest.raises(wp.InputError, match="forces between atoms, got none in 1 atoms"):
         wp.from_atoms(ase.build.bulk("Al"), EMT(), supercell=(1, 1, 1))

@@ -5,10 +5,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from ase.build import bulk
+from ase.calculators.emt import EMT
 
 import warp_peri as wp
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
+from warp_peri.micromodulus import from_calculator
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"
 STRAINED = (392.963, 164.309, 164.298)
@@ -77,3 +80,15 @@ def test_what_is_no_file_of_phonopy_is_refused(tmp_path):
     (tmp_path / "phonopy.yaml").write_text("nothing: here\n")
     with pytest.raises(wp.InputError, match="phonopy does not read it"):
         wp.atoms.from_phonopy(tmp_path)
+
+
+def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(tmp_path):
+    """Of eight atoms of copper every other one is as near as its images: nothing can decay."""
+    narrow = from_calculator(bulk("Cu", a=3.59), EMT(), (2, 2, 2))
+    wide = wp.atoms.from_phonopy(EXAMPLES / "copper")
+    assert (wide.edge, narrow.edge) == (pytest.approx(0.026, abs=0.002), pytest.approx(1))
+    with pytest.warns(UserWarning, match=r"100% of what moduli are made of, .* is at half the"):
+        found = wp.atoms.from_force_constants(narrow, symmetry="m-3m")
+    assert found.said["at the supercell's edge"] == "100.0% of Σ |Φ| r²"
+    with pytest.warns(UserWarning, match="100% of what moduli are made of"):
+        moduli(narrow)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.conformance.test_laws import hyperelastic, tissue
 from tests.support.sheets import hgo_dictionary, square, waves
 from warp_peri import Dirichlet, InputError, Samples, solve
 from warp_peri.tissue.equilibrium import (
@@ -157,3 +158,16 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     for solved in (True, False):
         with pytest.warns(UserWarning, match=said):
             hyperelastic_errors(less, samples, solve=solved)
+
+
+@pytest.mark.parametrize("size", [1e-5, 1e-8, 1e-11, 1e-30, 1e-200])
+def test_very_small_loads_and_collars_have_answers_in_proportion(size):
+    """Rounding of forces, which are differences of products near one, ended in no equilibrium."""
+    solid, points = hyperelastic(), tissue(9)
+    b = 1e-3 * np.sin(points.x) * points.interior[:, None]
+    for load, collar in ((b, 0 * b), (0 * b, np.cos(points.x))):
+        known = solve(solid, Dirichlet(points, 1e-2 * load, 1e-5 * collar)).u / 1e-5
+        found = solve(solid, Dirichlet(points, 1e3 * size * load, size * collar))
+        near = 1e-4 * np.abs(known).max()  # of second order in the strain
+        np.testing.assert_allclose(found.u / size, known, atol=near, rtol=0)
+        assert found.residual < 1e-8

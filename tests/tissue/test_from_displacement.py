@@ -256,3 +256,12 @@ def test_no_energy_joins_twice():
     joined = with_families(hgo_dictionary(), HyperelasticSolid(dictionary, c, 0.1))
     assert len(joined) == len(hgo_dictionary()) + 1
     assert with_corners(dictionary) == dictionary
+
+
+def test_a_law_from_a_handful_of_nodes_is_refused(frames):
+    """Three nodes inside and all else given: an answer a third off, with a band of no width."""
+    few = np.zeros_like(frames.interior)
+    few[np.flatnonzero(frames.interior)[[11, 12, 13]]] = True
+    points = replace(frames.points, interior=few)
+    with pytest.raises(InputError, match="60 measured components inside for 6 numbers, got 18"):
+        fit_displacement(Samples(points, frames.u), sheet())

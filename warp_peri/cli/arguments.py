@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import ArgumentParser
 from pathlib import Path
 
-from warp_peri.learning import DEGREES, HORIZONS, LOSSES, METHODS
+from warp_peri.learning import DEGREES, HORIZONS, LAWS, LOSSES, METHODS
 
 
 def coarse_grain(command: ArgumentParser) -> None:
@@ -73,6 +73,13 @@ def train(command: ArgumentParser) -> None:
     command.add_argument("--set", default="train", help="what to learn from")
     command.add_argument("--noise", help="set with fields of noise alone")
     units(command)
+    command.add_argument(
+        "--law",
+        choices=LAWS,
+        default="lps",
+        help="the linear peridynamic solid; micromodulus tensors, of any crystal; a dressed solid, "
+        "for bodies that end and break; or third-order constants too, for larger strain",
+    )
     command.add_argument(
         "--horizon", type=float, help="δ in the data's unit of length; default: 20 Å"
     )

@@ -207,12 +207,23 @@ def run_export(given: argparse.Namespace) -> Result:
 
 
 def run_info(given: argparse.Namespace) -> Result:
-    """What a model or data file holds."""
+    """What a model, a data file or a mesh holds."""
     if given.file.suffix == ".json":
         material = load(given.file)
         given.told = repr(material)
         told: Any = getattr(material, "summary", None) or getattr(material, "rows", list)
         return dict(finite(plain(dict(told()))))
+    if given.file.suffix not in (".h5", ".hdf5"):
+        body = load(given.file)
+        if not isinstance(body, Dataset):
+            low, high = body.x.min(axis=0), body.x.max(axis=0)
+            return {
+                "format": "mesh",
+                "corners": len(body.x),
+                "triangles" if len(low) == 2 else "tetrahedra": len(body.cells),
+                "box": [[float(a), float(b)] for a, b in zip(low, high)],
+                "parts": {name: len(faces) for name, faces in body.parts.items()},
+            }
     data = load_dataset(given.file)
     return {
         "format": "data set",

@@ -30,7 +30,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "plan": ("which model and solver a scene needs", arguments.plan),
     "export": ("for ParaView and other codes", arguments.export),
     "sweep": ("choose horizon and degree", arguments.sweep),
-    "info": ("what a model or data file holds", arguments.info),
+    "info": ("what a model, a data file or a mesh holds", arguments.info),
 }
 """What each command is for, and its options; `commands` has a function run_NAME for each."""
 
@@ -41,14 +41,22 @@ def main(words: Sequence[str] | None = None) -> int:
     Returns the exit status: 0; 1 after a failure, such as a full disk; 2 for input that cannot be
     used; 130 after Ctrl-C.
     """
-    return exit_status(lambda: _run(words))
+    known: dict[str, Any] = {}
+
+    def kept() -> str:
+        out = known.get("out")
+        there = out is not None and out.exists() and (not out.is_dir() or any(out.iterdir()))
+        return "what is finished is kept" if there or not known else "nothing is kept yet"
+
+    return exit_status(lambda: _run(words, known), kept)
 
 
-def _run(words: Sequence[str] | None) -> int:
+def _run(words: Sequence[str] | None, known: dict[str, Any]) -> int:
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = _warn
         given = parse(_parser(), words)
+        known |= vars(given)
         commands.check_output(given)
         result = given.run(given)
     try:

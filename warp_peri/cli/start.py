@@ -31,4 +31,4 @@ def _leave(number: int, frame: FrameType | None) -> None:
 
 
 def _say() -> None:
-    print("interrupted; what is finished is kept", file=sys.stderr, flush=True)
+    print("interrupted; nothing is kept yet", file=sys.stderr, flush=True)

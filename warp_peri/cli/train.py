@@ -38,6 +38,9 @@ SHEET = {"thickness": 3.35, "density": 2200.0}
 ERRORS = {"E_res": "of forces, which amplify short waves", "E_u": "of displacement, once solved"}
 """Errors that training prints, and what they are of."""
 
+CUBIC = ("t3", "tq2", "q3")
+"""Third-order constants that a law may have."""
+
 TYPED_BOX = 1e-3
 """Relative difference of a typed period from that of the dump."""
 
@@ -124,10 +127,13 @@ def run_train(given: argparse.Namespace) -> Result:
     from warp_peri.learning import methods
     from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
     from warp_peri.learning.run import train
+    from warp_peri.micromodulus.learning import long_waves_of_data
     from warp_peri.regression.conditions import Conditions
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)
+    if given.law != "lps":
+        return _train_other(given, data)
     samples, noise = data[given.set], data[given.noise] if given.noise else None
     kernel: methods.Kernel
     kernel = methods.Bernstein(DEGREE if given.degree is None else given.degree)
@@ -150,6 +156,11 @@ def run_train(given: argparse.Namespace) -> Result:
             progress=not given.json,
         )
         metrics = training_metrics(run)
+        best, warned = long_waves_of_data(run.fit.moduli[0], samples, given.horizon)
+        if best:
+            metrics["moduli by tensors"] = best
+        if warned:
+            warnings.warn(warned, stacklevel=1)
         if samples.spacing and len(samples) >= LEAST_SAMPLES:
             diagnosis = diagnose(run.fit.material, samples, noise)
             metrics["residual"] = {"why": diagnosis.sentence, **diagnosis.shares}
@@ -157,6 +168,45 @@ def run_train(given: argparse.Namespace) -> Result:
                 warnings.warn(diagnosis.advice, stacklevel=1)
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
+        keep(given, given.out / f"{given.command}.toml")
+    return {**metrics, "model": str(given.out / "model.json")}
+
+
+def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
+    """The same for a law other than the LPS; its methods, losses and kernels are the LPS's own."""
+    from warp_peri.learning.run import Run, evaluated
+    from warp_peri.methods import Optimum, Smoothing
+
+    usual = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",
+             "zeta": None, "loss": "auto", "seed": 0}  # fmt: skip
+    usual |= {} if given.law == "third-order" else {"degree": None}
+    usual |= {} if given.law == "tensors" else {"normalise": False}
+    if own := [f"--{name}" for name, value in usual.items() if getattr(given, name) != value]:
+        raise InputError(f"{', '.join(own)}: not of --law {given.law}")
+    samples, horizon = data[given.set], given.horizon
+    degree = DEGREE if given.degree is None else given.degree
+    kernel = warp_peri.Bernstein(degree, two_functions=True)
+    linear = warp_peri.LPS(horizon, kernel, Optimum(moduli="isotropic"), normalise=True)
+    law: Any = warp_peri.Micromodulus(horizon, normalise=given.normalise)
+    if given.law == "third-order":
+        law = warp_peri.ThirdOrder(linear, Smoothing(2 * samples.spacing))
+    elif given.law == "dressed":  # with the group and the long waves that the data have
+        found = warp_peri.fit(samples, law).material
+        law = warp_peri.Dressed(symmetry=found.symmetry, moduli=found.elastic_tensor())
+    with locked(given.out):
+        fit = warp_peri.fit(samples, law, progress=not given.json)
+        run = Run(fit, *evaluated(fit.material, data.sets), None, {})
+        material, solid = fit.material, getattr(fit.material, "linear", fit.material)
+        moduli = getattr(solid, "moduli", lambda: {"lambda": solid.lam, "mu": solid.mu})()
+        proof: Any = getattr(fit, "certificate", None) or getattr(solid, "certificate", None)
+        metrics = {"law": given.law, "units": list(data.units), "moduli": moduli}
+        if hasattr(proof, "statement"):
+            metrics["statement"] = proof.statement
+        metrics |= {name: getattr(material, name) for name in CUBIC if hasattr(material, name)}
+        metrics |= {"E_res": run.mean("E_res"), "E_u": run.mean("E_u")}
+        metrics["not_evaluated"] = run.refused
+        known = {"data_provenance": data.provenance}
+        run.save(given.out, metrics, data=given.data, provenance=known)
         keep(given, given.out / f"{given.command}.toml")
     return {**metrics, "model": str(given.out / "model.json")}
 
@@ -204,9 +254,9 @@ def in_percent(metrics: Result) -> Result:
             shown["why"] = value["why"]
             shares = {name: 100 * share for name, share in value.items() if name != "why"}
             shown["shares of the squared residual [%]"] = shares
-        elif key in ("lambda", "mu", "E"):
+        elif key in ("lambda", "mu", "E", *CUBIC):
             shown[key] = shown_moduli(units, (value,), digits=6)
-        elif key in ("moduli", "deviation"):
+        elif key in ("moduli", "moduli by tensors", "deviation"):
             shown[key] = {
                 name: shown_moduli(units, (size,), digits=6) if name[0] in "lmCE" else size
                 for name, size in value.items()

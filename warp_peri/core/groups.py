@@ -47,6 +47,8 @@ CANDIDATES = {
 }
 """Groups that a fit to fields tries, from the largest."""
 
+TELLING = ("numbers", "initial_magmoms", "initial_charges", "tags", "mmcharges", "type")
+"""Arrays of an ase.Atoms that a calculator may go by."""
 LATTICE_GROUP = {2: "4mm", 3: "m-3m"}
 """Of a square and of a cubic lattice of nodes."""
 
@@ -167,6 +169,17 @@ def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
     if not np.abs(given @ given.T - np.eye(dimension)).max() < TOLERANCE:
         raise InputError("orientation: expected a rotation, got a matrix that is none")
     return given
+
+
+def kinds_of(atoms: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers that tell the atoms of an ase.Atoms apart, shape [n], and a first atom of each kind.
+
+    Atoms of one element are two kinds where their magnetic moments, charges, tags or types differ.
+    """
+    told = [atoms.arrays[name] for name in TELLING if name in atoms.arrays]
+    rows = np.column_stack([np.reshape(one, (len(atoms), -1)) for one in told]).astype(float)
+    _, first, kinds = np.unique(np.round(rows, 3), axis=0, return_index=True, return_inverse=True)
+    return kinds.reshape(-1), first
 
 
 def group_of_structure(

@@ -15,9 +15,9 @@ from tqdm import tqdm
 from warp_peri.damage.lattice_body import HAIR, cells, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
 from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, digest
+from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed
 from warp_peri.files.series import Series
-from warp_peri.points.arrays import check_whole
+from warp_peri.points.arrays import check_whole, fingerprint
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""
@@ -255,15 +255,15 @@ class CrackRun:
         return {
             "start": self._began,
             "nodes": self.nodes.mark(body.body.x),
-            "solid": digest(
+            "solid": fingerprint(
                 *numbers, body.operator.limits, solid.by_energy, solid.tension_only, model.units
             ),
             "no_fail": self.nodes.mark(body.no_fail),
             "load": self.nodes.mark(body.load.numpy()),
             "held": self.nodes.mark(body.held.numpy()),
             "grip": self.nodes.mark(body.grip.numpy()),
-            "step": digest(self.dt),
-            "records": digest(*self._record_marks()),
+            "step": fingerprint(self.dt),
+            "records": fingerprint(self._record_marks(), self.watch),
         }
 
     def _applied(self, steps: int) -> tuple[np.ndarray, np.ndarray]:

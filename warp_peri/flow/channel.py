@@ -22,6 +22,7 @@ from warp_peri.files.series import write_vtu
 from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
 from warp_peri.kernels.flow import particles as kernels
 from warp_peri.launch import DEVICE, empty, ints, launch, zeros
+from warp_peri.points.arrays import fingerprint
 from warp_peri.points.scattered import neighbours
 
 REACH = 3.0
@@ -337,7 +338,7 @@ def run_channel(
     """
     _check(flow, until, dt, every)
     particles, steps = Particles(flow), round(until / dt)
-    key = "" if checkpoint is None else f"{flow} dt {dt} every {every} {key_of(stress)}"
+    key = "" if checkpoint is None else fingerprint(flow, dt, every, key_of(stress))
     kept: dict[str, list[Any]] = {name: [] for name in ("t", "x", "v", "sigma", "rho")}
     first = 0
     if checkpoint is not None and Path(checkpoint).exists():

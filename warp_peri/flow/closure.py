@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
@@ -15,7 +13,7 @@ from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.flow.dumbbells import Dumbbells, Ensembles, random_planar
 from warp_peri.flow.laws import IDENTITY, FlowLaw
-from warp_peri.points.arrays import check_positive, check_whole
+from warp_peri.points.arrays import check_positive, check_whole, fingerprint
 
 March = Callable[[np.ndarray, np.ndarray, float, int], np.ndarray]
 """C after some steps of Heun's rule: of K [n, 4], C [n, 4], relaxation times a step, steps."""
@@ -101,8 +99,7 @@ class Closure:
     @property
     def key(self) -> str:
         """What the run depends on: De and the law's numbers."""
-        law = re.sub(r" at 0x[0-9a-f]+", "", repr(self.law))
-        return f"De {self.De}, law {hashlib.sha256(law.encode()).hexdigest()[:16]}"
+        return f"De {self.De}, law {fingerprint(self.law)[:16]}"
 
     def state(self) -> np.ndarray:
         """The conformation C of the cells, shape [n, 4]."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from warp_peri.files.atomic import whole_file
 from warp_peri.flow.laws import IDENTITY, trace
 from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
-from warp_peri.points.arrays import check_positive, check_whole, checked
+from warp_peri.points.arrays import check_positive, check_whole, checked, fingerprint
 
 BLOCK = 2000
 """Dumbbells a thread sums up in single precision."""
@@ -349,7 +348,7 @@ def simulate(
     K = np.asarray(K, dtype=float)
     if K.ndim != 3 or K.shape[1:] != (dumbbells.ensembles, 4):
         raise InputError(f"K: expected shape [T, {dumbbells.ensembles}, 4], got {list(K.shape)}")
-    first, key = 0, f"{dumbbells.key}, {protocol_key(K, interval, steps)}"
+    first, key = 0, f"{dumbbells.key}, {fingerprint(K, interval, steps)[:16]}"
     moments = np.zeros((2, len(K) + 1, *K.shape[1:]))
     if checkpoint is not None and Path(checkpoint).exists():
         first, moments = _resume(checkpoint, dumbbells, moments, key)
@@ -364,12 +363,6 @@ def simulate(
         if checkpoint is not None and ((n + 1) % often == 0 or n + 1 == len(K)):
             _keep(checkpoint, dumbbells, moments, n + 1, key)
     return Ensembles(interval, K, moments[0], moments[1], dumbbells.count)
-
-
-def protocol_key(K: np.ndarray, interval: float, steps: int) -> str:
-    """What is done to dumbbells, in a few words."""
-    digest = hashlib.sha256(np.ascontiguousarray(K).tobytes()).hexdigest()[:16]
-    return f"K {digest}, interval {interval}, steps {steps}"
 
 
 def _keep(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
 from warp_peri.flow.laws import shear
+from warp_peri.points.arrays import fingerprint
 
 
 def still(t: float) -> float:
@@ -132,7 +133,11 @@ def run_plane(
     """
     _check(flow, until, dt, every)
     steps, dy = round(until / dt), 1 / flow.cells
-    key = "" if checkpoint is None else _key(flow, stress, dt, every)
+    key = (
+        ""
+        if checkpoint is None
+        else fingerprint(replace(flow, force=still, top=still), dt, every, key_of(stress))
+    )
     moved: list[tuple[float, float]] = []  # force and wall of all steps
     u, sigma = np.zeros(flow.cells + 1), np.zeros((flow.cells, 4))
     times, us, sigmas = [0.0], [u.copy()], [sigma.copy()]
@@ -176,11 +181,6 @@ def _check(flow: PlaneFlow, until: float, dt: float, every: int) -> None:
     check_time_step(dt, flow.longest_step)
     if every < 1 or not (math.isfinite(until) and until > 0):
         raise InputError(f"run: expected until > 0 and every ≥ 1, got {until} and {every}")
-
-
-def _key(flow: PlaneFlow, stress: Stress, dt: float, every: int) -> str:
-    """What a run depends on; its force and its wall are kept by their values."""
-    return f"{flow.De} {flow.Re} {flow.cells} {flow.solvent} {dt} {every} {key_of(stress)}"
 
 
 def _extend(known: list[tuple[float, float]], flow: PlaneFlow, dt: float, steps: int) -> None:

@@ -248,11 +248,16 @@ STRONG = 0.05
 """A strain at which stresses of third order are no larger than linear ones. What such stresses may
 explain is the square of a strain's share of it, and no more."""
 TINY = 1e-300
+MOSTLY = 0.8
+"""Of the squared residual, that one number by itself must take to be its cause: bonds by class,
+which are many, could take it too."""
 WORDS = {
     "noise": "noise in the displacement",
     "dispersion": "short waves: another kernel, or a crystal's six axes, would take it",
     "anisotropy": "anisotropy: the material is stiffer along some directions than the square",
     "nonlinearity": "nonlinearity: forces that grow with the square or the cube of the strain",
+    "species": "a displacement that follows the load: forces on the species of a cell that are not "
+    "spread as their masses, with which displacement is averaged",
     "heterogeneity": "heterogeneity: the stiffness, or the ripple that smoothing leaves, differs "
     "from place to place",
     "unexplained": "what none of these explains",
@@ -266,6 +271,8 @@ NEXT = {
     "anisotropy": "Micromodulus(…), whose bonds have stiffnesses of their own: no isotropic solid "
     "has these moduli",
     "nonlinearity": "smaller loads, or the nonlinear solid, ThirdOrder(LPS(…))",
+    "species": "forces in proportion to the masses of a cell's species, or equal masses where "
+    "forces are equal",
     "heterogeneity": "a larger smoothing radius and spacing, where the sheet is uniform, or parts "
     "of it, each with a solid of its own",
     "unexplained": "smaller and smoother loads, more of them, and a smaller spacing of the nodes",
@@ -356,7 +363,8 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
         R = noise_loss(noise, samples, model.horizon, weight)
         shares["noise"] = min(1.0, float(np.sum((R @ c) ** 2)) * size / max(total, TINY))
     strong = total < size * (grid.largest_strain / STRONG) ** 4
-    for name, taken in _explained(grid, left, strong=strong).items():
+    followed = (operator(samples.loads) @ grid.axes)[..., None]
+    for name, taken in _explained(grid, left, followed, strong=strong).items():
         shares[name] = taken / max(total, TINY)
     rest = 1.0 - shares.get("noise", 0.0)  # what noise makes, the others would take again
     shares = {name: value if name == "noise" else rest * value for name, value in shares.items()}
@@ -466,9 +474,13 @@ class _Search:
         return min(levels)
 
 
-def _explained(grid: SheetFeatures, left: np.ndarray, *, strong: bool) -> dict[str, float]:
+def _explained(
+    grid: SheetFeatures, left: np.ndarray, followed: np.ndarray, *, strong: bool
+) -> dict[str, float]:
     """What each cause takes of ‖residual‖², one after the other; none less than nothing.
 
+    A displacement that follows the load is one number, L applied to the load, and is taken where it
+    explains nearly all.
     Products of two gradients come first: a linear solid's forces change sign with u, so they take
     nothing of it, while bonds of their own follow a few nonlinear samples. Anisotropy comes with
     bonds by class, in which it is seen among what differs from place to place. Products of three
@@ -476,7 +488,10 @@ def _explained(grid: SheetFeatures, left: np.ndarray, *, strong: bool) -> dict[s
     that reach far could follow what belongs to others: they get only what these leave.
     """
     search = _Search(left)
+    alone, bonds = (_Search(left).take((each,)) for each in (lambda: followed, grid.orbits))
+    species = alone > MOSTLY * max(search.level, bonds)
     taken = {
+        "species": search.take((lambda: followed,)) if species else 0.0,
         "nonlinearity": search.take((grid.invariant,), (grid.quadratic,)),
         "dispersion": search.take((grid.orbits,)),
         "anisotropy": search.take((grid.constants, grid.orbits), (grid.pairs,)),

@@ -18,10 +18,11 @@ from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, T
 from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit, check_nonlinear, with_constants
 from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Fit, LossChoice, Settings
-from warp_peri.learning.stages import Stages, checkpoint_key
+from warp_peri.learning.stages import Stages
 from warp_peri.learning.training_data import Scale, TrainingData, listed, scaled_data
 from warp_peri.lps.shapes import InfluenceFunction, shapes_of
 from warp_peri.lps.symbol import moduli as moduli_of
+from warp_peri.points.arrays import fingerprint
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.strain import largest_strain
@@ -185,7 +186,9 @@ def _learned(
     kernel, _, _, loss = depends
     if kernel is not None and not isinstance(method, Optimum):
         first = _first(method)
-        key = checkpoint_key(stages.data, first, *depends)
+        data = stages.data
+        asked = (dataclasses.replace(first, checkpoint=None), *depends)
+        key = fingerprint(data.horizon, data.spacings, asked, data.sets, data.noise)
         positive, final = stages.two_stage(rough, first, key)
         bare = dataclasses.replace(_probe(starts, kernel), alpha=final.alpha)
         starts = {"stage 2": final, "stage 1": positive, f"r^-{final.alpha:.3g}": bare}

@@ -14,9 +14,7 @@ from warp_peri.files.atomic import write_json
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Kernel
-from warp_peri.learning.result import Fit
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
-from warp_peri.lps.model import Model
 from warp_peri.points.samples import Samples
 
 ERRORS = ("E_res", "E_u", "E_res_abs")
@@ -28,14 +26,14 @@ class Run:
     """What a training run found.
 
     Attributes:
-        fit: the model, its certificate and the way to them.
+        fit: the material, its certificate and the way to them.
         tables: of `evaluate`, by the name of the set.
         refused: why a set was not evaluated, by its name.
         sure: what noise leaves unsure; None where no fields of noise were given.
         seconds: of learning and of prediction.
     """
 
-    fit: Fit
+    fit: Any
     tables: dict[str, dict[str, Any]]
     refused: dict[str, str]
     sure: Uncertainty | None
@@ -47,7 +45,7 @@ class Run:
 
     def save(
         self, folder: Path, metrics: dict[str, Any], *, data: Path, provenance: Mapping[str, Any]
-    ) -> Model:
+    ) -> Any:
         """Write model.json, with its errors and the hash of its data, and metrics.json.
 
         Args:
@@ -58,15 +56,16 @@ class Run:
 
         Raises OSError when a file cannot be written.
         """
+        material = self.fit.material
+        said = {"errors": {key: metrics[key] for key in ERRORS if key in metrics}}
+        said["provenance"] = {
+            **getattr(material, "provenance", {}),
+            "data": data.name,
+            "sha256": hashlib.sha256(data.read_bytes()).hexdigest(),
+            **provenance,
+        }
         model = dataclasses.replace(
-            self.fit.material,
-            errors={key: metrics[key] for key in ERRORS if key in metrics},
-            provenance={
-                **self.fit.material.provenance,
-                "data": data.name,
-                "sha256": hashlib.sha256(data.read_bytes()).hexdigest(),
-                **provenance,
-            },
+            material, **{name: value for name, value in said.items() if hasattr(material, name)}
         )
         model.save(folder / "model.json")
         write_json(folder / "metrics.json", metrics)
@@ -99,12 +98,20 @@ def train(
     begin = time.perf_counter()
     learned = learn(samples, horizon, kernel, noise=noise, **settings)
     between = time.perf_counter()
+    told = evaluated(learned.material, sets, allow_uncertified=allow_uncertified)
+    seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
+    sure = None if noise is None else fit_uncertainty(learned, samples, noise)
+    return Run(learned, *told, sure, seconds)
+
+
+def evaluated(
+    material: Any, sets: Mapping[str, Samples], **options: Any
+) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
+    """The tables of `evaluate` by set, and why a set has none; its options."""
     tables, refused = {}, {}
     for name, points in sets.items():
         try:
-            tables[name] = evaluate(learned.material, points, allow_uncertified=allow_uncertified)
+            tables[name] = evaluate(material, points, **options)
         except InputError as error:  # no load, another spacing, a collar too small
             refused[name] = str(error)
-    seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
-    sure = None if noise is None else fit_uncertainty(learned, samples, noise)
-    return Run(learned, tables, refused, sure, seconds)
+    return tables, refused

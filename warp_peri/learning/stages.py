@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -24,7 +23,6 @@ from warp_peri.learning.two_stage import (
     positive_stage,
     sign_changing_stage,
 )
-from warp_peri.points.samples import Samples
 from warp_peri.regression.optimum import Reached, constrained_optimum
 from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
@@ -184,15 +182,3 @@ def numbers(parameters: Parameters) -> tuple[Any, ...]:
     """What lps_force takes after u."""
     own = () if parameters.D_dilatation is None else (parameters.D_dilatation,)
     return (parameters.lam, parameters.mu, parameters.alpha, parameters.D, *own)
-
-
-def checkpoint_key(data: TrainingData, method: TwoStage, *settings: object) -> str:
-    """Hash of the training data and of everything that stage 2 depends on."""
-    asked = dataclasses.replace(method, checkpoint=None)
-    digest = hashlib.sha256(repr((data.horizon, data.spacings, asked, *settings)).encode())
-    sets: list[Samples] = [*data.sets, *data.noise]
-    for samples in sets:
-        load = np.zeros(0) if samples.b is None else samples.b
-        for values in (samples.x, samples.interior, samples.u, load):
-            digest.update(values.tobytes())
-    return digest.hexdigest()

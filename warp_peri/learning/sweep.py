@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import warnings
@@ -21,6 +20,7 @@ from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein
 from warp_peri.lps.model import Model
+from warp_peri.points.arrays import fingerprint
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
@@ -143,7 +143,7 @@ def _sweep(
     jobs: int,
     progress: bool,
 ) -> Sweep:
-    key = _key((train, val, test, noise), conditions)
+    key = fingerprint(conditions, train, val, test, noise)[:12]
     cases = [(horizon, degree) for horizon in horizons for degree in degrees]
     files = [folder / f"d{horizon:g}_M{degree}_{key}.json" for horizon, degree in cases]
     todo = [(case, file) for case, file in zip(cases, files) if _read(file) is None]
@@ -249,12 +249,3 @@ def _read(file: Path) -> Trial | None:
     except (OSError, ValueError, TypeError):
         return None
     return trial
-
-
-def _key(sets: Sequence[Samples | None], conditions: str) -> str:
-    digest = hashlib.sha256(conditions.encode())
-    for points in sets:
-        if points is not None:
-            for field in (points.x, points.interior, points.u, points.b):
-                digest.update(b"" if field is None else field.tobytes())
-    return digest.hexdigest()[:12]

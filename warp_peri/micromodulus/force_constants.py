@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,13 +15,17 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.elastic import acoustic, stress_brackets
-from warp_peri.core.groups import group_of_structure, point_group
+from warp_peri.core.groups import group_of_structure, kinds_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
 from warp_peri.points.unit_names import STRESSES
 
-STEP = 2e-3
-"""Displacement of finite differences [Å]."""
+STEP, WIDER = 2e-3, 5
+"""Displacement of finite differences [Å], and the second one over it."""
+KINKED, CUT = 0.01, 0.05
+"""Change of Φ between both displacements, and share of Σ |Φ| r² at the edge, worth a word."""
+EDGE = 0.45
+"""Of a supercell's width: pairs that far apart are at its edge."""
 NEGLIGIBLE = 1e-9
 """Of the largest Φ: smaller ones are rounding, and what they sum up to goes to the atom itself."""
 NEAREST = 1e-5
@@ -28,6 +33,8 @@ NEAREST = 1e-5
 LONG = 4e-3
 """|k| [1/Å] of the waves that elastic constants are read from."""
 LARGEST_FILE = 2**31
+TINY = float(np.finfo(float).tiny)
+"""Divides what is zero."""
 SOFT = 1e-7
 """Λmin of a dynamical matrix, relative to the largest, below which a wave has no stiffness."""
 FLAT = 1e-3
@@ -93,13 +100,16 @@ class ForceConstants:
     Attributes:
         cell: edges as rows [Å], shape [3, 3].
         positions: of the atoms of the cell [Å], shape [n, 3].
-        species: atomic numbers, or other numbers that tell atoms apart, shape [n].
+        species: atomic numbers, shape [n].
         pairs: atoms i and j of the cell, shape [P, 2].
         vectors: from i to an image of j [Å], shape [P, 3].
         values: Φ [eV/Å²], ∂²E/∂u_i ∂u_j, shape [P, 3, 3]; shared among images equally near.
         thickness: of a sheet in the plane of the first two axes [Å]; None for a solid.
         polar: of ions; `values` then are what their dipoles leave.
         stress: that the crystal is held under [TPa], shape [d, d]; None for one at rest.
+        kinds: numbers that tell atoms apart where `species` do not, shape [n].
+        edge: share of Σ |Φ| r² that is at half the supercell's width, where none should be.
+        change: of Φ between the two steps of finite differences, over the largest, if known.
     """
 
     cell: np.ndarray
@@ -111,6 +121,9 @@ class ForceConstants:
     thickness: float | None = None
     polar: Polar | None = None
     stress: np.ndarray | None = None
+    kinds: np.ndarray | None = None
+    edge: float = 0.0
+    change: float | None = None
 
     @property
     def dimension(self) -> int:
@@ -185,9 +198,12 @@ class ForceConstants:
     def elastic(self, allowed: np.ndarray) -> np.ndarray:
         """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
 
-        Internal relaxation is part of it, the stress that the crystal is held under is not. Raises
-        InputError for long waves that no such tensor has, as those of piezoelectric crystals.
+        Internal relaxation is part of it, the stress that the crystal is held under is not. Force
+        constants that have not decayed in their supercell, or hang on the step that they are made
+        with, are warned of. Raises InputError for long waves that no such tensor has, as those of
+        piezoelectric crystals.
         """
+        doubts = self.doubts()
         e = directions(60, self.dimension)
         wanted = self.effective(LONG * e) / LONG**2
         if self.stress is not None:
@@ -199,10 +215,31 @@ class ForceConstants:
         if off > NOT_ELASTIC:
             raise InputError(
                 f"force constants: long waves are {off:.1%} off those of every elastic solid of "
-                "this symmetry; a piezoelectric crystal's non-analytic term, a stress that it is "
-                "held under, or another symmetry may be why"
+                "this symmetry; "
+                + (
+                    "; ".join(doubts)
+                    or "a piezoelectric crystal's non-analytic term, a stress that it is held "
+                    "under, or another symmetry may be why"
+                )
             )
+        for doubt in doubts:
+            warnings.warn(f"force constants: {doubt}", stacklevel=2)
         return np.tensordot(c, allowed, 1)
+
+    def doubts(self) -> list[str]:
+        """What moduli of these force constants are not to be trusted for."""
+        said = []
+        if self.change is not None and self.change > KINKED:
+            said.append(
+                f"they change by {self.change:.1%} of the largest between steps of {STEP:g} and "
+                f"{WIDER * STEP:g} Å: the potential has kinks or is anharmonic, and no one modulus"
+            )
+        if self.edge > CUT:
+            said.append(
+                f"{self.edge:.0%} of what moduli are made of, Σ |Φ| r², is at half the supercell's "
+                "width, where it should have decayed: moduli may be as much off; a wider one is due"
+            )
+        return said
 
     def group(self) -> np.ndarray:
         """Point group by spglib, [G, d, d], in the axes of the cell's coordinates.
@@ -210,7 +247,8 @@ class ForceConstants:
         Raises InputError where spglib is not installed.
         """
         fractions = self.positions @ np.linalg.inv(self.cell)
-        turns = group_of_structure(self.cell, fractions, self.species)
+        kinds = self.species if self.kinds is None else self.kinds
+        turns = group_of_structure(self.cell, fractions, kinds)
         if self.dimension == 3:
             return turns
         flat = turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2]
@@ -226,11 +264,12 @@ def from_supercell(
     thickness: float | None = None,
     polar: Polar | None = None,
     stress: np.ndarray | None = None,
+    change: float | None = None,
 ) -> ForceConstants:
     """Force constants of a cell from those between its atoms and the atoms of a supercell.
 
     Args:
-        structure: the cell, an ase.Atoms.
+        structure: the cell, an ase.Atoms; moments, charges and tags tell its atoms apart.
         supercell: an ase.Atoms whose atoms lie on sites of the structure.
         phi: Φ [eV/Å²] of the displaced atoms, shape [n, 3, N, 3].
         displaced: numbers in the supercell of the atoms of the cell, in turn, length n.
@@ -238,6 +277,7 @@ def from_supercell(
         polar: charges of ions; without them a polar crystal's waves are wrong between those of the
             supercell.
         stress: that the crystal is held under [TPa], shape [d, d].
+        change: of Φ between two steps, as `finite_differences` gives it.
 
     Raises InputError for atoms that are not on sites, shapes that do not fit, no forces at all, or
     polar sheets.
@@ -277,16 +317,23 @@ def from_supercell(
         shared = phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None]
         shared[strong[row] == displaced[i]] -= shared.sum(axis=0)  # translations cost nothing
         values.append(shared)
+    between, phi = np.concatenate(vectors), np.concatenate(values)
+    moment = np.abs(phi).max(axis=(1, 2)) * np.linalg.norm(between, axis=1) ** 2
+    width = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 3 if thickness is None else 2].max()
+    far = np.linalg.norm(between, axis=1) > EDGE * width
     return ForceConstants(
         cell,
         x,
         np.array(structure.numbers),
         np.concatenate(pairs),
-        np.concatenate(vectors),
-        np.concatenate(values),
+        between,
+        phi,
         thickness,
         polar,
         stress,
+        kinds_of(structure)[0],
+        float(moment[far].sum() / max(moment.sum(), TINY)),
+        change,
     )
 
 
@@ -328,10 +375,12 @@ def finite_differences(
     displaced: Sequence[int],
     *,
     step: float = STEP,
-) -> np.ndarray:
+) -> tuple[np.ndarray, float]:
     """Φ [eV/Å²] of some atoms with all, by differences of fourth order, [n, 3, N, 3].
 
-    The sum over all atoms is made zero, as translations ask, at the atoms themselves.
+    The sum over all atoms is made zero, as translations ask, at the atoms themselves. Beside it
+    stands how much Φ changes from the one step to one five times as wide, over the largest: 1e-3
+    or less where the energy is smooth.
 
     Args:
         forces: on all atoms [eV/Å] at positions [Å], shape [N, 3] to [N, 3].
@@ -339,17 +388,19 @@ def finite_differences(
         displaced: numbers of the atoms to move.
     """
     phi = np.zeros((len(displaced), 3, len(positions), 3))
+    change = 0.0
     for row, (i, axis) in enumerate(itertools.product(displaced, range(3))):
-        at = {}
-        for count in (1, -1, 2, -2):
-            moved = positions.copy()
-            moved[i, axis] += count * step
-            at[count] = np.array(forces(moved))
-        slope = (8 * (at[1] - at[-1]) - (at[2] - at[-2])) / (12 * step)
-        phi[divmod(row, 3)] = -slope
+        near, wide = slopes = np.zeros((2, len(positions), 3))
+        for slope, length in zip(slopes, (step, WIDER * step)):
+            for sign in (1, -1):
+                moved = positions.copy()
+                moved[i, axis] += sign * length
+                slope += sign * np.array(forces(moved)) / (2 * length)
+        phi[divmod(row, 3)] = -(WIDER**2 * near - wide) / (WIDER**2 - 1)
+        change = max(change, float(np.abs(near - wide).max()))
     for row, i in enumerate(displaced):
         phi[row, :, i] -= phi[row].sum(axis=1)
-    return phi
+    return phi, change / max(float(np.abs(phi).max()), TINY)
 
 
 def from_calculator(
@@ -377,9 +428,9 @@ def from_calculator(
 
     at_rest = supercell.positions.copy()
     first = range(len(structure))
-    phi = finite_differences(forces, at_rest, first, step=step)
+    phi, change = finite_differences(forces, at_rest, first, step=step)
     supercell.positions[:] = at_rest
-    return from_supercell(structure, supercell, phi, first, thickness=thickness)
+    return from_supercell(structure, supercell, phi, first, thickness=thickness, change=change)
 
 
 def read_force_constants(

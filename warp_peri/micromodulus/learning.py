@@ -26,7 +26,7 @@ from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, part
 from warp_peri.points.unit_names import symbols
 
 AS_GOOD = 1.02
@@ -37,6 +37,11 @@ MUCH, MUCH_OF_ALL = 1.5, 0.01
 """The same of one that is told: data contradict it beyond that."""
 LONG_WAVE_MODULI, POOR = "long waves", 0.1
 """Moduli that fields tell, and the part of the loads of long waves that they may leave unsaid."""
+AGREE, SPREADS = 0.02, 2.0
+"""Of the largest modulus, and spreads between halves of the samples, by which long waves of two
+laws may differ."""
+ENOUGH = 8
+"""Samples whose halves tell how far moduli are unsure."""
 ABSURD = 10.0
 """Times the loads, that no law leaves of data in its own units, however noisy."""
 
@@ -192,6 +197,45 @@ def _crossed(equations: Sequence[tuple[np.ndarray, ...]], mix: np.ndarray) -> fl
     fits = [np.linalg.lstsq(R, y)[0] for R, y in parts]
     left = np.concatenate([R @ p - y for (R, y), p in zip(parts, fits[::-1])])
     return float(np.linalg.norm(left) / np.linalg.norm(np.concatenate([y for _, y in parts])))
+
+
+def long_waves_of_data(
+    moduli: dict[str, float], samples: Samples, horizon: float
+) -> tuple[dict[str, float], str]:
+    """Moduli of long waves that samples have, by tensors, and a line where a fit's are others.
+
+    Args:
+        moduli: C11, C12, C44 of the fit [stress].
+        samples: that it was learned from.
+        horizon: of the tensors, as of the fit.
+
+    Nothing of scattered points, space, or data whose long waves do not tell; the line is for what
+    is more than two spreads between halves of the samples, and 2 % of the largest modulus, off.
+    """
+    if samples.spacing == 0 or samples.points.dimension != 2 or len(samples) < ENOUGH:
+        return {}, ""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            law = fit(samples, horizon)
+            halves = [
+                fit(part(samples, slice(n, None, 2)), horizon, symmetry=law.symmetry)
+                for n in (0, 1)
+            ]
+    except (InputError, UserWarning):
+        return {}, ""
+    C, one, other = (np.asarray(each.elastic_tensor()) for each in (law, *halves))
+    a, b, c = (moduli[name] for name in ("C11", "C12", "C44"))
+    off = np.abs(np.array([[a, b, 0], [b, a, 0], [0, 0, c]]) - C)
+    best = {name: float(value) for name, value in law.moduli().items()}
+    if not (off > np.maximum(SPREADS / 2 * np.abs(one - other), AGREE * C.max())).any():
+        return best, ""
+    unit = symbols(samples.points.units)[1]
+    told = [", ".join(f"{k} {v:.4g}" for k, v in each.items()) for each in (moduli, best)]
+    return best, (
+        f"moduli: of long waves the fit has {told[0]} {unit}, and the data {told[1]} by tensors, "
+        "more apart than their spread: --law tensors, Micromodulus(…), has them"
+    )
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 import pickle
@@ -26,7 +25,7 @@ from warp_peri.neural.placed import (
     affine,
     interpolated_force,
 )
-from warp_peri.points.arrays import check_positive, check_whole
+from warp_peri.points.arrays import check_positive, check_whole, fingerprint
 from warp_peri.points.samples import Samples
 
 if TYPE_CHECKING:
@@ -47,7 +46,8 @@ class Frames:
     """
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
-        self.material, self.placed = material, material.on(samples.points)
+        self.samples, self.material = samples, material
+        self.placed = material.on(samples.points)
         self.u = torch.as_tensor(samples.u, dtype=self.placed.dtype)
         self.rows, self.search = self.placed.bonds.rows, NeuralEquilibrium(self.placed)
         self.start = np.stack([affine(samples, u) for u in samples.u])
@@ -166,7 +166,7 @@ class _Loads:
     """Samples whose loads are known, as a training takes them: (NO7)."""
 
     def __init__(self, material: NeuralOperator, samples: Samples) -> None:
-        self.placed = material.on(samples.points)
+        self.samples, self.placed = samples, material.on(samples.points)
         dtype = self.placed.dtype
         self.u = torch.as_tensor(samples.u, dtype=dtype)
         self.b = torch.as_tensor(samples.loads[:, samples.interior], dtype=dtype)
@@ -339,7 +339,8 @@ class _Run:
         for key in ("epochs", "provenance", "scale"):
             del known[key]
         precision = str(self.learned.u.dtype)
-        seen = {"samples": _digest(self.learned), "validation": _digest(self.unseen)}
+        sets = {"samples": self.learned.samples, "validation": self.unseen.samples}
+        seen = {name: fingerprint(samples)[:16] for name, samples in sets.items()}
         return known | {"precision": precision, **seen}
 
     def save(self, path: str | os.PathLike[str]) -> None:
@@ -385,14 +386,6 @@ class _Run:
         )
         history = state["history"]
         self.history = TrainingHistory(**{**history, "curve": [tuple(c) for c in history["curve"]]})
-
-
-def _digest(data: _Loads | Frames) -> str:
-    """Tells samples from others."""
-    seen = hashlib.sha256(data.u.numpy().tobytes())
-    if isinstance(data, _Loads):
-        seen.update(data.b.numpy().tobytes())
-    return seen.hexdigest()[:16]
 
 
 def _share(epoch: int, epochs: int) -> float:

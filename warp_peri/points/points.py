@@ -12,8 +12,8 @@ from warp_peri.points.arrays import check_whole, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 from warp_peri.shown import Shown
 
-ROTATION = 1e-6
-"""That a rotation may be off."""
+ROTATION, TWICE = 1e-6, 1e-9
+"""That a rotation may be off; distance of nodes at one place, over the mean one of neighbours."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -67,6 +67,7 @@ class Points(Shown):
                 f"x: expected shape [N, 2] or [N, 3] with N > 0, got {list(self.x.shape)}"
             )
         n = len(self.x)
+        refuse_twice(self.x)
         object.__setattr__(self, "interior", checked("interior", self.interior, bool, (n,)))
         if not self.interior.any():
             raise InputError("interior: expected at least one interior node, got none")
@@ -130,3 +131,22 @@ class Points(Shown):
     def is_plain_lattice(self) -> bool:
         """Whether it is a lattice that neither repeats nor has broken bonds."""
         return self.spacing > 0 and self.box is None and self.outside is None
+
+
+def refuse_twice(x: np.ndarray) -> None:
+    """Raise InputError for nodes that stand at one place, naming some; one sort of x along a line.
+
+    Nodes are at one place within 1e-9 of the mean distance of as many in a square or cube.
+    """
+    n, d = x.shape
+    near = TWICE * float(np.ptp(x, axis=0).max()) / n ** (1 / d)
+    along = x @ np.array([1.0, 0.6180339887, 0.4142135624])[:d]
+    order = np.argsort(along, kind="stable")
+    close = np.flatnonzero(np.diff(along[order]) <= 2 * near)
+    first, second = order[close], order[close + 1]
+    pairs = np.sort(np.stack([first, second], axis=1), axis=1)
+    pairs = pairs[np.abs(x[pairs[:, 0]] - x[pairs[:, 1]]).max(axis=1, initial=0.0) <= near]
+    if len(pairs):
+        pairs = pairs[np.lexsort(pairs.T[::-1])]
+        named = ", ".join(f"{a} and {b}" for a, b in pairs[:5])
+        raise InputError(f"points: {len(pairs)} duplicates: {named}{' …' * (len(pairs) > 5)}")

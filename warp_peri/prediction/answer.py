@@ -24,7 +24,7 @@ WORDS = {
     "waves": "waves",
     "data": "data",
     "strain": "strain beyond third order",
-    "axis": "the direction of the crystal, which is not stated",
+    "axis": "the direction of the crystal, which is not stated, or not that of the data",
     "noise": "noise of what is given",
 }
 
@@ -159,6 +159,8 @@ class Answer(Shown):
         """What to know at a glance: name and value."""
         parts = ", ".join(f"{name} {value:.2%}" for name, value in self.parts.items() if value)
         rows = [("likely error", f"{self.error:.2%}"), ("of it", parts or "nothing")]
+        if self.operator is not None and getattr(self.operator.points, "axis", None) is not None:
+            rows.append(("axis", "stated, believed"))
         rows += [("not covered", one) for one in self.uncovered]
         return [*rows, ("why", self.why)]
 

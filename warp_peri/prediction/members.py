@@ -24,12 +24,14 @@ class Factors:
         floor: of what waves, data and strain may miss.
         screen: of the mean gradient, for what the linear answer misses.
         short: of what every second node does not see of a residual (Q15).
+        stretch: of the largest strain, for what a linear rich member misses.
     """
 
     left: float = 1.2
     floor: float = 1.48
     screen: float = 1.42
     short: float = 1.3
+    stretch: Annotated[float, Entry(omit=True)] = 0.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -51,6 +53,7 @@ class Members(OnLinear, format="warp_peri.family", version=2):
         factors: calibration.
         strain: largest strain between neighbouring nodes in the samples.
         temperature: [K] of the samples, where they state it.
+        axis_off: degrees by which the samples' own crystal is turned from the axis they state.
         coarse: the rich member on nodes twice as far apart, where it can be transferred there.
         provenance: of the fit.
     """
@@ -62,10 +65,11 @@ class Members(OnLinear, format="warp_peri.family", version=2):
     factors: Factors = Factors()
     strain: float = 0.0
     temperature: float | None = None
+    axis_off: Annotated[float, Entry(omit=True)] = 0.0
     coarse: Annotated[Any, Entry(later=True)] = None
     provenance: dict[str, Any] = field(default_factory=dict)
     ORDER = ("rich", "second", "halves", "record", "coarse", "factors", "strain", "temperature",
-             "provenance")  # fmt: skip
+             "axis_off", "provenance")  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

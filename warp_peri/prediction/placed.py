@@ -45,8 +45,9 @@ class Parts:
         waves: by the second member.
         data: by the halves.
         strain: what the orders of the force would go on to as a series, the nonlinear part times
-            the gradient; times BEYOND.
-        axis: by the crystal at its other extreme, where its axis is not stated.
+            the gradient; times BEYOND. Of a linear member what it missed of its data, by strain.
+        axis: by the crystal at its other extreme, where its axis is not stated, or at the one that
+            the family's data have, where they contradict what is stated.
         pull: what waves and data are multiplied with: half way, in logarithms, to what the record
             says of such wavelengths (Q6).
     """
@@ -133,12 +134,8 @@ class PlacedMembers:
         return np.asarray(self.rich.load(b))
 
     def gradient(self, u: np.ndarray) -> float:
-        """Root mean square of |H| near the unknowns."""
-        return _gradient(self.rich, u)
-
-    def largest_strain(self, u: np.ndarray) -> float:
-        """Between neighbours of all ranks."""
-        return self.points.largest_strain(u) if self.on_ranks else largest_strain(self.points, u)
+        """Root mean square of |H| near the unknowns; of a linear member the largest strain."""
+        return _gradient(self.rich, self.points, u)
 
     @cached_property
     def spectrum(self) -> Any:
@@ -172,11 +169,13 @@ class PlacedMembers:
 
     @cached_property
     def turned(self) -> Any:
-        """The rich member with the crystal at its other extreme; None where its axis is stated or
-        it has none."""
-        if self.points.axis is not None or not getattr(self.rich.model, "q3", 0.0):
+        """The rich member with the crystal at its other extreme, or at the axis of the data that
+        contradict theirs; None where neither is so, or it has no axis."""
+        stated = self.points.axis
+        turn = HALF_PERIOD if stated is None else self.family.axis_off
+        if not (turn and getattr(self.rich.model, "q3", 0.0)):
             return None
-        there = replace(self.points, axis=HALF_PERIOD)
+        there = replace(self.points, axis=turn + (stated or 0.0))
         return PlacedMembers(self.family, there, **self.options).rich
 
     def correction(self, load: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -206,6 +205,8 @@ class PlacedMembers:
             non = self.rich(u)
         if self.nonlinear:
             strain = self.series(self.gradient(u), slowed) * self.inverse(non - lin, ROUGH)
+        elif (factors := self.family.factors).stretch and factors.floor:
+            strain = factors.stretch / factors.floor * self.gradient(u) * u[self.points.interior]
         if self.turned is not None:
             axis = self.inverse(non - self.turned(u), ROUGH)
         size = self.norm(u[self.points.interior]) or 1.0
@@ -244,7 +245,8 @@ class OnCoarse:
 
     def gradient(self, u: np.ndarray) -> float:
         """Root mean square of |H| of u [N, 2] near the unknowns."""
-        return _gradient(self.operator, np.take(u, self.nodes.chosen, axis=0))
+        few = np.take(u, self.nodes.chosen, axis=0)
+        return _gradient(self.operator, self.nodes.nodes, few)
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """As PlacedMembers.recorded, of u [N, 2] and the waves that these nodes hold."""
@@ -322,12 +324,13 @@ def _told(
     return found
 
 
-def _gradient(operator: Any, u: np.ndarray) -> float:
-    """Root mean square of |H|; 0 of a linear operator."""
+def _gradient(operator: Any, points: Any, u: np.ndarray) -> float:
+    """Root mean square of |H|; of a linear operator the largest strain between neighbours."""
     if hasattr(operator, "mean_gradient"):
         return float(operator.mean_gradient(u))
     if not hasattr(operator, "straight"):
-        return 0.0
+        piece = hasattr(points, "comm")
+        return float(points.largest_strain(u) if piece else largest_strain(points, u))
     H, _ = operator.gradients(u)
     return float(np.sqrt(np.vdot(H, H) / (H.size / H.shape[-1] ** 2)))
 

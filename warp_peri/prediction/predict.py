@@ -69,6 +69,9 @@ class _Stage:
     def error(self) -> float:
         return _size(self.parts)
 
+    def bar(self) -> float:
+        return self.error
+
 
 def predict(
     material: Any, problem: Any, tolerance: float | None = 0.01, **options: Any
@@ -193,13 +196,15 @@ def _screened(
 ) -> dict[str, float]:
     """Parts of an answer whose members are not asked, but for their record (Q5).
 
-    `gradient` is |H|, `moved` the size of the correction that is left, `bent` that of all so far,
-    `slowed` the second over the first.
+    `gradient` is that of PlacedMembers, `moved` the size of the correction that is left, `bent`
+    that of all so far, `slowed` the second over the first.
     """
     if told is None or placed.turned is not None:
         return {"left": np.inf, "waves": np.inf}
     factors = placed.family.factors
-    strain = factors.floor * placed.series(gradient, slowed) * bent
+    strain = factors.stretch * gradient
+    if placed.nonlinear:
+        strain = factors.floor * placed.series(gradient, slowed) * bent
     waves = factors.floor * told
     return {"left": factors.left * moved, "waves": waves, "data": 0.0, "strain": strain}
 
@@ -221,6 +226,7 @@ def _corrected(
     inside, (told, unseen) = placed.points.interior, placed.recorded(u)
     fields: Parts | None = None
     before, since, held = np.inf, 0.0, 0.0
+    best, least = (u, u[inside], 0), np.inf
     slowed = 0.0 if known is None else known.slowed
     for done in range(MOST + 1):
         size = placed.norm(u[inside]) or 1.0
@@ -236,6 +242,9 @@ def _corrected(
         screen["noise"] = noise
         if tolerance is not None and _size(screen) <= tolerance:
             return _Stage(u, screen, None, done, unseen)
+        judged = _size(screen) if np.isfinite(screen["left"]) else moved
+        if judged < least:
+            best, least = (u, left, done), judged
         last = done == MOST or moved > STALLED * before or not placed.nonlinear
         # waves and strain that a screen sees say where an answer with no tolerance settles
         goal = SETTLED * _rest(screen) if tolerance is None else tolerance
@@ -252,7 +261,13 @@ def _corrected(
             else:  # or what is left is not what keeps it from being kept
                 enough = _size(parts) <= tolerance or (floor > tolerance and done > 0)
             if enough or last:
-                return _Stage(u, parts, fields, done, unseen)
+                stage = _Stage(u, parts, fields, done, unseen)
+                if tolerance is None and best[2] < done:  # corrections may lead away
+                    u, left, done = best
+                    fields = placed.doubts(u, left, told, slowed)
+                    parts = _parts(fields, placed, placed.norm(u[inside]) or 1.0, noise)
+                    stage = min(stage, _Stage(u, parts, fields, done, unseen), key=_Stage.bar)
+                return stage
         u = u.copy()
         u[inside] += left
         before, since = moved, since + moved
@@ -284,7 +299,7 @@ def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
     found = []
     if not placed.on_ranks and placed.points.outside is not None:
         found += [FREE_EDGE, BROKEN]
-    if placed.turned is not None:
+    if placed.turned is not None and placed.points.axis is None:
         found.append(AXIS)
     there = getattr(problem.points, "arrays", {}).get("temperature")
     mine = placed.family.temperature
@@ -300,11 +315,11 @@ def _beyond(placed: PlacedMembers, stage: _Stage) -> tuple[str, ...]:
         found.append("short waves: shorter than any that the family learned from")
     known = placed.family.strain
     if not placed.nonlinear and known > 0:
-        strain = placed.largest_strain(stage.u)
-        if strain > STRAINED * known:
+        strain = placed.gradient(stage.u)
+        if strain > STRAINED * known or not placed.family.factors.stretch:
             found.append(
                 f"strain: the rich member is linear, and {strain:.2%} is beyond the {known:.2%} of "
-                "its data"
+                "its data, or nothing in the family tells what it misses"
             )
     return tuple(found)
 

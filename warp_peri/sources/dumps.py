@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +26,8 @@ from warp_peri.sources.dump_files import Frame, dump_frames, jumps
 
 BOX_TOLERANCE = 1e-5
 """Relative difference of a given period from that of a dump's header."""
+TORN, NEAR = 1.5, 1.3
+"""Lengths of a bond that broke, over what it was, and of bonds over the usual one."""
 
 
 def dump_positions(path: str | os.PathLike[str]) -> Iterator[np.ndarray]:
@@ -198,6 +201,8 @@ def coarse_grain_dumps(
 
     bar = tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress)
     averages = [displacement(path) for path in bar]
+    for path, moved in zip((*unloaded, *dumps), averages):
+        _warn_of_torn(Path(path), np.asarray(atoms.reference, dtype=float), moved, atoms.box)
     fields, at_rest = np.stack(averages[len(unloaded) :]), averages[: len(unloaded)]
     u, b = coarse_grain(
         omega,
@@ -209,6 +214,27 @@ def coarse_grain_dumps(
     )
     names = {"load_id": np.array([Path(path).name for path in dumps])}
     return Samples(nodes_of(points), u, b, names)
+
+
+def _warn_of_torn(
+    path: Path, x: np.ndarray, moved: np.ndarray, box: tuple[float, float] | None
+) -> None:
+    """Say how many of the neighbours of atoms are further apart than nodes can follow."""
+    near = cKDTree(x if box is None else x % box, boxsize=box).query(x, k=min(7, len(x)))[1][:, 1:]
+    apart = x[near] - x[:, None]
+    if box is not None:
+        apart = apart - np.rint(apart / box) * np.asarray(box)
+    length = np.linalg.norm(apart, axis=-1)
+    longer = np.linalg.norm(apart + moved[near] - moved[:, None], axis=-1) > TORN * length
+    usual = np.median(length[:, :3].max(axis=1, initial=0.0))
+    bonds = (length > usual / NEAR) & (length < NEAR * usual)  # no atoms above each other
+    if count := int((longer & bonds).any(axis=1).sum()):
+        warnings.warn(
+            f"{path.name}: {count} of {len(x)} atoms are {TORN - 1:.0%} or more further from a "
+            "neighbour than without load: the sheet is torn there, and no field on nodes is what "
+            "they do",
+            stacklevel=3,
+        )
 
 
 def write_atoms(

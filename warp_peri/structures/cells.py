@@ -10,7 +10,7 @@ import numpy as np
 from ase.neighborlist import neighbor_list
 from scipy.linalg import sqrtm
 
-from warp_peri.core.groups import group_of_structure
+from warp_peri.core.groups import group_of_structure, kinds_of
 from warp_peri.errors import InputError
 
 VACUUM = 8.0
@@ -27,6 +27,8 @@ ALMOST = 1e-3
 """Of a turn's matrix, off whole numbers that it is meant to have."""
 ON_SITES = 1e-4
 """Distance [Å] within which atoms are on their sites."""
+SAME, ROUNDING = 1e-4, 1e-6
+"""Energies of an atom in two cells that are one crystal's: apart by less [eV], and relative."""
 
 
 def _check_sites(atoms: ase.Atoms) -> None:
@@ -133,7 +135,7 @@ def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
     """A solid turned to spglib's standard axes, where these share more turns with nodes."""
     import spglib
 
-    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), atoms.numbers)
+    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         found: Any = spglib.get_symmetry_dataset(given, symprec=ON_SITES)
@@ -155,7 +157,7 @@ def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
     """The cell without the last digits that break its symmetry, and turns of nodes: 1e-4 Å."""
     import spglib
 
-    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), atoms.numbers)
+    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         found: Any = spglib.get_symmetry(given, symprec=ON_SITES)
@@ -174,11 +176,16 @@ def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
     return exact
 
 
-def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
-    """The primitive cell in the same axes; a sheet's third edge stays."""
+def smallest(atoms: ase.Atoms, flat: bool, calculator: Any) -> ase.Atoms:
+    """The primitive cell in the same axes; a sheet's third edge stays.
+
+    Its atoms keep their moments, charges and tags. Where the calculator has another energy of an
+    atom in it, by whatever else it goes, the cell stays as it is, with a warning.
+    """
     import spglib
 
-    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), atoms.numbers)
+    kinds, first = kinds_of(atoms)
+    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), kinds)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         small: Any = spglib.standardize_cell(
@@ -194,4 +201,25 @@ def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
         if np.linalg.det(edges) < 0:
             edges[2] *= -1
         x[:, 2] %= abs(edges[2, 2])
-    return ase.Atoms(small[2], positions=x, cell=edges, pbc=True)
+    one: ase.Atoms = atoms[first[small[2]]]
+    one.set_cell(edges)
+    one.positions[:] = x
+    try:
+        whole, part = (_energy(cell, calculator) for cell in (atoms, one))
+    except Exception:  # without energies; forces that are not there are told where they are asked
+        return one
+    if abs(whole - part) > min(SAME, ROUNDING * max(abs(whole), abs(part))):
+        warnings.warn(
+            f"structure: the cell of {len(atoms)} atoms is kept: the calculator has {whole:.6g} eV "
+            f"an atom in it and {part:.6g} eV in the smallest, of {len(one)}",
+            stacklevel=3,
+        )
+        return atoms
+    return one
+
+
+def _energy(cell: ase.Atoms, calculator: Any) -> float:
+    """Of an atom [eV]."""
+    cell = cell.copy()
+    cell.calc = calculator
+    return float(cell.get_potential_energy()) / len(cell)

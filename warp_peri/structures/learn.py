@@ -23,7 +23,7 @@ from warp_peri.core.elastic import (
 from warp_peri.core.groups import Symmetry, name_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.force_constants import ForceConstants
+from warp_peri.micromodulus.force_constants import STEP, WIDER, ForceConstants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.learning import fit
 from warp_peri.micromodulus.waves import from_phonons
@@ -263,7 +263,7 @@ def from_atoms(
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     h = _spacing(spacing, reference.spacing, reference.dimension)
     constants, taken = force_constants(reference, calculator, supercell)
-    said = reference.said | {"force constants": taken}
+    said = reference.said | {"force constants": taken} | _doubts(constants)
     strained = strained_moduli(reference, calculator)
     if strained is not None and (off := _off_long_waves(constants, strained, symmetry)) > AGREE:
         told = (
@@ -301,7 +301,19 @@ def from_force_constants(
     check_phonons(atoms)
     cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
     h = _spacing(spacing, usual_spacing(cell, atoms.dimension == 2), atoms.dimension)
-    return _learned(atoms, h, horizon, symmetry, check_units(units), {}, None, None)
+    said = _doubts(atoms)
+    return _learned(atoms, h, horizon, symmetry, check_units(units), said, None, None)
+
+
+def _doubts(atoms: ForceConstants) -> dict[str, str]:
+    """How far force constants are no numbers of the crystal alone."""
+    said = {"at the supercell's edge": f"{atoms.edge:.1%} of Σ |Φ| r²"}
+    if atoms.change is not None:
+        steps = f"{STEP:g} to {WIDER * STEP:g} Å"
+        said["force constants change"] = (
+            f"by {atoms.change:.1e} of the largest from steps of {steps}"
+        )
+    return said
 
 
 def _spacing(asked: float | None, usual: float, dimension: int) -> float:

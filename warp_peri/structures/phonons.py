@@ -76,7 +76,7 @@ def force_constants(
         repeats = _wide_enough(reference, calculator, widths)
     many = cell.repeat(repeats)
     forces, x = forces_of(many, calculator), np.array(many.positions)
-    phi = finite_differences(forces, x, range(len(cell)))
+    phi, change = finite_differences(forces, x, range(len(cell)))
     found = from_supercell(
         cell,
         many,
@@ -85,6 +85,7 @@ def force_constants(
         thickness=reference.thickness,
         polar=polar,
         stress=reference.stress,
+        change=change,
     )
     check_phonons(found)
     ions = "" if polar is None else ", and the field of ions by the calculator's Born charges"

@@ -92,7 +92,7 @@ def at_rest(
     )
     if not flat and thickness is not None:
         raise InputError("thickness: the structure is a solid, periodic in space; expected none")
-    cell = smallest(cell, flat)
+    cell = smallest(cell, flat, calculator)
     cell.calc = calculator
     before = np.array(cell.cell)
     _check_forces(cell)
@@ -101,7 +101,7 @@ def at_rest(
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
     if not held:  # disorder that has relaxed leaves a smaller cell, its axes a little off
-        cell = exact_cell(smallest(cell if flat else to_shared_axes(cell), flat))
+        cell = exact_cell(smallest(cell if flat else to_shared_axes(cell), flat, calculator))
         cell.calc = calculator
     size, rule = thickness, "as given"
     if flat and size is None:

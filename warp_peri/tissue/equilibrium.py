@@ -26,8 +26,10 @@ from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.tissue.solid import Term
 from warp_peri.tissue.tangent import TangentPattern
 
-DIRECT = 12_000
+DIRECT = 20_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
+LINEAR = 1e-5
+"""Strain below which what rounding leaves of forces is seen, and answers are in proportion."""
 SMALLEST_STEP = 1 / 64
 """Of the load, in continuation."""
 STIFFER = 6.0
@@ -157,6 +159,10 @@ class StaticProblem:
             if start is None
             else np.where(self.op.points.interior[:, None], start, collar)
         )
+        if (times := self._too_small(c, load, collar)) > 1:
+            known = None if start is None else times * start
+            larger = self.find(c, None if b is None else times * b, times * u, start=known)
+            return larger and replace(larger, u=larger.u / times)
         steps, followed = 1, True
         field, count = self._newton(c, load, first)
         softened = None
@@ -180,6 +186,17 @@ class StaticProblem:
         left = load - f[self.op.interior]
         residual = float(np.abs(left).max() / max(np.abs(load).max(), np.abs(f).max(), 1e-300))
         return Equilibrium(field, residual, np.nan, count, steps, followed)
+
+    def _too_small(self, c: np.ndarray, load: np.ndarray, collar: np.ndarray) -> float:
+        """Times by which load and collar must grow for strains that rounding leaves; or 1.
+
+        Below, what answers them is in proportion: strains are differences of products near one.
+        """
+        strain = float(np.ptp(self.lift(collar), axis=0).max()) / self.op.bonds.spacing
+        if load.any() and strain < LINEAR / 2:
+            step, _ = self._direction(c, np.zeros_like(collar), load, False)
+            strain = max(strain, float(np.abs(step).max()) / self.op.bonds.spacing)
+        return LINEAR / strain if 0 < strain < LINEAR / 2 else 1.0
 
     def with_terms(self, terms: Sequence[Term]) -> StaticProblem:
         """The same lattice with other strain energies; what is built once is shared."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, seen_of
 from warp_peri.tissue.displacement_search import DisplacementFit, Search
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
@@ -33,6 +33,8 @@ __all__ = [
 
 INTERPOLATES = 50.0
 """Times as stiff as the sheet at rest: such deviations fill in the collar as a stiff plate does."""
+NODES = 10
+"""Measured components, or nodes inside, for each number that is learned, at least."""
 AFFINE = 1e-6
 """A set of frames whose distance from affine displacement is below this fraction says nothing."""
 
@@ -65,8 +67,9 @@ def fit_displacement(
         progress: show a bar on stderr; a text is its name.
 
     Warns where deviations come out so stiff that they, and not a material, explain the frames.
-    Raises InputError for frames with loads, affine frames, a frame at rest, energies that guarantee
-    nothing, and numbers that make no sense; NoEquilibrium where no frame has one at the start.
+    Raises InputError for frames with loads, affine frames, a frame at rest, fewer than ten measured
+    components inside, of all frames, for each energy, energies that guarantee nothing, and numbers
+    that make no sense; NoEquilibrium where no frame has one at the start.
     """
     check_unloaded(frames)
     if not dictionary.guaranteed:
@@ -75,6 +78,13 @@ def fit_displacement(
         )
     check_identifiable(frames)
     uneven = Thickness.over(frames.x, thickness) if thickness else None
+    numbers = len(dictionary)
+    count = 2 * np.count_nonzero(seen_of(frames)[:, frames.interior])
+    if count < NODES * numbers:
+        raise InputError(
+            f"frames: expected {NODES * numbers} measured components inside for {numbers} numbers, "
+            f"got {count}"
+        )
     bounds = bounds_of(stiffness)
     search = Search(frames, dictionary, bounds, moving, uneven)
     if start is None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +11,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
+from warp_peri.points.arrays import fingerprint
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.displacement_search import DisplacementFit
 from warp_peri.tissue.solid import HyperelasticSolid
@@ -31,11 +31,7 @@ class KeptFits:
     """
 
     def __init__(self, folder: Path, frames: Samples, settings: object) -> None:
-        points = frames.points
-        digest = hashlib.sha256(repr((settings, points.units, points.spacing)).encode())
-        for field in (frames.x, frames.interior, frames.u, *frames.arrays.values()):
-            digest.update(np.ascontiguousarray(field).tobytes())
-        self.folder, self.key = folder, digest.hexdigest()[:12]
+        self.folder, self.key = folder, fingerprint(settings, frames)[:12]
 
     def count(self) -> tuple[int, int]:
         """Fits of these frames and settings, and of others."""

@@ -24,6 +24,7 @@ from warp_peri.tissue.fibres import rose
 from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import (
     INTERPOLATES,
+    NODES,
     fit_displacement,
     stiffest_deviation,
 )
@@ -42,8 +43,6 @@ STEPS, TOLERANCE, AGAIN = 10, 1e-3, 3
 UNEVEN = 2
 """Degree of the polynomial that is the logarithm of a thickness."""
 LEAST_FRAMES = 4
-NODES = 10
-"""Interior nodes for each number of a law, at least."""
 SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, AGAIN, UNEVEN)
 
 Candidates = dict[str, tuple[tuple[Term, ...], int]]

@@ -103,6 +103,11 @@ class Carrier:
         """
         b = np.asarray(b, dtype=float)
         if b.shape[1:] == (len(self.points.x), 2) and len(b):
+            if not np.isfinite(b).all():  # of the collar, which a problem on a lattice leaves out
+                raise InputError(
+                    "b: expected finite values on the collar too: on scattered points a load is a "
+                    "density between the nodes, which the lattice reads beside the interior as well"
+                )
             b = np.stack([self._for_loads @ field for field in b])
         if b.shape[1:] != (len(self.x), 2):
             raise InputError(
