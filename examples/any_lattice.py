@@ -36,9 +36,8 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, whole_file, write_json, write_text
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer import cache as kept
-from warp_peri.transfer.lattice import new_lattice
+from warp_peri.transfer.lattice import dispersion, new_lattice, rings, wave_errors
 from warp_peri.transfer.shared_kernel import one_kernel
-from warp_peri.transfer.waves import dispersion, rings, wave_errors
 from warp_peri.transfers import on_lattice
 
 LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (7.5, 22.5), (10.0, 25.0))

@@ -21,7 +21,7 @@ from examples.graphene_report import save_figure
 from tools.crystals import force_constants
 from warp_peri.edges.body import Coupling
 from warp_peri.errors import exit_status
-from warp_peri.points.solids import Block, Sphere, mesh_solid
+from warp_peri.points.outlines import Block, Sphere, mesh_solid
 
 SIDE, RADIUS, TENSION = 180.0, 20.0, 1e-3  # Å, Å, TPa
 

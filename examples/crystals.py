@@ -29,8 +29,8 @@ from tools.crystals import RECIPES, force_constants, spacing_of
 from tools.isotropic_rival import isotropic_lps
 from warp_peri import LPS, Bernstein, Micromodulus
 from warp_peri.core.elastic import allowed_tensors, directional, named_moduli
-from warp_peri.core.elements import q1_tensors
 from warp_peri.core.groups import point_group
+from warp_peri.core.stencil import q1_tensors
 from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum
 from warp_peri.micromodulus import tensors_of
@@ -39,15 +39,12 @@ from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.structures.waves import Loads, placed_errors, wave_loads
+from warp_peri.structures.phonons import Loads, placed_errors, wave_loads
 
 UNITS = ("angstrom", "TPa")
 CUBIC = {"GX": (1, 0, 0), "GK": (1, 1, 0), "GL": (1, 1, 1)}
 HEXAGONAL = {"GK": (1, 0, 0), "GM": (0, 1, 0), "GA": (0, 0, 1)}
-SHELLS = {
-    2: {12: 2.0, 20: 2.5, 28: 3.0, 48: 4.0},
-    3: {32: 2.0, 56: 5**0.5, 80: 6**0.5, 122: 3.0},
-}
+SHELLS = {2: {12: 2.0, 20: 2.5, 28: 3.0, 48: 4.0}, 3: {32: 2.0, 56: 5**0.5, 80: 6**0.5, 122: 3.0}}
 """Horizons over the spacing, by their number of bonds."""
 USUAL_BONDS = {2: 20, 3: 80}
 ON_LOADS = ("waves", "short", "ball", "void", "ball_at_rest")

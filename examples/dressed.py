@@ -34,7 +34,7 @@ from warp_peri.dressed import DressedSolid, FiniteStrain, from_phonons, grown, t
 from warp_peri.errors import exit_status
 from warp_peri.methods import Smoothing
 from warp_peri.micromodulus import from_phonons as tensors_from_phonons
-from warp_peri.structures.waves import wave_loads
+from warp_peri.structures.phonons import wave_loads
 
 SETS = {"train": "train", "val": "val", "disks": "test"}
 LAWS = {

@@ -25,7 +25,7 @@ from tools.grains import Columns, columns, plane_constants
 from warp_peri.dressed import DressedSolid, fit_maps, from_phonons
 from warp_peri.errors import exit_status
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.structures.waves import CONE, relative
+from warp_peri.structures.phonons import CONE, relative
 
 TILT = float(np.degrees(np.arctan2(1, 2**0.5)))
 """Of either grain of the pair: twins."""

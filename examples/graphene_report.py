@@ -19,7 +19,7 @@ from examples.prose import fill, table
 from warp_peri import plots
 from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.learning.result import Fit
-from warp_peri.learning.run import Run
+from warp_peri.learning.sweep import Run
 from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.lps.model import Model
 from warp_peri.points.samples import Samples
@@ -76,12 +76,7 @@ def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = 
 
 
 def draw_disks(
-    path: Path,
-    model: Model,
-    points: Samples,
-    table: dict[str, Any],
-    *,
-    worst: bool = False,
+    path: Path, model: Model, points: Samples, table: dict[str, Any], *, worst: bool = False
 ) -> None:
     """u₁ on the disks or the worst of them: molecular data, model and error, a row each."""
     solved = solve(model, Dirichlet(points, points.loads, points.u), allow_uncertified=True).u

@@ -15,8 +15,8 @@ from examples.neural_sets import Sets
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.energy_fit import fit_energy
-from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import fit_displacement
+from warp_peri.tissue.placed import hyperelastic_errors
 from warp_peri.tissue.solid import HyperelasticSolid
 
 EVERY = 10

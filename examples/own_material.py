@@ -27,7 +27,7 @@ from warp_peri.cli.main import main as warp_peri
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.storage import load
-from warp_peri.structures.lammps import potential_file
+from warp_peri.structures.calculators import potential_file
 
 ELEMENTS = ("B", "N")
 CELLS = (39, 23)

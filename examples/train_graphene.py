@@ -24,8 +24,7 @@ from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.learning import METHODS, methods
 from warp_peri.learning.result import Fit
-from warp_peri.learning.run import train
-from warp_peri.learning.sweep import sweep
+from warp_peri.learning.sweep import sweep, train
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples

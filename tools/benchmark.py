@@ -49,13 +49,12 @@ from tools import (
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
-from warp_peri.lps.bonds import BLOCKS, Bonds
-from warp_peri.lps.launches import Tabulated, influence_inputs
+from warp_peri.lps.bonds import BLOCKS, Bonds, Tabulated, influence_inputs
 from warp_peri.lps.model import Solid
 from warp_peri.lps.operator import lps_force
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
-from warp_peri.structures.lammps import LammpsError, lammps_class
+from warp_peri.structures.calculators import LammpsError, lammps_class
 
 HORIZON = 4.0
 """In spacings; 48 bonds a node on a lattice."""

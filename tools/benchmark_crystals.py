@@ -22,7 +22,7 @@ from warp_peri.launch import set_threads
 from warp_peri.micromodulus.law import Crystal, TensorOperator
 from warp_peri.micromodulus.waves import from_phonons, transferred
 from warp_peri.points.points import Points
-from warp_peri.statics.settings import TOLERANCE
+from warp_peri.statics.solution import TOLERANCE
 
 SIDES = (64, 128)
 """Grid along an edge of the cubes that are solved for."""

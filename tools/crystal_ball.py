@@ -17,7 +17,7 @@ from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
+from warp_peri.structures.phonons import CONE, EV_IN_TPA, smoothing
 
 RADIUS, SEEN, INNER = 11.0, 8.6, 5.5
 """Of the ball, of the nodes that are smoothed cleanly, and of the unknowns, in spacings."""

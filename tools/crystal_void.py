@@ -25,7 +25,7 @@ from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.structures.waves import CONE, relative
+from warp_peri.structures.phonons import CONE, relative
 
 VOID, HELD, INNER = 2.6, 10.6, 7.0
 """Radii of the void, of the atoms that are held, and of the unknown nodes, in spacings."""

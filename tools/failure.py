@@ -21,7 +21,7 @@ from tools.lammps_session import LammpsSession
 from tools.loads import Load, atom_force
 from tools.samples import Piece, Sample
 from tools.statics import ConvergenceError, Statics, find_bonds
-from warp_peri.structures.lammps import LammpsError
+from warp_peri.structures.calculators import LammpsError
 
 MIDDLE, WIDTH = 2.3, 0.1
 """Middle and half width of the cut-off [Å]."""

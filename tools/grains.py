@@ -22,7 +22,7 @@ from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.stability.inertia import symmetric_factors
-from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
+from warp_peri.structures.phonons import CONE, EV_IN_TPA, smoothing
 
 NAME = "Cu"
 AXES = np.array([[0, 0, 2**0.5], [1, 1, 0], [1, -1, 0]]) / 2**0.5

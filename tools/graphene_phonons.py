@@ -17,7 +17,7 @@ from warp_peri.micromodulus.force_constants import (
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.structures.lammps import potential_file
+from warp_peri.structures.calculators import potential_file
 
 CELLS = (9, 6)
 """Of the supercell, four atoms each; forces reach two bonds."""

@@ -30,7 +30,7 @@ from tools.statics import TOLERANCE, Statics, find_bonds
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
-from warp_peri.structures.lammps import potential_file
+from warp_peri.structures.calculators import potential_file
 
 TENSION = 0.005
 """Far from the hole, and about the stress that waves make [TPa]."""

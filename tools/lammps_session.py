@@ -11,7 +11,7 @@ from typing import Self
 import ase.data
 import numpy as np
 
-from warp_peri.structures.lammps import (
+from warp_peri.structures.calculators import (
     LammpsError,
     check_path,
     lammps_class,
@@ -74,12 +74,7 @@ class LammpsSession:
         self._create_atoms(cell, boundary, file, elements, (1 + kind).tolist())
 
     def _create_atoms(
-        self,
-        cell: str,
-        boundary: str,
-        potential: Path,
-        elements: Sequence[str],
-        types: list[int],
+        self, cell: str, boundary: str, potential: Path, elements: Sequence[str], types: list[int]
     ) -> None:
         """Make the box, the atoms and their potential inside a new LAMMPS."""
         kinds, ids = len(elements), list(range(1, self.atoms + 1))

@@ -17,8 +17,7 @@ from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.lps.force import sweeps
 from warp_peri.kernels.lps.influence import influence as influence_kernel
 from warp_peri.launch import Recorded, empty, threads
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.launches import filled, influence, influence_inputs
+from warp_peri.lps.bonds import Bonds, filled, influence, influence_inputs
 from warp_peri.lps.model import Solid
 from warp_peri.lps.rows import Forward
 

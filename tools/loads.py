@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from warp_peri.prediction.loads import mixed_waves
+from warp_peri.prediction.next_load import mixed_waves
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 Box = tuple[float, float] | None

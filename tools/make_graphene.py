@@ -30,12 +30,11 @@ from tools.statics import TOLERANCE
 from warp_peri.cluster import scheduler
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.dataset import Dataset, save_dataset
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.structures.lammps import potential_file
+from warp_peri.structures.calculators import potential_file
 
 LOADS: dict[str, Sequence[Load]] = {"designed": DESIGNED}
 """What the training set may be made of in place of TRAINING, by name."""

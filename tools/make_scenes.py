@@ -26,8 +26,7 @@ from tools.make_strained import SPACING, _solve_missing, strained_file
 from tools.samples import Piece, Sample, read_sample
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.dataset import Dataset, save_dataset
 from warp_peri.points.samples import Samples
 
 OUT, POOL = Path("data/graphene_0K_scenes.h5"), Path("data/graphene_0K_pool.h5")

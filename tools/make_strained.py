@@ -27,8 +27,7 @@ from tools.samples import Piece, Sample, _statics, body_record, file_hash, read_
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.dataset import Dataset, save_dataset
 from warp_peri.points.samples import Samples
 
 STRAINS = (0.04, 0.06)

@@ -47,8 +47,7 @@ from tools.samples import Piece, Sample, file_hash
 from tools.thermal import Bath, Task, ThermalRun, read_run, run, run_file
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.dataset import Dataset, save_dataset
 from warp_peri.points.samples import Samples
 
 DATA = Path("data")

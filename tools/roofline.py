@@ -15,8 +15,7 @@ import warp as wp
 from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.peak import peak
 from warp_peri.launch import launch_slices, zeros
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.launches import filled, influence
+from warp_peri.lps.bonds import Bonds, filled, influence
 from warp_peri.lps.model import Solid
 
 PER_BOND = {"dilatation": (4, 3, 2), "force": (7, 7, 3)}

@@ -18,13 +18,7 @@ from scipy.optimize import brentq
 from examples.cracks.cohesive_zone import HeldCracks, RowLaw
 from examples.cracks.cubic_energy import CubicEnergy
 from examples.cracks.kinked_cracks import KinkedCracks
-from tools.cracked_sheet import (
-    EV,
-    OPEN,
-    cracked_sheet,
-    longer_cutoff,
-    opened_ends,
-)
+from tools.cracked_sheet import EV, OPEN, cracked_sheet, longer_cutoff, opened_ends
 from tools.elastic import cubic_constants, elastic_constants
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession

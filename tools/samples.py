@@ -22,7 +22,7 @@ from tools.loads import Load, MixedLoad, RandomRim, Reversed, WaveLoad, atom_for
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import whole_file
-from warp_peri.structures.lammps import LammpsError
+from warp_peri.structures.calculators import LammpsError
 
 TRAINING_STRAIN = 0.02
 """Largest bond strain of every training sample (You et al. 2021, section 6)."""

@@ -9,7 +9,7 @@ from typing import Any, Self
 import ase.data
 import numpy as np
 
-from warp_peri.structures.lammps import lammps_class, lammps_words, pair_coeff, potential_file
+from warp_peri.structures.calculators import lammps_class, lammps_words, pair_coeff, potential_file
 
 MARGIN = 30.0
 """Room around a free body [Å]."""

@@ -26,7 +26,7 @@ from warp_peri.points.points import Points
 from warp_peri.statics import linear
 from warp_peri.statics.direct import RESIDUAL
 from warp_peri.statics.linear import DIRECT
-from warp_peri.statics.settings import TOLERANCE
+from warp_peri.statics.solution import TOLERANCE
 from warp_peri.third_order.material import NonlinearModel
 
 SIDES = (10, 16, 24, 34, 48, 61, 100, 200)
@@ -68,10 +68,7 @@ def linear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
             iterative = "sine" if shape == "rectangle" else "multigrid"
             few = np.count_nonzero(points.interior) <= DIRECT
             to = RESIDUAL / 10 if few else TOLERANCE  # as close as what is chosen is carried
-            ways: dict[str | None, Any] = {
-                None: None,
-                iterative: Krylov(iterative, tolerance=to),
-            }
+            ways: dict[str | None, Any] = {None: None, iterative: Krylov(iterative, tolerance=to)}
             if side <= MOST_LU:
                 ways["lu"] = Direct()
             for count in LOADS if side <= 34 else (1, FEW):

@@ -19,7 +19,7 @@ from tools.lammps_session import LammpsSession
 from tools.loads import Load
 from tools.samples import Piece, Sample, body_record, cache_file, read_record, write_record
 from warp_peri.errors import InputError
-from warp_peri.structures.lammps import LammpsError
+from warp_peri.structures.calculators import LammpsError
 
 CACHE_VERSION = 1
 

@@ -18,7 +18,7 @@ from warp_peri.core.groups import point_group
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.structures.lammps import potential_file
+from warp_peri.structures.calculators import potential_file
 
 CELLS, NODES = (78, 45), 40
 """Of four atoms along x and y, 197.3 × 197.2 Å; and nodes each way."""
@@ -120,10 +120,7 @@ def _vacancies(
 
 
 def waves(
-    x: np.ndarray,
-    box: tuple[float, float],
-    rng: np.random.Generator,
-    shortest: float = SHORTEST,
+    x: np.ndarray, box: tuple[float, float], rng: np.random.Generator, shortest: float = SHORTEST
 ) -> np.ndarray:
     """Force on atoms of a load of WAVES waves of a period, none shorter than this [Å]."""
     force, found = np.zeros_like(x), 0

@@ -49,8 +49,7 @@ if TYPE_CHECKING:
     from warp_peri.problems import Body, Dirichlet, Periodic
     from warp_peri.solving import move, solve
     from warp_peri.stability.certificate import certify
-    from warp_peri.statics.settings import Direct, Krylov, Newton
-    from warp_peri.statics.solution import Solution
+    from warp_peri.statics.solution import Direct, Krylov, Newton, Solution
     from warp_peri.storage import load, save
     from warp_peri.structures.learn import from_atoms
 
@@ -108,8 +107,7 @@ _NAMES = {
     "problems": ("Body", "Dirichlet", "Periodic"),
     "solving": ("move", "solve"),
     "stability.certificate": ("certify",),
-    "statics.settings": ("Direct", "Krylov", "Newton"),
-    "statics.solution": ("Solution",),
+    "statics.solution": ("Direct", "Krylov", "Newton", "Solution"),
     "storage": ("load", "save"),
     "structures.learn": ("from_atoms",),
 }

@@ -13,10 +13,9 @@ from warp_peri.sources.dumps import (
     dump_positions,
     write_atoms,
 )
-from warp_peri.structures.calculators import named_calculator
-from warp_peri.structures.lammps import find_mpi
+from warp_peri.structures.calculators import find_mpi, named_calculator
 from warp_peri.structures.learn import LearnedCrystal, from_atoms, from_force_constants
-from warp_peri.structures.phonopy_files import from_phonopy
+from warp_peri.structures.rest import from_phonopy
 
 __all__ = [
     "LearnedCrystal",

@@ -18,7 +18,7 @@ from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, factors, symbols
-from warp_peri.prediction.spectrum import KNOTS, Spectrum
+from warp_peri.prediction.placed import KNOTS, Spectrum
 from warp_peri.statics.linear import DIRECT, cheapest_method
 from warp_peri.transfer.cache import on_lattice
 
@@ -234,11 +234,7 @@ def _agreement(pairs: list[list[float]], wave: float) -> float:
 
 
 def choose_model(
-    *,
-    tolerance: float,
-    scene: Scene,
-    table: dict[str, Any] | None = None,
-    model: Any = None,
+    *, tolerance: float, scene: Scene, table: dict[str, Any] | None = None, model: Any = None
 ) -> Choice:
     """The cheapest spacing, horizon, degree and solver for a scene.
 

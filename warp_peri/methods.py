@@ -9,7 +9,7 @@ from warp_peri.learning.uncertainty import Resampled, Uncertainty, fit_uncertain
 from warp_peri.lps.model import Solid
 from warp_peri.regression.conditions import Conditions
 from warp_peri.regression.settings import Optimum
-from warp_peri.statics.settings import Coupling, PolakRibiere
+from warp_peri.statics.solution import Coupling, PolakRibiere
 from warp_peri.third_order.smoothing import Smoothing
 
 __all__ = [

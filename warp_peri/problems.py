@@ -15,13 +15,11 @@ from warp_peri.dynamics.verlet import march
 from warp_peri.edges.body import solve_body
 from warp_peri.edges.rim import Field, Traction
 from warp_peri.points.arrays import checked
-from warp_peri.points.mesh import Mesh
+from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.points.tetrahedra import Tetrahedra
 from warp_peri.statics.descent import at_rest
-from warp_peri.statics.settings import Coupling, PolakRibiere, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Coupling, PolakRibiere, Solution, refuse_solver
 
 GIVEN = ("displacement", "traction", "b", "edge", "coupling")
 """What a Body says itself, and no option may."""

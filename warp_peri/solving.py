@@ -6,8 +6,7 @@ from typing import Any
 
 from warp_peri.contract import offered
 from warp_peri.dynamics.motion import Motion
-from warp_peri.statics.settings import Solver
-from warp_peri.statics.solution import Solution, told
+from warp_peri.statics.solution import Solution, Solver, told
 
 PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
 

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
-from warp_peri.points.series import mean_inverse
+from warp_peri.points.arrays import mean_inverse
 from warp_peri.points.unit_names import USUAL, Units
 
 Field = Callable[[np.ndarray], np.ndarray]

@@ -18,9 +18,8 @@ from warp_peri.lps.model import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
-from warp_peri.regression.coordinates import Coordinates
+from warp_peri.regression.coordinates import Coordinates, Parameters
 from warp_peri.regression.losses import ReducedLoss, reduce, sample_weights
-from warp_peri.regression.parameters import Parameters
 from warp_peri.statics.direct import MatrixProblem
 
 RATIOS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
@@ -127,9 +126,7 @@ def sign_changing(data: Dataset) -> Entry:
     )
 
 
-def kernels_without_conditions(
-    train: Samples,
-) -> tuple[np.ndarray, dict[tuple[int, int], Model]]:
+def kernels_without_conditions(train: Samples) -> tuple[np.ndarray, dict[tuple[int, int], Model]]:
     """Smallest D(k)/s(k) [TPa] by degree and δ/h, and the models that are solids, by place."""
     weight = sample_weights([train], normalise=False)[0]
     smallest = np.empty((len(DEGREES), len(RATIOS)))

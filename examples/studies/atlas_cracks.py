@@ -15,8 +15,12 @@ from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, rectan
 from warp_peri.damage.motion import BreakingBody, step
 from warp_peri.damage.operator import bond_weights, cut_matrix, stiffness_across
 from warp_peri.damage.slow_growth import apparent_toughness
-from warp_peri.damage.solid import BrittleSolid, positive_kernel
-from warp_peri.damage.stability import check_breakable, negative_eigenvalues
+from warp_peri.damage.solid import (
+    BrittleSolid,
+    check_breakable,
+    negative_eigenvalues,
+    positive_kernel,
+)
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import REDUCED
 
@@ -88,11 +92,7 @@ def in_space(cells: int = 12) -> Entry:
         counts[name] = []
         for share in SHARES:
             matrix = cut_matrix(
-                body,
-                w,
-                broken_at_random(body, share, seed=0),
-                model.mu,
-                model.lam - model.mu,
+                body, w, broken_at_random(body, share, seed=0), model.mu, model.lam - model.mu
             )
             counts[name].append(negative_eigenvalues(matrix[free][:, free]))
     takes = {

@@ -30,7 +30,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.problems import Dirichlet
 from warp_peri.solving import move
-from warp_peri.structures.lammps import potential_file
+from warp_peri.structures.calculators import potential_file
 
 DENSITY = 2147.0
 """Of graphene [kg/m³] where no data set gives one."""
@@ -282,12 +282,7 @@ def strained_samples(
         reached = statics.max_bond_strain(rest.displacement)
         samples.append(
             Sample(
-                statics.reference,
-                rest.displacement,
-                rest.force,
-                amplitude,
-                reached,
-                rest.residual,
+                statics.reference, rest.displacement, rest.force, amplitude, reached, rest.residual
             )
         )
         guess, before = rest.displacement, amplitude

@@ -18,8 +18,7 @@ from examples.prose import rows_of
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
 from examples.studies.atlas_solves import MU, elastic_error
 from warp_peri.launch import ints
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.launches import influence
+from warp_peri.lps.bonds import Bonds, influence
 from warp_peri.lps.matrices import assemble
 from warp_peri.lps.model import Model
 from warp_peri.points.families import families_of

@@ -14,8 +14,7 @@ from examples.studies.atlas_entry import Entry, words, written
 from warp_peri.lps.model import Model
 from warp_peri.points.points import Points
 from warp_peri.statics.scattered import ThroughLattice
-from warp_peri.transfer.lattice import home_of, new_lattice
-from warp_peri.transfer.waves import dispersion, rings, wave_errors
+from warp_peri.transfer.lattice import dispersion, home_of, new_lattice, rings, wave_errors
 
 SPACINGS = (2.5, 4.0, 7.5, 10.0)
 WAVELENGTHS = np.geomspace(200, 12, 60)

@@ -12,8 +12,8 @@ from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import plane_stress_hgo
 from tools.make_leaflet import Leaflet
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import DisplacementFit, fit_displacement
+from warp_peri.tissue.placed import hyperelastic_errors
 from warp_peri.tissue.solid import Dictionary, Term
 
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))

@@ -30,7 +30,7 @@ from tools.lammps_session import LammpsSession
 from tools.statics import Statics
 from warp_peri import LPS, Bernstein, Points, Samples, diagnose, fit
 from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.structures.lammps import potential_file
+from warp_peri.structures.calculators import potential_file
 
 CELLS = (24, 14)
 """Four-atom cells of a sheet: about 60 Å each way."""

@@ -28,7 +28,7 @@ from tools.make_graphene import SMOOTHING_RADIUS, ZIGZAG
 from warp_peri.dressed import DressedSolid, from_phonons, torn
 from warp_peri.edges.body import solve_body
 from warp_peri.sources.coarse_graining import force_on_mesh, smoothing_matrix
-from warp_peri.structures.waves import CONE, EV_IN_TPA, relative, smoothing
+from warp_peri.structures.phonons import CONE, EV_IN_TPA, relative, smoothing
 
 HOLED = Plate((120.0, 120.0), 30.0)
 TENSION = 3e-4

@@ -41,7 +41,7 @@ from warp_peri.launch import set_threads
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.samples import part
 from warp_peri.prediction import next_load
-from warp_peri.transfer.waves import dispersion
+from warp_peri.transfer.lattice import dispersion
 
 OUT = ROOT / "runs" / "fewer_loads"
 DESIGNED = {1: (0, 1, 2, 3), 2: (0, 2, 4, 6), 4: (0, 4)}

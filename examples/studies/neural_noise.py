@@ -34,7 +34,7 @@ from warp_peri.neural.placed import evaluate
 from warp_peri.neural.training import Training, train
 from warp_peri.points.samples import Samples
 from warp_peri.tissue.energy_fit import fit_energy
-from warp_peri.tissue.fit_errors import hyperelastic_errors
+from warp_peri.tissue.placed import hyperelastic_errors
 
 REACH = 3
 LEVELS = (0.0, 0.01, 0.02, 0.05)

@@ -23,7 +23,7 @@ from warp_peri.cli.inputs import atom_forces
 from warp_peri.cli.main import main
 from warp_peri.lps.model import Model
 from warp_peri.micromodulus import fit_symbol
-from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.dataset import load_dataset, save_dataset
 from warp_peri.points.families import bond_classes
 
 ROOT = Path(__file__).parent.parent.parent
@@ -90,10 +90,7 @@ def test_certify_evaluate_solve_and_info(trained, data, tmp_path, capsys):
     proven = answer(capsys, "certify", model_file)["1 Å"]
     assert proven["holds"] is True
     assert proven["symbol_bound"] > 0.01
-    assert answer(capsys, "certify", model_file, "--spacing", "1", "0.8").keys() == {
-        "1 Å",
-        "0.8 Å",
-    }
+    assert answer(capsys, "certify", model_file, "--spacing", "1", "0.8").keys() == {"1 Å", "0.8 Å"}
     errors = answer(capsys, "evaluate", model_file, data, "--set", "test")
     out = tmp_path / "solved.h5"
     answer(capsys, "solve", model_file, data, "--out", out)
@@ -480,7 +477,7 @@ def test_an_interrupt_says_whether_anything_is_kept(data, tmp_path, capsys, monk
     def stops(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warp_peri.learning.run.learn", stops)
+    monkeypatch.setattr("warp_peri.learning.sweep.learn", stops)
     words = ["train", str(data), "--out", str(tmp_path / "new"), "--horizon", "2.5"]
     assert main(words) == 130
     assert "interrupted; nothing is kept yet" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from tests.support.solving import solve_nonlinear
 from tests.third_order.test_equilibria import problem, proven
 from warp_peri import Dataset, Samples
 from warp_peri.cli.main import main
-from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.dataset import load_dataset, save_dataset
 
 
 @pytest.fixture

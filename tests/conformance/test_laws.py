@@ -21,9 +21,9 @@ from warp_peri.lps.model import bernstein_basis
 from warp_peri.lps.operator import lps_force
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.neural.material import NeuralOperator
+from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import factors
-from warp_peri.points.units import in_units_of, scaled
 from warp_peri.third_order.material import NonlinearModel
 from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.tissue.operator import HyperelasticOperator
@@ -240,13 +240,7 @@ LAWS = {
         dressed_bonds, plain, of_tensors, sheet=plain_cell, single=single_tensors, horizon=32**0.5
     ),
     "dressed, finite strain": Law(
-        finite,
-        crystal,
-        of_finite,
-        sheet=cell,
-        stress_turns=True,
-        force_turns=True,
-        horizon=18**0.5,
+        finite, crystal, of_finite, sheet=cell, stress_turns=True, force_turns=True, horizon=18**0.5
     ),
     "neural operator": Law(
         network,
@@ -259,12 +253,7 @@ LAWS = {
         force_turns=True,
     ),
     "hyperelastic": Law(
-        hyperelastic,
-        tissue,
-        of_energies,
-        single=single_tissue,
-        stress_turns=True,
-        force_turns=True,
+        hyperelastic, tissue, of_energies, single=single_tissue, stress_turns=True, force_turns=True
     ),
 }
 

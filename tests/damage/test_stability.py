@@ -8,7 +8,7 @@ from tests.support.problems import kernel
 from warp_peri import InputError, Model
 from warp_peri.damage.lattice_body import cracked
 from warp_peri.damage.operator import bond_weights, cut_matrix, stiffness_across, stretch_matrix
-from warp_peri.damage.stability import (
+from warp_peri.damage.solid import (
     breaking_time_step,
     check_breakable,
     check_cut,

@@ -9,8 +9,7 @@ import warp_peri as wp
 from tests.dressed.solids import ISOTROPIC, SPACING, nodes, rigid, solid
 from tests.micromodulus.crystals import cubic_tensor, lattice
 from warp_peri.dressed import grown, torn
-from warp_peri.dressed.bases import dilatation_range
-from warp_peri.dressed.sweeps import ByLayers
+from warp_peri.dressed.sweeps import ByLayers, dilatation_range
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
 

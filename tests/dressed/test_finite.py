@@ -10,7 +10,7 @@ from tests.support.problems import AXIS, lattice
 from tests.support.sheets import waves
 from warp_peri.dressed import FiniteSolid, FiniteStrain
 from warp_peri.errors import InputError
-from warp_peri.statics.settings import Newton
+from warp_peri.statics.solution import Newton
 
 CONSTANTS = (-0.5, -6.8, 1.04)
 ELASTIC = [[1.24, -0.2, 0], [-0.2, 1.24, 0], [0, 0, 0.72]]

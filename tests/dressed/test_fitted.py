@@ -10,7 +10,7 @@ from tests.dressed.solids import SPACING, nodes, rigid, solid
 from tests.dressed.test_body import check
 from warp_peri.core.elastic import turned, voigt
 from warp_peri.errors import InputError
-from warp_peri.statics.settings import Direct, Krylov
+from warp_peri.statics.solution import Direct, Krylov
 
 
 @pytest.mark.parametrize(("d", "fine", "kept"), [(2, 20, 0.65), (3, 8, 0.625)])

@@ -12,10 +12,10 @@ import warp_peri as wp
 from tests.dressed.solids import SPACING, solid
 from tests.micromodulus.crystals import cubic_tensor, lattice
 from tests.micromodulus.test_learning import waves
-from warp_peri.core.elements import q1_tensors
 from warp_peri.core.groups import point_group
-from warp_peri.dressed.bases import base, bonds, dilatation_range, half
+from warp_peri.core.stencil import q1_tensors
 from warp_peri.dressed.law import DressedSolid, _dressing, _Monomials, from_phonons, transferred
+from warp_peri.dressed.sweeps import base, bonds, dilatation_range, half
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import from_calculator
 from warp_peri.micromodulus.lps import tensors_of

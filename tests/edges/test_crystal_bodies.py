@@ -12,9 +12,8 @@ from warp_peri.edges.body import Coupling, solve_body
 from warp_peri.edges.rim import Moduli
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.waves import fit_symbol
-from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.points.solids import Block, Sphere, mesh_solid
-from warp_peri.points.tetrahedra import make_tetrahedra
+from warp_peri.points.mesh import make_tetrahedra
+from warp_peri.points.outlines import Block, Circle, Sphere, box, mesh_outline, mesh_solid
 
 TURNED = {2: 20.0, 3: [[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]}
 SIDES = ("left", "right", "top", "bottom")

@@ -8,7 +8,7 @@ from examples import any_lattice
 from warp_peri import Bernstein
 from warp_peri.files.atomic import write_json
 from warp_peri.learning.fit import learn as fit
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 
 def test_parts_are_measured_once(tmp_path):

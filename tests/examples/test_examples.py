@@ -14,7 +14,7 @@ from examples import train_graphene, validate_disks
 from warp_peri import LPS, Bernstein, fit, save
 from warp_peri.cli.main import main as command
 from warp_peri.lps.model import Model
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent
 RESULTS = ("model.json", "metrics.json", "report.md", "influence.png", "loss.png", "disks.png",

@@ -11,7 +11,7 @@ from examples.studies import noise_study
 from tests.support.thermal import BATH, small_plans, small_sheet
 from tools import make_thermal as tool
 from warp_peri.learning.sweep import sweep
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import torch
 from examples import train_graphene
 from examples.studies import influence_shapes, manufactured, neural_monotone, speed_chart
 from warp_peri.learning.sweep import sweep
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor

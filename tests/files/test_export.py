@@ -21,7 +21,7 @@ from warp_peri.cli.main import main
 from warp_peri.export import write_fields, write_influence, write_operator
 from warp_peri.lps.matrices import node_fields
 from warp_peri.lps.model import stiffnesses
-from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.dataset import save_dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.stability.certificate import certify
 from warp_peri.transfer.operator import LPSOperator

@@ -12,8 +12,7 @@ from warp_peri.damage.solid import BrittleSolid
 from warp_peri.diffusion.conductor import Conductor
 from warp_peri.flow.gaussian_process import fit_process
 from warp_peri.flow.springs import SpringLaw
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import factors
@@ -101,11 +100,7 @@ KINDS = {
         Conductor.load,
     ),
     "data set": (dataset, lambda data, path: save_dataset(path, data), load_dataset),
-    "law of flow, which has reduced units": (
-        spring,
-        lambda law, path: save(path, law),
-        load,
-    ),
+    "law of flow, which has reduced units": (spring, lambda law, path: save(path, law), load),
 }
 
 

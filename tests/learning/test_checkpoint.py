@@ -12,8 +12,8 @@ from warp_peri.learning import two_stage
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.two_stage import Checkpoint
 from warp_peri.methods import Conditions, TwoStage
+from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import reduce, sample_weights
-from warp_peri.regression.parameters import Parameters
 
 
 @pytest.fixture

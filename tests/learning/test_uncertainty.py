@@ -20,9 +20,9 @@ from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import corrected, noise_loss, reduce, sample_weights
 from warp_peri.regression.optimum import constrained_optimum
-from warp_peri.regression.parameters import Parameters
 
 HORIZON = 2.5
 CLASSES = bond_classes(1.0, HORIZON)

@@ -12,8 +12,7 @@ from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, MU, difference, lattice, noise, periodic
 from warp_peri import InputError
 from warp_peri.launch import set_threads, threads
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.launches import evaluate
+from warp_peri.lps.bonds import Bonds, evaluate
 from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Solid
 

@@ -14,10 +14,9 @@ from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.shapes import gaussian, table
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.conditions import Conditions, LatticeConditions
-from warp_peri.regression.coordinates import ShapeCoordinates
+from warp_peri.regression.coordinates import Parameters, ShapeCoordinates
 from warp_peri.regression.losses import FullLoss, reduce, sample_weights
 from warp_peri.regression.optimum import ConstrainedProblem
-from warp_peri.regression.parameters import Parameters
 from warp_peri.shapes import InfluenceFunction
 
 # The polynomial

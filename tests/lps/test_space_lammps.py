@@ -9,7 +9,7 @@ from warp_peri.launch import floats
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import assemble
 from warp_peri.lps.symbol import moduli
-from warp_peri.structures.lammps import LammpsError, lammps_class
+from warp_peri.structures.calculators import LammpsError, lammps_class
 
 HORIZON = 2.0
 

@@ -11,8 +11,7 @@ from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, ROUNDING, kernel, noise
 from warp_peri import InputError
 from warp_peri.lps import operator as lps
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.launches import Tabulated
+from warp_peri.lps.bonds import Bonds, Tabulated
 from warp_peri.lps.operator import lps_force
 from warp_peri.transfer.operator import LPSOperator
 

@@ -15,9 +15,9 @@ from pathlib import Path
 import numpy as np
 from tests.support.mutations import good_data, good_model
 from warp_peri import Samples, Dataset
-from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.dataset import save_dataset
 from warp_peri.learning.two_stage import Checkpoint
-from warp_peri.points.dataset_file import content_hash, load_dataset
+from warp_peri.points.dataset import content_hash, load_dataset
 from warp_peri.files.atomic import write_json
 
 folder, limit = Path(sys.argv[1]), int(sys.argv[2])

@@ -11,7 +11,7 @@ import warp_peri
 from tests.package.test_order import FLOOR, ROOT
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
-from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.dataset import save_dataset
 
 PAGE = (ROOT.parent / "docs" / "growth.md").read_text(encoding="utf-8")
 USES = {

@@ -20,7 +20,7 @@ from warp_peri.core import record
 from warp_peri.files.archive import read_arrays
 from warp_peri.learning.two_stage import Checkpoint
 from warp_peri.lps.model import Model
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent
 CODE = [path for folder in ("warp_peri", "kernels", "tools", "examples")

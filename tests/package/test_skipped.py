@@ -6,7 +6,8 @@ import pytest
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.launch import Recorded, launch_slices
-from warp_peri.lps import launches, rows
+from warp_peri.lps import bonds as launches
+from warp_peri.lps import rows
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator

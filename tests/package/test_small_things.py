@@ -17,7 +17,7 @@ from warp_peri.choice import Scene, choose_model, shipped_table
 from warp_peri.cli.main import main
 from warp_peri.errors import exit_status
 from warp_peri.learning.fit import learn as fit
-from warp_peri.points.dataset_file import save_dataset
+from warp_peri.points.dataset import save_dataset
 from warp_peri.points.families import families_of
 from warp_peri.regression.conditions import Conditions
 from warp_peri.sources.dump_files import dump_frames

@@ -27,10 +27,10 @@ from warp_peri.methods import (
     fit_uncertainty,
     sweep,
 )
+from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, check_units, factors
-from warp_peri.points.units import in_units_of, scaled
 from warp_peri.shapes import InfluenceFunction
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.third_order.operator import PlacedThirdOrder

@@ -12,8 +12,8 @@ from tests.support.sheets import hgo_dictionary, square
 from tests.third_order.test_equilibria import problem, proven
 from warp_peri import Dataset, InputError, Points, Samples, evaluate
 from warp_peri.cli.main import main
-from warp_peri.points import axis
-from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points import samples as axis
+from warp_peri.points.dataset import load_dataset, save_dataset
 from warp_peri.third_order.material import NonlinearModel
 from warp_peri.tissue.operator import HyperelasticOperator
 

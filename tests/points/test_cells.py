@@ -10,10 +10,8 @@ import pytest
 import warp_peri as wp
 from tests.support.problems import kernel
 from warp_peri.errors import InputError
-from warp_peri.points.cells import REST, pieces
-from warp_peri.points.mesh import load_mesh, make_mesh
-from warp_peri.points.tetrahedra import make_tetrahedra
-from warp_peri.statics.settings import Coupling
+from warp_peri.points.mesh import REST, load_mesh, make_mesh, make_tetrahedra, pieces
+from warp_peri.statics.solution import Coupling
 
 
 def grid(*sides, size=1.0, origin=0.0):

@@ -9,7 +9,7 @@ import pytest
 
 from tests.support.problems import lattice, noise
 from warp_peri import Dataset, InputError, Points, Samples
-from warp_peri.points.dataset_file import content_hash, load_dataset, save_dataset
+from warp_peri.points.dataset import content_hash, load_dataset, save_dataset
 
 GRID = lattice(2, 1.0, spacing=2.5)
 N = len(GRID.x)

@@ -9,7 +9,7 @@ import torch
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.points.arrays import fingerprint
-from warp_peri.tissue.kept_fits import KeptFits
+from warp_peri.tissue.sheet_choice import KeptFits
 
 
 def samples():

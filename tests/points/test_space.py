@@ -9,8 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.support.cubes import cube, periodic_cloud, periodic_cube
 from warp_peri.errors import InputError
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points

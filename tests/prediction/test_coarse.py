@@ -10,7 +10,7 @@ from tests.prediction.test_predict import family, far  # noqa: F401 (a fixture)
 from tests.support.problems import lattice, smooth
 from warp_peri.points.every_second import EverySecond
 from warp_peri.prediction.learning import short_where_held
-from warp_peri.prediction.spectrum import ErrorSpectrum
+from warp_peri.prediction.placed import ErrorSpectrum
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 WIDE = 6.0

@@ -9,7 +9,7 @@ import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.points.samples import part
 from warp_peri.prediction import design_loads, next_load
-from warp_peri.prediction.solid_numbers import of_solid
+from warp_peri.prediction.next_load import of_solid
 
 HORIZON = 2.5
 LAW = wp.Micromodulus(HORIZON, "4mm")

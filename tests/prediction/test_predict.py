@@ -13,8 +13,8 @@ from tests.micromodulus.test_learning import waves
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
-from warp_peri.points import axis
-from warp_peri.points.strain import largest_strain
+from warp_peri.points import samples as axis
+from warp_peri.points.samples import largest_strain
 from warp_peri.points.unit_names import factors
 from warp_peri.prediction import (
     Factors,
@@ -27,8 +27,7 @@ from warp_peri.prediction import (
     stress,
 )
 from warp_peri.prediction.learning import off_axis
-from warp_peri.prediction.placed import BEYOND, pulled
-from warp_peri.prediction.spectrum import ErrorSpectrum, Spectrum
+from warp_peri.prediction.placed import BEYOND, ErrorSpectrum, Spectrum, pulled
 from warp_peri.proofs import certify, uniqueness
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
@@ -221,9 +220,7 @@ def test_a_family_is_one_file_in_any_units(family, tmp_path, capsys):
     length, stress_unit = factors(family.units, units)
     moved = replace(points, x=points.x * length, spacing=length, units=units)
     there = wp.predict(
-        wp.load(path, units=units),
-        wp.Dirichlet(moved, b * stress_unit / length, u * length),
-        0.01,
+        wp.load(path, units=units), wp.Dirichlet(moved, b * stress_unit / length, u * length), 0.01
     )
     assert there.error == pytest.approx(expected.error, rel=1e-4)
     content = json.loads(path.read_text())

@@ -25,7 +25,7 @@ from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
 from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.prediction import Members
-from warp_peri.prediction.spectrum import ErrorSpectrum
+from warp_peri.prediction.placed import ErrorSpectrum
 from warp_peri.proofs import uniqueness
 from warp_peri.ranks import gather, lattice, partition, together
 from warp_peri.ranks.processes import total, world
@@ -76,11 +76,7 @@ def family(rich):
     return Members(rich, second, tuple(halves), record, strain=0.001)
 
 
-ASKED = {
-    "best": (nonlinear(), None),
-    "screened": (nonlinear(), 0.3),
-    "linear": (solid(2), None),
-}
+ASKED = {"best": (nonlinear(), None), "screened": (nonlinear(), 0.3), "linear": (solid(2), None)}
 """Rich members and tolerances of answers."""
 
 
@@ -97,11 +93,7 @@ def proven():
     return replace(solid(2), certificate={f"{H:g}": figures})
 
 
-LOOSE = {
-    "coarse": (nonlinear, 0.3),
-    "from coarse": (nonlinear, None),
-    "bound": (proven, 0.3),
-}
+LOOSE = {"coarse": (nonlinear, 0.3), "from coarse": (nonlinear, None), "bound": (proven, 0.3)}
 """The same on every second node, or from there."""
 
 

@@ -6,8 +6,7 @@ import pytest
 from tests.support.problems import GRADIENT, difference
 from warp_peri.lps.model import bernstein_basis
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.coordinates import Coordinates
-from warp_peri.regression.parameters import Parameters
+from warp_peri.regression.coordinates import Coordinates, Parameters
 
 ONE = [bond_classes(1.0, 3.0)]  # 6 bond lengths
 TWO = [bond_classes(1.0, 3.0), bond_classes(0.8, 3.0)]  # 6 and 9, one of them in both

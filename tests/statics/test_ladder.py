@@ -13,7 +13,7 @@ from tests.support.problems import difference, ell, kernel, lattice, manufacture
 from tests.support.solving import solve
 from tools.solve_study import TABLE, loads, mask_of, problem
 from warp_peri import InputError, Krylov, Model
-from warp_peri.core.elements import q1_tensors
+from warp_peri.core.stencil import q1_tensors
 from warp_peri.methods import Solid
 from warp_peri.statics.equilibrium import equilibrium, lps_linear
 from warp_peri.statics.linear import Linear

@@ -10,10 +10,9 @@ from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
 from warp_peri import InputError, Model, Points, move, save, solve
 from warp_peri.damage import Cracked, Injected, box, opening_volume, rectangle
-from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.damage.cut_solid import CutSolid, crack_load
 from warp_peri.damage.lattice_body import cracked, lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix
-from warp_peri.damage.pressurised import crack_load
 
 CELLS = np.array([8, 12, 16])
 

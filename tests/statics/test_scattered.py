@@ -12,8 +12,8 @@ from tests.support.problems import kernel, lattice
 from tests.support.solving import solve
 from warp_peri import InputError, Points, Samples, evaluate
 from warp_peri.statics.scattered import ThroughLattice
+from warp_peri.transfer.lattice import dispersion
 from warp_peri.transfer.operator import LPSOperator
-from warp_peri.transfer.waves import dispersion
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
 pytestmark = pytest.mark.filterwarnings("ignore:transferred")

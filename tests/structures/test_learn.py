@@ -24,8 +24,8 @@ from tools.crystals import LEWIS_CATLOW
 from warp_peri.cli.main import main
 from warp_peri.core.elastic import voigt
 from warp_peri.core.groups import group_of_structure
-from warp_peri.structures.campaign import load_campaign
-from warp_peri.structures.lammps import LammpsError, lammps_calculator, potential_file
+from warp_peri.structures.calculators import LammpsError, lammps_calculator, potential_file
+from warp_peri.structures.learn import load_campaign
 from warp_peri.structures.phonons import born_charges, force_constants
 from warp_peri.structures.rest import at_rest
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from tests.support.problems import kernel, lattice, noise
 from warp_peri import Dataset, Points, Samples
-from warp_peri.points.dataset_file import content_hash, save_dataset
+from warp_peri.points.dataset import content_hash, save_dataset
 
 HOSTILE = (
     "", " ", "\x00", "../../../etc/passwd", "/etc/passwd", "file:///etc/passwd", "NaN", "1e999",

@@ -7,7 +7,7 @@ import time
 
 from warp_peri import InputError
 from warp_peri.lps.model import Model
-from warp_peri.points.dataset_file import content_hash, load_dataset
+from warp_peri.points.dataset import content_hash, load_dataset
 
 
 def peak():

@@ -11,7 +11,8 @@ from tests.support.problems import ell, lattice, noise, smooth
 from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
 from warp_peri.proofs import uniqueness
-from warp_peri.statics import equilibria, linear, newton
+from warp_peri.statics import conjugate_gradients as newton
+from warp_peri.statics import equilibria, linear
 from warp_peri.statics.equilibria import NonlinearRecord
 from warp_peri.third_order.operator import PlacedThirdOrder
 

@@ -5,12 +5,20 @@ import pytest
 
 from tests.support.sheets import everything, hgo_dictionary, square, waves
 from warp_peri import InputError
-from warp_peri.tissue.energy_fit import equations, fit_energy, non_negative, residual
+from warp_peri.tissue.energy_fit import (
+    UniformTangents,
+    equations,
+    fit_energy,
+    non_negative,
+    residual,
+    shortest_margin,
+    stable_coefficients,
+    strains_of,
+    zone,
+)
 from warp_peri.tissue.fibres import with_corners
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
-from warp_peri.tissue.stable_fit import stable_coefficients
-from warp_peri.tissue.uniform_strain import UniformTangents, shortest_margin, strains_of, zone
 
 MATRIX = (Term("neo_hookean"), Term("volumetric"))
 SOFT = np.array([0.1, 0.1, 0.1, 0.1, 0.07, 0.08])

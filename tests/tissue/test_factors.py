@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from warp_peri.tissue import factors as positive
+from warp_peri.tissue import equilibrium as positive
 
 
 @pytest.mark.parametrize("full", [0, 100])

@@ -8,7 +8,6 @@ import pytest
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from warp_peri import InputError
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.displacement_search import Search, initial_stiffness
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.fibres import (
     families,
@@ -20,16 +19,17 @@ from warp_peri.tissue.fibres import (
     with_directions,
     with_families,
 )
-from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import (
+    Search,
+    Thickness,
     fit_displacement,
     fit_thickness,
+    initial_stiffness,
     scaled_by_force,
 )
 from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.placed import hyperelastic_errors, piola_stress
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
-from warp_peri.tissue.stress import piola_stress
-from warp_peri.tissue.thickness import Thickness
 
 TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
 

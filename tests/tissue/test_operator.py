@@ -9,11 +9,10 @@ import torch
 from tests.support.sheets import SPACING, everything, hgo_dictionary, square, waves
 from warp_peri import InputError
 from warp_peri.points.points import Points
-from warp_peri.tissue.bond_slopes import BOND_SLOPES
+from warp_peri.tissue.equilibrium import TangentPattern
 from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.placed import BOND_SLOPES, piola_stress
 from warp_peri.tissue.solid import FIBRES, Dictionary, Term
-from warp_peri.tissue.stress import piola_stress
-from warp_peri.tissue.tangent import TangentPattern
 
 EDGE = (slice(None, -1), slice(1, None))
 """The lower and the upper of two nodes beside each other."""

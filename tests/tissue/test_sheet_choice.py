@@ -13,8 +13,8 @@ from tools import make_frames
 from warp_peri.cli.main import main
 from warp_peri.sources.dic import SheetFrame, frames_of_folder, frames_on_lattice
 from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, sheet_choice, uniaxial
-from warp_peri.tissue.displacement_search import DisplacementFit
-from warp_peri.tissue.kept_fits import KeptFits
+from warp_peri.tissue.from_displacement import DisplacementFit
+from warp_peri.tissue.sheet_choice import KeptFits
 
 C1, C2 = 0.35, 0.15
 TERMS = (Term("plane_stress"), Term("mooney"))

@@ -12,8 +12,8 @@ from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import plane_stress_hgo
 from tools.make_leaflet import Leaflet
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import fit_displacement, fit_thickness
+from warp_peri.tissue.placed import hyperelastic_errors
 from warp_peri.tissue.solid import Dictionary, Term
 
 MATRIX = Dictionary(3.0, (), NEAREST, (Term("plane_stress"), Term("volumetric")))

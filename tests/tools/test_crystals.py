@@ -8,7 +8,7 @@ from tools.isotropic_rival import isotropic_lps
 from warp_peri.core.elastic import allowed_tensors
 from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.waves import from_phonons
-from warp_peri.structures.waves import wave_loads
+from warp_peri.structures.phonons import wave_loads
 
 STRAIN = 1e-3
 """Below it the steps of a tabulated potential show."""

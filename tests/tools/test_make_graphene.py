@@ -8,7 +8,7 @@ from tools import samples
 from tools.loads import PatchLoad, RimLoad, WaveLoad
 from tools.samples import TRAINING_STRAIN, cache_file, read_sample
 from tools.statics import TOLERANCE, ConvergenceError
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import tools.make_graphene as base
 import tools.make_strained as tool
 from tools.loads import PatchLoad, RimLoad
 from warp_peri import InputError
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ from tools.networks import lennard_jones, make_dumps, springs
 from warp_peri import Bernstein, evaluate
 from warp_peri.cli.main import main
 from warp_peri.learning.fit import learn as fit
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 
 def sampled(folder, network, *, force=1.0):

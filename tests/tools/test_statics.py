@@ -9,7 +9,7 @@ from tools.hessian import ColouredHessian
 from tools.lammps_session import CARBON_MASS, LammpsSession
 from tools.loads import EV_PER_CUBIC_ANGSTROM, WaveLoad, atom_force
 from tools.statics import TOLERANCE, ConvergenceError, Statics, find_bonds
-from warp_peri.structures.lammps import LammpsError, potential_file
+from warp_peri.structures.calculators import LammpsError, potential_file
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from tools.loads import PatchLoad, WaveLoad, atom_force
 from tools.long_wave import long_wave_constants
 from tools.reductions import REDUCTIONS, settled
 from tools.thermal import Task, read_run, run_file
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 
 BOLTZMANN = 8.617333262e-5  # eV/K
 EV_PER_AMU_SQUARE_ANGSTROM_PER_PS = 1.0364269656e-4
@@ -203,8 +203,7 @@ def test_constants_of_a_solid_that_is_known(sheet):
 
 
 @pytest.mark.parametrize(
-    "words",
-    [["--factors", "0"], ["--steps", "1000"], ["--iota", "2"], ["--temperature", "-3"]],
+    "words", [["--factors", "0"], ["--steps", "1000"], ["--iota", "2"], ["--temperature", "-3"]]
 )
 def test_values_without_sense_are_refused(words, tmp_path, capsys):
     assert tool.main(["--out", str(tmp_path), *words]) == 2

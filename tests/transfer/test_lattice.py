@@ -10,10 +10,16 @@ from warp_peri import Bernstein, InputError, Samples
 from warp_peri.learning.fit import learn as fit
 from warp_peri.lps.model import stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.points.wave_number import largest_wave_number
-from warp_peri.transfer.lattice import TOLERANCE
+from warp_peri.points.samples import largest_wave_number
+from warp_peri.transfer.lattice import (
+    TOLERANCE,
+    dispersion,
+    rings,
+    wave_errors,
+    wave_loss,
+    wave_vectors,
+)
 from warp_peri.transfer.operator import LPSOperator
-from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, wave_vectors
 from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)

@@ -10,8 +10,8 @@ from warp_peri import InputError
 from warp_peri.export import write_kernel
 from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
+from warp_peri.transfer.lattice import dispersion, rings, wave_errors
 from warp_peri.transfer.shared_kernel import _fitted_on
-from warp_peri.transfer.waves import dispersion, rings, wave_errors
 from warp_peri.transfers import one_kernel
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)

@@ -12,7 +12,7 @@ import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked
-from warp_peri.statics.settings import Coupling
+from warp_peri.statics.solution import Coupling
 from warp_peri.storage import load
 
 OF_DATA: dict[str, Any] = {"method": "auto", "axis": None, "set": "test", "transfer": True}

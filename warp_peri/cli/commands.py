@@ -27,11 +27,10 @@ from warp_peri.cli.train import run_sweep as run_sweep
 from warp_peri.cli.train import run_train as run_train
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, finite, locked, plain
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
-from warp_peri.statics.settings import Direct, Krylov
+from warp_peri.statics.solution import Direct, Krylov
 from warp_peri.storage import load
 
 Result = dict[str, Any]
@@ -113,10 +112,7 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
         points = data[name]
         try:
             tables[name] = {"samples": len(points)} | warp_peri.evaluate(
-                model,
-                points,
-                transfer=given.transfer,
-                allow_uncertified=given.allow_uncertified,
+                model, points, transfer=given.transfer, allow_uncertified=given.allow_uncertified
             )
         except InputError as error:
             if given.sets:

@@ -32,11 +32,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         raise InputError(f"stress: expected a number > 0 [MPa], got {given.stress}")
 
     frames = frames_of_folder(
-        given.folder,
-        given.count,
-        pixel=given.pixel,
-        radius=given.smooth,
-        positions=given.positions,
+        given.folder, given.count, pixel=given.pixel, radius=given.smooth, positions=given.positions
     )
     length_known = frames.points.units != USUAL  # what frames without a unit are taken for
     if given.stress is not None and not length_known:

@@ -14,8 +14,7 @@ from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.files.archive import read_arrays
 from warp_peri.points.arrays import checked
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import Dataset, load_dataset
 from warp_peri.points.points import Points
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import warp_peri
 from warp_peri.cli.inputs import data_for
 from warp_peri.errors import InputError
-from warp_peri.points.dataset_file import load_dataset
+from warp_peri.points.dataset import load_dataset
 from warp_peri.points.unit_names import USUAL
 from warp_peri.storage import load
 

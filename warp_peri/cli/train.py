@@ -18,14 +18,13 @@ from warp_peri.cli.settings_file import keep, refuse_used
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.learning import DEGREES, HORIZONS
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.dataset_file import load_dataset, save_dataset
+from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
 from warp_peri.sources import dump_files, dumps
 from warp_peri.sources.coarse_graining import smoothing_matrix
 
 if TYPE_CHECKING:
-    from warp_peri.learning.run import Run
+    from warp_peri.learning.sweep import Run
 
 Result = dict[str, Any]
 
@@ -126,7 +125,7 @@ def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
     from warp_peri.learning import methods
     from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
-    from warp_peri.learning.run import train
+    from warp_peri.learning.sweep import train
     from warp_peri.micromodulus.learning import long_waves_of_data
     from warp_peri.regression.conditions import Conditions
 
@@ -174,7 +173,7 @@ def run_train(given: argparse.Namespace) -> Result:
 
 def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
     """The same for a law other than the LPS; its methods, losses and kernels are the LPS's own."""
-    from warp_peri.learning.run import Run, evaluated
+    from warp_peri.learning.sweep import Run, evaluated
     from warp_peri.methods import Optimum, Smoothing
 
     usual = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",

@@ -64,7 +64,7 @@ HOMES = {
     "warp_peri.conductor": "diffusion.conductor",
     "warp_peri.coupled_solid": "diffusion.coupled",
     "warp_peri.flow_law": "flow",
-    "warp_peri.family": "prediction.members",
+    "warp_peri.family": "prediction.placed",
 }
 """Modules below warp_peri that a format's reader is in; those of others are loaded already."""
 

@@ -1,8 +1,7 @@
 """Cracks: bonds that are cut, break or soften, at rest and in motion (theory.md, C)."""
 
-from warp_peri.damage.cut_solid import contour_integral, westergaard
+from warp_peri.damage.cut_solid import contour_integral, opening_volume, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, penny, rectangle
-from warp_peri.damage.pressurised import opening_volume
 from warp_peri.damage.problems import Cracked, Injected
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.damage.softening import BondLaw, SoftSolid

@@ -18,8 +18,8 @@ from numpy.typing import ArrayLike
 
 from warp_peri.damage.lattice_body import LatticeBody, cracked
 from warp_peri.damage.operator import CutOperator, unit_bond_energy, unit_toughness
-from warp_peri.damage.solid import BrittleSolid
-from warp_peri.damage.stability import (
+from warp_peri.damage.solid import (
+    BrittleSolid,
     breaking_time_step,
     check_breakable,
     check_horizon,

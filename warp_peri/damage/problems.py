@@ -10,11 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered, refuse_uncut, taken
-from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.damage.cut_solid import CutSolid, crack_area, crack_load, opening_volume
 from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, BreakingState
-from warp_peri.damage.pressurised import crack_area, crack_load, opening_volume
 from warp_peri.damage.slow_growth import grow
 from warp_peri.damage.softening import SoftBody
 from warp_peri.dynamics.motion import Motion
@@ -22,8 +21,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.settings import Direct, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Direct, Solution, refuse_solver
 
 
 class Broken(NamedTuple):

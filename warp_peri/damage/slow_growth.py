@@ -15,7 +15,7 @@ from tqdm import tqdm
 from warp_peri.damage.cut_solid import CutSolid, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, cracked, lattice_body
 from warp_peri.damage.operator import unit_toughness
-from warp_peri.damage.stability import check_breakable, check_no_fail
+from warp_peri.damage.solid import check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model

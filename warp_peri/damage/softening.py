@@ -19,14 +19,9 @@ from tqdm import tqdm
 
 from warp_peri.core.record import OnLinear
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
-from warp_peri.damage.lattice_body import (
-    LatticeBody,
-    cracked,
-    crossing_bonds,
-    size_and_normal,
-)
+from warp_peri.damage.lattice_body import LatticeBody, cracked, crossing_bonds, size_and_normal
 from warp_peri.damage.operator import bond_weights, stretch_rows
-from warp_peri.damage.stability import check_breakable, check_horizon, check_no_fail
+from warp_peri.damage.solid import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model

@@ -13,19 +13,23 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
 from warp_peri.core.record import Entry, Length, Record
-from warp_peri.damage.stability import negative_eigenvalues
+from warp_peri.damage.solid import negative_eigenvalues
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
 from warp_peri.lps.model import ALPHA_BOUND, bernstein_basis
-from warp_peri.points.arrays import check_positive, check_whole, checked, checked_fields
+from warp_peri.points.arrays import (
+    check_positive,
+    check_whole,
+    checked,
+    checked_fields,
+    mean_inverse,
+)
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.points.series import mean_inverse
 from warp_peri.points.unit_names import USUAL, Units, check_same
-from warp_peri.statics.settings import Direct, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
 
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
 ROUNDING = 1e-10

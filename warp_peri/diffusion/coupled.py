@@ -14,7 +14,7 @@ from scipy.sparse.linalg import splu
 from warp_peri.core.record import Record, Stress
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
-from warp_peri.damage.stability import check_cut
+from warp_peri.damage.solid import check_cut
 from warp_peri.diffusion.conductor import (
     RESIDUAL,
     Conductivity,
@@ -27,8 +27,7 @@ from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
-from warp_peri.statics.settings import Direct, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
 
 
 @dataclass(frozen=True, eq=False, repr=False)

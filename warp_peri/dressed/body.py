@@ -14,8 +14,7 @@ from scipy.sparse.linalg import eigsh, splu
 
 from warp_peri.core.grid import Grid, grid_of
 from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
-from warp_peri.dressed.bases import composed, gauss_shapes, half, spread
-from warp_peri.dressed.sweeps import ByLayers
+from warp_peri.dressed.sweeps import ByLayers, composed, gauss_shapes, half, spread
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, checked_fields
@@ -24,8 +23,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.statics.conjugate_gradients import definite
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.settings import Direct, Krylov, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Direct, Krylov, Solution, Solver, refuse_solver
 
 if TYPE_CHECKING:
     from warp_peri.dressed.law import DressedSolid

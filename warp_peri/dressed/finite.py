@@ -22,16 +22,14 @@ from warp_peri.kernels.dressed.finite import gather, pull, spread
 from warp_peri.launch import floats, ints, launch_slices
 from warp_peri.micromodulus.learning import one_set
 from warp_peri.points.arrays import checked, checked_fields
-from warp_peri.points.axis import axis_of
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import lattice_steps, neighbour_table
-from warp_peri.points.samples import PointsLike, Samples
+from warp_peri.points.samples import PointsLike, Samples, axis_of
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 from warp_peri.stability.solvability import smallest_eigenvalue
 from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
 from warp_peri.statics.linear import Linear
-from warp_peri.statics.settings import Newton, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 from warp_peri.third_order.material import CUBIC
 from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.third_order.uniqueness import curvature_bound, largest_parts

@@ -18,9 +18,11 @@ from warp_peri.core.groups import Symmetry, checked_orientation, point_group, sh
 from warp_peri.core.proof import Proof
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
-from warp_peri.dressed.bases import (
+from warp_peri.dressed.body import DressedBody
+from warp_peri.dressed.sweeps import (
     AXIS_WEIGHT,
     Base,
+    ByLayers,
     base,
     bonds,
     composed,
@@ -28,8 +30,6 @@ from warp_peri.dressed.bases import (
     half,
     spread,
 )
-from warp_peri.dressed.body import DressedBody
-from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.micromodulus import regression

@@ -120,11 +120,7 @@ class Inert:
     """
 
     def __init__(
-        self,
-        operator: LPSOperator,
-        interior: np.ndarray,
-        density: float,
-        load: np.ndarray,
+        self, operator: LPSOperator, interior: np.ndarray, density: float, load: np.ndarray
     ) -> None:
         self.operator, self.interior, self.load = operator, interior, load
         self.inertia = inertia(density, operator.model.units)

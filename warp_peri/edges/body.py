@@ -1,4 +1,8 @@
-"""Bodies with free edges at rest, and its gradient to load and material (theory.md, B)."""
+"""Bodies with free edges at rest, and its gradient to load and material (theory.md, B).
+
+A kernel that changes sign does not bear families that an edge cuts. The operator stays where its
+families are whole; a rim along the outline is elasticity with the operator's own long-wave moduli.
+"""
 
 from __future__ import annotations
 
@@ -21,16 +25,15 @@ from warp_peri.lps.operator import NodeOperator
 from warp_peri.lps.symbol import moduli
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
-from warp_peri.points.mesh import Mesh
+from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
-from warp_peri.points.strain import edge_strain, largest_strain
-from warp_peri.points.tetrahedra import Tetrahedra
+from warp_peri.points.samples import edge_strain, largest_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.stability.certificate import certify
 from warp_peri.stability.inertia import definite_factors
-from warp_peri.statics.settings import TOLERANCE
-from warp_peri.statics.settings import Coupling as Coupling
-from warp_peri.statics.strain_range import warn_beyond
+from warp_peri.statics.scattered import warn_beyond
+from warp_peri.statics.solution import TOLERANCE
+from warp_peri.statics.solution import Coupling as Coupling
 from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.lattice import LARGEST
 

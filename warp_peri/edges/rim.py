@@ -15,9 +15,7 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
-from warp_peri.points.cells import pieces
-from warp_peri.points.mesh import Mesh
-from warp_peri.points.tetrahedra import Tetrahedra
+from warp_peri.points.mesh import Mesh, Tetrahedra, pieces
 
 Field = Callable[[np.ndarray], np.ndarray]
 """Vectors, shape [n, d], at positions [Å], shape [n, d]."""

@@ -1,4 +1,7 @@
-"""What closes a flow: a law's stress, dumbbells carried along, pairs that start one."""
+"""What closes a flow: a law's stress, dumbbells carried along, pairs that start one.
+
+Both take macroscopic numbers, the gradient κ in 1/t0 and Δt in t0, and give σ in η/t0.
+"""
 
 from __future__ import annotations
 

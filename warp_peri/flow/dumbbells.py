@@ -1,4 +1,8 @@
-"""Dumbbells: their motion, ensembles under protocols, and twins that share their noise."""
+"""Dumbbells: their motion, ensembles under protocols, and twins that share their noise.
+
+Time in relaxation times, length in units in which a Hookean dumbbell at rest has ⟨q q⟩ = I, stress
+in n k T (theory, F1–F6).
+"""
 
 from __future__ import annotations
 

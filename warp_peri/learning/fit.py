@@ -24,13 +24,11 @@ from warp_peri.lps.shapes import InfluenceFunction, shapes_of
 from warp_peri.lps.symbol import moduli as moduli_of
 from warp_peri.points.arrays import fingerprint
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
-from warp_peri.points.strain import largest_strain
+from warp_peri.points.samples import Samples, largest_strain, largest_wave_number
 from warp_peri.points.unit_names import symbols
-from warp_peri.points.wave_number import largest_wave_number
 from warp_peri.regression.conditions import Conditions
+from warp_peri.regression.coordinates import SMALLEST_MODULUS, Parameters
 from warp_peri.regression.optimum import HEADROOM
-from warp_peri.regression.parameters import SMALLEST_MODULUS, Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
 

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 
 from warp_peri.lps.model import bernstein_basis
+from warp_peri.regression.coordinates import Parameters, Variables
 from warp_peri.regression.losses import FullLoss, ReducedLoss
-from warp_peri.regression.parameters import Parameters, Variables
 
 ROUNDING = 1e-13
 """Of a residual, relative to the loads: what is left of an exact fit."""

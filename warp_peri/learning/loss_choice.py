@@ -10,9 +10,9 @@ from warp_peri.learning.response import products
 from warp_peri.learning.result import LossChoice
 from warp_peri.learning.training_data import TrainingData
 from warp_peri.lps.model import Model
-from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.points.samples import WAVE_VECTOR
+from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.optimum import constrained_optimum
-from warp_peri.regression.parameters import Parameters
 
 SMALL_SHARE = 0.01
 """A residual loss is taken as it is when noise is less than this of its squares."""

@@ -18,12 +18,11 @@ from warp_peri.learning.response import as_model, products
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import Scale, scale_of
 from warp_peri.points.families import BondClasses
-from warp_peri.points.samples import Samples
-from warp_peri.points.strain import largest_strain
+from warp_peri.points.samples import Samples, largest_strain
 from warp_peri.points.unit_names import symbols
+from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import Features, ReducedLoss, sample_weights, with_rows
 from warp_peri.regression.optimum import constrained_optimum
-from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
 from warp_peri.third_order.fit import CONSTANTS, NonlinearFeatures

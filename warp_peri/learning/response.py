@@ -1,4 +1,10 @@
-"""The output-error loss and its optimum (theory.md, 38)."""
+"""The output-error loss and its optimum (theory.md, 38).
+
+With û the model's displacement at parameters c₀, L(c) û is affine in the products c of (17), and
+û − L₀⁻¹ (L(c) û − b) is the displacement at c to first order (theory.md, 38). Its misfit is a
+reduced least-squares problem again. Noise in u enters it as it is, not through a second derivative,
+and does not bias the fit.
+"""
 
 from __future__ import annotations
 
@@ -12,12 +18,11 @@ from warp_peri.errors import InputError
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.samples import Samples
-from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.conditions import LatticeConditions
+from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
 from warp_peri.regression.optimum import Reached, constrained_optimum
-from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 from warp_peri.statics.direct import MatrixProblem
 

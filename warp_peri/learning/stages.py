@@ -23,8 +23,8 @@ from warp_peri.learning.two_stage import (
     positive_stage,
     sign_changing_stage,
 )
+from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.optimum import Reached, constrained_optimum
-from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 
 SAME_LOSS = 1e-6

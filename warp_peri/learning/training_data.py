@@ -1,4 +1,9 @@
-"""Training sets made ready once, in the units of the fit (theory.md, U1–U2)."""
+"""Training sets made ready once, in the units of the fit (theory.md, U1–U2).
+
+Nothing in a linear solid has a length or a stress of its own, but starts, steps, bounds and
+tolerances of a search are numbers. They are numbers of Å and TPa, or of units that follow the data
+from there in coarse steps: powers of 64 and of 16, so that going there and back costs no digit.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +20,12 @@ from warp_peri.learning.result import Settings
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.model import Model, Solid
 from warp_peri.lps.operator import lps_force
-from warp_peri.points.dataset import Dataset
+from warp_peri.points.dataset import Dataset, in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, search_length, search_unit
-from warp_peri.points.units import in_units_of, scaled
 from warp_peri.regression.conditions import Conditions, LatticeConditions
+from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import (
     FullLoss,
     ReducedLoss,
@@ -29,7 +34,6 @@ from warp_peri.regression.losses import (
     reduce,
     sample_weights,
 )
-from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.settings import Optimum
 
 

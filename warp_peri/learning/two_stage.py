@@ -1,4 +1,9 @@
-"""Algorithm 1 of You et al. (2021): positive kernels, then an augmented Lagrangian on margins."""
+"""Algorithm 1 of You et al. (2021): positive kernels, then an augmented Lagrangian on margins.
+
+Each is a smallest eigenvalue less its level; its derivative is that of the eigenvalue at its own
+vector. `SymbolMargins` looks at the symbol over a sampled zone, `DenseMargins` at the matrices of
+the training domain, which is what You et al. (2021, 4.6) print.
+"""
 
 from __future__ import annotations
 
@@ -27,8 +32,8 @@ from warp_peri.lps.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.regression.conditions import LatticeConditions
+from warp_peri.regression.coordinates import Parameters, Variables
 from warp_peri.regression.losses import FullLoss, ReducedLoss
-from warp_peri.regression.parameters import Parameters, Variables
 
 ZONE_INTERVALS = 24
 DENSE_ZETA = 1e-4

@@ -21,9 +21,9 @@ from warp_peri.learning.training_data import listed, scale_of
 from warp_peri.lps.model import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples, part
+from warp_peri.points.samples import WAVE_VECTOR, Samples, part
 from warp_peri.points.unit_names import check_same
-from warp_peri.points.wave_number import WAVE_VECTOR
+from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import (
     Features,
     ReducedLoss,
@@ -34,7 +34,6 @@ from warp_peri.regression.losses import (
     sample_weights,
 )
 from warp_peri.regression.optimum import ConstrainedProblem, coordinates_of
-from warp_peri.regression.parameters import Parameters
 
 LEAST_LOADS, DRAWS = 4, 40
 ONE_DEVIATION = (0.1587, 0.8413)

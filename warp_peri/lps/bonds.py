@@ -1,18 +1,24 @@
-"""The bonds of a point set on a device: built once, and handed to whatever launches kernels."""
+"""The bonds of a point set on a device, and the launches of L u on them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import warp as wp
+from scipy.special import comb
 
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import bonds
-from warp_peri.launch import DEVICE, floats, ints, known_device, zeros
+from warp_peri.kernels.lps import adjoint as lps_adjoint
+from warp_peri.kernels.lps import force as lps
+from warp_peri.kernels.lps import influence as influence_kernels
+from warp_peri.kernels.lps.tables import tables
+from warp_peri.launch import DEVICE, empty, floats, ints, known_device, launch, launch_slices, zeros
+from warp_peri.lps.model import CANCELLED, Model, Solid
 from warp_peri.lps.rows import Rows, rows_of
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.quadrature import DEGREE
@@ -99,10 +105,7 @@ class Bonds:
         types = bonds(self.scalar, self.dimension)
         self.vec, self.mat = types.vec, types.mat
         self.families = families = families_of(
-            points,
-            horizon,
-            bond_based=bond_based,
-            degree=quadrature_degree,
+            points, horizon, bond_based=bond_based, degree=quadrature_degree
         )
         self.horizon, self.bond_based = float(horizon), bond_based
         self.rows, self.whole = self.ints(families.rows), self.ints(families.whole)
@@ -170,3 +173,251 @@ class Bonds:
     def forget(self) -> None:
         """Drop what was kept of the last model, so that the next evaluation computes it anew."""
         self.kept.clear()
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """L u and what led to it, in the precision of the bonds.
+
+    Attributes:
+        kw, m: K W of each bond class [C] and weighted volume of each node [N], or of all nodes of a
+            lattice [1], deviatoric.
+        kd, md: those of the dilatation; the same arrays with one influence function.
+        theta: dilatation of each sample and node, shape [S, N], or [S, 0] where nobody
+            asked for it.
+        Lu: L u on the interior nodes, shape [S, I] of vectors.
+    """
+
+    kw: wp.array[Any]
+    m: wp.array[Any]
+    kd: wp.array[Any]
+    md: wp.array[Any]
+    theta: wp.array[Any]
+    Lu: wp.array[Any]
+
+
+@cache
+def _binomials(degree: int) -> np.ndarray:
+    """Of the Bernstein polynomials; SciPy takes longer than a sweep over a thousand nodes."""
+    coefficients: np.ndarray = comb(degree, np.arange(degree + 1))
+    return coefficients
+
+
+def influence_inputs(bonds: Bonds, degree: int) -> tuple[Any, ...]:
+    """What the influence kernels of a degree read before α and D."""
+    binomial = bonds.floats(_binomials(degree))
+    return (bonds.scalar(bonds.horizon), binomial, bonds.r, bonds.weight)
+
+
+def influence(
+    bonds: Bonds, alpha: wp.array[Any], D: wp.array[Any], *, gradient: bool = False
+) -> tuple[wp.array[Any], wp.array[Any]]:
+    """K W of each class, shape [C], and weighted volumes m; kept while only u changes.
+
+    m has shape [N], 0 where not needed; on a lattice shape [1], the same for all nodes.
+    """
+    degree = len(D) - 1
+    key = (alpha.numpy().tobytes(), D.numpy().tobytes())
+    if not gradient and key in bonds.kept:
+        return bonds.kept[key]
+    kw = bonds.zeros(len(bonds.r), gradient=gradient)
+    m = bonds.zeros(1 if bonds.lattice else bonds.nodes, gradient=gradient)
+    table = (*influence_inputs(bonds, degree), alpha, D)
+    kernel = influence_kernels.influence(degree, bonds.scalar)
+    _launch(gradient, kernel, len(bonds.r), table, kw)
+    count = 1 if bonds.lattice else len(bonds.full)
+    kernel = lps.sweeps(bonds.scalar, bonds.dimension).weighted_volume
+    _launch(gradient, kernel, count, (bonds.full, bonds.arrays, bonds.r, kw), m)
+    if not gradient:
+        if len(bonds.kept) > 1:  # those of the last model: at most two functions
+            bonds.kept.clear()
+        bonds.kept[key] = kw, m
+    return kw, m
+
+
+def check_volumes(bonds: Bonds, model: Model) -> None:
+    """Refuse an influence function whose weighted volume vanishes: the operator divides by it.
+
+    Raises InputError saying how many nodes that concerns; on a lattice it is all of them.
+    """
+    families = bonds.families
+    alpha = bonds.floats(np.array([model.alpha]))
+    for D in {model.D.tobytes(): model.D, model.dilatation.tobytes(): model.dilatation}.values():
+        kw = influence(bonds, alpha, bonds.floats(D))[0].numpy()
+        terms = kw * families.r**2
+        if families.lattice is not None:
+            terms = (families.lattice.count * terms)[None]
+            m, size = terms.sum(axis=1), np.abs(terms).sum(axis=1)
+        else:
+            m = np.add.reduceat(terms, families.row[:-1])[bonds.full.numpy()]
+            size = np.add.reduceat(np.abs(terms), families.row[:-1])[bonds.full.numpy()]
+        bad = np.count_nonzero(~(np.abs(m) > CANCELLED * size))
+        if bad:
+            where = "every node" if bonds.lattice else f"{bad} nodes"
+            raise InputError(
+                f"influence function: its weighted volume m (theory.md, 5) is zero at {where}: "
+                f"positive and negative parts cancel to {np.abs(m).min() / size.max():.0e}"
+            )
+
+
+def surface_shape(bonds: Bonds, kd: wp.array[Any], *, gradient: bool = False) -> wp.array[Any]:
+    """S of the nodes with broken bonds, (40), shape [N]."""
+    shape = bonds.zeros(bonds.nodes, dtype=bonds.mat, gradient=gradient)
+    kernel = lps.sweeps(bonds.scalar, bonds.dimension).surface_shape
+    _launch(gradient, kernel, len(bonds.cut), (bonds.cut, bonds.arrays, kd), shape)
+    return shape
+
+
+def evaluate(
+    bonds: Bonds,
+    u: wp.array[Any],
+    lam: wp.array[Any],
+    mu: wp.array[Any],
+    alpha: wp.array[Any],
+    D: wp.array[Any],
+    D_dilatation: wp.array[Any] | None = None,
+    *,
+    gradient: bool = False,
+    dilatation: bool = True,
+) -> Evaluation:
+    """L u [TPa/Å] and all that led to it; with `gradient` for the active tape, in one thread.
+
+    Args:
+        bonds: of a point set with N nodes.
+        u: displacement [Å], shape [S, N] of vectors.
+        lam, mu: Lamé parameters [TPa], shape [1] each, equal for bond-based bonds.
+        alpha: exponent, shape [1].
+        D: Bernstein coefficients, shape [M + 1].
+        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
+            shares that of D.
+        gradient: whether to record derivatives.
+        dilatation: whether θ is wanted by node, and not only for the force.
+    """
+    samples, kernels, arrays = u.shape[0], lps.sweeps(bonds.scalar, bonds.dimension), bonds.arrays
+    inputs: tuple[Any, ...]
+    kw, m = influence(bonds, alpha, D, gradient=gradient)
+    kd, md = kw, m
+    Lu = _forces(bonds, samples, gradient=gradient)
+    if bonds.bond_based:
+        inputs = (bonds.rows, arrays, kw, m, mu, u)
+        _launch(gradient, kernels.bond_force, len(bonds.rows), inputs, Lu, samples)
+        return Evaluation(kw, m, kd, md, bonds.zeros(samples, bonds.nodes), Lu)
+    if D_dilatation is not None:
+        kd, md = influence(bonds, alpha, D_dilatation, gradient=gradient)
+    if bonds.laid_out is not None and not gradient:
+        theta = bonds.zeros(samples, bonds.nodes if dilatation else 0)
+        law = filled(lps_adjoint.structs(bonds.scalar, bonds.dimension).Law, kw, m, kd, md, lam, mu)
+        _by_rows(bonds, bonds.laid_out, law, u, Lu, theta if dilatation else None)
+        return Evaluation(kw, m, kd, md, theta, Lu)
+    theta = bonds.zeros(samples, bonds.nodes, gradient=gradient)
+    inputs = (bonds.whole, arrays, kd, md, u)
+    _launch(gradient, kernels.dilatation, len(bonds.whole), inputs, theta, samples)
+    if len(bonds.cut):
+        shape = surface_shape(bonds, kd, gradient=gradient)
+        inputs = (bonds.cut, arrays, kd, shape, u)
+        _launch(gradient, kernels.surface_dilatation, len(bonds.cut), inputs, theta, samples)
+    inputs = (bonds.rows, arrays, kw, m, kd, md, lam, mu, u, theta)
+    _launch(gradient, kernels.force, len(bonds.rows), inputs, Lu, samples)
+    return Evaluation(kw, m, kd, md, theta, Lu)
+
+
+def _forces(bonds: Bonds, samples: int, *, gradient: bool) -> wp.array[Any]:
+    """Memory for L u; that of a gradient begins with zeros."""
+    if gradient:
+        return bonds.zeros(samples, len(bonds.rows), dtype=bonds.vec, gradient=True)
+    return empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)
+
+
+def filled(struct: Any, *values: wp.array[Any]) -> Any:
+    """An instance of a kernel's struct, its members in order."""
+    instance = struct()
+    for name, value in zip(struct.vars, values):
+        setattr(instance, name, value)
+    return instance
+
+
+def _by_rows(
+    bonds: Bonds, rows: Rows, law: Any, u: wp.array[Any], Lu: wp.array[Any], theta: Any
+) -> None:
+    """Dilatation and force on a lattice laid out in rows; θ by node where an array is given."""
+    with rows.forward(bonds.arrays, len(u)) as forward:
+        forward(law, u, Lu)
+        if theta is not None:
+            rows.take_up(forward.dilatation, theta)
+
+
+def _launch(
+    tape: bool,
+    kernel: Any,
+    count: int,
+    inputs: tuple[Any, ...],
+    output: wp.array[Any],
+    samples: int = 0,
+) -> None:
+    if tape:
+        launch(kernel, (samples, count) if samples else count, (0, *inputs), (output,))
+    else:
+        launch_slices(kernel, count, inputs, (output,), samples=samples)
+
+
+class Tabulated:
+    """The force of one influence function, or two, as tables of its bonds.
+
+    Args:
+        bonds: of any point set, on the processor.
+
+    Call it with u, shape [S, N] of vectors, and a solid of plain numbers: returns L u, shape [S, I]
+    of vectors. The tables are made anew whenever α or a coefficient differs from those they were
+    made for; λ and μ are no part of them. They take 8 (d + 1) bytes a bond in double precision.
+    """
+
+    def __init__(self, bonds: Bonds) -> None:
+        self.bonds, self.kernels = bonds, tables(bonds.scalar, bonds.dimension)
+        self._made_for: tuple[bytes, ...] | None = None
+        self._table: Any = None
+        self._dilatational: tuple[wp.array[Any], wp.array[Any]] | None = None
+
+    def __call__(self, u: wp.array[Any], solid: Solid) -> wp.array[Any]:
+        bonds, samples = self.bonds, len(u)
+        lam, mu, alpha, *coefficients = (
+            bonds.floats(np.atleast_1d(np.asarray(value, float))) for value in solid.values()
+        )
+        key = tuple(array.numpy().tobytes() for array in (alpha, *coefficients))
+        if key != self._made_for:
+            self._make(alpha, coefficients)
+            self._made_for = key
+        theta = bonds.zeros(samples, bonds.nodes)
+        if not bonds.bond_based:
+            self._launch(self.kernels.dilatation, bonds.whole, (u,), theta)
+            if self._dilatational is not None:
+                kernel = lps.sweeps(bonds.scalar, bonds.dimension).surface_dilatation
+                inputs = (bonds.cut, bonds.arrays, *self._dilatational, u)
+                launch_slices(kernel, len(bonds.cut), inputs, (theta,), samples=samples)
+        Lu = empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)
+        self._launch(self.kernels.force, bonds.rows, (lam, mu, u, theta), Lu)
+        return Lu
+
+    def _launch(
+        self, kernel: Any, nodes: wp.array[Any], inputs: tuple[Any, ...], output: wp.array[Any]
+    ) -> None:
+        inputs = (nodes, self._table, *inputs)
+        launch_slices(kernel, len(nodes), inputs, (output,), samples=len(output))
+
+    def _make(self, alpha: wp.array[Any], coefficients: list[wp.array[Any]]) -> None:
+        bonds, families = self.bonds, self.bonds.families
+        made = [influence(bonds, alpha, D) for D in coefficients]
+        bonds.forget()  # what the tables are made of is not read again
+        (kw, m), (kd, md) = made[0], made[-1]
+        table = self.kernels.Table()
+        broken = families.neighbour < 0
+        table.row, table.ends = bonds.arrays.row, bonds.arrays.neighbour
+        if broken.any():
+            owner = np.repeat(np.arange(bonds.nodes), np.diff(families.row))
+            table.ends = bonds.ints(np.where(broken, owner, families.neighbour))
+        edges = len(families.neighbour)
+        table.vectors, table.numbers = bonds.zeros(edges, dtype=bonds.vec), bonds.zeros(edges)
+        inputs = (bonds.full, bonds.arrays, kw, m, kd, md)
+        outputs = (table.vectors, table.numbers)
+        launch_slices(self.kernels.filled, len(bonds.full), inputs, outputs)
+        self._table = table
+        self._dilatational = (kd, surface_shape(bonds, kd)) if len(bonds.cut) else None

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError
 from warp_peri.kernels.lps.matrix import entries
 from warp_peri.launch import floats, launch, zeros
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.launches import check_volumes, influence, surface_shape
+from warp_peri.lps.bonds import Bonds, check_volumes, influence, surface_shape
 from warp_peri.lps.model import Model, on_nominal_lattice
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
@@ -44,11 +43,7 @@ class Matrices:
 
 
 def matrices(
-    model: Model,
-    points: PointsLike,
-    *,
-    quadrature_degree: int = DEGREE,
-    bonds: Bonds | None = None,
+    model: Model, points: PointsLike, *, quadrature_degree: int = DEGREE, bonds: Bonds | None = None
 ) -> Matrices:
     """Assemble Γ, Φ and Ψ of a model on a point set; the options are those of LPSOperator.
 

@@ -1,4 +1,8 @@
-"""The LPS on a point set: Warp forward and backward, torch or NumPy outside."""
+"""The LPS on a point set: Warp forward and backward, torch or NumPy outside.
+
+No atomics, so the nodes may be shared out among threads; sums over nodes run over fixed blocks, so
+that the result does not depend on how many threads there are.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +20,9 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
 from warp_peri.launch import DEVICE, at_once, empty, launch, launch_slices
-from warp_peri.lps.bonds import BLOCKS, Bonds
-from warp_peri.lps.launches import (
+from warp_peri.lps.bonds import (
+    BLOCKS,
+    Bonds,
     Evaluation,
     Tabulated,
     check_volumes,

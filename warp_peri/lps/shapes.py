@@ -1,4 +1,12 @@
-"""Influence functions of any shape: a callable of r with parameters to learn (theory.md, 59–60)."""
+"""Influence functions of any shape: a callable of r with parameters to learn (theory.md, 59–60).
+
+    shape = InfluenceFunction(lambda r, width: np.exp(-((r / width) ** 2)), {"width": 8.0})
+    fit = warp_peri.fit(samples, horizon=20.0, kernel=shape)
+    fit.influence.parameters["width"]
+
+A model keeps such a function as the polynomial (60), so files, certificates and solves know one
+kind of model only.
+"""
 
 from __future__ import annotations
 

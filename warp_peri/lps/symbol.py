@@ -1,4 +1,9 @@
-"""The symbol of the LPS operator on the infinite lattice (theory.md, 18–21)."""
+"""The symbol of the LPS operator on the infinite lattice (theory.md, 18–21).
+
+With stiffnesses v_c = μ w_c of the deviatoric part and z_c = μ p_c of the dilatation [TPa/Å²],
+equal when both have one influence function, and κ = (λ−μ)/μ² [1/TPa], it is
+D(k) = Γ(k) + κ φ(k) φ(k)ᵗ, Γ linear in v, φ linear in z, and free of the scale of K.
+"""
 
 from __future__ import annotations
 

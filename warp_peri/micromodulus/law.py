@@ -20,10 +20,9 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import Product
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, checked_fields
-from warp_peri.points.axis import unsaid
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples, nodes_of
+from warp_peri.points.samples import Samples, nodes_of, unsaid
 from warp_peri.points.unit_names import (
     STRESSES,
     USUAL,
@@ -34,8 +33,7 @@ from warp_peri.points.unit_names import (
     symbols,
 )
 from warp_peri.statics.linear import Linear
-from warp_peri.statics.settings import Krylov, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Krylov, Solution, Solver, refuse_solver
 
 
 class TensorOperator:

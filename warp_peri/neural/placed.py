@@ -17,11 +17,9 @@ from warp_peri.errors import InputError
 from warp_peri.neural.bonds import Gather, NetworkBonds, Scatter
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import Samples
-from warp_peri.statics.at_rest import probed
-from warp_peri.statics.equilibria import Equilibria
+from warp_peri.statics.equilibria import Equilibria, probed
 from warp_peri.statics.linear import Linear
-from warp_peri.statics.settings import Newton, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator
@@ -201,11 +199,7 @@ MARGIN = 1 + 1e-4
 
 
 def interpolated_force(
-    placed: Placed,
-    u: torch.Tensor,
-    *,
-    cells: int = CELLS,
-    offset: tuple[float, float] = (0.5, 0.5),
+    placed: Placed, u: torch.Tensor, *, cells: int = CELLS, offset: tuple[float, float] = (0.5, 0.5)
 ) -> torch.Tensor:
     """Forces on the interior [stress/length], shape [S, I, 2], for u of shape [S, N, 2].
 

@@ -1,4 +1,4 @@
-"""Arrays as they enter: of the kind and shape asked for, contiguous, finite, nothing masked."""
+"""Fields and numbers as they come in: checked, told apart, written as series."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import inspect
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -167,3 +167,13 @@ def _spelled(part: Any) -> Iterator[bytes]:
         yield from _spelled([(name, getattr(part, name)) for name in fields])
     else:
         yield re.sub(r" at 0x[0-9a-f]+", "", repr(part)).encode()
+
+
+SAMPLES = 32
+"""Places along a bond at which a field is read."""
+
+
+def mean_inverse(values: Callable[[float], np.ndarray]) -> np.ndarray:
+    """Mean along bonds of 1/field, whose values at a share of each bond's length are given."""
+    places = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    return np.asarray(sum(1 / values(float(place)) for place in places) / SAMPLES)

@@ -1,15 +1,25 @@
-"""Named samples of one material."""
+"""Data sets: named samples, their units, their HDF5 file."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import dataclasses
+import hashlib
+import json
+import os
+import warnings
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import h5py
+import numpy as np
+
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import check_positive, is_name
-from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import Units, symbols
+from warp_peri.files.atomic import plain, whole_file
+from warp_peri.points.arrays import check_positive, is_name, is_number
+from warp_peri.points.points import Points
+from warp_peri.points.samples import FIELDS, Samples
+from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
 from warp_peri.shown import Shown
 
 
@@ -86,3 +96,289 @@ class Dataset(Shown):
             (_, count), (_, nodes), *_ = samples.rows()
             rows.append((name, f"{count} samples on nodes: {nodes}"))
         return rows
+
+
+def converted(dataset: Dataset, want: Units) -> Dataset:
+    """The data set with its numbers in other units.
+
+    x, u, spacings, boxes and the thickness are lengths, b a stress over a length, wave vectors one
+    over a length; other arrays and the mass density stay as they are.
+
+    Raises InputError for units that are not known, or that no factor leads to.
+    """
+    want = check_units(want)
+    if dataset.units == want:
+        return dataset
+    length, stress = factors(dataset.units, want)
+    sets = {name: in_units_of(scaled(dataset[name], length, stress), want) for name in dataset}
+    return dataclasses.replace(dataset, sets=sets, thickness=dataset.thickness * length)
+
+
+def in_units_of(samples: Samples, units: Units) -> Samples:
+    """The samples, whose numbers are in these units, with their names."""
+    points = dataclasses.replace(samples.points, units=check_units(units))
+    return dataclasses.replace(samples, points=points)
+
+
+def scaled(samples: Samples, length: float, stress: float) -> Samples:
+    """Samples with every length and every stress multiplied by a factor."""
+    if length == stress == 1.0:
+        return samples
+    points = samples.points
+    box = None if points.box is None else tuple(side * length for side in points.box)
+    moved: dict[str, Any] = {"x": points.x * length, "spacing": points.spacing * length, "box": box}
+    arrays = {
+        key: value / length if key == "wave_vector" else value
+        for key, value in samples.arrays.items()
+    }
+    b = None if samples.b is None else samples.b * (stress / length)
+    points = dataclasses.replace(points, **moved)
+    return dataclasses.replace(samples, points=points, u=samples.u * length, b=b, arrays=arrays)
+
+
+FORMAT, VERSION = "warp_peri.dataset", 1
+_NEEDED = ("x", "u", "interior")
+MOST_PER_BYTE = 20
+"""Arrays may hold so many times the bytes of the file (they may be compressed), and no more."""
+SMALL = 2**20
+"""Arrays up to so many bytes are read whatever the size of the file."""
+LAYOUT = ("v110", "v110")
+
+
+def save_dataset(
+    path: str | os.PathLike[str], dataset: Dataset, *, units: Units | None = None
+) -> None:
+    """Write `dataset` to an HDF5 file, whole or not at all.
+
+    The file carries the units of the data by name. `units`, as ("nm", "GPa"), names them where the
+    points do not: the numbers are written as they are.
+
+    In a layout whose structure is checksummed (HDF5 1.10) and with strings of fixed length, since
+    the HDF5 library can hang on a damaged heap of strings; the contents are hashed.
+
+    Raises InputError for a provenance that is not JSON, or units that are not known.
+    """
+    if units is not None:
+        sets = {name: in_units_of(dataset[name], units) for name in dataset}
+        dataset = dataclasses.replace(dataset, sets=sets)
+    length, stress = dataset.units
+    try:
+        provenance = json.dumps(plain(dataset.provenance), allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"provenance: expected plain JSON values ({error})") from None
+    with (
+        whole_file(path) as temporary,
+        h5py.File(temporary, "w", libver=LAYOUT, locking=False) as file,
+    ):
+        names = {"format": FORMAT, "length_unit": length, "stress_unit": stress}
+        for key, text in names.items():
+            file.attrs[key] = _fixed(text)
+        file.attrs["version"] = VERSION
+        file.attrs["thickness"] = float(dataset.thickness)
+        file.attrs["density"] = float(dataset.density)
+        file.attrs["provenance"] = _fixed(provenance)
+        for name, points in dataset.sets.items():
+            group = file.create_group(name)
+            group.attrs["spacing"] = float(points.spacing)
+            if points.box is not None:
+                group.attrs["box"] = np.asarray(points.box, dtype=float)
+            if points.axis is not None:
+                group.attrs["axis"] = points.axis
+            for key, value in _arrays(points).items():
+                group[key] = _fixed(value) if value.dtype.kind in "USO" else value
+        file.attrs["sha256"] = _fixed(content_hash(dataset))
+
+
+def _arrays(points: Samples) -> dict[str, np.ndarray]:
+    """Everything in a set that is an array, by its name in the file; what is not known is not."""
+    fields = {key: getattr(points, key) for key in FIELDS if getattr(points, key) is not None}
+    return fields | {key: np.asarray(value) for key, value in points.arrays.items()}
+
+
+def _fixed(text: str | np.ndarray) -> np.ndarray:
+    """Text as UTF-8 of fixed length."""
+    encoded = np.char.encode(np.asarray(text).astype(str), "utf-8", "surrogatepass")
+    return encoded.astype(h5py.string_dtype("utf-8", max(1, encoded.dtype.itemsize)))
+
+
+def content_hash(dataset: Dataset) -> str:
+    """SHA-256 of what a data set holds, whatever the layout of its file."""
+    digest = hashlib.sha256()
+
+    def add(*parts: Any) -> None:
+        for part in parts:
+            digest.update(f"{len(part)}:".encode() + part)
+
+    add(json.dumps(plain(dataset.provenance), sort_keys=True).encode())
+    add(repr((float(dataset.thickness), float(dataset.density))).encode())
+    if dataset.units != USUAL:
+        add(*(name.encode() for name in dataset.units))
+    for name in sorted(dataset.sets):
+        points = dataset.sets[name]
+        add(name.encode(), repr(float(points.spacing)).encode())
+        if points.box is not None:
+            add(repr(tuple(map(float, points.box))).encode())
+        if points.axis is not None:
+            add(b"axis", repr(points.axis).encode())
+        arrays = _arrays(points)
+        for key in sorted(arrays):
+            value = arrays[key]
+            if value.dtype.kind in "USO":
+                kind, content = "text", [str(item).encode() for item in value.astype(str).flat]
+            else:
+                kind, content = value.dtype.str, [np.ascontiguousarray(value).tobytes()]
+            add(key.encode(), repr((kind, value.shape)).encode(), *content)
+    return digest.hexdigest()
+
+
+def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) -> Dataset:
+    """Read a data set.
+
+    Its points carry the units that the file names; a file that names none is taken to be in Å and
+    TPa, with a warning. With `units`, as ("angstrom", "TPa"), the numbers are converted to them.
+
+    Nothing outside the file is read: links to other files and arrays kept in other files are
+    refused. Sizes are checked before memory is taken, and the contents against the hash that
+    save_dataset wrote; a file without one is taken as it is.
+
+    Raises InputError naming what is wrong: not an HDF5 file, another format or version, units
+    that are not known or cannot be converted, a missing or misshapen array, a value that is not
+    finite, arrays larger than the file can hold, contents that are not what was written.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            _check_sizes(file, os.path.getsize(path))
+            data = _read(file)
+            expected = _text(file.attrs.get("sha256"))
+        if expected is not None and not (
+            isinstance(expected, str) and expected == content_hash(data)
+        ):
+            raise InputError("sha256: the contents are not what was written; the file is damaged")
+        return data if units is None else converted(data, units)
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such data set") from None
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    except (OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError) as error:
+        raise InputError(f"{path}: not a readable HDF5 data set ({error})") from None
+
+
+def _check_sizes(file: h5py.File, size: int) -> None:
+    """Refuse links, arrays kept elsewhere, and more bytes than the file can stand for."""
+    allowed = max(SMALL, MOST_PER_BYTE * size)
+    total = 0
+    groups = {"": file} | {name: item for name, item in _members(file) if _is_group(item)}
+    for place, group in groups.items():
+        for name, item in _members(group):
+            if not isinstance(item, h5py.Dataset):
+                continue
+            where = f"{place}/{name}".lstrip("/")
+            if item.is_virtual or item.external:
+                raise InputError(f"{where}: expected an array in the file itself")
+            if item.dtype.kind not in "biufcSUO" or item.dtype.subdtype is not None:
+                raise InputError(f"{where}: expected numbers or text, got {item.dtype}")
+            if item.dtype.kind == "O" and h5py.check_string_dtype(item.dtype) is None:
+                raise InputError(f"{where}: expected numbers or text, got {item.dtype}")
+            chunk = int(np.prod(item.chunks or (0,), dtype=object)) * item.dtype.itemsize
+            count = int(np.prod(item.shape or (), dtype=object)) * item.dtype.itemsize
+            total += max(chunk, count)
+            if total > allowed:
+                raise InputError(
+                    f"{where}: expected arrays of at most {allowed} bytes in a file of {size}, "
+                    f"got more than {total}"
+                )
+
+
+def _members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
+    """What a group holds itself; links to elsewhere are named and not followed."""
+    for name in group:
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
+            yield name, None
+        else:
+            yield name, group[name]
+
+
+def _is_group(item: Any) -> bool:
+    return isinstance(item, h5py.Group)
+
+
+def _read(file: h5py.File) -> Dataset:
+    """What a file holds."""
+    for key, expected in {"format": FORMAT, "version": VERSION}.items():
+        value = _text(file.attrs.get(key))
+        if np.shape(value) != () or value != expected:
+            raise InputError(f"{key}: expected {expected!r}, got {value!r}")
+    length, stress = (_text(file.attrs.get(key)) for key in ("length_unit", "stress_unit"))
+    if length is None and stress is None:
+        warnings.warn("the file names no units: taken as Å and TPa", stacklevel=3)
+        length, stress = USUAL
+    units = check_units((length, stress))
+    thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))
+    try:
+        provenance = json.loads(_text(file.attrs.get("provenance", "{}")))
+    except (TypeError, ValueError) as error:
+        raise InputError(f"provenance: expected JSON ({error})") from None
+    if not isinstance(provenance, dict):
+        raise InputError(f"provenance: expected a JSON object, got {type(provenance).__name__}")
+    sets = {}
+    for name, group in _members(file):
+        if not _is_group(group):
+            raise InputError(f"{name}: expected a group (one per point set)")
+        try:
+            sets[name] = _read_points(group, units)
+        except InputError as error:
+            raise InputError(f"set '{name}': {error}") from None
+    return Dataset(sets, thickness, density, provenance)
+
+
+def _read_points(group: h5py.Group, units: Units) -> Samples:
+    items = dict(_members(group))
+    missing = [key for key in _NEEDED if not isinstance(items.get(key), h5py.Dataset)]
+    if missing:
+        raise InputError(f"arrays missing: {', '.join(missing)}")
+    if group["interior"].dtype != bool:
+        raise InputError(f"interior: expected bool, got {group['interior'].dtype}")
+    for key, item in items.items():
+        if not isinstance(item, h5py.Dataset):
+            raise InputError(f"{key}: expected an array")
+    fields: dict[str, Any] = {key: group[key][()] if key in items else None for key in FIELDS}
+    extra = {}
+    for key in sorted(set(items) - set(FIELDS)):
+        text = h5py.check_string_dtype(items[key].dtype) is not None
+        extra[key] = items[key].asstr()[:] if text else items[key][()]
+    box = group.attrs.get("box")
+    points = Points(
+        fields["x"],
+        fields["interior"],
+        _attribute(group.attrs, "spacing"),
+        box=None if box is None else _periods(box),
+        outside=fields["outside"],
+        units=units,
+        axis=_axis(group.attrs) if "axis" in group.attrs else None,
+    )
+    return Samples(points, fields["u"], fields["b"], extra)
+
+
+def _axis(attributes: Mapping[str, Any]) -> Any:
+    """A rotation in space, else a number."""
+    turned = np.ndim(attributes["axis"]) == 2
+    return attributes["axis"] if turned else _attribute(attributes, "axis")
+
+
+def _periods(value: Any) -> tuple[float, ...]:
+    if np.shape(value) not in ((2,), (3,)) or not np.isfinite(np.asarray(value, float)).all():
+        raise InputError(f"box: expected two or three periods, got {value!r}")
+    return tuple(float(side) for side in value)
+
+
+def _text(value: Any) -> Any:
+    """An attribute that holds text as str, whatever its length; anything else as it is."""
+    return value.decode("utf-8", "surrogatepass") if isinstance(value, bytes) else value
+
+
+def _attribute(attributes: Mapping[str, Any], key: str) -> float:
+    if key not in attributes:
+        raise InputError(f"attribute '{key}' is missing")
+    if not is_number(attributes[key]):
+        raise InputError(f"{key}: expected a number, got {_text(attributes[key])!r}")
+    return float(attributes[key])

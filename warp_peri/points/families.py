@@ -1,9 +1,4 @@
-"""Families of lattices and of scattered points: bonds, bond classes and quadrature weights.
-
-Bonds are stored row by row (CSR). Every bond belongs to a class; the influence function is
-evaluated once per class. On a lattice a class is one symmetry orbit of bonds; on scattered points
-every bond is its own class.
-"""
+"""Which nodes are joined by bonds: families, bond classes, the collar that carries them."""
 
 from __future__ import annotations
 
@@ -15,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 import warp as wp
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, distance_transform_edt
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
@@ -169,11 +164,7 @@ def _bond_classes(spacing: float, horizon: float, degree: int, dimension: int) -
 
 
 def families_of(
-    points: PointsLike,
-    horizon: float,
-    *,
-    bond_based: bool = False,
-    degree: int = DEGREE,
+    points: PointsLike, horizon: float, *, bond_based: bool = False, degree: int = DEGREE
 ) -> Families:
     """Families and quadrature weights of the nodes that a force on the interior needs.
 
@@ -352,3 +343,19 @@ def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float, uni
     if number == 0:
         return f"no horizon of two spacings or more fits. {AT_EDGES}"
     return f"the largest that fits is {candidates[number - 1] * spacing:g} {unit}"
+
+
+def carried_horizon(points: PointsLike) -> float:
+    """Horizon [Å] below which every interior node of a lattice has its families out to 2δ.
+
+    Half the distance from the interior to the nearest place of the lattice without a node; on a
+    periodic sheet a quarter of the smaller period.
+    """
+    h = points.spacing
+    if points.box is not None:
+        return float(min(points.box)) / 4
+    grid, _ = lattice_steps(nodes_of(points))
+    there = np.zeros(grid.max(axis=0) + 3, bool)
+    there[tuple((grid + 1).T)] = True
+    clear = distance_transform_edt(there)[tuple((grid[points.interior] + 1).T)]
+    return float(clear.min()) * h / 2 * (1 - 2 * HORIZON_TOLERANCE)

@@ -1,11 +1,15 @@
-"""Fields on points: displacement, and the load where it is known."""
+"""Displacements and loads on nodes, and what they say: axis, strain, wave numbers."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
+from weakref import WeakValueDictionary
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_name
@@ -147,3 +151,111 @@ PointsLike: TypeAlias = Points | Samples
 def nodes_of(given: PointsLike) -> Points:
     """The points themselves."""
     return given.points if isinstance(given, Samples) else given
+
+
+_said: WeakValueDictionary[int, np.ndarray] = WeakValueDictionary()
+"""Positions that a direction was assumed on; gone with the points."""
+
+
+def unsaid(points: PointsLike) -> bool:
+    """Whether nothing was said of the direction on these positions before; now it is."""
+    x = points.x
+    if _said.get(id(x)) is x:
+        return False
+    _said[id(x)] = x
+    return True
+
+
+def axis_of(points: PointsLike) -> float:
+    """Angle [rad] from the x axis of points to that of the material.
+
+    Where none is stated it is taken as 0, with a warning, once for these points.
+    """
+    if points.axis is None:
+        if unsaid(points):
+            warnings.warn(
+                "axis: the law depends on direction, and the points do not state that of the "
+                "material: taken along x; Points(…, axis=degrees) states it",
+                stacklevel=4,
+            )
+        return 0.0
+    return float(np.deg2rad(points.axis))
+
+
+def largest_strain(
+    points: PointsLike, u: ArrayLike, nodes: np.ndarray | slice = slice(None)
+) -> float:
+    """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
+
+    Args:
+        points: a lattice or scattered points; nodes outside the body do not count.
+        u: displacement [Å], shape [N, d] or [S, N, d].
+        nodes: of the body, that are looked at; all by default.
+    """
+    body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
+    x = points.x[body]
+    count = min(2 * x.shape[1] + 1, len(x))
+    r, near = cKDTree(x).query(x[nodes], k=count)
+    r, near = r.reshape(-1, count)[:, 1:], near.reshape(-1, count)[:, 1:]
+    if points.spacing > 0:
+        near = np.where(r < 1.1 * points.spacing, near, np.arange(len(x))[nodes, None])
+    xi = x[near] - x[nodes, None]
+    square = (xi**2).sum(axis=-1)
+    unit = xi / np.where(square > 0, square, np.inf)[..., None]
+    fields = np.asarray(u).reshape(-1, *points.x.shape)[:, body]
+    return max(
+        (
+            float(np.abs((unit * (field[near] - field[nodes, None])).sum(axis=-1)).max())
+            for field in fields
+        ),
+        default=0.0,
+    )
+
+
+def lattice_strain(u: np.ndarray, spacing: float) -> float:
+    """As largest_strain, of a field [Å] on a periodic lattice, shape [..., n₁, n₂, 2]."""
+    pairs = [np.roll(u[..., a], -1, axis=a - 2) - u[..., a] for a in (0, 1)]
+    return max(float(np.abs(pair).max(initial=0.0)) for pair in pairs) / spacing
+
+
+def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:
+    """As largest_strain, between the ends of the edges of triangles.
+
+    Args:
+        x: corners [Å], shape [P, 2].
+        triangles: their corners, shape [T, 3].
+        u: displacement of the corners [Å], shape [P, 2].
+    """
+    after = np.roll(triangles, -1, axis=1)
+    xi, relative = x[after] - x[triangles], u[after] - u[triangles]
+    along = (xi * relative).sum(axis=-1) / (xi**2).sum(axis=-1)
+    return float(np.abs(along).max(initial=0.0))
+
+
+WAVE_VECTOR = "wave_vector"
+"""Per-sample array of a set whose loads are single waves: k [1/Å], shape [S, 2]."""
+
+
+def largest_wave_number(points: Samples) -> float | None:
+    """Largest |k| [1/Å] of the samples' loads; None on scattered points or without loads.
+
+    Of loads at wave vectors their own; of others the root mean square of |k| over the spectrum of
+    b, from differences of neighbouring nodes (theory.md, M1).
+    """
+    if WAVE_VECTOR in points.arrays:
+        k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR])
+        return float(np.linalg.norm(k, axis=-1).max(initial=0.0)) or None
+    h = points.spacing
+    if h == 0 or points.b is None:
+        return None
+    r, near = cKDTree(points.x).query(points.x, k=min(5, len(points.x)))
+    whole = points.interior & (r <= 1.1 * h).all(axis=1) & (near.shape[1] == 5)
+    near = near[whole, 1:]
+    largest = 0.0
+    for b in points.b:
+        size = (b[whole] ** 2).sum()
+        if size > 0:
+            s = ((b[near] - b[whole, None]) ** 2).sum() / (2 * h**2 * size)
+            # of all directions on average s = |k|² − |k|⁴ h²/16
+            largest = max(largest, (1 - np.sqrt(max(1 - s * h**2 / 4, 0.0))) * 8 / h**2)
+    return float(np.sqrt(largest)) or None

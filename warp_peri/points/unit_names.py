@@ -58,10 +58,7 @@ def check_units(units: Any) -> Units:
         ) from None
     if (length, stress) == REDUCED:
         return REDUCED
-    for key, name, known in (
-        ("length_unit", length, LENGTHS),
-        ("stress_unit", stress, STRESSES),
-    ):
+    for key, name, known in (("length_unit", length, LENGTHS), ("stress_unit", stress, STRESSES)):
         if not (isinstance(name, str) and name in known):
             raise InputError(
                 f"{key}: expected one of {', '.join(known)}, or {' and '.join(REDUCED)} together, "

@@ -14,12 +14,19 @@ from warp_peri.errors import InputError
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples, part
-from warp_peri.points.strain import largest_strain
-from warp_peri.prediction.members import Factors, Members
-from warp_peri.prediction.placed import GROWN, HALF_PERIOD, PlacedMembers, pulled, spread
+from warp_peri.points.samples import Samples, largest_strain, part
+from warp_peri.prediction.placed import (
+    GROWN,
+    HALF_PERIOD,
+    KNOTS,
+    Factors,
+    Members,
+    PlacedMembers,
+    pulled,
+    recorded,
+    spread,
+)
 from warp_peri.prediction.predict import MOST
-from warp_peri.prediction.spectrum import KNOTS, recorded
 
 CLAMPED, ROUNDED, SAFELY = 21, 1e-3, 1.2
 """Nodes a side of a clamped square, an odd number, which is worst; residual of its solves; and what

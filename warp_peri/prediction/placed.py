@@ -1,24 +1,125 @@
-"""A family on points: residuals of its members, and the solve that makes errors of them."""
+"""Answers of a family on points: members, their forces, the record of errors (theory.md, Q)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Annotated, Any
 
 import numpy as np
+import scipy.fft
+import scipy.sparse as sp
+from scipy.ndimage import distance_transform_edt
 
 from warp_peri.contract import placed, taken
+from warp_peri.core.record import Entry, OnLinear
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import is_number
 from warp_peri.points.every_second import APART, EverySecond
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.points.strain import largest_strain
-from warp_peri.prediction.spectrum import KNOTS, ErrorSpectrum, Spectrum
+from warp_peri.points.samples import PointsLike, largest_strain, nodes_of
 
-if TYPE_CHECKING:
-    from warp_peri.prediction.members import Members
+SEEN = 0.5
+"""Samples' worth of a wavelength from which its error counts as known."""
+KNOTS = 2.0 * 2.0 ** (np.arange(12) / 2)
+"""Wavelengths in spacings between which a record is interpolated."""
+
+
+@dataclass(frozen=True)
+class ErrorSpectrum:
+    """The relative error of a material's answers by wavelength.
+
+    Attributes:
+        wavelength: [length], growing, shape [K].
+        error: a fraction, shape [K]; between the wavelengths its square is linear in their
+            logarithms, and it is constant beyond them.
+        shortest: wavelength that samples held enough of [length]; below it the largest error that
+            is known stands for one that is not.
+    """
+
+    wavelength: Annotated[np.ndarray, Entry(length=1)]
+    error: np.ndarray
+    shortest: Annotated[float, Entry(length=1)] = 0.0
+
+    def of(self, shares: np.ndarray) -> float:
+        """The error of a field with those shares, relative to the field."""
+        return float(np.sqrt(shares @ self.error**2))
+
+    def unseen(self, shares: np.ndarray) -> float:
+        """The share of a field that is shorter than all that samples held."""
+        return float(shares[self.wavelength < self.shortest * (1 - 1e-9)].sum())
+
+    def told(self, shares: np.ndarray) -> tuple[float, float]:
+        """Both: the error, and the share that is not seen."""
+        return self.of(shares), self.unseen(shares)
+
+
+class Spectrum:
+    """Shares of fields on a lattice by wavelength; what is affine in a field belongs to none.
+
+    A field is taken to zero towards the edge of its nodes.
+
+    Args:
+        points: the lattice.
+        wavelength: [length], growing, shape [K].
+    """
+
+    def __init__(self, points: PointsLike, wavelength: np.ndarray) -> None:
+        grid, _ = lattice_steps(points)
+        grid = grid - grid.min(axis=0)
+        self.shape = tuple(int(n) for n in grid.max(axis=0) + 1)
+        self.place = np.ravel_multi_index(tuple(grid.T), self.shape)
+        there = np.zeros(self.shape, bool)
+        there.flat[self.place] = True
+        depth = distance_transform_edt(np.pad(there, 1))[(slice(1, -1),) * len(self.shape)]
+        depth = depth.flat[self.place]
+        self.window = np.sin(np.pi / 2 * depth / depth.max()) ** 2
+        self.affine = np.linalg.qr(np.column_stack([np.ones(len(grid)), grid]))[0]
+        self.wide = [scipy.fft.next_fast_len(2 * n, real=True) for n in self.shape]
+        lines = [np.fft.fftfreq(n, points.spacing) for n in self.wide[:-1]]
+        lines.append(np.fft.rfftfreq(self.wide[-1], points.spacing))
+        waves = np.meshgrid(*lines, indexing="ij")
+        length = 1 / np.maximum(np.linalg.norm(waves, axis=0), 1e-300)
+        twice = np.full(len(lines[-1]), 2.0)  # of ±k one is not computed
+        twice[[0] if self.wide[-1] % 2 else [0, -1]] = 1.0
+        share, count = twice / np.prod(self.wide), len(wavelength)
+        knot = np.interp(np.log(length), np.log(wavelength), np.arange(count)).ravel()
+        low = np.minimum(knot.astype(int), count - 2)
+        upper, whole = knot - low, np.broadcast_to(share, length.shape).ravel()
+        values = np.concatenate([whole * (1 - upper), whole * upper])
+        at = np.concatenate([low, low + 1]), np.tile(np.arange(low.size), 2)
+        self.by_knot = sp.csr_array((values, at), (count, low.size))
+
+    def shares(self, u: np.ndarray) -> np.ndarray:
+        """Shares of the square of a field [N, d], shape [K]."""
+        u = u / max(float(np.abs(u).max()), 1e-300)
+        left = (u - self.affine @ (self.affine.T @ u)) * self.window[:, None]
+        field = np.zeros((u.shape[1], int(np.prod(self.shape))), np.float32)
+        field[:, self.place] = left.T
+        axes = tuple(range(1, 1 + len(self.shape)))
+        wave = scipy.fft.rfftn(field.reshape(-1, *self.shape), s=self.wide, axes=axes)
+        power = (wave.real**2 + wave.imag**2).sum(axis=0).ravel()
+        found = self.by_knot @ power
+        size = float(((u * self.window[:, None]) ** 2).sum())
+        return np.asarray(found / size if size > 0 else found)
+
+
+def recorded(wavelength: np.ndarray, rows: np.ndarray, errors: np.ndarray) -> ErrorSpectrum:
+    """The root mean square of the errors of samples, by what they have of a wavelength.
+
+    Args:
+        wavelength: [length], shape [K].
+        rows: shares of the samples there, shape [S, K].
+        errors: of their answers, fractions, shape [S].
+    """
+    there = rows.sum(axis=0)
+    error = np.sqrt((rows * errors[:, None] ** 2).sum(axis=0) / np.maximum(there, 1e-300))
+    first = int(np.argmax(there >= min(SEEN, there.max())))
+    error[:first] = error[first:][there[first:] >= min(SEEN, there.max())].max()
+    return ErrorSpectrum(wavelength, error, float(wavelength[first]))
+
 
 ROUGH = 0.03
 """Relative residual of the solves that give errors, not answers. Conjugate gradients grow towards
@@ -345,3 +446,92 @@ def pulled(members: float, told: float | None) -> float:
     if told is None or not members > 0:
         return 1.0
     return float(np.clip(np.sqrt(told / members), 1 / PULLED, PULLED))
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).
+
+    Attributes:
+        left: of the correction that is left.
+        floor: of what waves, data and strain may miss.
+        screen: of the mean gradient, for what the linear answer misses.
+        short: of what every second node does not see of a residual (Q15).
+        stretch: of the largest strain, for what a linear rich member misses.
+    """
+
+    left: float = 1.2
+    floor: float = 1.48
+    screen: float = 1.42
+    short: float = 1.3
+    stretch: Annotated[float, Entry(omit=True)] = 0.0
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not (is_number(value) and value >= 0):
+                raise InputError(f"{name}: expected a factor ≥ 0, got {value!r:.40}")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Members(OnLinear, format="warp_peri.family", version=2):
+    """What `fit(samples, prediction.learning.Family(…))` learns: a material with its doubts.
+
+    It solves, moves and is placed on points as its rich member. `predict` uses all.
+
+    Attributes:
+        rich: the best law of the data, linear or of third order.
+        second: a poorer one; how they differ is what short waves may miss.
+        halves: the rich law from two halves of the samples; how they differ is what data may miss.
+        record: error of the rich member by wavelength; None of scattered samples.
+        factors: calibration.
+        strain: largest strain between neighbouring nodes in the samples.
+        temperature: [K] of the samples, where they state it.
+        axis_off: degrees by which the samples' own crystal is turned from the axis they state.
+        coarse: the rich member on nodes twice as far apart, where it can be transferred there.
+        provenance: of the fit.
+    """
+
+    rich: Any
+    second: Any
+    halves: tuple[Any, Any]
+    record: ErrorSpectrum | None = None
+    factors: Factors = Factors()
+    strain: float = 0.0
+    temperature: float | None = None
+    axis_off: Annotated[float, Entry(omit=True)] = 0.0
+    coarse: Annotated[Any, Entry(later=True)] = None
+    provenance: dict[str, Any] = field(default_factory=dict)
+    ORDER = ("rich", "second", "halves", "record", "coarse", "factors", "strain", "temperature",
+             "axis_off", "provenance")  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        optional = [] if self.coarse is None else [self.coarse]
+        for one in (self.rich, self.second, *self.halves, *optional):
+            if not hasattr(one, "on"):
+                raise InputError(f"member: expected a material, got {one!r:.40}")
+
+    @property
+    def horizon(self) -> float:
+        """δ [length] of the rich member."""
+        return float(self.rich.horizon)
+
+    @property
+    def linear(self) -> Any:
+        """The linear part of the rich member."""
+        return getattr(self.rich, "linear", self.rich)
+
+    def on(self, points: PointsLike, **options: Any) -> Any:
+        """The rich member on points."""
+        return self.rich.on(points, **options)
+
+    def with_doubts(self, points: PointsLike, **options: Any) -> PlacedMembers:
+        """All members on points, with what they do not know there; options of `on`."""
+        return PlacedMembers(self, points, **options)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        names = [type(one).__name__ for one in (self.rich, self.second)]
+        rows = [("rich, second", ", ".join(names)), ("strain seen", f"{self.strain:.2%}")]
+        rows.append(("factors", f"{self.factors.left:.2f} left, {self.factors.floor:.2f} floor"))
+        return rows + list(self.rich.rows() if hasattr(self.rich, "rows") else [])

@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
-from warp_peri.points.strain import largest_strain
+from warp_peri.points.samples import largest_strain
 from warp_peri.ranks.processes import Comm
 
 if TYPE_CHECKING:

@@ -39,8 +39,15 @@ from warp_peri.ranks.petsc import petsc as loaded
 from warp_peri.ranks.processes import build, in_turn, total
 from warp_peri.statics.conjugate_gradients import SolveRecord, norm
 from warp_peri.statics.equilibria import Equilibria, Force, solve_each, warn_beyond
-from warp_peri.statics.settings import PETSC, TOLERANCE, Krylov, Newton, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import (
+    PETSC,
+    TOLERANCE,
+    Krylov,
+    Newton,
+    Solution,
+    Solver,
+    refuse_solver,
+)
 
 if TYPE_CHECKING:
     from warp_peri.ranks.subdomain import Subdomain

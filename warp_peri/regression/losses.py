@@ -1,4 +1,9 @@
-"""The loss of a fit: full, reduced to few rows, and without its noise (theory.md, 10–17, 36–37)."""
+"""The loss of a fit: full, reduced to few rows, and without its noise (theory.md, 10–17, 36–37).
+
+With the weights w_c = K(r_c) W_c / m of each bond class, the residual is affine in the products
+μ w_c and (λ−μ) w_c w_d (theory.md, 14–17). One sweep of the data and a QR factorisation give
+‖L u − b‖² over all samples and nodes as ‖R c‖².
+"""
 
 from __future__ import annotations
 

@@ -10,9 +10,8 @@ import numpy as np
 from warp_peri.lps.symbol import long_wave_moduli, symbol
 from warp_peri.points.families import BondClasses
 from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
-from warp_peri.regression.coordinates import Coordinates, Point, ShapeCoordinates
+from warp_peri.regression.coordinates import Coordinates, Parameters, Point, ShapeCoordinates
 from warp_peri.regression.losses import ReducedLoss, symbol_rows
-from warp_peri.regression.parameters import Parameters
 from warp_peri.regression.search import Linearised, settle
 from warp_peri.regression.settings import SMOOTHNESS, Optimum
 

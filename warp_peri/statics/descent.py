@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, checked_fields
-from warp_peri.statics.settings import PolakRibiere
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import PolakRibiere, Solution
 
 TRIAL = 1e-3
 """First trial step, as a share of the distance between nodes."""

@@ -18,8 +18,7 @@ import torch
 from warp_peri.core.once import differentiable_once
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.launches import influence
+from warp_peri.lps.bonds import Bonds, influence
 from warp_peri.lps.matrices import assemble
 from warp_peri.lps.model import Model, Solid, lps_stencil
 from warp_peri.lps.operator import lps_force
@@ -31,7 +30,7 @@ from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.statics.linear import METHODS, Linear
-from warp_peri.statics.settings import TOLERANCE
+from warp_peri.statics.solution import TOLERANCE
 
 
 class _System(Protocol):

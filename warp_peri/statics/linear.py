@@ -22,8 +22,7 @@ from warp_peri.points.points import Points
 from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.conjugate_gradients import SolveRecord, definite
 from warp_peri.statics.direct import factorised
-from warp_peri.statics.edge import Edge, block
-from warp_peri.statics.multigrid import Filter, multigrid, sine, torus_inverse
+from warp_peri.statics.multigrid import Edge, Filter, block, multigrid, sine, torus_inverse
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
 """An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""

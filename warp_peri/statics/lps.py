@@ -20,17 +20,14 @@ from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import PointsLike
-from warp_peri.points.strain import largest_strain
+from warp_peri.points.samples import PointsLike, largest_strain
 from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
 from warp_peri.statics.equilibrium import equilibrium, lps_linear
 from warp_peri.statics.linear import BONDS, DIRECT, STIFF, Inverse, Linear, cheapest_method
-from warp_peri.statics.scattered import ThroughLattice
-from warp_peri.statics.settings import TOLERANCE, Direct, Krylov, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
-from warp_peri.statics.strain_range import warn_beyond
+from warp_peri.statics.scattered import ThroughLattice, warn_beyond
+from warp_peri.statics.solution import TOLERANCE, Direct, Krylov, Solution, Solver, refuse_solver
 from warp_peri.transfer.operator import LPSOperator
 
 T = TypeVar("T")
@@ -291,12 +288,7 @@ def bonds_within(horizon: float, spacing: float) -> float:
 
 
 def choose_method(
-    points: PointsLike,
-    *,
-    plain: bool,
-    stiff: bool = False,
-    loads: int = 1,
-    bonds: float = BONDS,
+    points: PointsLike, *, plain: bool, stiff: bool = False, loads: int = 1, bonds: float = BONDS
 ) -> str:
     """The cheapest method for a point set.
 

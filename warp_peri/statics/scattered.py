@@ -1,7 +1,9 @@
-"""Static problems on any points through a certified lattice: Tᵗ L T u = Tᵗ b (theory.md, M7)."""
+"""Scattered points through a certified lattice; strains beyond what was trained."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +14,31 @@ from warp_peri.errors import InputError
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import Model
 from warp_peri.points.interpolation import NEIGHBOURS
-from warp_peri.points.samples import PointsLike
-from warp_peri.points.strain import largest_strain
+from warp_peri.points.samples import PointsLike, largest_strain
 from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.strain_range import warn_beyond
 from warp_peri.transfer.carrier import Carrier
+
+BEYOND = 2.0
+"""Strains above this many times those of the training data are worth a warning."""
+
+
+def warn_beyond(model: Model, strain: Callable[[], float]) -> None:
+    """Warn when a solution is strained far beyond the data that the model was trained on.
+
+    Args:
+        model: that may know the strain of these data.
+        strain: the solution's largest, worked out where it is needed.
+    """
+    if model.trained_strain is None:
+        return
+    largest = strain()
+    if largest > BEYOND * model.trained_strain:
+        warnings.warn(
+            f"strain: the solution reaches {100 * largest:.2g} %, the training data "
+            f"{100 * model.trained_strain:.2g} %: the model is linear and knows nothing of what "
+            "comes beyond",
+            stacklevel=3,
+        )
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A structure and its calculator, or its force constants, to the law of the crystal, checked."""
+"""From a structure and its calculator to a law: the campaign, the law, its picture."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import ase
 import numpy as np
+from matplotlib.figure import Figure
 
 from warp_peri.core.elastic import (
     acoustic,
@@ -30,10 +31,205 @@ from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
-from warp_peri.structures.campaign import load_campaign
-from warp_peri.structures.phonons import check_phonons, force_constants, strained_moduli
-from warp_peri.structures.rest import at_rest, usual_spacing
-from warp_peri.structures.waves import Loads, wave_loads
+from warp_peri.structures.phonons import (
+    EV_IN_TPA,
+    Loads,
+    check_phonons,
+    force_constants,
+    forces_of,
+    strained_moduli,
+    watched,
+    wave_loads,
+)
+from warp_peri.structures.rest import Reference, at_rest, usual_spacing
+
+INTERIOR, LOADS, WAVES = {2: 16, 3: 8}, {2: 24, 3: 10}, 6
+"""Nodes along an axis where equilibrium is asked, loads, and waves of each."""
+PERIOD, SHORTEST = {2: 18.0, 3: 9.0}, 2.7
+"""Of the supercell, and the shortest wave, in spacings."""
+STRAIN = 2e-3
+"""Largest sum of |k| |u| over the waves of a load."""
+QUIET, TRIES = 1e-6, 60
+"""Forces left, over the largest of the load, and the steps that may take."""
+
+
+def load_campaign(
+    reference: Reference,
+    atoms: ForceConstants,
+    calculator: Any,
+    spacing: float,
+    horizon: float,
+    *,
+    seed: int = 0,
+) -> Samples:
+    """Displacement and load on nodes of a supercell under waves of force, relaxed.
+
+    The force constants give each step of the relaxation and are no part of its answer.
+
+    Args:
+        reference, atoms: the crystal at rest and its force constants.
+        calculator: with forces.
+        spacing, horizon: of the nodes, and of the law that the collar is to carry [Å].
+        seed: of the loads.
+
+    Raises InputError where a load does not come to rest.
+    """
+    d, cell = reference.dimension, reference.cell
+    edges = np.array(cell.cell)
+    heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
+    counts = np.ceil(PERIOD[d] * spacing / heights).astype(int)
+    counts[d:] = 1
+    many = cell.repeat(tuple(counts.tolist()))
+    x = np.array(many.positions)
+    k, to_waves, from_waves = _transforms(atoms, counts, x)
+    D = atoms.dynamical(k[:, :d])
+    flexible = np.empty_like(D)
+    flexible[1:] = np.linalg.inv(D[1:])
+    flexible[0] = np.linalg.pinv(D[0], rcond=1e-6, hermitian=True)  # translations stay
+    forces = forces_of(many, calculator)
+    still = forces(x)
+    pushes, answers = [], []
+    rng = np.random.default_rng(seed)
+    for _ in range(LOADS[d]):
+        push = _push(rng, k[:, :d], x[:, :d], d, spacing)
+        u = _answer(flexible, to_waves, from_waves, push, atoms.moving)
+        push *= STRAIN / _steepest(u, k, to_waves)
+        u *= 0.0
+        for _ in range(TRIES):
+            left = forces(x + u) - still + push
+            left -= left.mean(axis=0)
+            if d == 2:  # a sheet's mean height is held
+                whole = left.reshape(-1, len(cell), 3)
+                whole[:, :, 2] -= whole[:, :, 2].mean(axis=1, keepdims=True)
+            if np.abs(left).max() <= QUIET * np.abs(push).max():
+                break
+            u += _answer(flexible, to_waves, from_waves, left, atoms.moving)
+        else:
+            raise InputError(
+                f"loads: a load of strain {STRAIN} does not come to rest; learn from phonons"
+            )
+        pushes.append(push[:, :d])
+        answers.append(u[:, :d] - u[:, :d].mean(axis=0))
+    return _seen(atoms, counts, np.array(answers), np.array(pushes), spacing, horizon)
+
+
+def _transforms(
+    atoms: ForceConstants, counts: np.ndarray, x: np.ndarray
+) -> tuple[np.ndarray, Callable[..., np.ndarray], Callable[..., np.ndarray]]:
+    """Waves of a supercell [K, 3], and what takes fields [A, m] to their amplitudes and back."""
+    n = len(atoms.positions)
+    shape = tuple(counts.tolist())
+    parts = np.stack(np.meshgrid(*(np.fft.fftfreq(c) for c in counts), indexing="ij"), axis=-1)
+    k = 2 * np.pi * parts.reshape(-1, 3) @ np.linalg.inv(atoms.cell).T
+    phase = np.exp(-1j * k @ atoms.positions.T)[:, :, None]  # [K, n, 1]
+
+    def to_waves(field: np.ndarray) -> np.ndarray:
+        cells = field.reshape(*shape, n, -1)
+        return np.asarray(np.fft.fftn(cells, axes=(0, 1, 2)).reshape(len(k), n, -1) * phase)
+
+    def from_waves(amplitude: np.ndarray) -> np.ndarray:
+        cells = (amplitude / phase).reshape(*shape, n, -1)
+        return np.asarray(np.fft.ifftn(cells, axes=(0, 1, 2)).real.reshape(len(x), -1))
+
+    return k, to_waves, from_waves
+
+
+def _answer(
+    flexible: np.ndarray,
+    to_waves: Callable[..., np.ndarray],
+    from_waves: Callable[..., np.ndarray],
+    force: np.ndarray,
+    m: int,
+) -> np.ndarray:
+    """Displacement [A, 3] of atoms whose force constants are all there is."""
+    waves = to_waves(force[:, :m])
+    moved = np.einsum("kab,kb->ka", flexible, waves.reshape(len(waves), -1))
+    u = np.zeros((len(force), 3))
+    u[:, :m] = from_waves(moved.reshape(waves.shape))
+    return u
+
+
+def _steepest(u: np.ndarray, k: np.ndarray, to_waves: Callable[..., np.ndarray]) -> float:
+    """Σ |k| |u| over waves, of the mean of a cell's atoms."""
+    amplitude = to_waves(u).mean(axis=1) / len(k)
+    return float((np.linalg.norm(k, axis=1) * np.linalg.norm(amplitude, axis=1)).sum())
+
+
+def _push(
+    rng: np.random.Generator, k: np.ndarray, x: np.ndarray, d: int, spacing: float
+) -> np.ndarray:
+    """A force on every atom [eV/Å], [A, 3], of a few waves of the supercell."""
+    size = np.linalg.norm(k, axis=1)
+    fits = np.flatnonzero((size > 0) & (size < 2 * np.pi / (SHORTEST * spacing)))
+    weight = size[fits] ** -(d - 1.0)  # every length as often as any other
+    push = np.zeros((len(x), 3))
+    for pick in rng.choice(fits, size=WAVES, p=weight / weight.sum()):
+        wave = np.cos(x @ k[pick] + rng.uniform(0, 2 * np.pi))
+        push[:, :d] += np.outer(wave, size[pick] * rng.normal(size=d))
+    push -= push.mean(axis=0)
+    return push
+
+
+def _seen(
+    atoms: ForceConstants,
+    counts: np.ndarray,
+    u: np.ndarray,
+    force: np.ndarray,
+    spacing: float,
+    horizon: float,
+) -> Samples:
+    """Smoothed on nodes: an interior, and a collar of twice the horizon."""
+    d, n = atoms.dimension, len(atoms.positions)
+    collar = int(np.ceil(2 * horizon / spacing - 1e-9))
+    points, x, kind, smooth = watched(atoms, spacing, INTERIOR[d], collar, None)
+    cell = np.rint((x - atoms.positions[kind, :d]) @ np.linalg.inv(atoms.cell[:d, :d])).astype(int)
+    number = np.ravel_multi_index(tuple((cell % counts[:d]).T), tuple(counts[:d])) * n + kind
+    density = np.asarray(smooth.sum(axis=1))
+    share = EV_IN_TPA / (spacing**d * (atoms.thickness or 1.0))
+    displacement = np.array([smooth @ field[number] / density for field in u])
+    load = np.array([share * (smooth @ field[number]) for field in force])
+    return Samples(points, displacement, load)
+
+
+PATHS: dict[int, dict[str, tuple[int, ...]]] = {
+    2: {"[10]": (1, 0), "[01]": (0, 1), "[11]": (1, 1)},
+    3: {"[100]": (1, 0, 0), "[110]": (1, 1, 0), "[111]": (1, 1, 1), "[001]": (0, 0, 1)},
+}
+"""Directions that are drawn, along the axes of the nodes."""
+
+
+def picture(found: LearnedCrystal) -> Figure:
+    """Acoustic branches, E over direction, and the errors of unseen loads beside the rival's."""
+    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    dispersion = figure.add_subplot(1, 3, 1)
+    law, d = found.law, found.atoms.dimension
+    reach = np.linspace(0.03, 1, 40) * np.pi / 2
+    for number, (label, direction) in enumerate(PATHS[d].items()):
+        k = reach[:, None] / law.spacing * np.array(direction) / np.linalg.norm(direction)
+        branches = (found.atoms.effective, law.symbol, found.local)
+        true, own, local = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k)).clip(0)) for D in branches)
+        names = [label, *[None] * (d - 1)]
+        dispersion.plot(reach, own, color=f"C{number}", label=names)
+        dispersion.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
+        dispersion.plot(reach[::3], true[::3], ".", color=f"C{number}")
+    dispersion.set(xlabel="|k| h", ylabel="√Λ(k) [√(GPa/Å²)]")
+    dispersion.set_title("law (lines), atoms (dots), local (dotted)")
+    dispersion.legend(frameon=False)
+    polar: Any = figure.add_subplot(1, 3, 2, projection="polar")
+    angle, young = found.directional()
+    polar.plot(angle, young)
+    polar.set_rlim(min(0.0, 1.1 * young.min()), 1.1 * young.max())
+    polar.set_rlabel_position(67.5)
+    polar.set_title(f"E [GPa], axes 1 and {d}")
+    bars = figure.add_subplot(1, 3, 3)
+    place = np.arange(len(found.unseen))
+    for shift, name in ((-0.2, "law"), (0.2, "local")):
+        bars.bar(place + shift, [e[name] for e in found.unseen.values()], 0.38, label=name)
+    bars.set_xticks(place, [name.replace(" of ", "\n") for name in found.unseen])
+    bars.set(ylabel="E_u [%]", title="loads that the law never saw")
+    bars.legend(frameon=False)
+    return figure
+
 
 REACH = {2: 3.0, 3: 6**0.5}
 """Horizons over the spacing: 28 bonds in the plane, 80 in space."""
@@ -174,8 +370,6 @@ class LearnedCrystal(Shown):
 
     def plot(self) -> Any:
         """A matplotlib Figure: dispersion, E over direction, unseen loads."""
-        from warp_peri.structures.picture import picture
-
         return picture(self)
 
     def content(self) -> dict[str, Any]:

@@ -12,20 +12,14 @@ from scipy.optimize import root
 from warp_peri.core.basis import Basis, invariant_basis
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
 from warp_peri.core.grid import grid_of
-from warp_peri.core.groups import (
-    Symmetry,
-    checked_orientation,
-    point_group,
-    shared_with_nodes,
-)
+from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.regression import Learned
 from warp_peri.micromodulus.waves import law_of, solved
-from warp_peri.points.axis import axis_of
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
+from warp_peri.points.samples import Samples, axis_of
 from warp_peri.regression.search import compressed
 from warp_peri.third_order.material import ThirdOrderCrystal
 from warp_peri.third_order.smoothing import Smoothing, gradient_weights
@@ -47,10 +41,7 @@ class NonlinearFeatures:
     """
 
     def __init__(
-        self,
-        points: Samples,
-        horizon: float,
-        weights: tuple[np.ndarray, np.ndarray],
+        self, points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
     ) -> None:
         self.sweeps = GradientSweeps(points, horizon, dilates=False)
         none = np.zeros_like(weights[0])

@@ -33,8 +33,8 @@ from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.third_order.smoothing import Smoothing, carried_weights, gradient_weights
 from warp_peri.third_order.sweeps import GradientSweeps
 from warp_peri.third_order.uniqueness import check_strain, uniqueness
+from warp_peri.transfer.cache import model_for
 from warp_peri.transfer.lattice import home_of
-from warp_peri.transfer.points import model_for
 
 FORMS = ("filtered", "energy")
 CUBIC = ("t3", "tq2", "q3")

@@ -1,7 +1,6 @@
 """Soft tissue: hyperelastic sheets, learned from loads or from displacement (theory.md, H)."""
 
-from warp_peri.tissue.displacement_search import DisplacementFit
-from warp_peri.tissue.energy_fit import EnergyFit
+from warp_peri.tissue.energy_fit import EnergyFit, shortest_margin
 from warp_peri.tissue.equilibrium import Equilibrium, NoEquilibrium
 from warp_peri.tissue.febio import in_words, material_terms, save_febio
 from warp_peri.tissue.fibres import (
@@ -13,13 +12,15 @@ from warp_peri.tissue.fibres import (
     with_directions,
     with_families,
 )
-from warp_peri.tissue.fit_errors import hyperelastic_errors
-from warp_peri.tissue.from_displacement import fit_thickness, scaled_by_force
-from warp_peri.tissue.placed import PlacedSheet
+from warp_peri.tissue.from_displacement import (
+    DisplacementFit,
+    Thickness,
+    fit_thickness,
+    scaled_by_force,
+)
+from warp_peri.tissue.placed import PlacedSheet, hyperelastic_errors
 from warp_peri.tissue.sheet_choice import SheetChoice, choose_sheet, uniaxial
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
-from warp_peri.tissue.thickness import Thickness
-from warp_peri.tissue.uniform_strain import shortest_margin
 
 __all__ = [
     "Dictionary",

@@ -1,7 +1,4 @@
-"""Coefficients of an energy dictionary from displacement and load: least squares, or with signs.
-
-The force is linear in the coefficients, so both fits have one optimum, found in one factorisation.
-"""
+"""Energies fitted to forces, stable on what is sampled."""
 
 from __future__ import annotations
 
@@ -11,12 +8,207 @@ import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
 from warp_peri.errors import InputError
+from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.regression.search import least_squares_above
 from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.placed import largest_stretch
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
-from warp_peri.tissue.stable_fit import stable_coefficients
-from warp_peri.tissue.stretch_range import largest_stretch
-from warp_peri.tissue.uniform_strain import UniformTangents, strains_of
+
+WAVES = 8
+"""Wave numbers along each half axis of the zone."""
+STEP = 1e-6
+"""Of the differences that make the stencil [spacing]."""
+AT_REST = 1 - 1e-5
+"""Stretch that stands for rest: fibres are just slack there, which is the softer side."""
+
+
+@dataclass(frozen=True, eq=False)
+class UniformTangents:
+    """Stencils of every energy in some uniform strains.
+
+    Attributes:
+        stencils: force on every offset, by direction, when the centre moves along another, for
+            every energy with coefficient one [1/length²], shape [F, R, 2, 2, K].
+        waves: cosines of every wave at every offset over the Laplacian's symbol, shape [Q, R].
+    """
+
+    stencils: np.ndarray
+    waves: np.ndarray
+
+    @classmethod
+    def of(cls, dictionary: Dictionary, spacing: float, strains: np.ndarray) -> UniformTangents:
+        """Stencils in strains, given as deformation gradients of shape [F, 2, 2].
+
+        Raises InputError for arrays of another shape or without strains, gradients that are not
+        finite or of no positive determinant, and strains in which an energy is no number.
+        """
+        if np.ndim(strains) != 3 or np.shape(strains)[1:] != (2, 2) or not len(strains):
+            raise InputError(
+                f"strains: expected shape [F, 2, 2] with F > 0, got {list(np.shape(strains))}"
+            )
+        if not np.isfinite(strains).all():
+            raise InputError("strains: expected finite numbers")
+        if not (np.linalg.det(strains) > 0).all():
+            raise InputError("strains: expected determinants > 0")
+        reach = int(dictionary.reach)
+        inner = max(2 * reach, 5)  # two bonds, or three short ones of which one may be of two steps
+        side = np.arange(-inner - 2 * reach, inner + 2 * reach + 1)
+        steps = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
+        inside: np.ndarray = np.abs(steps).max(axis=1) <= inner
+        op = HyperelasticOperator(dictionary, Points(spacing * steps, inside, spacing))
+        centre = np.flatnonzero((steps == 0).all(axis=1))[0]
+        size = STEP * spacing
+        stencils = []
+        for F in strains:
+            u = op.points.x @ (F - np.eye(2)).T
+            columns = []
+            for axis in range(2):
+                ends = []
+                for sign in (1, -1):
+                    moved = u.copy()
+                    moved[centre, axis] += sign * size
+                    ends.append(op.features(moved))
+                columns.append((ends[0] - ends[1]) / (2 * size))
+            stencils.append(np.stack(columns, axis=-2))
+            if not np.isfinite(stencils[-1]).all():
+                raise InputError(f"strains: expected energies that are numbers at F = {F.tolist()}")
+        k = zone(WAVES)
+        laplace = (4 * np.sin(k / 2) ** 2).sum(axis=1) / spacing**2
+        return cls(np.array(stencils), np.cos(k @ steps[inside].T) / laplace[:, None])
+
+    def lowest(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Smaller eigenvalue of the symbol over the Laplacian's, and its direction.
+
+        Returns:
+            Ratios [stress], shape [F, Q], and unit vectors, shape [F, Q, 2].
+        """
+        tangent = np.einsum("frabk,k->frab", self.stencils, c)
+        symbol = np.einsum("qr,frab->fqab", self.waves, tangent, optimize=True)
+        values, vectors = np.linalg.eigh((symbol + symbol.swapaxes(2, 3)) / 2)
+        least: np.ndarray = values[..., 0]
+        return least, vectors[..., 0]
+
+    def row(self, strain: int, wave: int, direction: np.ndarray) -> np.ndarray:
+        """The ratio of one wave for every energy with coefficient one, shape [K]."""
+        whole: np.ndarray = np.einsum(
+            "r,rabk,a,b->k", self.waves[wave], self.stencils[strain], direction, direction
+        )
+        return whole
+
+
+def zone(count: int) -> np.ndarray:
+    """Wave vectors of half a Brillouin zone, without zero, times the spacing, shape [Q, 2]."""
+    line = np.linspace(-np.pi, np.pi, 2 * count + 1)
+    k = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    half: np.ndarray = (k[:, 0] > 1e-9) | ((np.abs(k[:, 0]) <= 1e-9) & (k[:, 1] > 1e-9))
+    vectors: np.ndarray = k[half]
+    return vectors
+
+
+def strains_of(op: HyperelasticOperator, samples: Samples, count: int) -> np.ndarray:
+    """Strains that the samples hold, as far apart as `count` can be, and rest.
+
+    Logarithmic strains of all nodes with a whole family; each is the one furthest from those
+    before it, beginning at rest. For rest stands a stretch of AT_REST: at the kink of a fibre's
+    energy a tangent by differences is half as stiff as a taut fibre's, and a slack one has none.
+
+    Returns:
+        Stretch tensors U, F = R U, shape [count + 1, 2, 2]; fewer where fewer nodes have a strain.
+    """
+    E = op.strain(samples.u)[:, op.bonds.whole % 2 == 1].reshape(-1, 3)
+    C = np.stack([1 + 2 * E[:, 0], E[:, 2], E[:, 2], 1 + 2 * E[:, 1]], axis=1).reshape(-1, 2, 2)
+    squares, axes = np.linalg.eigh(C)
+    kept = squares[:, 0] > 0
+    squares, axes = squares[kept], axes[kept]
+    logs = np.einsum("nij,nj,nkj->nik", axes, 0.5 * np.log(squares), axes).reshape(-1, 4)
+    far = (logs**2).sum(axis=1)
+    chosen = []
+    for _ in range(min(count, len(far))):
+        chosen.append(int(np.argmax(far)))
+        far = np.minimum(far, ((logs - logs[chosen[-1]]) ** 2).sum(axis=1))
+    U = np.einsum("nij,nj,nkj->nik", axes[chosen], np.sqrt(squares[chosen]), axes[chosen])
+    return np.concatenate([AT_REST * np.eye(2)[None], U])
+
+
+def shortest_margin(solid: HyperelasticSolid, strains: np.ndarray) -> np.ndarray:
+    """Least ratio [stress] over the grid of waves in each strain, shape [F].
+
+    Negative where one of these waves grows; those between are not looked at.
+
+    Args:
+        solid: of the lattice it was learned on.
+        strains: deformation gradients, shape [F, 2, 2].
+
+    Raises InputError as UniformTangents.of.
+    """
+    tangents = UniformTangents.of(solid.dictionary, solid.spacing, strains)
+    least: np.ndarray = tangents.lowest(solid.coefficients)[0].min(axis=1)
+    return least
+
+
+ROUNDS = 60
+"""Of cuts."""
+WORST = 3
+"""Waves of a strain that join in one round."""
+ROUNDING = 1e-7
+"""Of the largest scaled coefficient: what is nearer to a bound is put on it."""
+SLACK = 0.02
+"""Part of the margin that may be missing at the end."""
+
+
+def stable_coefficients(
+    A: np.ndarray,
+    y: np.ndarray,
+    tangents: UniformTangents,
+    margin: float,
+    *,
+    scale: np.ndarray,
+    lower: np.ndarray | None = None,
+) -> tuple[np.ndarray, float]:
+    """The c of least |A c − y| that is stable on the sampled strains and waves, with c ≥ lower.
+
+    Args:
+        A: of full column rank, in coefficients times `scale`, shape [M, K].
+        y: shape [M].
+        tangents: of the strains.
+        margin: least eigenvalue of the symbol of a wave over the Laplacian's, > 0 [stress].
+        scale: of the coefficients, shape [K].
+        lower: bounds, −∞ where there is none, shape [K].
+
+    Returns:
+        The coefficients, and the least ratio that they leave, at least 1 − SLACK of the margin.
+
+    Raises InputError for a margin that is not positive and finite, or that no coefficients reach.
+    """
+    if not 0 < margin < np.inf:
+        raise InputError(f"stable: expected a finite margin > 0, got {margin}")
+    K = A.shape[1]
+    if not np.diag(np.asarray(np.linalg.qr(A, mode="r"))).all():
+        raise InputError("stable: expected equations of full rank, or a ridge > 0")
+    least = np.full(K, -np.inf) if lower is None else lower
+    bounded = np.flatnonzero(np.isfinite(least))
+    G, h = np.eye(K)[bounded], (least * scale)[bounded]
+    for _ in range(ROUNDS):
+        try:
+            c = least_squares_above(A, y, G, h) / scale
+        except InputError:
+            raise InputError(f"stable: no coefficients reach the margin {margin:g}") from None
+        near = (c - least) * scale < ROUNDING * np.abs(c * scale).max()
+        c = np.where(near, least, c)
+        ratios, directions = tangents.lowest(c)
+        if ratios.min() >= (1 - SLACK) * margin:
+            return c, float(ratios.min())
+        cuts = [
+            tangents.row(n, q, directions[n, q])
+            for n, of_waves in enumerate(ratios)
+            for q in np.argsort(of_waves)[:WORST]
+            if of_waves[q] < (1 - SLACK / 2) * margin
+        ]
+        G = np.concatenate([G, np.array(cuts) / scale])
+        h = np.concatenate([h, np.full(len(cuts), margin)])
+    raise InputError(f"stable: no coefficients of margin {margin:g} after {ROUNDS} rounds of cuts")
+
 
 ROWS = 4096
 """Equations that are factored at once."""

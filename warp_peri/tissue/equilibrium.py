@@ -1,9 +1,4 @@
-"""Hyperelastic solids at rest: the stable equilibrium, its residual and how stable it is.
-
-The total potential U − Σ b·u h² is minimised by Newton's method: a tangent that is not positive
-definite is shifted until it is, and a step is shortened until the potential falls and no part of
-the body folds. What is returned has a small residual and a positive tangent, or an error is raised.
-"""
+"""Equilibria of sheets: tangents and their factors, Newton, continuation to stable branches."""
 
 from __future__ import annotations
 
@@ -15,16 +10,159 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+import warp as wp
+from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
+from warp_peri.kernels.hyperelastic.corner_tangent import corner_tangents
+from warp_peri.kernels.hyperelastic.rows import Window, tangent_rows
+from warp_peri.launch import ints, launch, zeros
 from warp_peri.points.arrays import checked_fields
+from warp_peri.stability.inertia import definite_factors
 from warp_peri.stability.solvability import lanczos_start, smallest_eigenvalue
-from warp_peri.tissue.factors import positive_factors
-from warp_peri.tissue.laplacian import laplacian
-from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
+from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator, laplacian
 from warp_peri.tissue.solid import Term
-from warp_peri.tissue.tangent import TangentPattern
+
+DENSE = 1200
+"""Unknowns up to which a matrix is eliminated as a full one: tangents have hundreds in each row."""
+
+
+LARGEST_BAND = 4 * 10**7
+"""Entries of a band that is eliminated as one, in a quarter of the time of sparse factors."""
+
+
+class FullFactors:
+    """Cholesky's factors of a full matrix."""
+
+    def __init__(self, factor: np.ndarray) -> None:
+        self.factor = factor
+
+    def solve(self, y: np.ndarray) -> np.ndarray:
+        """K⁻¹ y by the factors."""
+        x: np.ndarray = lapack.dpotrs(self.factor, y, lower=1)[0].reshape(y.shape)
+        return x
+
+
+class BandFactors:
+    """Cholesky's factors of a banded matrix, as rows of nodes on a lattice have it."""
+
+    def __init__(self, factor: np.ndarray) -> None:
+        self.factor, self.shape = factor, (factor.shape[1],) * 2
+
+    def solve(self, y: np.ndarray) -> np.ndarray:
+        """K⁻¹ y by the factors."""
+        return np.asarray(cho_solve_banded((self.factor, True), y, check_finite=False))
+
+
+def _banded(K: sp.csc_matrix) -> np.ndarray | None:
+    """The lower triangle by diagonals; None where they are too many, or entries no numbers."""
+    below = sp.tril(K, format="coo")
+    away = below.row - below.col
+    if (away.max() + 1) * K.shape[0] > LARGEST_BAND or not np.isfinite(below.data).all():
+        return None
+    band = np.zeros((away.max() + 1, K.shape[0]))
+    band[away, below.col] = below.data
+    return band
+
+
+def positive_factors(K: sp.csc_matrix) -> Any:
+    """Factors with a `solve` of a symmetric matrix where it is positive definite, else None."""
+    if K.shape[0] > DENSE:
+        if (band := _banded(K)) is None:
+            return definite_factors(K)
+        try:
+            return BandFactors(cholesky_banded(band, True, True, check_finite=False))
+        except np.linalg.LinAlgError:
+            return None
+    factor, fault = lapack.dpotrf(K.toarray(order="F"), lower=1, overwrite_a=1, clean=0)
+    # LAPACK need not call numbers that are none a fault
+    return None if fault or not np.isfinite(factor.diagonal()).all() else FullFactors(factor)
+
+
+@dataclass(frozen=True, eq=False)
+class TangentPattern:
+    """What the tangent is made of, apart from the field: build once for an operator.
+
+    Attributes:
+        op: the operator.
+        window: where the nodes around another stand in its row, as the kernel reads it.
+        width: number of places in a row.
+        rows: interior nodes.
+        taken: places that are entries of the matrix, row by row.
+        columns: their columns.
+        ends: where rows begin among them.
+    """
+
+    op: HyperelasticOperator
+    window: Any
+    width: int
+    rows: Any
+    taken: np.ndarray
+    columns: np.ndarray
+    ends: np.ndarray
+
+    @classmethod
+    def of(cls, op: HyperelasticOperator) -> TangentPattern:
+        """The pattern of an operator."""
+        steps, interior, C = op.bonds.steps, op.interior, op.bonds.classes
+        near = np.flatnonzero((op.weight[:, 3:] != 0).any(axis=1))
+        linked = np.flatnonzero(op.deviation >= 0)
+        reach = 2 * int(np.abs(steps).max())
+        side = 2 * reach + 1
+        stride = np.array([side, 1])
+        window: Any = Window()
+        window.shift, window.centre = ints(steps @ stride), reach * side + reach
+        window.near, window.linked = (ints(np.concatenate([p, p + C])) for p in (near, linked))
+        place = op.bonds.grid - op.bonds.grid.min(axis=0)
+        number = np.full(place.max(axis=0) + 1 + 2 * reach, -1)
+        number[tuple((place[interior] + reach).T)] = np.arange(len(interior))
+        offsets = reached(steps, near, np.union1d(near, linked))
+        far = np.stack([number[tuple((place[interior] + reach + o).T)] for o in offsets], axis=1)
+        row, which = np.nonzero(far >= 0)
+        block = row * side**2 + window.centre + offsets[which] @ stride
+        axis = np.arange(2)
+        taken = 4 * block[:, None, None] + 2 * axis[:, None] + axis
+        rows = np.broadcast_to(2 * row[:, None, None] + axis[:, None], taken.shape).ravel()
+        columns = np.broadcast_to(2 * far[row, which][:, None, None] + axis, taken.shape).ravel()
+        order = np.lexsort((columns, rows))
+        ends = np.searchsorted(rows[order], np.arange(2 * len(interior) + 1))
+        return cls(
+            op, window, side**2, ints(interior), taken.ravel()[order],
+            columns[order].astype(np.int32), ends.astype(np.int32),
+        )  # fmt: skip
+
+    def matrix(self, u: np.ndarray, c: np.ndarray) -> sp.csc_matrix:
+        """K between interior nodes at a field u of shape [N, 2], (H10), shape [2 I, 2 I]."""
+        size = len(self.ends) - 1
+        # symmetric: rows stand for columns
+        return sp.csc_matrix((self._entries(u, c), self.columns, self.ends), shape=(size, size))
+
+    def _entries(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """Entries of the matrix, row by row."""
+        op = self.op
+        field, terms, E, G, H = op.curved_states(u, c)
+        pair = wp.types.matrix((2, 2), op.scalar)
+        K = zeros(len(op.interior), self.width, dtype=pair)
+        inputs = [op.lattice, terms, self.rows, self.window, field, E, G, H]
+        launch(tangent_rows(op.scalar), len(op.interior), inputs, [K])
+        if op.dictionary.cornered:
+            inputs = [op.lattice, terms, self.rows, self.window, field]
+            launch(corner_tangents(op.scalar).rows, len(op.interior), inputs, [K])
+        entries: np.ndarray = K.numpy().reshape(-1)[self.taken]
+        return entries
+
+
+def reached(steps: np.ndarray, near: np.ndarray, linked: np.ndarray) -> np.ndarray:
+    """Offsets of nodes that share an energy with a node: by two bonds, or by three short ones."""
+    C, zero = len(steps) // 2, np.zeros((1, 2), int)
+    family = np.concatenate([zero, steps])
+    short, link = (np.concatenate([zero, steps[p], steps[p + C]]) for p in (near, linked))
+    two = (family[:, None] + family).reshape(-1, 2)
+    three = (short[:, None, None] + link[:, None] + short).reshape(-1, 2)
+    offsets: np.ndarray = np.unique(np.concatenate([two, three]), axis=0)
+    return offsets
+
 
 DIRECT = 20_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
@@ -104,12 +242,7 @@ class StaticProblem:
         return lifted
 
     def solve(
-        self,
-        c: np.ndarray,
-        b: np.ndarray | None,
-        u: np.ndarray,
-        *,
-        start: np.ndarray | None = None,
+        self, c: np.ndarray, b: np.ndarray | None, u: np.ndarray, *, start: np.ndarray | None = None
     ) -> Equilibrium:
         """The stable equilibrium under a load with displacement given on the collar.
 
@@ -137,12 +270,7 @@ class StaticProblem:
         return replace(equilibrium, smallest_eigenvalue=smallest / self.softest)
 
     def find(
-        self,
-        c: np.ndarray,
-        b: np.ndarray | None,
-        u: np.ndarray,
-        *,
-        start: np.ndarray | None = None,
+        self, c: np.ndarray, b: np.ndarray | None, u: np.ndarray, *, start: np.ndarray | None = None
     ) -> Equilibrium | None:
         """As solve, without the smallest eigenvalue (NaN); None where no equilibrium is found.
 

@@ -9,16 +9,10 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.energy_fit import (
-    Equations,
-    equations,
-    lower_bounds,
-    non_negative,
-    residual,
-)
+from warp_peri.tissue.energy_fit import Equations, equations, lower_bounds, non_negative, residual
 from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.placed import largest_stretch
 from warp_peri.tissue.solid import ACROSS, Dictionary, HyperelasticSolid, Term
-from warp_peri.tissue.stretch_range import largest_stretch
 
 LARGEST_EXPONENT = 60.0
 TURN, GROWTH = 0.2, 1.0

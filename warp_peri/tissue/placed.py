@@ -1,23 +1,179 @@
-"""A hyperelastic sheet on a lattice: its force, its stress, its stable equilibria."""
+"""A sheet on points: force, stress, equilibria, errors; stretches beyond what was trained."""
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.points.arrays import checked_fields
-from warp_peri.points.samples import PointsLike, Samples, nodes_of
+from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.settings import Newton, Solver, refuse_solver
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 from warp_peri.tissue.equilibrium import Equilibrium, NoEquilibrium, StaticProblem
-from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import HyperelasticSolid
-from warp_peri.tissue.stress import piola_stress
-from warp_peri.tissue.stretch_range import warn_beyond
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
+
+BEYOND = 1.1
+"""Stretches less one above this many times those of the training data are worth a warning."""
+
+
+def largest_stretch(op: HyperelasticOperator, u: np.ndarray) -> float:
+    """Largest principal stretch of the nodal strain in fields u [length], shape [..., N, 2]."""
+    E = op.strain(u).reshape(-1, 3)
+    mean, half = (E[:, 0] + E[:, 1]) / 2, np.hypot((E[:, 0] - E[:, 1]) / 2, E[:, 2] / 2)
+    return float(np.sqrt(1 + 2 * (mean + half).max()))
+
+
+def warn_beyond(solid: HyperelasticSolid, op: HyperelasticOperator, u: np.ndarray) -> None:
+    """Warn when fields are stretched beyond the data that a solid was learned from."""
+    if solid.stretch is None:
+        return
+    largest = largest_stretch(op, u)
+    if largest - 1 > BEYOND * (solid.stretch - 1):
+        warnings.warn(
+            f"stretch: the fields reach {largest:.4g}, the training data {solid.stretch:.4g}: "
+            "nothing is known of the material beyond",
+            stacklevel=3,
+        )
+
+
+BOND_SLOPES: dict[str, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]] = {
+    "square": lambda s: (s, np.ones_like(s)),
+    "cube": lambda s: (s**2, 2 * s),
+    "tension": lambda s: (np.maximum(s, 0), (s > 0) * 1.0),
+    "tension_cube": lambda s: (np.maximum(s, 0) ** 2, 2 * np.maximum(s, 0)),
+    "log": lambda s: (1 - 1 / (1 + 2 * s), 2 / (1 + 2 * s) ** 2),
+    "compression": lambda s: (np.minimum(s, 0), (s < 0) * 1.0),
+}
+"""ψ′ and ψ″ of every bond energy, (H2); a test holds them to the kernels'."""
+
+
+def bond_slopes(
+    dictionary: Dictionary, s: np.ndarray, c: np.ndarray, k: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Σ c ψ′ and Σ c ψ″ of bonds, (H2), shapes [B] [stress].
+
+    Args:
+        dictionary: of energies.
+        s: strain of every bond, shape [B].
+        c: coefficients, shape [K].
+        k: class of every bond, shape [B].
+    """
+    slopes, curves = np.zeros_like(s), np.zeros_like(s)
+    count = len(dictionary.bonds)
+    for q, name in enumerate(dictionary.bonds):
+        stiffness = c[k * count + q]
+        slope, curve = BOND_SLOPES[name](s)
+        slopes += stiffness * slope
+        curves += stiffness * curve
+    return slopes, curves
+
+
+def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """First Piola stress P = ½ Σ [t/|ξ|² + w·(G_i + G_j)] (ξ + η)⊗ξ, (H16), shape [N, 2, 2].
+
+    Args:
+        op: the operator.
+        u: one displacement, shape [N, 2].
+        c: coefficients.
+
+    It is ∂W/∂F in uniform strain, on nodes whose neighbours all have whole families; nearer to the
+    edge it misses what bonds to outside would carry. Of a sheet that is not even it is the pull per
+    length of a section, over thickness one.
+    """
+    u = np.asarray(u, float)
+    E, G, _ = op.states(u, c)
+    i, j, k = op.bonds.pairs
+    xi = op.bonds.xi[k]
+    Y = xi + u[j] - u[i]
+    square = (xi**2).sum(axis=1)
+    s = ((Y**2).sum(axis=1) / square - 1) / 2
+    tension = bond_slopes(op.dictionary, s, c, k)[0]
+    first, last = op.dictionary.first_deviation, op.dictionary.first_term
+    whole = (op.bonds.whole[i] >= 2) & (op.bonds.whole[j] >= 2)
+    near = np.flatnonzero(whole & (op.deviation[k] >= 0))
+    mean = 1 + ((E[i[near], 3:] + E[j[near], 3:]) * op.unit[k[near]]).sum(axis=1)
+    d = 0.5 * np.log((1 + 2 * s[near]) / mean)
+    tension[near] += c[first:last][op.deviation[k[near]]] * d / (1 + 2 * s[near]) / mean
+    if op.thickness is not None:
+        tension *= (op.thickness[i] + op.thickness[j]) / 2
+    along = tension / square + ((G[i] + G[j]) * op.weight[k]).sum(axis=1)
+    carried = 0.5 * along[:, None, None] * Y[:, :, None] * xi[:, None, :]
+    P = op.corner_stress(u, c)
+    np.add.at(P, i, carried)
+    np.add.at(P, j, carried)
+    return P
+
+
+def hyperelastic_errors(
+    solid: HyperelasticSolid,
+    samples: Samples,
+    *,
+    truth: np.ndarray | None = None,
+    solve: bool = True,
+    thickness: np.ndarray | None = None,
+    operator: HyperelasticOperator | None = None,
+) -> dict[str, Any]:
+    """Relative ℓ2 errors on the interior, (30) and (31), as means over samples and one by one.
+
+    Args:
+        solid: a material, of the same spacing or another.
+        samples: with loads or, for E_u alone, without.
+        truth: displacement that the solved one is held against, shape [S, N, 2]; that of the
+            samples where none is given. Displacement on the collar is read from the samples.
+        solve: whether E_u is asked for.
+        thickness: of every node of the samples, shape [N]; an even sheet where none is given.
+        operator: of the solid's dictionary on these samples, where there is one already.
+
+    Returns:
+        E_res where there are loads; E_u over the samples that were solved, not_solved, their
+        number, and left_branch, the number of those that (Equilibrium.followed) another branch may
+        hold; residuals and displacements with the errors of every sample, NaN where not solved.
+
+    Raises InputError for samples in other units than the solid.
+
+    Warns of fields, solved where that is asked for, that are stretched beyond the data that the
+    solid was learned from.
+    """
+    check_same(solid.units, samples.points.units)
+    op = operator or HyperelasticOperator(solid.dictionary, samples, thickness=thickness)
+    inner, errors_of, fields = op.interior, {}, samples.u
+    if samples.b is not None:
+        left = op.force(samples.u, solid.coefficients) - samples.b[:, inner]
+        residuals = _size(np.asarray(left)) / _size(samples.b[:, inner])
+        errors_of = {"E_res": float(residuals.mean()), "residuals": residuals}
+    if solve:
+        truth = samples.u if truth is None else truth
+        seen = seen_of(samples)[:, inner, None]
+        problem, errors, left_branch = StaticProblem(op), np.full(len(samples), np.nan), 0
+        fields = np.zeros_like(samples.u)
+        for n in range(len(samples)):
+            b = None if samples.b is None else samples.b[n]
+            solved = problem.find(solid.coefficients, b, samples.u[n])
+            if solved is not None:
+                fields[n] = solved.u
+                gap, size = (f[inner] * seen[n] for f in (solved.u - truth[n], truth[n]))
+                errors[n] = np.linalg.norm(gap) / np.linalg.norm(size)
+                left_branch += not solved.followed
+        missing = int(np.isnan(errors).sum())
+        mean = float(np.nanmean(errors)) if missing < len(errors) else float("nan")
+        errors_of |= {
+            "E_u": mean,
+            "not_solved": missing,
+            "left_branch": left_branch,
+            "displacements": errors,
+        }
+    warn_beyond(solid, op, fields)
+    return errors_of
+
+
+def _size(field: np.ndarray) -> np.ndarray:
+    sizes: np.ndarray = np.linalg.norm(field.reshape(len(field), -1), axis=1)
+    return sizes
 
 
 class PlacedSheet:

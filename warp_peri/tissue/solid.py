@@ -15,8 +15,8 @@ from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 
 if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.points.samples import PointsLike, Samples
-    from warp_peri.tissue.displacement_search import DisplacementFit
     from warp_peri.tissue.energy_fit import EnergyFit
+    from warp_peri.tissue.from_displacement import DisplacementFit
     from warp_peri.tissue.placed import PlacedSheet
 
 BONDS = {"square": 0, "cube": 1, "tension": 2, "tension_cube": 3, "log": 4, "compression": 5}

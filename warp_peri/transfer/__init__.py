@@ -2,3 +2,5 @@
 
 RECIPE = 7
 """Of the figures in transfer.lattice: what was made by another is made again."""
+LEAST = 2.0
+"""Smallest horizon that a lattice has, in spacings."""

@@ -14,8 +14,8 @@ from warp_peri.lps import operator as lps
 from warp_peri.lps.model import Model
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.transfer.cache import model_for
 from warp_peri.transfer.carrier import Carrier
-from warp_peri.transfer.points import model_for
 
 
 class LPSOperator(lps.NodeOperator):

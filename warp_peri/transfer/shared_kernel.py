@@ -14,13 +14,19 @@ from warp_peri.lps.model import Model
 from warp_peri.points.arrays import is_positive
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
-from warp_peri.regression.coordinates import SMALLEST_ALPHA, Coordinates
+from warp_peri.regression.coordinates import LARGEST_ALPHA, SMALLEST_ALPHA, Coordinates, Parameters
 from warp_peri.regression.losses import ReducedLoss
 from warp_peri.regression.optimum import ConstrainedProblem
-from warp_peri.regression.parameters import LARGEST_ALPHA, Parameters
 from warp_peri.stability.certificate import certify
-from warp_peri.transfer.lattice import Home, home_of
-from warp_peri.transfer.waves import dispersion, rings, wave_errors, wave_loss, weighed_waves
+from warp_peri.transfer.lattice import (
+    Home,
+    dispersion,
+    home_of,
+    rings,
+    wave_errors,
+    wave_loss,
+    weighed_waves,
+)
 
 CERTIFIED = 9
 """Lattices that the conditions are proven on, their spacings in equal steps."""
@@ -48,11 +54,7 @@ RADII = 12
 
 
 def one_kernel(
-    model: Model,
-    *,
-    horizon: float,
-    ratios: tuple[float, float] = RATIOS,
-    degree: int = DEGREE,
+    model: Model, *, horizon: float, ratios: tuple[float, float] = RATIOS, degree: int = DEGREE
 ) -> Model:
     """One influence function for a range of lattices, h/δ from ratios[0] to ratios[1].
 
