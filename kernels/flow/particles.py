@@ -78,11 +78,7 @@ def total_stress(
 
 
 @wp.kernel(enable_backward=False)
-def place_images(
-    fluid: wp.int32,
-    parent: wp.array(dtype=wp.int32),
-    x: wp.array(dtype=wp.vec2d),
-):
+def place_images(fluid: wp.int32, parent: wp.array(dtype=wp.int32), x: wp.array(dtype=wp.vec2d)):
     """Images behind the nearer wall, after the fluid in the same array."""
     i = wp.tid()
     p = x[parent[i]]

@@ -181,10 +181,7 @@ def _energy_of_nodes(scalar):
         for k in range(terms.kind.shape[0]):
             if acts(terms.seen[k], lattice.whole[i]):
                 local = value(
-                    terms.kind[k],
-                    terms.angle[k],
-                    terms.exponent[k],
-                    seen(terms.seen[k], E[s, i]),
+                    terms.kind[k], terms.angle[k], terms.exponent[k], seen(terms.seen[k], E[s, i])
                 )
                 total += share(lattice, i, i) * terms.c[terms.first_term + k] * local
             for side in range(2):

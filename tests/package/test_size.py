@@ -8,7 +8,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 47_997,
+    "lines of warp_peri": 47_995,
     "files of warp_peri": 208,
     "lines of kernels": 5_662,
     "lines of examples and tools": 29_462,

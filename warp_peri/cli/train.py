@@ -127,7 +127,6 @@ def run_train(given: argparse.Namespace) -> Result:
     from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
     from warp_peri.learning.sweep import train
     from warp_peri.micromodulus.learning import long_waves_of_data
-    from warp_peri.regression.conditions import Conditions
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)
@@ -149,7 +148,7 @@ def run_train(given: argparse.Namespace) -> Result:
             data.sets,
             noise=noise,
             method=methods.named(given.method, seed=given.seed),
-            conditions=Conditions(given.conditions, given.zeta),
+            conditions=warp_peri.methods.Conditions(given.conditions, given.zeta),
             loss=given.loss,
             normalise=given.normalise,
             progress=not given.json,
@@ -174,7 +173,6 @@ def run_train(given: argparse.Namespace) -> Result:
 def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
     """The same for a law other than the LPS; its methods, losses and kernels are the LPS's own."""
     from warp_peri.learning.sweep import Run, evaluated
-    from warp_peri.methods import Optimum, Smoothing
 
     usual = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",
              "zeta": None, "loss": "auto", "seed": 0}  # fmt: skip
@@ -184,11 +182,11 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
         raise InputError(f"{', '.join(own)}: not of --law {given.law}")
     samples, horizon = data[given.set], given.horizon
     degree = DEGREE if given.degree is None else given.degree
-    kernel = warp_peri.Bernstein(degree, two_functions=True)
-    linear = warp_peri.LPS(horizon, kernel, Optimum(moduli="isotropic"), normalise=True)
+    kernel, methods = warp_peri.Bernstein(degree, two_functions=True), warp_peri.methods
+    linear = warp_peri.LPS(horizon, kernel, methods.Optimum(moduli="isotropic"), normalise=True)
     law: Any = warp_peri.Micromodulus(horizon, normalise=given.normalise)
     if given.law == "third-order":
-        law = warp_peri.ThirdOrder(linear, Smoothing(2 * samples.spacing))
+        law = warp_peri.ThirdOrder(linear, methods.Smoothing(2 * samples.spacing))
     elif given.law == "dressed":  # with the group and the long waves that the data have
         found = warp_peri.fit(samples, law).material
         law = warp_peri.Dressed(symmetry=found.symmetry, moduli=found.elastic_tensor())
