@@ -33,8 +33,7 @@ from tools.hyperelastic_elements import (
 from tools.hyperelastic_energies import Family, Matrix, hgo
 from tools.random_field import RandomField
 from warp_peri.errors import InputError, exit_status
-from warp_peri.files.archive import read_arrays
-from warp_peri.files.atomic import locked, whole_file
+from warp_peri.files.atomic import locked, read_arrays, whole_file
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples

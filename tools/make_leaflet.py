@@ -26,8 +26,7 @@ from tqdm import tqdm
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, Matrix, plane_stress_hgo
 from warp_peri.errors import exit_status
-from warp_peri.files.archive import read_arrays
-from warp_peri.files.atomic import locked, whole_file
+from warp_peri.files.atomic import locked, read_arrays, whole_file
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import REDUCED

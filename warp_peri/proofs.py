@@ -1,8 +1,7 @@
 """What can be proven of a material or of a domain: `warp_peri.proofs`."""
 
 from warp_peri.dynamics.verlet import critical_time_step
-from warp_peri.stability.certificate import Certificate, certify
-from warp_peri.stability.solvability import Solvability, solvability
+from warp_peri.stability.certificate import Certificate, Solvability, certify, solvability
 from warp_peri.third_order.uniqueness import Uniqueness, uniqueness
 
 __all__ = [

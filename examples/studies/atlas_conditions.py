@@ -17,9 +17,9 @@ from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import Model
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
-from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.regression.coordinates import Coordinates, Parameters
 from warp_peri.regression.losses import ReducedLoss, reduce, sample_weights
+from warp_peri.regression.optimum import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.statics.direct import MatrixProblem
 
 RATIOS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)

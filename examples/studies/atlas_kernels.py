@@ -18,7 +18,7 @@ from warp_peri.lps.model import Model, bernstein_basis
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
-from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.optimum import Conditions, LatticeConditions, ZoneSearch
 
 LAM, MU = -0.1972, 0.7223
 """Of the potential that the data come from [TPa]."""

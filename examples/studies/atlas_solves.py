@@ -22,8 +22,8 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.regression.losses import reduce, sample_weights
+from warp_peri.regression.optimum import Conditions, LatticeConditions, ZoneSearch
 
 MU = 0.7223
 HORIZON = 20.0

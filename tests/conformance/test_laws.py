@@ -14,8 +14,8 @@ from tests.support.nonlinear import CONSTANTS, psi, rotation
 from tests.support.problems import AXIS, difference, kernel, lattice, noise, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
 from warp_peri import launch
-from warp_peri.core.basis import invariant_basis
 from warp_peri.core.groups import point_group, shared_with_nodes
+from warp_peri.core.stencil import invariant_basis
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.model import bernstein_basis
 from warp_peri.lps.operator import lps_force

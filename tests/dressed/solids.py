@@ -6,9 +6,9 @@ import numpy as np
 
 import warp_peri as wp
 from tests.micromodulus.crystals import cubic_tensor
-from warp_peri.core.basis import invariant_basis
 from warp_peri.core.elastic import voigt
 from warp_peri.core.groups import point_group
+from warp_peri.core.stencil import invariant_basis
 from warp_peri.dressed.law import DressedSolid
 
 SPACING = 1.3

@@ -18,7 +18,7 @@ from warp_peri.dressed.law import DressedSolid, _dressing, _Monomials, from_phon
 from warp_peri.dressed.sweeps import base, bonds, dilatation_range, half
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import from_calculator
-from warp_peri.micromodulus.lps import tensors_of
+from warp_peri.micromodulus.law import tensors_of
 from warp_peri.micromodulus.waves import from_phonons as tensors_from_phonons
 
 SHEET = dict(C11=1.25, C12=-0.2, C44=0.725)

@@ -13,7 +13,7 @@ from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import moduli
 from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.conditions import LatticeConditions, ZoneSearch
+from warp_peri.regression.optimum import LatticeConditions, ZoneSearch
 
 LAM, MU = -0.2, 0.7
 ZETA = 0.01

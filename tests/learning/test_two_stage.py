@@ -18,7 +18,7 @@ from warp_peri.learning.two_stage import (
 from warp_peri.lps.model import stiffnesses
 from warp_peri.methods import TwoStage
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.optimum import Conditions, LatticeConditions, ZoneSearch
 
 HORIZON, ZETA = 3.0, 0.02
 CLASSES = bond_classes(1.0, HORIZON)

@@ -13,16 +13,20 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError
 from warp_peri.learning.fit import Fit, Settings
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.loss_choice import LossChoice
 from warp_peri.learning.response import WaveResponse, as_model, output_optimum
+from warp_peri.learning.stages import LossChoice
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import corrected, noise_loss, reduce, sample_weights
-from warp_peri.regression.optimum import constrained_optimum
+from warp_peri.regression.optimum import (
+    Conditions,
+    LatticeConditions,
+    ZoneSearch,
+    constrained_optimum,
+)
 
 HORIZON = 2.5
 CLASSES = bond_classes(1.0, HORIZON)

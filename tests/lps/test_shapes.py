@@ -13,10 +13,9 @@ from warp_peri import InputError, certify
 from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.shapes import gaussian, table
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.conditions import Conditions, LatticeConditions
 from warp_peri.regression.coordinates import Parameters, ShapeCoordinates
 from warp_peri.regression.losses import FullLoss, reduce, sample_weights
-from warp_peri.regression.optimum import ConstrainedProblem
+from warp_peri.regression.optimum import Conditions, ConstrainedProblem, LatticeConditions
 from warp_peri.shapes import InfluenceFunction
 
 # The polynomial

@@ -4,8 +4,8 @@ import itertools
 
 import numpy as np
 
-from warp_peri.core.basis import invariant_basis
 from warp_peri.core.groups import checked_orientation, point_group, shared_with_nodes
+from warp_peri.core.stencil import invariant_basis
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.points import Points

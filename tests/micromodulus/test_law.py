@@ -6,12 +6,11 @@ import pytest
 import warp_peri
 from tests.micromodulus.crystals import COPPER, cubic_tensor, lattice, learned, random_law
 from warp_peri.core import elastic
-from warp_peri.core.basis import invariant_basis
 from warp_peri.core.groups import checked_orientation, name_of, point_group, shared_with_nodes
-from warp_peri.core.stencil import q1_tensors
+from warp_peri.core.stencil import invariant_basis, q1_tensors
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.planes import plane_strain, plane_stress
+from warp_peri.micromodulus.waves import plane_strain, plane_stress
 
 
 @pytest.mark.parametrize(

@@ -22,9 +22,8 @@ from warp_peri.micromodulus.force_constants import (
     from_supercell,
     read_force_constants,
 )
-from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.law import Crystal, tensors_of
 from warp_peri.micromodulus.learning import fit
-from warp_peri.micromodulus.lps import tensors_of
 from warp_peri.micromodulus.regression import long_wave_moduli
 from warp_peri.micromodulus.waves import fit_symbol, from_phonons, transferred
 from warp_peri.points.points import Points

@@ -17,7 +17,7 @@ from tools.lammps_session import LammpsSession
 from tools.samples import read_sample
 from warp_peri import InputError
 from warp_peri.core import record
-from warp_peri.files.archive import read_arrays
+from warp_peri.files.atomic import read_arrays
 from warp_peri.learning.two_stage import Checkpoint
 from warp_peri.lps.model import Model
 from warp_peri.points.dataset import load_dataset

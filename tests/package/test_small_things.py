@@ -19,7 +19,7 @@ from warp_peri.errors import exit_status
 from warp_peri.learning.fit import learn as fit
 from warp_peri.points.dataset import save_dataset
 from warp_peri.points.families import families_of
-from warp_peri.regression.conditions import Conditions
+from warp_peri.regression.optimum import Conditions
 from warp_peri.sources.dump_files import dump_frames
 from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.transfers import one_kernel, onto_lattice

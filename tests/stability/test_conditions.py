@@ -8,7 +8,7 @@ from warp_peri import InputError
 from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.conditions import CONDITIONS, Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.optimum import CONDITIONS, Conditions, LatticeConditions, ZoneSearch
 
 CLASSES = bond_classes(1.0, 3.0)
 K = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from warp_peri.stability.solvability import DENSE, smallest_eigenvalue
+from warp_peri.stability.certificate import DENSE, smallest_eigenvalue
 
 
 def test_a_mode_that_changes_sign_across_a_symmetric_body_is_found():

@@ -12,7 +12,7 @@ import numpy as np
 import warp_peri
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
-from warp_peri.files.archive import read_arrays
+from warp_peri.files.atomic import read_arrays
 from warp_peri.points.arrays import checked
 from warp_peri.points.dataset import Dataset, load_dataset
 from warp_peri.points.points import Points

@@ -26,7 +26,7 @@ from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike, Samples, axis_of
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
-from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
 from warp_peri.statics.linear import Linear
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver

@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from warp_peri.core.basis import Basis, invariant_basis
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned, voigt
 from warp_peri.core.grid import Grid
 from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
 from warp_peri.core.proof import Proof
 from warp_peri.core.record import Entry, Length, Record
-from warp_peri.core.stencil import Stencil
+from warp_peri.core.stencil import Basis, Stencil, invariant_basis
 from warp_peri.dressed.body import DressedBody
 from warp_peri.dressed.sweeps import (
     AXIS_WEIGHT,

@@ -16,8 +16,7 @@ from tqdm import tqdm
 from warp_peri.contract import taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.files.archive import read_arrays
-from warp_peri.files.atomic import whole_file, write_text
+from warp_peri.files.atomic import read_arrays, whole_file, write_text
 from warp_peri.files.series import write_vtu
 from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
 from warp_peri.kernels.flow import particles as kernels

@@ -19,8 +19,7 @@ from scipy import stats
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.archive import read_arrays
-from warp_peri.files.atomic import whole_file
+from warp_peri.files.atomic import read_arrays, whole_file
 from warp_peri.flow.laws import IDENTITY, trace
 from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads

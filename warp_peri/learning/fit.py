@@ -13,12 +13,11 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.learning.full_loss_check import ConsistencyCheck
-from warp_peri.learning.loss_choice import choose_loss
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
 from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit, check_nonlinear, with_constants
 from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Fit, LossChoice, Settings
-from warp_peri.learning.stages import Stages
+from warp_peri.learning.stages import Stages, choose_loss
 from warp_peri.learning.training_data import Scale, TrainingData, listed, scaled_data
 from warp_peri.lps.shapes import InfluenceFunction, shapes_of
 from warp_peri.lps.symbol import moduli as moduli_of
@@ -26,9 +25,8 @@ from warp_peri.points.arrays import fingerprint
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples, largest_strain, largest_wave_number
 from warp_peri.points.unit_names import symbols
-from warp_peri.regression.conditions import Conditions
 from warp_peri.regression.coordinates import SMALLEST_MODULUS, Parameters
-from warp_peri.regression.optimum import HEADROOM
+from warp_peri.regression.optimum import HEADROOM, Conditions
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import certify
 

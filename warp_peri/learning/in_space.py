@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from warp_peri.core.basis import invariant_basis
 from warp_peri.core.elastic import allowed_tensors
 from warp_peri.core.groups import point_group, shared_with_nodes
 from warp_peri.core.proof import Proof
-from warp_peri.core.stencil import ratios, zone_sample
+from warp_peri.core.stencil import invariant_basis, ratios, zone_sample
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, Solid, bernstein_basis
 from warp_peri.lps.symbol import stencil
-from warp_peri.micromodulus.lps import tensors_of
+from warp_peri.micromodulus.law import tensors_of
 from warp_peri.micromodulus.regression import long_wave_moduli, rows
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples

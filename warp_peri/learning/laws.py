@@ -19,7 +19,7 @@ from warp_peri.learning.training_data import listed
 from warp_peri.micromodulus.learning import Micromodulus, one_set
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
-from warp_peri.regression.conditions import Conditions
+from warp_peri.regression.optimum import Conditions
 from warp_peri.regression.settings import Optimum
 from warp_peri.third_order.fit import ThirdOrderFit, fit_third_order
 from warp_peri.third_order.smoothing import Smoothing

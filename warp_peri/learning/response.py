@@ -19,10 +19,9 @@ from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import WAVE_VECTOR, Samples
-from warp_peri.regression.conditions import LatticeConditions
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
-from warp_peri.regression.optimum import Reached, constrained_optimum
+from warp_peri.regression.optimum import LatticeConditions, Reached, constrained_optimum
 from warp_peri.regression.settings import Optimum
 from warp_peri.statics.direct import MatrixProblem
 

@@ -9,8 +9,8 @@ import numpy as np
 from warp_peri.lps.model import Model
 from warp_peri.lps.shapes import InfluenceFunction
 from warp_peri.points.unit_names import shown_moduli, symbols
-from warp_peri.regression.conditions import LatticeConditions
 from warp_peri.regression.coordinates import Parameters
+from warp_peri.regression.optimum import LatticeConditions
 from warp_peri.shown import Shown
 from warp_peri.stability.certificate import Certificate
 

@@ -29,7 +29,7 @@ from warp_peri.points.arrays import fingerprint
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
-from warp_peri.regression.conditions import Conditions
+from warp_peri.regression.optimum import Conditions
 
 ERRORS = ("E_res", "E_u", "E_res_abs")
 """Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""

@@ -24,7 +24,6 @@ from warp_peri.points.dataset import Dataset, in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, search_length, search_unit
-from warp_peri.regression.conditions import Conditions, LatticeConditions
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import (
     FullLoss,
@@ -34,6 +33,7 @@ from warp_peri.regression.losses import (
     reduce,
     sample_weights,
 )
+from warp_peri.regression.optimum import Conditions, LatticeConditions
 from warp_peri.regression.settings import Optimum
 
 

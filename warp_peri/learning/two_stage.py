@@ -23,17 +23,16 @@ from scipy.spatial import KDTree
 
 from warp_peri.core.once import differentiable_once
 from warp_peri.errors import InputError
-from warp_peri.files.archive import read_arrays
-from warp_peri.files.atomic import locked, whole_file
+from warp_peri.files.atomic import locked, read_arrays, whole_file
 from warp_peri.learning.methods import TwoStage
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import assemble
 from warp_peri.lps.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.regression.conditions import LatticeConditions
 from warp_peri.regression.coordinates import Parameters, Variables
 from warp_peri.regression.losses import FullLoss, ReducedLoss
+from warp_peri.regression.optimum import LatticeConditions
 
 ZONE_INTERVALS = 24
 DENSE_ZETA = 1e-4

@@ -2,11 +2,15 @@
 
 from warp_peri.core.elastic import from_voigt
 from warp_peri.micromodulus.force_constants import Polar, from_calculator, read_force_constants
-from warp_peri.micromodulus.law import Crystal
+from warp_peri.micromodulus.law import Crystal, tensors_of
 from warp_peri.micromodulus.learning import CrystalFit, Micromodulus
-from warp_peri.micromodulus.lps import tensors_of
-from warp_peri.micromodulus.planes import plane_strain, plane_stress
-from warp_peri.micromodulus.waves import fit_symbol, from_phonons, transferred
+from warp_peri.micromodulus.waves import (
+    fit_symbol,
+    from_phonons,
+    plane_strain,
+    plane_stress,
+    transferred,
+)
 
 __all__ = [
     "Crystal",

@@ -1,4 +1,4 @@
-"""A crystal of micromodulus tensors: numbers, file, force on nodes (theory.md, T1–T8, T15)."""
+"""A crystal of micromodulus tensors: numbers, file, force on nodes (theory.md, T1–T8, T15, T17)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,19 @@ from numpy.typing import ArrayLike
 
 from warp_peri.core import elastic
 from warp_peri.core.grid import Grid
-from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
+from warp_peri.core.groups import (
+    LATTICE_GROUP,
+    Symmetry,
+    checked_orientation,
+    point_group,
+    shared_with_nodes,
+)
 from warp_peri.core.proof import Proof, largest, prove
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import Product
 from warp_peri.errors import InputError
+from warp_peri.lps.model import Model, lps_stencil
 from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
@@ -515,3 +522,26 @@ class Crystal(Record, format="warp_peri.micromodulus"):
             "bonds": self.bonds,
             "certificate": None if self.certificate is None else self.certificate.content(),
         }
+
+
+def tensors_of(model: Model, spacing: float) -> Crystal:
+    """The law of an LPS, with one influence function or two, on a lattice, exactly.
+
+    C(ξ) is minus its stencil at ξ: products of dilatations make bonds of range 2δ. Any points whose
+    families are whole give the same force. Of a solid in space it is what is proven,
+    and solved where nodes are many.
+
+    Args:
+        model: linear.
+        spacing: of the lattice, in the model's units.
+
+    Raises InputError for what is no linear peridynamic solid, and a spacing without bonds.
+    """
+    if not isinstance(model, Model):
+        raise InputError(f"model: expected a linear peridynamic solid, got {type(model).__name__}")
+    stencil = lps_stencil(model, spacing)
+    law = Crystal(
+        spacing, stencil.steps, stencil.tensors, model.units, LATTICE_GROUP[model.dimension],
+        provenance={"fit": {"from": "linear peridynamic solid"}},
+    )  # fmt: skip
+    return law.certified()

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.core.basis import invariant_basis
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
 from warp_peri.core.groups import (
     CANDIDATES,
@@ -19,6 +18,7 @@ from warp_peri.core.groups import (
     point_group,
     shared_with_nodes,
 )
+from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError
 from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.law import Crystal

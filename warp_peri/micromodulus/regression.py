@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from warp_peri.core.basis import Basis
 from warp_peri.core.grid import Grid, grid_of
-from warp_peri.core.stencil import bend, laplacian, ratios, zone_sample
+from warp_peri.core.stencil import Basis, bend, laplacian, ratios, zone_sample
 from warp_peri.errors import InputError
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples

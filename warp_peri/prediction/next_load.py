@@ -11,8 +11,8 @@ import numpy as np
 from scipy.linalg import null_space
 
 from warp_peri.contract import offered
-from warp_peri.core.basis import Basis, invariant_basis
 from warp_peri.core.elastic import bracket_rows, huang_rows
+from warp_peri.core.stencil import Basis, invariant_basis
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.micromodulus.law import Crystal

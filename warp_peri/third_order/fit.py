@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from scipy.optimize import root
 
-from warp_peri.core.basis import Basis, invariant_basis
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
+from warp_peri.core.stencil import Basis, invariant_basis
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.micromodulus import regression

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from warp_peri.launch import floats
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
-from warp_peri.stability.solvability import smallest_eigenvalue
+from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
 from warp_peri.statics.linear import DIRECT, Inverse
 from warp_peri.statics.lps import bonds_within

@@ -13,10 +13,9 @@ from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
-from warp_peri.regression.conditions import Conditions, LatticeConditions
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import ReducedLoss, class_pairs, symbol_rows
-from warp_peri.regression.optimum import constrained_optimum
+from warp_peri.regression.optimum import Conditions, LatticeConditions, constrained_optimum
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import Certificate, certify
 from warp_peri.transfer import LEAST, RECIPE
