@@ -44,10 +44,7 @@ from warp_peri.structures.waves import Loads, placed_errors, wave_loads
 UNITS = ("angstrom", "TPa")
 CUBIC = {"GX": (1, 0, 0), "GK": (1, 1, 0), "GL": (1, 1, 1)}
 HEXAGONAL = {"GK": (1, 0, 0), "GM": (0, 1, 0), "GA": (0, 0, 1)}
-SHELLS = {
-    2: {12: 2.0, 20: 2.5, 28: 3.0, 48: 4.0},
-    3: {32: 2.0, 56: 5**0.5, 80: 6**0.5, 122: 3.0},
-}
+SHELLS = {2: {12: 2.0, 20: 2.5, 28: 3.0, 48: 4.0}, 3: {32: 2.0, 56: 5**0.5, 80: 6**0.5, 122: 3.0}}
 """Horizons over the spacing, by their number of bonds."""
 USUAL_BONDS = {2: 20, 3: 80}
 ON_LOADS = ("waves", "short", "ball", "void", "ball_at_rest")

@@ -76,12 +76,7 @@ def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = 
 
 
 def draw_disks(
-    path: Path,
-    model: Model,
-    points: Samples,
-    table: dict[str, Any],
-    *,
-    worst: bool = False,
+    path: Path, model: Model, points: Samples, table: dict[str, Any], *, worst: bool = False
 ) -> None:
     """u₁ on the disks or the worst of them: molecular data, model and error, a row each."""
     solved = solve(model, Dirichlet(points, points.loads, points.u), allow_uncertified=True).u

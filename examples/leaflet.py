@@ -51,10 +51,7 @@ DEGREE = 2
 """Of the polynomial that is the logarithm of a thickness."""
 PLAIN = Dictionary(3.0, (), NEAREST, MATRIX)
 FOUR = Dictionary(3.0, (), NEAREST, (*MATRIX, *rose(4, (2.0, 4.0))))
-CANDIDATES = {
-    "even matrix": (PLAIN, 0),
-    "matrix": (PLAIN, DEGREE),
-}
+CANDIDATES = {"even matrix": (PLAIN, 0), "matrix": (PLAIN, DEGREE)}
 """What a real sheet may be, by name: energies and degree of the thickness."""
 FIBROUS = {"even, four directions": (FOUR, 0), "four directions": (FOUR, DEGREE)}
 """What a sheet with fibres may be too; these take many times as long."""

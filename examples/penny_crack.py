@@ -13,14 +13,7 @@ import numpy as np
 
 import warp_peri as wp
 from examples.cracks.energy_release import energy_release
-from warp_peri.damage import (
-    BrittleSolid,
-    Cracked,
-    Injected,
-    box,
-    contour_integral,
-    penny,
-)
+from warp_peri.damage import BrittleSolid, Cracked, Injected, box, contour_integral, penny
 
 PICTURE = ROOT / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")  # with µs, densities are in g/cm³

@@ -1,5 +1,6 @@
 """What can be proven of a material or of a domain: `warp_peri.proofs`."""
 
+from warp_peri.core.proof import Proof
 from warp_peri.dynamics.verlet import critical_time_step
 from warp_peri.stability.certificate import Certificate, certify
 from warp_peri.stability.solvability import Solvability, solvability
@@ -7,6 +8,7 @@ from warp_peri.third_order.uniqueness import Uniqueness, uniqueness
 
 __all__ = [
     "Certificate",
+    "Proof",
     "Solvability",
     "Uniqueness",
     "certify",

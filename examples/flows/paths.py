@@ -82,11 +82,7 @@ def varied(process: GaussianProcess, count: int, random: np.random.Generator) ->
     drawn = theta + random.standard_normal((count, len(theta))) @ L.T
     d = len(process.log_lengths)
     return [
-        replace(
-            process,
-            log_amplitude=float(t[0]),
-            log_lengths=np.clip(t[1 : 1 + d], *LENGTHS),
-        )
+        replace(process, log_amplitude=float(t[0]), log_lengths=np.clip(t[1 : 1 + d], *LENGTHS))
         for t in drawn
     ]
 

@@ -127,9 +127,7 @@ def sign_changing(data: Dataset) -> Entry:
     )
 
 
-def kernels_without_conditions(
-    train: Samples,
-) -> tuple[np.ndarray, dict[tuple[int, int], Model]]:
+def kernels_without_conditions(train: Samples) -> tuple[np.ndarray, dict[tuple[int, int], Model]]:
     """Smallest D(k)/s(k) [TPa] by degree and δ/h, and the models that are solids, by place."""
     weight = sample_weights([train], normalise=False)[0]
     smallest = np.empty((len(DEGREES), len(RATIOS)))

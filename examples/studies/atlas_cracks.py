@@ -88,11 +88,7 @@ def in_space(cells: int = 12) -> Entry:
         counts[name] = []
         for share in SHARES:
             matrix = cut_matrix(
-                body,
-                w,
-                broken_at_random(body, share, seed=0),
-                model.mu,
-                model.lam - model.mu,
+                body, w, broken_at_random(body, share, seed=0), model.mu, model.lam - model.mu
             )
             counts[name].append(negative_eigenvalues(matrix[free][:, free]))
     takes = {

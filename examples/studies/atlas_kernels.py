@@ -165,10 +165,7 @@ def short_horizons() -> Entry:
             smallest_ratio=kept[int(np.argmin(symbols))],
             negative=f"{negative.min():.2f} to {negative.max():.2f}" if len(negative) else "none",
         ),
-        [
-            words(lambda: bond_classes(5.0, 9.9)),
-            words(lambda: bond_classes(5.0, 4.0)),
-        ],
+        [words(lambda: bond_classes(5.0, 9.9)), words(lambda: bond_classes(5.0, 4.0))],
         draw_horizons(ratios, residuals, kept, symbols, lowest),
         {"ratio": ratios, "residual": residuals, "kept": kept, "symbol_min": symbols},
     )

@@ -282,12 +282,7 @@ def strained_samples(
         reached = statics.max_bond_strain(rest.displacement)
         samples.append(
             Sample(
-                statics.reference,
-                rest.displacement,
-                rest.force,
-                amplitude,
-                reached,
-                rest.residual,
+                statics.reference, rest.displacement, rest.force, amplitude, reached, rest.residual
             )
         )
         guess, before = rest.displacement, amplitude

@@ -174,10 +174,7 @@ def run(given: argparse.Namespace) -> str:
     noise_report.draw_kernels(given.out / "kernels.png", iota, sure)
     fit = chosen["plain", 0.1]
     noise_report.draw_disk(
-        given.out / "disk.png",
-        fit.material,
-        deviations(fit, data["plain", 0.1]),
-        cold["test"],
+        given.out / "disk.png", fit.material, deviations(fit, data["plain", 0.1]), cold["test"]
     )
     return text
 

@@ -26,13 +26,7 @@ import warp_peri
 from examples.any_lattice import SmoothedAtoms, lattice
 from examples.nonlinear import OUT
 from examples.train_graphene import DATA
-from tools.make_graphene import (
-    REACH,
-    SMOOTHING_RADIUS,
-    graphene_bodies,
-    on_nodes,
-    read_samples,
-)
+from tools.make_graphene import REACH, SMOOTHING_RADIUS, graphene_bodies, on_nodes, read_samples
 from tools.samples import Sample
 from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
@@ -85,11 +79,7 @@ def turned_crystal(model: NonlinearModel, cache: Path, role: str) -> dict[str, f
     turn, out = rotation(CRYSTAL), {}
     for name, by in (("straight", np.eye(2)), ("turned", turn)):
         nodes = on_nodes(
-            graphene_bodies()[1],
-            reference @ by.T,
-            displacement @ by.T,
-            force @ by.T,
-            spacing=5.0,
+            graphene_bodies()[1], reference @ by.T, displacement @ by.T, force @ by.T, spacing=5.0
         )
         stated = at_angle(nodes, CRYSTAL if name == "turned" else 0.0)
         if name == "turned":

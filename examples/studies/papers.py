@@ -25,12 +25,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
-from examples.studies import (
-    paper_jafarzadeh_2024,
-    paper_polymer_gp,
-    paper_slides,
-    paper_you_2021,
-)
+from examples.studies import paper_jafarzadeh_2024, paper_polymer_gp, paper_slides, paper_you_2021
 from warp_peri.errors import InputError, exit_status
 from warp_peri.files.atomic import plain, write_json, write_text
 

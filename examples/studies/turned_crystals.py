@@ -86,9 +86,7 @@ def disks(cache: Path, loads: Sequence[Any]) -> list[Sample]:
 
 
 def errors(
-    models: Mapping[str, Model | NonlinearModel],
-    samples: Sequence[Sample],
-    angles: Sequence[float],
+    models: Mapping[str, Model | NonlinearModel], samples: Sequence[Sample], angles: Sequence[float]
 ) -> dict[str, dict[str, list[float]]]:
     """E_u of each sample by model and angle, crystal and loads turned against the nodes."""
     table: dict[str, dict[str, list[float]]] = {name: {} for name in models}

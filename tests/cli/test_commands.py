@@ -86,10 +86,7 @@ def test_certify_evaluate_solve_and_info(trained, data, tmp_path, capsys):
     proven = answer(capsys, "certify", model_file)["1 Å"]
     assert proven["holds"] is True
     assert proven["symbol_bound"] > 0.01
-    assert answer(capsys, "certify", model_file, "--spacing", "1", "0.8").keys() == {
-        "1 Å",
-        "0.8 Å",
-    }
+    assert answer(capsys, "certify", model_file, "--spacing", "1", "0.8").keys() == {"1 Å", "0.8 Å"}
     errors = answer(capsys, "evaluate", model_file, data, "--set", "test")
     out = tmp_path / "solved.h5"
     answer(capsys, "solve", model_file, data, "--out", out)

@@ -108,10 +108,7 @@ def test_no_crack_is_solved_by_a_part_of_a_material(name):
 
 @pytest.mark.parametrize(
     "points",
-    [
-        replace(wp.Points.sheet((14, 16), 1.0), box=(14.4, 16.0)),
-        wp.Points.sheet((5, 5), 1.0),
-    ],
+    [replace(wp.Points.sheet((14, 16), 1.0), box=(14.4, 16.0)), wp.Points.sheet((5, 5), 1.0)],
     ids=["a box 3 % long", "less than two horizons"],
 )
 def test_a_period_that_does_not_fit_is_refused(points):

@@ -10,14 +10,7 @@ from tests.support.problems import KERNELS, difference, kernel
 from warp_peri.core import proof
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest, long_wave_radius, parts, prove
-from warp_peri.core.stencil import (
-    Stencil,
-    half_ball,
-    laplacian,
-    laplacian_stencil,
-    ratios,
-    squared,
-)
+from warp_peri.core.stencil import Stencil, half_ball, laplacian, laplacian_stencil, ratios, squared
 from warp_peri.lps.model import lps_stencil
 
 NOTHING = {d: np.array([np.eye(d), -np.eye(d)], dtype=int) for d in (2, 3)}

@@ -12,12 +12,7 @@ from warp_peri.points.dataset_file import load_dataset
 
 def test_the_plate_with_a_hole(tmp_path, capsys):
     model = Model(
-        lam=0.3,
-        mu=0.8,
-        alpha=1.0,
-        D=[0.4, 0.6, -0.3, 0.6, -0.2],
-        horizon=3.0,
-        certified_on=(1.0,),
+        lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,)
     )
     model.save(tmp_path / "model.json")
     given = ["--model", tmp_path / "model.json", "--out", tmp_path, "--spacing", 1, "--horizon", 3]

@@ -101,11 +101,7 @@ KINDS = {
         Conductor.load,
     ),
     "data set": (dataset, lambda data, path: save_dataset(path, data), load_dataset),
-    "law of flow, which has reduced units": (
-        spring,
-        lambda law, path: save(path, law),
-        load,
-    ),
+    "law of flow, which has reduced units": (spring, lambda law, path: save(path, law), load),
 }
 
 

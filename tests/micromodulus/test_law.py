@@ -8,12 +8,7 @@ from tests.micromodulus.crystals import COPPER, cubic_tensor, lattice, learned, 
 from warp_peri.core import elastic
 from warp_peri.core.basis import invariant_basis
 from warp_peri.core.elements import q1_tensors
-from warp_peri.core.groups import (
-    checked_orientation,
-    name_of,
-    point_group,
-    shared_with_nodes,
-)
+from warp_peri.core.groups import checked_orientation, name_of, point_group, shared_with_nodes
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.planes import plane_strain, plane_stress

@@ -219,9 +219,7 @@ def test_a_family_is_one_file_in_any_units(family, tmp_path, capsys):
     length, stress_unit = factors(family.units, units)
     moved = replace(points, x=points.x * length, spacing=length, units=units)
     there = wp.predict(
-        wp.load(path, units=units),
-        wp.Dirichlet(moved, b * stress_unit / length, u * length),
-        0.01,
+        wp.load(path, units=units), wp.Dirichlet(moved, b * stress_unit / length, u * length), 0.01
     )
     assert there.error == pytest.approx(expected.error, rel=1e-4)
     content = json.loads(path.read_text())

@@ -190,11 +190,7 @@ def test_dumps_of_one_call_have_one_set_of_ids(tmp_path):
     points = lattice(2, 1.0, 3.0)
     omega = smoothing_matrix(REFERENCE, points.x, radius=4.0, box=BOX, spacing=3.0)
     options = {"node_area": 9.0, "thickness": 3.35}
-    for dumps, more in (
-        ([path, other], {}),
-        ([path], {"unloaded": [other]}),
-        ([other], {}),
-    ):
+    for dumps, more in (([path, other], {}), ([path], {"unloaded": [other]}), ([other], {})):
         ids = np.arange(1, 31) if dumps == [other] else None
         atoms = Atoms(REFERENCE, ids=ids, box=BOX)
         force = np.ones((len(dumps), 30, 2))

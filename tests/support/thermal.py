@@ -21,11 +21,5 @@ def small_plans(sheet):
     waves = [WaveLoad(0, (0, 1)), WaveLoad(0, (1, 0)), WaveLoad(1, (1, 1))]
     return [
         Plan(disk, {"test": [RimLoad(1)]}, seeds=2, spare=2, repeat=1),
-        Plan(
-            sheet,
-            {"train": waves, "val": [PatchLoad(1, 0, 0, 8.0)]},
-            seeds=2,
-            spare=2,
-            repeat=2,
-        ),
+        Plan(sheet, {"train": waves, "val": [PatchLoad(1, 0, 0, 8.0)]}, seeds=2, spare=2, repeat=2),
     ]

@@ -7,10 +7,7 @@ import pytest
 
 from tests.support.sheets import hgo_dictionary, square, waves
 from warp_peri import Dirichlet, InputError, Samples, solve
-from warp_peri.tissue.equilibrium import (
-    NoEquilibrium,
-    StaticProblem,
-)
+from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem
 from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term

@@ -21,11 +21,7 @@ from warp_peri.tissue.fibres import (
     with_families,
 )
 from warp_peri.tissue.fit_errors import hyperelastic_errors
-from warp_peri.tissue.from_displacement import (
-    fit_displacement,
-    fit_thickness,
-    scaled_by_force,
-)
+from warp_peri.tissue.from_displacement import fit_displacement, fit_thickness, scaled_by_force
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 from warp_peri.tissue.stress import piola_stress

@@ -203,8 +203,7 @@ def test_constants_of_a_solid_that_is_known(sheet):
 
 
 @pytest.mark.parametrize(
-    "words",
-    [["--factors", "0"], ["--steps", "1000"], ["--iota", "2"], ["--temperature", "-3"]],
+    "words", [["--factors", "0"], ["--steps", "1000"], ["--iota", "2"], ["--temperature", "-3"]]
 )
 def test_values_without_sense_are_refused(words, tmp_path, capsys):
     assert tool.main(["--out", str(tmp_path), *words]) == 2

@@ -3,10 +3,4 @@
 from warp_peri.diffusion.conductor import Conductor, DiffusionGradient, DiffusionOperator
 from warp_peri.diffusion.coupled import CoupledOperator, CoupledSolid
 
-__all__ = [
-    "Conductor",
-    "CoupledOperator",
-    "CoupledSolid",
-    "DiffusionGradient",
-    "DiffusionOperator",
-]
+__all__ = ["Conductor", "CoupledOperator", "CoupledSolid", "DiffusionGradient", "DiffusionOperator"]

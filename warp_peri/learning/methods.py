@@ -67,10 +67,7 @@ class TwoStage:
     outer_iterations: int = 20
 
     def __post_init__(self) -> None:
-        for name, known in (
-            ("parametrisation", PARAMETRISATIONS),
-            ("constraints", CONSTRAINTS),
-        ):
+        for name, known in (("parametrisation", PARAMETRISATIONS), ("constraints", CONSTRAINTS)):
             if getattr(self, name) not in known:
                 raise InputError(
                     f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}"

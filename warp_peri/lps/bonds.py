@@ -99,10 +99,7 @@ class Bonds:
         types = bonds(self.scalar, self.dimension)
         self.vec, self.mat = types.vec, types.mat
         self.families = families = families_of(
-            points,
-            horizon,
-            bond_based=bond_based,
-            degree=quadrature_degree,
+            points, horizon, bond_based=bond_based, degree=quadrature_degree
         )
         self.horizon, self.bond_based = float(horizon), bond_based
         self.rows, self.whole = self.ints(families.rows), self.ints(families.whole)

@@ -88,10 +88,7 @@ def check_volumes(bonds: Bonds, model: Model) -> None:
     """
     families = bonds.families
     alpha = bonds.floats(np.array([model.alpha]))
-    for D in {
-        model.D.tobytes(): model.D,
-        model.dilatation.tobytes(): model.dilatation,
-    }.values():
+    for D in {model.D.tobytes(): model.D, model.dilatation.tobytes(): model.dilatation}.values():
         kw = influence(bonds, alpha, bonds.floats(D))[0].numpy()
         terms = kw * families.r**2
         if families.lattice is not None:

@@ -44,11 +44,7 @@ class Matrices:
 
 
 def matrices(
-    model: Model,
-    points: PointsLike,
-    *,
-    quadrature_degree: int = DEGREE,
-    bonds: Bonds | None = None,
+    model: Model, points: PointsLike, *, quadrature_degree: int = DEGREE, bonds: Bonds | None = None
 ) -> Matrices:
     """Assemble Γ, Φ and Ψ of a model on a point set; the options are those of LPSOperator.
 

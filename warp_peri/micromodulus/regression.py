@@ -274,11 +274,7 @@ def _waves(x: np.ndarray, length: float) -> list[tuple[np.ndarray, ...]]:
     """1, cos and sin of the first wave of a period, with two derivatives."""
     k = 2 * np.pi / length
     cos, sin, one = np.cos(k * x), np.sin(k * x), np.ones(len(x))
-    return [
-        (one, 0 * one, 0 * one),
-        (cos, -k * sin, -k * k * cos),
-        (sin, k * cos, -k * k * sin),
-    ]
+    return [(one, 0 * one, 0 * one), (cos, -k * sin, -k * k * cos), (sin, k * cos, -k * k * sin)]
 
 
 def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:

@@ -201,11 +201,7 @@ MARGIN = 1 + 1e-4
 
 
 def interpolated_force(
-    placed: Placed,
-    u: torch.Tensor,
-    *,
-    cells: int = CELLS,
-    offset: tuple[float, float] = (0.5, 0.5),
+    placed: Placed, u: torch.Tensor, *, cells: int = CELLS, offset: tuple[float, float] = (0.5, 0.5)
 ) -> torch.Tensor:
     """Forces on the interior [stress/length], shape [S, I, 2], for u of shape [S, N, 2].
 

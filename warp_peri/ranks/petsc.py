@@ -61,12 +61,7 @@ class PetscCycle:
     """
 
     def __init__(
-        self,
-        comm: Comm,
-        steps: np.ndarray,
-        tensors: np.ndarray,
-        mask: np.ndarray,
-        tiles: Tiles,
+        self, comm: Comm, steps: np.ndarray, tensors: np.ndarray, mask: np.ndarray, tiles: Tiles
     ) -> None:
         PETSc, d = petsc(), mask.ndim
         PETSc.garbage_cleanup(comm)  # of earlier ones, which ranks forget at times of their own

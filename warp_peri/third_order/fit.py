@@ -12,12 +12,7 @@ from scipy.optimize import root
 from warp_peri.core.basis import Basis, invariant_basis
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
 from warp_peri.core.grid import grid_of
-from warp_peri.core.groups import (
-    Symmetry,
-    checked_orientation,
-    point_group,
-    shared_with_nodes,
-)
+from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.micromodulus import regression
@@ -47,10 +42,7 @@ class NonlinearFeatures:
     """
 
     def __init__(
-        self,
-        points: Samples,
-        horizon: float,
-        weights: tuple[np.ndarray, np.ndarray],
+        self, points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
     ) -> None:
         self.sweeps = GradientSweeps(points, horizon, dilates=False)
         none = np.zeros_like(weights[0])

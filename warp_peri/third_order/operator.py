@@ -16,23 +16,12 @@ from warp_peri.points.arrays import checked_fields
 from warp_peri.points.axis import axis_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.solvability import smallest_eigenvalue
-from warp_peri.statics.equilibria import (
-    SOLVES,
-    Equilibria,
-    figures_of,
-    solve_each,
-    warn_beyond,
-)
+from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
 from warp_peri.statics.linear import DIRECT, Inverse
 from warp_peri.statics.lps import bonds_within
 from warp_peri.statics.settings import Newton, Solver, refuse_solver
 from warp_peri.statics.solution import Solution
-from warp_peri.third_order.sweeps import (
-    GradientSweeps,
-    Numbers,
-    TangentMatrices,
-    third_order_force,
-)
+from warp_peri.third_order.sweeps import GradientSweeps, Numbers, TangentMatrices, third_order_force
 
 if TYPE_CHECKING:
     from warp_peri.third_order.material import ThirdOrderSolid

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.contract import stencil_of
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
@@ -81,7 +82,7 @@ def uniqueness(model: Any, *, spacing: float) -> Uniqueness:
 
     Raises InputError when the horizon is below one spacing.
     """
-    stencil, group = model.stencil(spacing), model.group
+    stencil, group = stencil_of(model.linear, spacing, "uniqueness")
     classes = bond_classes(spacing, model.reach)
     p_in, p_out = model.weights(classes)
     kappa_out = proven_kappa(stencil, group, classes, p_out)
@@ -132,12 +133,7 @@ def largest_parts(model: Any) -> list[float]:
     s = _product(np.stack([zero, zero, q**2]), m)
     square = _product(e, e)
     lam, mu, t3, tq2, q3, _ = model.numbers
-    terms = [
-        (lam + mu, square / 2),
-        (2 * mu, s),
-        (t3, _product(e, square)),
-        (tq2, _product(e, s)),
-    ]
+    terms = [(lam + mu, square / 2), (2 * mu, s), (t3, _product(e, square)), (tq2, _product(e, s))]
     parts = []
     size = np.hypot(t / 2, w)
     for d in range(3, 7):
