@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import os
 import zipfile
-from typing import Any
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.lib import format as npy
 
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import whole_file
+
+T = TypeVar("T")
 MOST = 2**33
 """Bytes of one archive that are read at most."""
 
@@ -37,6 +43,43 @@ def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
     except (zipfile.BadZipFile, EOFError, RuntimeError, KeyError, NotImplementedError) as error:
         raise ValueError(str(error)) from None
     return arrays
+
+
+class ArrayFile:
+    """A checkpoint of one process: arrays by name, written whole or not at all.
+
+    Args:
+        path: of the file, which need not be there yet; None keeps nothing.
+        key: what the run depends on.
+        other: what the checkpoint of another key is of, for errors.
+    """
+
+    def __init__(self, path: str | os.PathLike[str] | None, key: str, other: str) -> None:
+        self.path, self.key, self.other = None if path is None else Path(path), key, other
+
+    def write(self, arrays: Mapping[str, Any]) -> None:
+        """Write arrays, or what they are made of."""
+        if self.path is not None:
+            with whole_file(self.path) as temporary, open(temporary, "wb") as file:
+                np.savez(file, **arrays, key=np.array(self.key))
+
+    def read(self, made: Callable[[dict[str, np.ndarray]], T]) -> T | None:
+        """What is made of the arrays; None where there is no file yet.
+
+        Raises InputError for a file of another run, and one that cannot be read: a KeyError,
+        TypeError or ValueError of `made` says so.
+        """
+        if self.path is None or not self.path.exists():
+            return None
+        try:
+            arrays = read_arrays(self.path)
+            same = str(arrays.pop("key")) == self.key
+            found = made(arrays) if same else None
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
+        if not same:
+            raise InputError(f"{self.path}: the checkpoint of {self.other}")
+        return found
 
 
 def _check_header(file: Any, entry: zipfile.ZipInfo) -> None:
