@@ -14,6 +14,9 @@ import numpy as np
 
 from warp_peri.errors import InputError
 
+SAME_SPACING = 1e-6
+"""Relative, of spacings that are taken as the same."""
+
 
 class Operator(Protocol):
     """A material on points: what is resolved and built once, and then used.
@@ -104,10 +107,28 @@ def refuse_uncut(material: Any, problem: str) -> None:
         raise InputError(f"solve: the bonds of a {problem} end at its edges, and {why}")
 
 
+LINEAR = "a linear solid, or a material with a linear part"
+
+
 def linear_part(given: Any, verb: str) -> Any:
     """The linear solid of a material or of its operator; InputError for what has none."""
-    kinds = "a linear solid, or a material with a linear part"
-    return offered(getattr(given, "model", given), "linear", verb, kinds)
+    return offered(getattr(given, "model", given), "linear", verb, LINEAR)
+
+
+def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
+    """The stencil that a linear solid is on a lattice, and the turns of nodes that leave it so.
+
+    Of one for any lattice by its `stencil(spacing)`, of one for its own by its `stencil`.
+    Raises InputError for another spacing than the latter's, and for what has none.
+    """
+    found = offered(law, "stencil", verb, LINEAR)
+    stencil = found(spacing) if callable(found) else found
+    if not abs(spacing / stencil.spacing - 1) <= SAME_SPACING:
+        raise InputError(
+            f"spacing: the law is for {stencil.spacing:g}, got {spacing:g}; "
+            "transferred(law, spacing) fits another"
+        )
+    return stencil, law.group
 
 
 MATERIAL = "a material, as fit(…).material or load(…)"

@@ -1,11 +1,13 @@
 """What can be proven of a material or of a domain: `warp_peri.proofs`."""
 
+from warp_peri.core.proof import Proof
 from warp_peri.dynamics.verlet import critical_time_step
 from warp_peri.stability.certificate import Certificate, Solvability, certify, solvability
 from warp_peri.third_order.uniqueness import Uniqueness, uniqueness
 
 __all__ = [
     "Certificate",
+    "Proof",
     "Solvability",
     "Uniqueness",
     "certify",

@@ -115,7 +115,7 @@ def drawn_laws(law: Any, count: int, random: np.random.Generator) -> list[Any]:
     processes = law.processes if isinstance(law, RateLaw) else [law.process]
     functions = [[draw(p, random) for p in varied(process, count, random)] for process in processes]
     if isinstance(law, RateLaw):
-        return [RateLaw((f, g, h), law.kinematics, law.outside) for f, g, h in zip(*functions)]
+        return [law.as_law(RateLaw, processes=three) for three in zip(*functions)]
     return [replace(law, process=function) for function in functions[0]]
 
 

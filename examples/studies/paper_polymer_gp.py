@@ -429,6 +429,6 @@ def nuts(draws: int = 300) -> dict[str, Any]:
     exact, rows = run(MAXWELL), []
     for name, found in {"optimum": process, "mean by NUTS": averaged}.items():
         theta = np.exp([found.log_amplitude, *found.log_lengths])
-        error = np.abs(run(ShearLaw(found, False, "allow")) - exact).max()
+        error = np.abs(run(ShearLaw(found, False, outside="allow")) - exact).max()
         rows.append([name, *numbers(theta), f"{error:.2g}"])
     return {"rows": rows, "seconds": seconds, "draws": draws}

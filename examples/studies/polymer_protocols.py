@@ -84,9 +84,8 @@ def of_law(law: Any, K: np.ndarray) -> tuple[np.ndarray, bool]:
 
 def laws(count: int, seed: int) -> list[Any]:
     """A law with a second memory and its spring alone, both of which warn."""
-    learned = fene_law(count, seed)
-    spring = replace(learned.spring_law, outside="warn")
-    return [replace(learned, spring_law=spring), spring]
+    learned = replace(fene_law(count, seed), outside="warn")
+    return [learned, learned.spring_law]
 
 
 def first(s: np.ndarray) -> np.ndarray:

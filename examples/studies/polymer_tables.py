@@ -63,7 +63,7 @@ def printed_shear(record: Ensembles, seed: int) -> ShearLaw:
                 y.append(rate[inside].mean())
                 noise.append(max(rate[inside].var(), 1e-9))
     process = fit_process(np.array(X), np.array(y), noise=np.array(noise), mean=0.0)
-    return ShearLaw(process, False, "allow")
+    return ShearLaw(process, False, outside="allow")
 
 
 def couette() -> dict[str, Any]:

@@ -10,6 +10,7 @@ import torch
 import warp
 
 import warp_peri as wp
+from examples.own_law import Springs
 from tests.support.nonlinear import CONSTANTS, psi, rotation
 from tests.support.problems import AXIS, difference, kernel, lattice, noise, periodic
 from tests.support.sheets import NEAREST, SPACING, waves
@@ -157,6 +158,11 @@ def tensors():
     return replace(Crystal(1.0, bonds.steps, C, symmetry="4mm").certified(), provenance={})
 
 
+def springs():
+    """The law that the example has made outside the library."""
+    return Springs(1.0, 3.0, [0.1, 0.2, 0.3]).certified()
+
+
 def dressed():
     """Square elements of a crystal with four axes, under a G that is no number times one."""
     steps, C = [[0, 1], [1, 0], [1, 1], [1, -1]], [[0.6, 0.1, 0], [0.1, 0.6, 0], [0, 0, 0.2]]
@@ -233,6 +239,7 @@ LAWS = {
     "third order, filtered": Law(third_order(Smoothing(2.0)), energy=False, **CUBIC),
     "third order, energy": Law(third_order(None), **CUBIC),
     "crystal": Law(tensors, plain, of_tensors, sheet=plain_cell, single=single_tensors),
+    "own": Law(springs, plain, of_tensors, sheet=plain_cell, single=single_tensors),
     "dressed": Law(
         dressed, plain, of_tensors, sheet=plain_cell, single=single_tensors, horizon=18**0.5
     ),

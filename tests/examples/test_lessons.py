@@ -1,6 +1,16 @@
 """The short examples: a number of each, which it finds when it is imported."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
+
+import warp_peri as wp
+from examples.own_law import Springs
+
+ROOT = Path(__file__).parent.parent.parent
 
 
 def test_arrays_teach_the_constants_of_the_sheet():
@@ -19,6 +29,44 @@ def test_an_influence_function_of_ones_own_is_found():
     from examples.own_influence import numbers
 
     assert numbers["radius"] == pytest.approx(9.0, rel=1e-5)
+
+
+def own_law(folder, *on):
+    """What the example prints, in a folder that its file is left in."""
+    alone = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
+    words = [*on, sys.executable, str(ROOT / "examples" / "own_law.py")]
+    run = subprocess.run(
+        words, cwd=folder, env=os.environ | alone, capture_output=True, text=True, check=True
+    )
+    return [float(word) for word in run.stdout.split()]
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("own")
+    return own_law(folder), folder
+
+
+def test_a_law_of_ones_own_goes_through_every_verb(alone):
+    (error, proven, still, swung), folder = alone
+    assert error < 5e-3  # three numbers for the four lengths of its bonds
+    law = wp.load(folder / "springs.json")
+    assert isinstance(law, Springs)
+    assert wp.certify(law).symbol_bound == law.certificate.proven == proven > 0.19
+    assert law.elastic_tensor()[0, 1] == pytest.approx(0.5, rel=0.02)  # λ = μ, as of all springs
+    assert 0.9 * still < swung < still
+    with pytest.raises(wp.InputError, match="spacing: the law is for 5, got 4"):
+        wp.certify(law, spacing=4.0)
+    with pytest.raises(wp.InputError, match="points: of a Model alone, not of a Springs"):
+        wp.certify(law, points=wp.Points.sheet((9, 9), 5.0))
+
+
+def test_a_law_of_ones_own_goes_on_ranks(alone, tmp_path):
+    pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
+    mpiexec = Path(sys.executable).with_name("mpiexec")
+    found = own_law(tmp_path, str(mpiexec), "-n", "2")
+    assert found[:2] == alone[0][:2]
+    assert found[2:] == pytest.approx(alone[0][2:], rel=1e-7)
 
 
 def test_a_ball_swells_in_a_block_as_the_textbook_says():

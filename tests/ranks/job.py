@@ -20,7 +20,7 @@ import h5py
 import numpy as np
 
 import warp_peri as wp
-from tests.conformance.test_laws import dressed
+from tests.conformance.test_laws import dressed, finite
 from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
 from warp_peri.points.interpolation import fitting_spacing, mean_spacing
@@ -58,6 +58,11 @@ def solid(dimension):
     D = np.array([1.0, 0.6, 0.3])
     return wp.Model(0.9, 0.4, 1.0, D, horizon=(2.5 if dimension == 2 else 2) * H,
                     certified_on=(H,), dimension=dimension)  # fmt: skip
+
+
+def even():
+    """A dressed solid on these nodes."""
+    return replace(dressed(), spacing=H)
 
 
 def nonlinear():
@@ -296,6 +301,9 @@ def rest(folder):
     bent = wp.solve(nonlinear(), wp.Dirichlet(sheet, *small(sheet.x)))
     found["nonlinear"] = {"u": kept(folder, "nonlinear", sheet, bent.u),
                           "solves": bent.iterations[0], "residual": bent.residual}  # fmt: skip
+    found["dressed"] = kept(
+        folder, "dressed", sheet, wp.solve(even(), wp.Dirichlet(sheet, *fields(sheet.x))).u
+    )
     straight, tiny = (
         wp.solve(law, wp.Dirichlet(sheet, *(size * field for field in small(sheet.x)))).u / size
         for law, size in ((solid(2), 1.0), (nonlinear(), 1e-200))
@@ -334,7 +342,7 @@ def rest(folder):
             solid(2), wp.Dirichlet(sheet, *fields(sheet.x)), **SWING | {"step": 1.0}, steps=1
         ),
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
-        lambda: wp.solve(dressed(), wp.Dirichlet(sheet, *fields(sheet.x))),
+        lambda: wp.solve(finite(), wp.Dirichlet(sheet, *fields(sheet.x))),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found

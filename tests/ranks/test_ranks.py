@@ -22,6 +22,7 @@ from tests.ranks.job import (
     block,
     carried,
     crack,
+    even,
     family,
     fields,
     halved,
@@ -172,6 +173,14 @@ def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_ne
     assert np.abs(wp.solve(solid(2), problem).u - alone).max() > 1e-3 * np.abs(alone).max()
 
 
+def test_a_dressed_solid_has_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
+    assert len({jobs[count]["dressed"] for count in (1, 2, 3)}) == 1
+    x = H * np.argwhere(np.ones((52, 52)))
+    alone = wp.solve(even(), wp.Dirichlet(wp.Points(x, inside(x), H, axis=0.0), *fields(x))).u
+    answer = np.load(folder / "dressed_2.npy")
+    assert np.abs(answer - alone).max() <= 1e-7 * np.abs(alone).max()
+
+
 def test_a_very_small_load_of_a_nonlinear_solid_is_answered_in_proportion(jobs):
     assert max(jobs[count]["tiny"] for count in (1, 2, 3)) < 1e-6
 
@@ -296,7 +305,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     assert edge.startswith("points: expected all bonds of every interior node, got 768 of 2704")
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
-    assert rows.endswith("with third-order constants on ranks, got DressedSolid")
+    assert rows.endswith("with third-order constants on ranks, got FiniteSolid")
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
 
 

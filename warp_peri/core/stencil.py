@@ -60,6 +60,19 @@ class Stencil:
         xi = self.spacing * self.steps
         return np.asarray(np.einsum("nij,nk,nl->ijkl", self.tensors, xi, xi, optimize=True))
 
+    def asymmetry(self, group: np.ndarray) -> float:
+        """How far C(Rξ) = R C(ξ) Rᵗ is from holding for R [g, d, d], over the largest entry."""
+        number = {tuple(s): i for i, s in enumerate(self.steps.tolist())}
+        number |= {tuple(-s for s in key): i for key, i in list(number.items())}
+        worst = 0.0
+        for g in group:
+            images = [number.get(tuple(s), -1) for s in (self.steps @ g.T).tolist()]
+            if -1 in images:
+                return np.inf
+            turned = g @ self.tensors @ g.T
+            worst = max(worst, float(np.abs(self.tensors[images] - turned).max()))
+        return worst / max(float(np.abs(self.tensors).max()), 1e-300)
+
     def minus(self, other: Stencil, factor: float = 1.0) -> Stencil:
         """The stencil of D − factor · (symbol of another on the same lattice)."""
         steps = np.concatenate([self.steps, other.steps])

@@ -15,7 +15,7 @@ from warp_peri.core.elastic import allowed_tensors, from_voigt, turned, voigt
 from warp_peri.core.grid import Grid
 from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
 from warp_peri.core.proof import Proof
-from warp_peri.core.record import Entry, Length, Record
+from warp_peri.core.record import Entry, Length
 from warp_peri.core.stencil import Basis, Stencil, invariant_basis
 from warp_peri.dressed.body import DressedBody
 from warp_peri.dressed.sweeps import (
@@ -33,7 +33,7 @@ from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.law import Crystal, TensorOperator
+from warp_peri.micromodulus.law import Crystal, StencilMaterial, TensorOperator
 from warp_peri.micromodulus.learning import one_set
 from warp_peri.micromodulus.waves import LARGEST_WAVE, SAME, carried_symbol, wave_rows
 from warp_peri.points.dataset import Dataset
@@ -46,7 +46,7 @@ from warp_peri.third_order.smoothing import Smoothing
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DressedSolid(Record, format="warp_peri.dressed"):
+class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
     """The law of a solid on one square or cubic lattice of nodes.
 
     Attributes:
@@ -162,14 +162,6 @@ class DressedSolid(Record, format="warp_peri.dressed"):
         C = self.elastic
         return Model(C[0, 1], C[2, 2], 1.0, np.ones(1), 2 * self.spacing, units=self.units)
 
-    def symbol(self, k: np.ndarray) -> np.ndarray:
-        """D(k) = Σ G K G [stress/length²], at k of shape [..., d], shape [..., d, d]."""
-        return self.crystal.symbol(k)
-
-    def stiffest_wave(self) -> float:
-        """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
-        return self.crystal.stiffest_wave()
-
     def tensor(self) -> np.ndarray:
         """C_ijkl of long waves along the nodes' axes [stress]: the base's own."""
         return from_voigt(self.elastic)
@@ -187,11 +179,11 @@ class DressedSolid(Record, format="warp_peri.dressed"):
         proven = "nothing" if self.certificate is None else self.certificate.statement
         return [base, dressing, *self.crystal.rows()[:-1], ("proven", proven)]
 
-    def certified(self) -> DressedSolid:
-        """The law with its certificate; `certificate.holds` says whether one was found."""
-        return replace(self, certificate=self.crystal.certified().certificate)
+    def fitting(self, points: Points | Samples) -> Points:
+        """Nodes of the law's own spacing, units and axis; InputError for others."""
+        return self.crystal.fitting(points)
 
-    def on(
+    def on(  # type: ignore[override]  # of layers, not of rows or FFT
         self,
         points: Points | Samples,
         *,
@@ -234,7 +226,7 @@ class DressedSolid(Record, format="warp_peri.dressed"):
             f"; give a collar {law.horizon:g} wide, or edges=True where the body itself ends there"
         )
         return TensorOperator(
-            law.fitting(points), law.stencil, self.tensor(), why=why,
+            self.fitting(points), law.stencil, self.tensor(), why=why,
             model=self, dtype=dtype, product=layers if self.layered else None,
         )  # fmt: skip
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered
+from warp_peri.contract import offered, stencil_of
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.dynamics.motion import Motion
@@ -36,8 +36,6 @@ KIND = "warp_peri.waves"
 """Of checkpoints."""
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
-SAME = 1e-9
-"""Relative, of spacings."""
 
 
 def critical_time_step(
@@ -72,8 +70,7 @@ def critical_time_step(
 
 def _of_tensors(law: Any, spacing: float, allow_uncertified: bool) -> float:
     """The stiffest wave of a law of tensors, which is for one spacing and needs its proof."""
-    if not abs(spacing / law.spacing - 1) <= SAME:
-        raise InputError(f"spacing: the law is for {law.spacing:g}, got {spacing:g}")
+    stencil_of(law, spacing, "critical_time_step")
     if not allow_uncertified and (law.certificate is None or not law.certificate.holds):
         raise InputError(
             "law: expected one with a certificate, as certified() makes; waves may grow"

@@ -9,10 +9,10 @@ import os
 import stat
 import tempfile
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -22,6 +22,8 @@ from warp_peri.errors import InputError
 
 MOST = 2**33
 """Bytes of one archive that are read at most."""
+
+T = TypeVar("T")
 
 
 def read_arrays(path: str | os.PathLike[str]) -> dict[str, np.ndarray]:
@@ -228,3 +230,40 @@ def finite(value: Any) -> Any:
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
     """Write JSON whole or not at all; NaN and infinity are refused (ValueError)."""
     write_text(path, json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
+
+
+class ArrayFile:
+    """A checkpoint of one process: arrays by name, written whole or not at all.
+
+    Args:
+        path: of the file, which need not be there yet; None keeps nothing.
+        key: what the run depends on.
+        other: what the checkpoint of another key is of, for errors.
+    """
+
+    def __init__(self, path: str | os.PathLike[str] | None, key: str, other: str) -> None:
+        self.path, self.key, self.other = None if path is None else Path(path), key, other
+
+    def write(self, arrays: Mapping[str, Any]) -> None:
+        """Write arrays, or what they are made of."""
+        if self.path is not None:
+            with whole_file(self.path) as temporary, open(temporary, "wb") as file:
+                np.savez(file, **arrays, key=np.array(self.key))
+
+    def read(self, made: Callable[[dict[str, np.ndarray]], T]) -> T | None:
+        """What is made of the arrays; None where there is no file yet.
+
+        Raises InputError for a file of another run, and one that cannot be read: a KeyError,
+        TypeError or ValueError of `made` says so.
+        """
+        if self.path is None or not self.path.exists():
+            return None
+        try:
+            arrays = read_arrays(self.path)
+            same = str(arrays.pop("key")) == self.key
+            found = made(arrays) if same else None
+        except (OSError, KeyError, ValueError, TypeError) as error:
+            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
+        if not same:
+            raise InputError(f"{self.path}: the checkpoint of {self.other}")
+        return found

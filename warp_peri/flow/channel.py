@@ -16,7 +16,7 @@ from tqdm import tqdm
 from warp_peri.contract import taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import read_arrays, whole_file, write_text
+from warp_peri.files.atomic import ArrayFile, write_text
 from warp_peri.files.series import write_vtu
 from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
 from warp_peri.kernels.flow import particles as kernels
@@ -339,14 +339,23 @@ def run_channel(
     particles, steps = Particles(flow), round(until / dt)
     key = "" if checkpoint is None else fingerprint(flow, dt, every, key_of(stress))
     kept: dict[str, list[Any]] = {name: [] for name in ("t", "x", "v", "sigma", "rho")}
-    first = 0
-    if checkpoint is not None and Path(checkpoint).exists():
-        first, kept = _resume(checkpoint, key, particles, stress)
+    first, own = 0, {f"particles_{name}": name for name in particles.state()}
+    file = ArrayFile(checkpoint, key, "another channel, fluid or time step")
+
+    def made(arrays: dict[str, np.ndarray]) -> tuple[Any, ...]:
+        state = {name: arrays[long] for long, name in own.items()}
+        return int(arrays["done"]), state, arrays["stress"], {n: list(arrays[n]) for n in kept}
+
+    if (found := file.read(made)) is not None:
+        first, there, fluid, kept = found
+        particles.restore(there)
+        stress.restore(fluid)
 
     def state(done: int) -> dict[str, Any]:
         content = {name: np.array(rows) for name, rows in kept.items()}
-        content |= {f"particles_{k}": v for k, v in particles.state().items()}
-        return content | {"stress": stress.state(), "done": np.array(done), "key": np.array(key)}
+        now = particles.state()
+        content |= {long: now[name] for long, name in own.items()}
+        return content | {"stress": stress.state(), "done": done}
 
     good = state(first) if checkpoint is not None else {}
     bar = tqdm(range(first, steps), disable=not progress, desc="channel", initial=first)
@@ -362,10 +371,9 @@ def run_channel(
                 continue
             good = state(n + 1)
             if (n + 1) % (10 * every) == 0 or n + 1 == steps:
-                _write(checkpoint, good)
+                file.write(good)
     except InputError:
-        if checkpoint is not None:
-            _write(checkpoint, good)
+        file.write(good)
         raise
     asked = steps // every  # a checkpoint may have gone further
     return ChannelRecord(*(np.array(rows[:asked]) for rows in kept.values()))
@@ -378,24 +386,3 @@ def _check(flow: ChannelFlow, until: float, dt: float, every: int) -> None:
             f"run: expected every ≥ 1 and until of so many steps of {dt:g} or more, got {every} "
             f"and {until}"
         )
-
-
-def _write(path: str | os.PathLike[str], content: dict[str, Any]) -> None:
-    with whole_file(path) as temporary, open(temporary, "wb") as file:
-        np.savez(file, **content)
-
-
-def _resume(
-    path: str | os.PathLike[str], key: str, particles: Particles, stress: Stress
-) -> tuple[int, dict[str, list[Any]]]:
-    try:
-        content = read_arrays(path)
-        kept_key, done = str(content["key"]), int(content["done"])
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path}: not a checkpoint of a channel ({error})") from None
-    if kept_key != key:
-        raise InputError(f"{path}: the checkpoint of another channel, fluid or time step")
-    head = "particles_"
-    particles.restore({k[len(head) :]: v for k, v in content.items() if k.startswith(head)})
-    stress.restore(content["stress"])
-    return done, {name: list(content[name]) for name in ("t", "x", "v", "sigma", "rho")}

@@ -229,15 +229,18 @@ class Pairs:
         """n of them at random. Raises InputError when there are fewer."""
         if n > len(self):
             raise InputError(f"pairs: expected at most {len(self)}, got {n}")
-        return self._some(random.choice(len(self), n, replace=False))
+        return self.some(random.choice(len(self), n, replace=False))
+
+    def spread(self, most: int) -> np.ndarray:
+        """Numbers of at most so many, evenly from the first to the last."""
+        return np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
 
     def evenly(self, most: int) -> Pairs:
         """At most so many, evenly from the first to the last."""
-        return self._some(
-            np.unique(np.linspace(0, len(self) - 1, min(most, len(self))).astype(int))
-        )
+        return self.some(self.spread(most))
 
-    def _some(self, keep: np.ndarray) -> Pairs:
+    def some(self, keep: np.ndarray) -> Pairs:
+        """Those of these numbers."""
         return Pairs(self.K[keep], self.s[keep], self.rate[keep], self.noise[keep], self.window)
 
     def joined(self, other: Pairs) -> Pairs:

@@ -10,7 +10,6 @@ import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from scipy import stats
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import read_arrays, whole_file
+from warp_peri.files.atomic import ArrayFile
 from warp_peri.flow.laws import IDENTITY, trace
 from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
@@ -143,18 +142,14 @@ class Dumbbells:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Keep the state in an .npz file, written whole or not at all."""
-        with whole_file(path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **self.state(), key=np.array(self.key))  # type: ignore[arg-type]
+        ArrayFile(path, self.key, "other dumbbells").write(self.state())
 
     def load(self, path: str | os.PathLike[str]) -> None:
-        """Go on from a kept state. Raises InputError for a file of other dumbbells."""
-        try:
-            content = read_arrays(path)
-            state, key = {name: content[name] for name in self.state()}, str(content["key"])
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{path}: not a state of dumbbells ({error})") from None
-        if key != self.key:
-            raise InputError(f"{path}: expected the state of {self.key}, got {key}")
+        """Go on from a kept state. Raises InputError for none, and a file of other dumbbells."""
+        file = ArrayFile(path, self.key, f"others than {self.key}")
+        state = file.read(lambda arrays: {name: arrays[name] for name in self.state()})
+        if state is None:
+            raise InputError(f"{path}: no such file")
         self.restore(state)
 
     @property
@@ -353,8 +348,15 @@ def simulate(
         raise InputError(f"K: expected shape [T, {dumbbells.ensembles}, 4], got {list(K.shape)}")
     first, key = 0, f"{dumbbells.key}, {fingerprint(K, interval, steps)[:16]}"
     moments = np.zeros((2, len(K) + 1, *K.shape[1:]))
-    if checkpoint is not None and Path(checkpoint).exists():
-        first, moments = _resume(checkpoint, dumbbells, moments, key)
+    file = ArrayFile(checkpoint, key, "another run")
+
+    def made(arrays: dict[str, np.ndarray]) -> tuple[int, np.ndarray, dict[str, np.ndarray]]:
+        state = {name: arrays[name] for name in dumbbells.state()}
+        return int(arrays["done"]), arrays["moments"].reshape(moments.shape), state
+
+    if (kept := file.read(made)) is not None:
+        first, moments, state = kept
+        dumbbells.restore(state)
     else:
         now = dumbbells.moments()
         moments[:, 0] = now.C, now.S
@@ -364,32 +366,8 @@ def simulate(
         now = dumbbells.advance(K[n], interval / steps, steps)
         moments[:, n + 1] = now.C, now.S
         if checkpoint is not None and ((n + 1) % often == 0 or n + 1 == len(K)):
-            _keep(checkpoint, dumbbells, moments, n + 1, key)
+            file.write({**dumbbells.state(), "moments": moments, "done": n + 1})
     return Ensembles(interval, K, moments[0], moments[1], dumbbells.count)
-
-
-def _keep(
-    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, done: int, key: str
-) -> None:
-    content: dict[str, Any] = {**dumbbells.state(), "moments": moments}
-    content |= {"done": np.array(done), "key": np.array(key)}
-    with whole_file(path) as temporary, open(temporary, "wb") as file:
-        np.savez(file, **content)
-
-
-def _resume(
-    path: str | os.PathLike[str], dumbbells: Dumbbells, moments: np.ndarray, key: str
-) -> tuple[int, np.ndarray]:
-    try:
-        content = read_arrays(path)
-        kept_key, done = str(content["key"]), int(content["done"])
-        kept, state = content["moments"], {name: content[name] for name in dumbbells.state()}
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path}: not a checkpoint of dumbbells ({error})") from None
-    if kept_key != key or kept.shape != moments.shape:
-        raise InputError(f"{path}: the checkpoint of another run ({kept_key})")
-    dumbbells.restore(state)
-    return done, kept
 
 
 def read_trajectory(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeAlias
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,12 +13,19 @@ from scipy.spatial import cKDTree
 from warp_peri.core.record import Record
 from warp_peri.errors import InputError
 from warp_peri.flow.gaussian_process import GaussianProcess
+from warp_peri.flow.laws import IDENTITY
 
 OUTSIDE = ("warn", "refuse", "allow")
 WIDER = 3.0
 """A state is outside beyond so many times the widest gap between neighbours of the data."""
 FASTER = 0.1
 """A gradient is outside beyond the fastest of the data by this part of it."""
+FORMAT = "warp_peri.flow_law"
+UNITS = {"time": "relaxation time", "stress": "n k T", "conformation": "<q q> of a Hookean at rest"}
+Fastest: TypeAlias = tuple[float, float]
+"""Of the flows that a law was taught, per relaxation time, as of `stretching`: the largest rate of
+stretching along an axis (γ/2 in a shear γ, ε in an elongation ε), and the largest excess of it over
+the spin (0 in shear, ε in elongation)."""
 
 
 class OutsideWarning(UserWarning):
@@ -51,59 +58,38 @@ class Cloud:
 
         Raises InputError for "refuse", with the number of states and the farthest.
         """
-        if not asked(how):
+        if how == "allow" or not (beyond := int(((far := self.distance(X)) > WIDER).sum())):
             return
-        distance = self.distance(X)
-        beyond = int((distance > WIDER).sum())
-        if not beyond:
-            return
-        worst = X[np.argmax(distance)]
-        message = (
+        worst = ", ".join(f"{value:.3g}" for value in X[np.argmax(far)])
+        tell(
             f"{beyond} of {len(X)} states are outside the training data, the farthest "
-            f"{distance.max():.3g} times their spacing, at "
-            + ", ".join(f"{value:.3g}" for value in worst)
+            f"{far.max():.3g} times their spacing, at {worst}",
+            how,
         )
-        tell(message, how)
 
 
-@dataclass(frozen=True)
-class Gradients:
-    """The fastest flows that a law was taught, per relaxation time.
+def fastest(protocols: list[np.ndarray]) -> Fastest:
+    """Of gradients K, shapes [..., 4]."""
+    rates = np.concatenate([np.reshape(stretching(K), (-1, 2)) for K in protocols])
+    strain, beyond_spin = rates.max(axis=0, initial=0.0).tolist()
+    return strain, beyond_spin
 
-    Args:
-        strain: largest rate of stretching along an axis of the flow: γ/2 in a shear γ, ε in an
-            elongation ε.
-        beyond_spin: largest excess of it over the spin: 0 in shear, ε in elongation.
+
+def check_gradients(known: Fastest, K: np.ndarray, how: str) -> None:
+    """Warn or refuse when a gradient of K [..., 4] is faster by more than a tenth.
+
+    Raises InputError for "refuse".
     """
-
-    strain: float
-    beyond_spin: float
-
-    @classmethod
-    def of(cls, protocols: list[np.ndarray]) -> Gradients:
-        """Of gradients K, shapes [..., 4]."""
-        rates = np.concatenate([np.reshape(stretching(K), (-1, 2)) for K in protocols])
-        strain, beyond_spin = rates.max(axis=0, initial=0.0)
-        return cls(float(strain), float(beyond_spin))
-
-    def check(self, K: np.ndarray, how: str) -> None:
-        """Warn or refuse when a gradient of K [..., 4] is faster by more than a tenth.
-
-        Raises InputError for "refuse".
-        """
-        if not asked(how):
-            return
-        most = np.reshape(stretching(K), (-1, 2)).max(axis=0)
-        known = np.array([self.strain, self.beyond_spin])
-        over = most > known + FASTER * self.strain
-        if over.any():
-            n = int(np.argmax(over))
-            kind = ("rate of strain", "rate of strain beyond the spin")[n]
-            tell(
-                f"velocity gradient: {kind} up to {most[n]:.3g} per relaxation time, the training "
-                f"data go to {known[n]:.3g}",
-                how,
-            )
+    most = np.reshape(stretching(K), (-1, 2)).max(axis=0)
+    over = most > np.array(known) + FASTER * known[0]
+    if how != "allow" and over.any():
+        n = int(np.argmax(over))
+        kind = ("rate of strain", "rate of strain beyond the spin")[n]
+        tell(
+            f"velocity gradient: {kind} up to {most[n]:.3g} per relaxation time, the training "
+            f"data go to {known[n]:.3g}",
+            how,
+        )
 
 
 def stretching(K: np.ndarray) -> np.ndarray:
@@ -113,13 +99,6 @@ def stretching(K: np.ndarray) -> np.ndarray:
     return np.stack([strain, np.maximum(strain - np.abs(xy - yx) / 2, 0)], axis=-1)
 
 
-def asked(how: str) -> bool:
-    """Whether what is outside is to be said. Raises InputError for an unknown word."""
-    if how not in OUTSIDE:
-        raise InputError(f"outside: expected warn, refuse or allow, got {how!r}")
-    return how != "allow"
-
-
 def tell(message: str, how: str) -> None:
     """Refuse by an InputError, or warn."""
     if how == "refuse":
@@ -127,33 +106,32 @@ def tell(message: str, how: str) -> None:
     warnings.warn(message, OutsideWarning, stacklevel=4)
 
 
-FORMAT = "warp_peri.flow_law"
-UNITS = {"time": "relaxation time", "stress": "n k T", "conformation": "<q q> of a Hookean at rest"}
-FASTEST = ("strain", "beyond_spin")
-
-
+@dataclass(frozen=True, kw_only=True)
 class LearnedLaw(Record):
-    """What learned laws of flow have in common; tables are made again when one is read.
+    """Processes of the features of a state, and what is known beside them.
 
-    Their file has the processes of all in one list, and `kinematics` and `b` of none as null.
+    Its file has all processes in one list, and `kinematics` and `b` of laws without them as null;
+    tables are made again when one is read. A law of a class of its own says its `features` and its
+    `rate`; its state is the conformation C, its stress C − I where it says no other.
+
+    Attributes:
+        outside: "warn", "refuse" or "allow" states far from the data.
+        provenance: what it was learned from; plain values, for its file.
     """
 
+    outside: str = "warn"
+    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+
     ORDER: ClassVar[tuple[str, ...]] = (
-        "units",
-        "outside",
-        "kinematics",
-        "b",
-        "provenance",
-        "processes",
-    )
-    PROCESSES: ClassVar[tuple[str, ...]]
-    """Fields that the processes of a file are."""
+        "units", "outside", "kinematics", "b", "provenance", "processes",
+    )  # fmt: skip
+    PROCESSES: ClassVar[tuple[str, ...]] = ("process",)
+    """Fields that the processes of a file are; none where they are one field, `processes`."""
+    TITLE: ClassVar[str]
     if TYPE_CHECKING:
 
         @property
-        def outside(self) -> str: ...
-        @property
-        def name(self) -> str: ...
+        def processes(self) -> tuple[GaussianProcess, ...]: ...
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -161,26 +139,36 @@ class LearnedLaw(Record):
             raise InputError(f"outside: expected one of {', '.join(OUTSIDE)}, got {self.outside!r}")
 
     @property
+    def name(self) -> str:
+        """The law's name in tables and figures."""
+        known = ", kinematics known" if getattr(self, "kinematics", False) else ""
+        return "learned " + self.TITLE.format(kernel=self.learned_from[0].kernel) + known
+
+    @property
     def learned_from(self) -> tuple[GaussianProcess, ...]:
         """Its processes, in the order of a file."""
-        return tuple(getattr(self, name) for name in self.PROCESSES)
+        return tuple(getattr(self, name) for name in self.PROCESSES) or self.processes
+
+    def as_law(self, kind: Any, **more: Any) -> Any:
+        """A law of another class, of more fields beside those of this one."""
+        own = {
+            each.name: getattr(self, each.name) for each in fields(kind) if each.name not in more
+        }
+        return kind(**own | more)
 
     def derived(self) -> dict[str, Any]:
-        """What a file has beside provenance and the way outside the data."""
+        """What a file has in another form than the fields."""
         numbers = {name: getattr(self, name, None) for name in ("kinematics", "b")}
-        processes = [vars(each) for each in self.learned_from]
-        names = GaussianProcess.__dataclass_fields__
-        return {"units": UNITS, **numbers, "outside": self.outside} | {
-            "processes": [{name: each[name] for name in names} for each in processes]
-        }
+        each = [asdict(process) for process in self.learned_from]
+        return {"units": UNITS, "processes": each} | numbers
 
     @classmethod
     def today(cls, content: dict[str, Any]) -> dict[str, Any]:
         """With the fields that the processes are."""
-        found = content.get("processes")
-        if not isinstance(found, list) or len(found) != len(cls.PROCESSES):
-            raise InputError(f"processes: expected {len(cls.PROCESSES)} of them")
-        return content | dict(zip(cls.PROCESSES, found))
+        found, count = content.get("processes"), len(cls.PROCESSES)
+        if count and not (isinstance(found, list) and len(found) == count):
+            raise InputError(f"processes: expected {count} of them")
+        return content | dict(zip(cls.PROCESSES, found or []))
 
     def rows(self) -> list[tuple[str, str]]:
         """Its name, and from how many points it was learned."""
@@ -190,15 +178,30 @@ class LearnedLaw(Record):
         """InputError: a law of flow is in reduced units, which no factor leads from."""
         raise InputError("units: expected none, a law of flow is in reduced units")
 
+    def features(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """Inputs [n m, d] of the first process in states [n, 4], m of each."""
+        raise NotImplementedError
 
-def fastest(gradients: Gradients | None) -> list[float] | None:
-    """The fastest flows of the data as a file has them."""
-    return None if gradients is None else list(astuple(gradients))
+    @cached_property
+    def rest(self) -> np.ndarray:
+        """The state at rest."""
+        return IDENTITY
 
+    def stress(self, C: np.ndarray) -> np.ndarray:
+        """The stress of states, shape [n, 4]."""
+        return np.asarray(C - IDENTITY)
 
-def fastest_of(content: dict[str, Any]) -> Any:
-    """The same as a field; files of before have none, which is entered."""
-    found = content.setdefault("gradients", None)
-    if found is not None and not (isinstance(found, list) and len(found) == len(FASTEST)):
-        raise InputError(f"gradients: expected {len(FASTEST)} numbers, got {found!r:.50}")
-    return found and dict(zip(FASTEST, found))
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Where the training data are."""
+        return Cloud(self.learned_from[0].X, self.learned_from[0].scale)
+
+    def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """How far states [n, 4] are from the data, in gaps, shape [n]; the farthest input."""
+        return np.asarray(self.cloud.distance(self.features(K, C)).reshape(len(C), -1).max(axis=1))
+
+    def check(self, K: np.ndarray, C: np.ndarray) -> None:
+        """Warn or refuse outside the data; InputError for a state that is none."""
+        if not np.isfinite(C).all():
+            raise InputError("stress: not finite under the learned law")
+        self.cloud.check(self.features(K, C), self.outside)

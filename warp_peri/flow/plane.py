@@ -9,7 +9,6 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from tqdm import tqdm
 from warp_peri.contract import taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import read_arrays, whole_file, write_text
+from warp_peri.files.atomic import ArrayFile, write_text
 from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
 from warp_peri.flow.laws import shear
 from warp_peri.points.arrays import fingerprint
@@ -100,12 +99,6 @@ class Profiles:
         write_text(path, "\n".join([head, *rows]) + "\n")
 
 
-def _save(checkpoint: str | os.PathLike[str], kept: dict[str, Any]) -> None:
-    """Write a checkpoint, whole or not at all."""
-    with whole_file(checkpoint) as temporary, open(temporary, "wb") as file:
-        np.savez(file, **kept)
-
-
 def run_plane(
     flow: PlaneFlow,
     stress: Stress,
@@ -141,13 +134,12 @@ def run_plane(
     u, sigma = np.zeros(flow.cells + 1), np.zeros((flow.cells, 4))
     times, us, sigmas = [0.0], [u.copy()], [sigma.copy()]
     first = 0
-    if checkpoint is not None and Path(checkpoint).exists():
-        kept = _load(checkpoint, key)
-        _extend(moved, flow, dt, int(kept["step"]))
-        _check_history(checkpoint, kept["moved"], moved, dt)
-        first, u, sigma = int(kept["step"]), kept["u"].copy(), kept["sigma"].copy()
-        times, us, sigmas = list(kept["t"]), list(kept["us"]), list(kept["sigmas"])
-        stress.restore(kept["state"])
+    file = ArrayFile(checkpoint, key, "another flow, fluid or time step")
+    if (kept := file.read(_made)) is not None:
+        first, past, u, sigma, times, us, sigmas, state = kept
+        _extend(moved, flow, dt, first)
+        _check_history(file, past, moved, dt)
+        stress.restore(state)
 
     def slope(t: float) -> np.ndarray:
         total = sigma[:, 1] + flow.solvent * np.diff(u) / dy
@@ -168,10 +160,9 @@ def run_plane(
         us.append(now)
         sigmas.append(sigma.copy())
         if checkpoint is not None:
-            kept = {"step": n + 1, "u": u, "sigma": sigma, "state": stress.state()}
             _extend(moved, flow, dt, n + 1)
-            kept["moved"] = np.array(moved)
-            _save(checkpoint, kept | {"t": times, "us": us, "sigmas": sigmas, "key": key})
+            rows = {"t": times, "us": us, "sigmas": sigmas, "moved": moved}
+            file.write(rows | {"step": n + 1, "u": u, "sigma": sigma, "state": stress.state()})
     asked = 1 + steps // every  # a checkpoint may have gone further
     return Profiles(*(np.array(rows[:asked]) for rows in (times, us, sigmas)))
 
@@ -182,6 +173,14 @@ def _check(flow: PlaneFlow, until: float, dt: float, every: int) -> None:
         raise InputError(f"run: expected until > 0 and every ≥ 1, got {until} and {every}")
 
 
+def _made(kept: dict[str, np.ndarray]) -> tuple[Any, ...]:
+    """Steps done, force and wall until then, and what run_plane goes on from."""
+    first = int(kept["step"])
+    fields = (kept[name].copy() for name in ("u", "sigma"))
+    rows = (list(kept[name]) for name in ("t", "us", "sigmas"))
+    return first, kept["moved"].reshape(first + 1, 2), *fields, *rows, kept["state"]
+
+
 def _extend(known: list[tuple[float, float]], flow: PlaneFlow, dt: float, steps: int) -> None:
     """Add force and wall, as so many steps and their last record ask for them, to those known."""
     for n in range(len(known), steps + 1):
@@ -189,27 +188,14 @@ def _extend(known: list[tuple[float, float]], flow: PlaneFlow, dt: float, steps:
 
 
 def _check_history(
-    path: str | os.PathLike[str], kept: np.ndarray, own: list[tuple[float, float]], dt: float
+    file: ArrayFile, kept: np.ndarray, own: list[tuple[float, float]], dt: float
 ) -> None:
     """Refuse a checkpoint whose force or wall was another, naming which and from when on."""
     differ = np.argwhere(np.reshape(own, (-1, 2)) != kept)
     if len(differ):
         n, which = differ[0]
         raise InputError(
-            f"{path}: the checkpoint of another flow, fluid or time step; what differs: "
+            f"{file.path}: the checkpoint of {file.other}; what differs: "
             f"{('force', 'top')[which]}, from t = {n * dt:g} on ({kept[n, which]:g} there, "
             f"{own[n][which]:g} here)"
         )
-
-
-def _load(path: str | os.PathLike[str], key: str) -> dict[str, Any]:
-    try:
-        kept: dict[str, Any] = dict(read_arrays(path))
-        kept_key = str(kept["key"])
-        if kept["moved"].shape != (int(kept["step"]) + 1, 2):
-            raise ValueError(f"moved {kept['moved'].shape}")
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path}: not a checkpoint of a plane flow ({error})") from None
-    if kept_key != key:
-        raise InputError(f"{path}: the checkpoint of another flow, fluid or time step")
-    return kept

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property, reduce
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import warp as wp
@@ -16,136 +16,79 @@ from warp_peri.flow.closure import Pairs, start_pairs
 from warp_peri.flow.dumbbells import Ensembles, listed
 from warp_peri.flow.gaussian_process import GaussianProcess, bar, fit_process
 from warp_peri.flow.laws import IDENTITY, carried
-from warp_peri.flow.learned import FORMAT, Cloud, LearnedLaw
+from warp_peri.flow.learned import FORMAT, LearnedLaw
 from warp_peri.kernels.flow.rate_tables import heun_steps
 from warp_peri.launch import DEVICE, floats, zeros
 from warp_peri.points.arrays import check_whole
 
-
-class RateMarch:
-    """Heun steps of n states by tables that stay on the device.
-
-    Args:
-        n: states.
-        splines: one of three values for each of the seven inputs, on equal knots.
-        middle: what is added to their sum, shape [3].
-        kinematics: whether the flow's own part is added.
-    """
-
-    def __init__(
-        self, n: int, splines: list[CubicSpline], middle: np.ndarray, kinematics: bool
-    ) -> None:
-        widths = np.array([spline.x[1] - spline.x[0] for spline in splines])
-        powers = widths[:, None] ** np.arange(3, -1, -1)
-        table = np.array([np.moveaxis(spline.c, 1, 0) for spline in splines])
-        low = np.array([spline.x[0] for spline in splines])
-        self._K, self._C = zeros(n, dtype=wp.vec4d), zeros(n, dtype=wp.vec4d)
-        self._table = floats(np.ascontiguousarray(table * powers[:, None, :, None]), wp.vec3d)
-        self._low, self._scale = floats(low), floats(1 / widths)
-        heun_steps.module.load(DEVICE)
-        fixed: list[Any] = [self._table, self._low, self._scale, wp.vec3d(*middle)]
-        self._first = 2 + len(fixed)
-        self._launch = wp.launch(
-            heun_steps, dim=n, inputs=[self._K, *fixed, float(kinematics), 0.0, 0],
-            outputs=[self._C], device=DEVICE, record_cmd=True,
-        )  # fmt: skip
-
-    def __call__(self, K: np.ndarray, C: np.ndarray, h: float, parts: int) -> np.ndarray:
-        """C [n, 4] after `parts` steps of h relaxation times under K [n, 4] held."""
-        self._K.numpy()[:] = K
-        self._C.numpy()[:] = C
-        self._launch.set_param_at_index(self._first, h)
-        self._launch.set_param_at_index(self._first + 1, parts)
-        self._launch.launch()
-        return np.array(self._C.numpy())
-
-
-PLACES = (0, 1, 2)
-"""The components of s that are learned; s_zz relaxes by itself, −s_zz."""
 KNOTS = 400
 """Of a table of one input."""
 MARGIN = 0.25
 """How far a table goes beyond the data, in their range; further out it is constant."""
 
 
-def inputs(K: Any, s: Any) -> np.ndarray:
-    """The seven components, shape [n, 7]."""
-    return np.concatenate([K, s[..., :3]], axis=-1)
+class Rates(LearnedLaw):
+    """Processes of some components of the rate, beside what is known of all."""
+
+    PLACES: ClassVar[tuple[int, ...]]
+    """The components of s that are learned."""
+    if TYPE_CHECKING:
+        kinematics: bool
+
+    @staticmethod
+    def inputs(K: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """Those of the processes, of the stress s = C − I: shape [n, d]."""
+        raise NotImplementedError
+
+    def known(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """What of dC/dt is not learned, shape [n, 4]."""
+        raise NotImplementedError
+
+    def features(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """Inputs in states [n, 4]."""
+        return self.inputs(K, C - IDENTITY)
+
+    def learned(self, X: np.ndarray) -> list[np.ndarray]:
+        """What the processes give at inputs [n, d]."""
+        return [process(X) for process in self.learned_from]
+
+    def rate(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """dC/dt of states [n, 4]."""
+        rate = self.known(K, C)
+        for place, value in zip(self.PLACES, self.learned(self.features(K, C))):
+            rate[..., place] += value
+        return rate
 
 
 @dataclass(frozen=True)
-class RateLaw(LearnedLaw, format=FORMAT, kind="rate"):
-    """Three processes, and what is known beside them.
+class RateLaw(Rates, format=FORMAT, kind="rate"):
+    """Three processes of (K, s_xx, s_xy, s_yy), and what is known beside them.
 
     Args:
-        processes: of the rates of s_xx, s_xy, s_yy.
+        processes: of the rates of s_xx, s_xy, s_yy; s_zz relaxes by itself, −s_zz.
         kinematics: whether K s + s Kᵗ + K + Kᵗ is added to what they give.
-        outside: "warn", "refuse" or "allow" states far from the data.
-        provenance: what it was learned from; plain values, for its file.
+        outside, provenance: as of others.
     """
 
     processes: tuple[GaussianProcess, GaussianProcess, GaussianProcess]
     kinematics: bool
-    outside: str = "warn"
-    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
+    PROCESSES, PLACES, TITLE = (), (0, 1, 2), "rate, {kernel} kernel"
 
-    @property
-    def learned_from(self) -> tuple[GaussianProcess, ...]:
-        """Its processes."""
-        return self.processes
+    @staticmethod
+    def inputs(K: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """The seven components, shape [n, 7]."""
+        return np.concatenate([K, s[..., :3]], axis=-1)
 
-    @classmethod
-    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
-        """As it is: processes are a field of their own."""
-        return content
-
-    @property
-    def name(self) -> str:
-        """The law's name in tables and figures."""
-        known = ", kinematics known" if self.kinematics else ""
-        return f"learned rate, {self.processes[0].kernel} kernel{known}"
-
-    @property
-    def rest(self) -> np.ndarray:
-        """I: the state is C = I + s."""
-        return IDENTITY
-
-    def stress(self, C: np.ndarray) -> np.ndarray:
-        """The stress C − I, shape [n, 4]."""
-        return np.asarray(C - IDENTITY)
-
-    def learned(self, X: np.ndarray) -> list[np.ndarray]:
-        """What the processes give at inputs [n, 7]."""
-        return [process(X) for process in self.processes]
-
-    def rate(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """dC/dt of states [n, 4]."""
-        s = C - IDENTITY
-        known = carried(K, C) if self.kinematics else np.zeros_like(C)
-        for place, value in zip(PLACES, self.learned(inputs(K, s))):
-            known[..., place] += value
-        known[..., 3] -= s[..., 3]
-        return np.asarray(known)
-
-    @cached_property
-    def cloud(self) -> Cloud:
-        """Where the training data are."""
-        process = self.processes[0]
-        return Cloud(process.X, process.scale)
-
-    def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """How far states [n, 4] are from the data, in gaps, shape [n]."""
-        return self.cloud.distance(inputs(K, C - IDENTITY))
-
-    def check(self, K: np.ndarray, C: np.ndarray) -> None:
-        """Warn or refuse outside the data; InputError for stresses that are not finite."""
-        if not np.isfinite(C).all():
-            raise InputError("stress: not finite under the learned law")
-        self.cloud.check(inputs(K, C - IDENTITY), self.outside)
+    def known(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """What the flow does to any stress, and the relaxation of s_zz."""
+        rate: np.ndarray = carried(K, C) if self.kinematics else np.zeros_like(C)
+        rate[..., 3] -= C[..., 3] - 1
+        return rate
 
     def tabulated(self) -> TabulatedRateLaw:
         """The same law by tables, of the additive kernel. Raises InputError for another."""
-        return TabulatedRateLaw(self.processes, self.kinematics, self.outside, self.provenance)
+        law: TabulatedRateLaw = self.as_law(TabulatedRateLaw)
+        return law
 
 
 @dataclass(frozen=True)
@@ -157,38 +100,101 @@ class TabulatedRateLaw(RateLaw):
             raise InputError("tables: expected processes with the additive kernel")
 
     @cached_property
-    def _ends(self) -> tuple[np.ndarray, np.ndarray]:
+    def _tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[CubicSpline]]:
+        """Ends of the inputs, three values at their middle, and what each input adds to these."""
         X = self.processes[0].X
         low, high = X.min(axis=0), X.max(axis=0)
-        more = MARGIN * (high - low) + 1e-9
-        return low - more, high + more
-
-    @cached_property
-    def _splines(self) -> list[CubicSpline]:
-        """For each input a spline with three values: what it adds to those at the middle."""
-        low, high = self._ends
-        splines = []
+        more, splines = MARGIN * (high - low) + 1e-9, []
+        low, high = low - more, high + more
+        middle = self._values((low + high)[None] / 2)
         for i, (a, b) in enumerate(zip(low, high)):
             X = np.tile((low + high) / 2, (KNOTS, 1))
             X[:, i] = np.linspace(a, b, KNOTS)
-            values = np.array([process(X) for process in self.processes]) - self._middle[:, None]
-            splines.append(CubicSpline(X[:, i], values.T))
-        return splines
+            splines.append(CubicSpline(X[:, i], (self._values(X) - middle).T))
+        return low, high, middle, splines
 
-    @cached_property
-    def _middle(self) -> np.ndarray:
-        low, high = self._ends
-        return np.array([process((low + high)[None] / 2)[0] for process in self.processes])
+    def _values(self, X: np.ndarray) -> np.ndarray:
+        return np.array(super().learned(X))
 
     def learned(self, X: np.ndarray) -> list[np.ndarray]:
         """What the tables give at inputs [n, 7]."""
-        X = np.clip(X, *self._ends)
-        total = np.sum([table(x) for table, x in zip(self._splines, X.T)], axis=0)
-        return list(total.T + self._middle[:, None])
+        low, high, middle, splines = self._tables
+        columns = np.clip(X, low, high).T
+        return list(np.sum([table(x) for table, x in zip(splines, columns)], axis=0).T + middle)
 
-    def march(self, n: int) -> RateMarch:
-        """Heun steps of n states in one launch."""
-        return RateMarch(n, self._splines, self._middle, self.kinematics)
+    def march(self, n: int) -> Callable[[np.ndarray, np.ndarray, float, int], np.ndarray]:
+        """Heun steps of n states in one launch, by tables that stay on the device.
+
+        What comes back is a function of K [n, 4] held, C [n, 4], a step [relaxation times] and how
+        many of them, to C after these.
+        """
+        low, _, middle, splines = self._tables
+        widths = np.array([spline.x[1] - spline.x[0] for spline in splines])
+        powers = widths[:, None] ** np.arange(3, -1, -1)
+        table = np.array([np.moveaxis(spline.c, 1, 0) for spline in splines])
+        held, state = zeros(n, dtype=wp.vec4d), zeros(n, dtype=wp.vec4d)
+        coefficients = np.ascontiguousarray(table * powers[:, None, :, None])
+        fixed: list[Any] = [held, floats(coefficients, wp.vec3d), floats(low), floats(1 / widths)]
+        fixed += [wp.vec3d(*middle[:, 0]), float(self.kinematics)]
+        heun_steps.module.load(DEVICE)
+        launch = wp.launch(
+            heun_steps, dim=n, inputs=[*fixed, 0.0, 0], outputs=[state], device=DEVICE,
+            record_cmd=True,
+        )  # fmt: skip
+
+        def steps(K: np.ndarray, C: np.ndarray, h: float, parts: int) -> np.ndarray:
+            held.numpy()[:], state.numpy()[:] = K, C
+            launch.set_param_at_index(len(fixed), h)
+            launch.set_param_at_index(len(fixed) + 1, parts)
+            launch.launch()
+            return np.array(state.numpy())
+
+        return steps
+
+
+@dataclass(frozen=True)
+class ShearLaw(Rates, format=FORMAT, kind="shear"):
+    """A process of (s_xy, K_xy); other components are not known and stay as they are.
+
+    Args:
+        process: of the rate, or of what is left of it.
+        kinematics: whether K_xy is added: what shear does to a fluid whose s_yy is zero.
+        outside, provenance: as of others.
+    """
+
+    process: GaussianProcess
+    kinematics: bool
+    PLACES, TITLE = (1,), "shear rate"
+
+    @staticmethod
+    def inputs(K: np.ndarray, s: np.ndarray) -> np.ndarray:
+        """(s_xy, K_xy), shape [n, 2]."""
+        return np.stack([s[..., 1], K[..., 1]], axis=-1)
+
+    def known(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
+        """K_xy in the xy component."""
+        rate = np.zeros_like(C)
+        rate[..., 1] = K[..., 1] if self.kinematics else 0
+        return rate
+
+
+LAW = TypeVar("LAW", bound=Rates)
+
+
+def _by_rounds(
+    pairs: Pairs, fitted: Callable[[np.ndarray], LAW], rounds: int, progress: bool | None
+) -> LAW:
+    """A law of pairs, fitted by the stresses [n, 4] that their rates belong to.
+
+    From the second round on, increments over a window belong to its middle, where the law found
+    before puts it: the noise of the data does not enter there.
+    """
+    check_whole("rounds", rounds, 1)
+    s = pairs.s
+    for _ in bar(rounds if pairs.window > 0 else 1, progress):
+        law = fitted(s)
+        s = pairs.s + pairs.window / 2 * law.rate(pairs.K, pairs.s + IDENTITY)
+    return law
 
 
 def learn_rate(
@@ -212,8 +218,7 @@ def learn_rate(
         kinematics: whether what the flow does to any stress is taken as known.
         outside: what happens far from the data, "warn", "refuse" or "allow".
         most: increments of records used at most, evenly chosen; pairs are all used.
-        rounds: fits; from the second on, increments over a window belong to its middle, where the
-            law found before puts it: the noise of the data does not enter there.
+        rounds: fits, of which those after the first know the middle of a window.
         progress: a bar of the fits; None shows one on a terminal.
 
     Raises InputError for no records, and as start_pairs and fit_process do.
@@ -223,72 +228,19 @@ def learn_rate(
     else:
         every = [start_pairs(record, window) for record in listed(records)]
         pairs = reduce(Pairs.joined, every).evenly(most)
-    law: RateLaw
-    s = pairs.s
     exact = not np.nan_to_num(pairs.noise, nan=1.0).any()
     known = None if exact or np.isnan(pairs.noise).any() else pairs.noise
-    check_whole("rounds", rounds, 1)
-    for _ in bar(rounds if pairs.window > 0 else 1, progress):
+
+    def fitted(s: np.ndarray) -> RateLaw:
         target = pairs.rate - (carried(pairs.K, s + IDENTITY) if kinematics else 0)
-        X = inputs(pairs.K, s)
-        processes = tuple(
-            fit_process(
-                X, target[:, place], kernel=kernel, mean=0.0,
-                noise=None if known is None else known[:, place],
-            )
-            for place in PLACES
-        )  # fmt: skip
-        law = RateLaw(processes, kinematics, outside)  # type: ignore[arg-type]
-        s = pairs.s + pairs.window / 2 * law.rate(pairs.K, pairs.s + IDENTITY)
-    return law
+        X, noises = RateLaw.inputs(pairs.K, s), [None] * 3 if known is None else known.T
+        processes = (
+            fit_process(X, target[:, place], kernel=kernel, mean=0.0, noise=noises[place])
+            for place in RateLaw.PLACES
+        )
+        return RateLaw(tuple(processes), kinematics, outside=outside)  # type: ignore[arg-type]
 
-
-@dataclass(frozen=True)
-class ShearLaw(LearnedLaw, format=FORMAT, kind="shear"):
-    """A process of (s_xy, K_xy); other components are not known and stay as they are.
-
-    Args:
-        process: of the rate, or of what is left of it.
-        kinematics: whether K_xy is added: what shear does to a fluid whose s_yy is zero.
-        outside: "warn", "refuse" or "allow" states far from the data.
-        provenance: what it was learned from; plain values, for its file.
-    """
-
-    process: GaussianProcess
-    kinematics: bool
-    outside: str = "warn"
-    provenance: dict[str, Any] = field(default_factory=dict, repr=False)
-    PROCESSES = ("process",)
-
-    @property
-    def name(self) -> str:
-        """The law's name in tables and figures."""
-        return "learned shear rate" + (", kinematics known" if self.kinematics else "")
-
-    @property
-    def rest(self) -> np.ndarray:
-        """The conformation at rest, I."""
-        return IDENTITY
-
-    def stress(self, C: np.ndarray) -> np.ndarray:
-        """The stress C − I, shape [n, 4]."""
-        return np.asarray(C - IDENTITY)
-
-    def rate(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """dC/dt, of which only the xy component differs from zero."""
-        rate = np.zeros_like(C)
-        rate[..., 1] = self.process(np.stack([C[..., 1], K[..., 1]], axis=-1))
-        rate[..., 1] += K[..., 1] if self.kinematics else 0
-        return rate
-
-    @cached_property
-    def cloud(self) -> Cloud:
-        """Where the training data are."""
-        return Cloud(self.process.X, self.process.scale)
-
-    def check(self, K: np.ndarray, C: np.ndarray) -> None:
-        """Warn or refuse outside the data."""
-        self.cloud.check(np.stack([C[..., 1], K[..., 1]], axis=-1), self.outside)
+    return _by_rounds(pairs, fitted, rounds, progress)
 
 
 def learn_shear(
@@ -311,38 +263,31 @@ def learn_shear(
     Args:
         records: of simple shear; one.
         window: intervals of one increment.
-        kinematics: as above.
-        outside: what happens far from the data, "warn", "refuse" or "allow".
+        kinematics, outside, rounds, progress: as of learn_rate.
         most: windows used at most, evenly chosen.
-        rounds: fits; from the second on, increments belong to the middle of their windows.
-        progress: a bar of the fits; None shows one on a terminal.
 
     Raises InputError for other than one record, and as start_pairs and fit_process do.
     """
     several = listed(records)
     if len(several) > 1:
         raise InputError(f"records: expected one of simple shear, got {len(several)}")
-    (record,) = several
-    pairs = start_pairs(record, window)
-    target = pairs.rate[:, 1]
+    (record,), pairs = several, start_pairs(several[0], window)
+    keep, target = pairs.spread(most), pairs.rate[:, 1]
     if kinematics:
         T = len(record.K) - window + 1
         yy = np.mean([record.C[n : n + T : window, :, 2] for n in range(window + 1)], axis=0)
         target = target - (record.K[:T:window, :, 1] * yy).reshape(-1)
-    keep = np.unique(np.linspace(0, len(pairs) - 1, min(most, len(pairs))).astype(int))
-    k, s, noise = pairs.K[keep, 1], pairs.s[keep, 1], pairs.noise[keep, 1]
+    few, target = pairs.some(keep), target[keep]
+    noise = few.noise[:, 1]
     if not kinematics:
-        noise = np.diag(noise) + _stretch_noise(record, keep, k, pairs.window)
-    check_whole("rounds", rounds, 1)
-    law: ShearLaw
-    middle = s
-    for _ in bar(rounds, progress):
-        X = np.stack([middle, k], axis=-1)
-        process = fit_process(X, target[keep], noise=noise, mean=0.0, iterations=40)
-        law = ShearLaw(process, kinematics, outside)
-        slope = process(np.stack([s, k], axis=-1)) + (k if kinematics else 0)
-        middle = s + pairs.window / 2 * slope
-    return law
+        noise = np.diag(noise) + _stretch_noise(record, keep, few.K[:, 1], pairs.window)
+
+    def fitted(s: np.ndarray) -> ShearLaw:
+        X = ShearLaw.inputs(few.K, s)
+        process = fit_process(X, target, noise=noise, mean=0.0, iterations=40)
+        return ShearLaw(process, kinematics, outside=outside)
+
+    return _by_rounds(few, fitted, rounds, progress)
 
 
 def _stretch_noise(record: Ensembles, keep: np.ndarray, k: np.ndarray, window: float) -> np.ndarray:

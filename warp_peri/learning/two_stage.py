@@ -22,8 +22,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
 from warp_peri.core.once import differentiable_once
-from warp_peri.errors import InputError
-from warp_peri.files.atomic import locked, read_arrays, whole_file
+from warp_peri.files.atomic import ArrayFile, locked
 from warp_peri.learning.methods import TwoStage
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import assemble
@@ -232,7 +231,7 @@ class Progress:
 
 
 class Checkpoint:
-    """The state of one run in an .npz file, written whole or not at all.
+    """The state of one run, as an ArrayFile.
 
     Args:
         path: of the file.
@@ -240,39 +239,29 @@ class Checkpoint:
     """
 
     def __init__(self, path: str | os.PathLike[str], key: str) -> None:
-        self.path, self.key = Path(path), key
+        self.path, self.file = Path(path), ArrayFile(path, key, "a run on other data or settings")
 
     def save(
         self, tensors: Sequence[np.ndarray], *, losses: list[float], penalty: float, iteration: int
     ) -> None:
         """Write the state to the checkpoint's file, whole."""
-        content: dict[str, Any] = {"key": np.array(self.key), "losses": np.array(losses)}
-        content |= {"penalty": penalty, "iteration": iteration}
-        content |= {f"tensor{number}": value for number, value in enumerate(tensors)}
-        with whole_file(self.path) as temporary, open(temporary, "wb") as file:
-            np.savez(file, **content)
+        content = {f"tensor{number}": value for number, value in enumerate(tensors)}
+        kept = {"losses": np.array(losses), "penalty": penalty, "iteration": iteration}
+        self.file.write(kept | content)
 
     def load(self) -> Progress | None:
         """The state, or None when there is no file.
 
         Raises InputError for a file that cannot be read or belongs to another run.
         """
-        if not self.path.exists():
-            return None
-        try:
-            content = read_arrays(self.path)
-            key = str(content["key"])
-            state = Progress(
-                [content[f"tensor{number}"] for number in range(len(content) - 4)],
-                content["losses"].tolist(),
-                float(content["penalty"]),
-                int(content["iteration"]),
+        return self.file.read(
+            lambda kept: Progress(
+                [kept[f"tensor{number}"] for number in range(len(kept) - 3)],
+                kept["losses"].tolist(),
+                float(kept["penalty"]),
+                int(kept["iteration"]),
             )
-        except (OSError, KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
-        if key != self.key:
-            raise InputError(f"{self.path}: the checkpoint of a run on other data or settings")
-        return state
+        )
 
 
 LEARNING_RATE = 1e-3

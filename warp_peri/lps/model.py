@@ -212,6 +212,15 @@ class Model(Record, format="warp_peri.model"):
         return self
 
     @property
+    def group(self) -> np.ndarray:
+        """Turns of a lattice of nodes, shape [g, d, d], under which it is the same solid."""
+        return lattice_group(self.dimension)
+
+    def stencil(self, spacing: float) -> Stencil:
+        """The solid on a lattice; errors as of lps_stencil."""
+        return lps_stencil(self, spacing)
+
+    @property
     def bond_based(self) -> bool:
         """Whether λ = μ: no dilatation enters (theory.md, 42), and a collar of δ is enough."""
         return self.solid.bond_based

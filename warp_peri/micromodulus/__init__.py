@@ -2,7 +2,7 @@
 
 from warp_peri.core.elastic import from_voigt
 from warp_peri.micromodulus.force_constants import Polar, from_calculator, read_force_constants
-from warp_peri.micromodulus.law import Crystal, tensors_of
+from warp_peri.micromodulus.law import Crystal, StencilMaterial, tensors_of
 from warp_peri.micromodulus.learning import CrystalFit, Micromodulus
 from warp_peri.micromodulus.waves import (
     fit_symbol,
@@ -17,6 +17,7 @@ __all__ = [
     "CrystalFit",
     "Micromodulus",
     "Polar",
+    "StencilMaterial",
     "fit_symbol",
     "from_calculator",
     "from_phonons",

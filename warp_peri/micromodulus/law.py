@@ -5,18 +5,20 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from warp_peri.contract import SAME_SPACING
 from warp_peri.core import elastic
 from warp_peri.core.grid import Grid
 from warp_peri.core.groups import (
     LATTICE_GROUP,
     Symmetry,
     checked_orientation,
+    lattice_group,
     point_group,
     shared_with_nodes,
 )
@@ -218,14 +220,116 @@ class TensorOperator:
 
 SAME_AXIS = 1e-3
 """Of the directions of a crystal, as rotations, that count as one."""
-SAME_SPACING = 1e-6
-"""Relative, of spacings that are taken as the same."""
 BROKEN = 1e-8
 """Relative, that tensors may break a symmetry they are said to have."""
 
 
+class StencilMaterial(Record):
+    """A linear material on one lattice, whose stencil says all: its force, its proof, its solves.
+
+    A class of its own is a frozen dataclass with `eq=False` whose fields are its numbers, among
+    them `horizon`, `units` and `certificate`, and which makes its `stencil` of them.
+    """
+
+    if TYPE_CHECKING:
+        certificate: Proof | None
+
+        @property
+        def horizon(self) -> float: ...
+        @property
+        def stencil(self) -> Stencil: ...
+
+    @property
+    def dimension(self) -> int:
+        """2 or 3."""
+        return self.stencil.dimension
+
+    @property
+    def group(self) -> np.ndarray:
+        """Turns of the lattice that leave the stencil as it is, shape [g, d, d]."""
+        turns = lattice_group(self.dimension)
+        return turns[[self.stencil.asymmetry(turn[None]) <= BROKEN for turn in turns]]
+
+    def symbol(self, k: np.ndarray) -> np.ndarray:
+        """D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2), at k of shape [..., d], shape [..., d, d]."""
+        k = np.asarray(k, dtype=float)
+        D = self.stencil.symbol(k.reshape(-1, self.dimension) * self.stencil.spacing)
+        return np.asarray(D.reshape(*k.shape, self.dimension))
+
+    def tensor(self) -> np.ndarray:
+        """C_ijkl of long waves along the nodes' axes [stress], shape [d, d, d, d] (T4)."""
+        C = elastic.elastic_from_brackets(self._at_rest)
+        return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
+
+    @property
+    def _at_rest(self) -> np.ndarray:
+        """Brackets without what a stress adds (T19)."""
+        return self.stencil.brackets
+
+    def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
+        """Voigt matrix of long waves, 3 × 3 in the plane (11, 22, 12) and 6 × 6 in space.
+
+        Along the nodes' axes. In the law's own unit of stress, or another by name, as "GPa". Raises
+        InputError for a name that is not known.
+        """
+        return elastic.voigt(self.tensor()) * self._stress(unit)
+
+    def _stress(self, unit: str | None) -> float:
+        if unit is None:
+            return 1.0
+        if unit not in STRESSES:
+            raise InputError(f"unit: expected one of {', '.join(STRESSES)}, got {unit!r}")
+        return factors(self.units, (self.units[0], unit))[1]
+
+    def certified(self) -> Self:
+        """The law with its certificate; `certificate.holds` says whether one was found."""
+        proof = prove(self.stencil, self.group)
+        return replace(self, certificate=proof)  # type: ignore[type-var]
+
+    def stiffest_wave(self) -> float:
+        """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
+        return largest(self.stencil, self.group)
+
+    @property
+    def uncut(self) -> str:
+        """Why no bonds may be cut."""
+        what = type(self).__name__
+        return f"a {what} is a stencil of whole families; give a collar {self.horizon:g} wide"
+
+    def fitting(self, points: Points | Samples) -> Points:
+        """Nodes of the law's own spacing, units and axis; InputError for others."""
+        nodes, own = nodes_of(points), self.stencil.spacing
+        check_same(self.units, nodes.units)
+        if not abs(nodes.spacing / own - 1) <= SAME_SPACING:
+            raise InputError(
+                f"spacing: the law is for {own:g}, the points have {nodes.spacing:g}; "
+                "transferred(law, spacing) fits another"
+            )
+        return nodes
+
+    def on(
+        self, points: Points | Samples, *, method: str = "auto", dtype: Any = np.float64
+    ) -> TensorOperator:
+        """The operator on nodes of the law's own spacing, its steps along their axes.
+
+        A turned lattice turns a crystal with it; `learning.transferred` is for a crystal that
+        stays, and for other spacings.
+
+        Args:
+            points: lattice nodes with a collar, or periodic, in the law's units.
+            method: "rows", "fft" or "auto".
+            dtype: float64 or float32.
+
+        Raises InputError for another spacing or other units, and for nodes whose bonds are cut.
+        """
+        return TensorOperator(
+            self.fitting(points), self.stencil, self.tensor(),
+            method=method, dtype=dtype, why=f": {self.uncut}", model=self,
+        )  # fmt: skip
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class Crystal(Record, format="warp_peri.micromodulus"):
+class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
     """The law of one crystal on one square or cubic lattice of nodes.
 
     Steps and tensors are along the axes of the nodes; C(−ξ) = C(ξ).
@@ -282,28 +386,8 @@ class Crystal(Record, format="warp_peri.micromodulus"):
             raise InputError(f"stress: expected a symmetric matrix [{d}, {d}]")
         if isinstance(self.symmetry, str) and not self.symmetry:
             set_(self, "symmetry", {2: "1", 3: "-1"}[d])
-        if self._asymmetry() > BROKEN:
-            raise InputError(
-                f"symmetry: the tensors break it by {self._asymmetry():.1e} of the largest"
-            )
-
-    def _asymmetry(self) -> float:
-        """How far C(Rξ) = R C(ξ) Rᵗ is from holding, relative to the largest entry."""
-        number = {tuple(s): i for i, s in enumerate(self.steps.tolist())}
-        number |= {tuple(-s for s in key): i for key, i in list(number.items())}
-        worst = 0.0
-        for g in self.group:
-            images = [number.get(tuple(s), -1) for s in (self.steps @ g.T).tolist()]
-            if -1 in images:
-                return np.inf
-            turned = g @ self.tensors @ g.T
-            worst = max(worst, float(np.abs(self.tensors[images] - turned).max()))
-        return worst / max(float(np.abs(self.tensors).max()), 1e-300)
-
-    @property
-    def dimension(self) -> int:
-        """2 or 3."""
-        return int(self.steps.shape[1])
+        if (broken := self.stencil.asymmetry(self.group)) > BROKEN:
+            raise InputError(f"symmetry: the tensors break it by {broken:.1e} of the largest")
 
     @property
     def bonds(self) -> int:
@@ -336,29 +420,10 @@ class Crystal(Record, format="warp_peri.micromodulus"):
         held = self.stress
         return self.brackets if held is None else self.brackets - elastic.stress_brackets(held)
 
-    def symbol(self, k: np.ndarray) -> np.ndarray:
-        """D(k) = 2 Σ_half C(ξ)(1 − cos k·ξ) (T2), at k of shape [..., d], shape [..., d, d]."""
-        k = np.asarray(k, dtype=float)
-        D = self.stencil.symbol(k.reshape(-1, self.dimension) * self.spacing)
-        return np.asarray(D.reshape(*k.shape, self.dimension))
-
     def huang_defect(self) -> float:
         """Largest break of Huang's relations, relative to the largest bracket."""
         rows = elastic.huang_rows(self._at_rest[None])
         return float(np.abs(rows).max() / np.abs(self.brackets).max())
-
-    def tensor(self) -> np.ndarray:
-        """C_ijkl of long waves along the nodes' axes [stress], shape [d, d, d, d] (T4)."""
-        C = elastic.elastic_from_brackets(self._at_rest)
-        return np.asarray((C + C.transpose(2, 3, 0, 1)) / 2)
-
-    def elastic_tensor(self, unit: str | None = None) -> np.ndarray:
-        """Voigt matrix of long waves, 3 × 3 in the plane (11, 22, 12) and 6 × 6 in space.
-
-        Along the nodes' axes. In the law's own unit of stress, or another by name, as "GPa". Raises
-        InputError for a name that is not known.
-        """
-        return elastic.voigt(self.tensor()) * self._stress(unit)
 
     def moduli(self, unit: str | None = None) -> dict[str, float]:
         """Elastic constants by name that are not zero, those of a cubic crystal as C11, C12, C44.
@@ -426,50 +491,9 @@ class Crystal(Record, format="warp_peri.micromodulus"):
             f"{self.horizon:g} wide"
         )
 
-    def certified(self) -> Crystal:
-        """The law with its certificate; `certificate.holds` says whether one was found."""
-        return replace(self, certificate=prove(self.stencil, self.group))
-
-    def stiffest_wave(self) -> float:
-        """A bound on Λmax D(k) over all waves [stress / length²], for time steps (T21)."""
-        return largest(self.stencil, self.group)
-
-    def on(
-        self, points: Points | Samples, *, method: str = "auto", dtype: Any = np.float64
-    ) -> TensorOperator:
-        """The operator on nodes of the law's own spacing, its steps along their axes.
-
-        A turned lattice turns the crystal with it; `learning.transferred` is for a crystal that
-        stays, and for other spacings.
-
-        Args:
-            points: lattice nodes with a collar, or periodic, in the law's units.
-            method: "rows", "fft" or "auto".
-            dtype: float64 or float32.
-
-        Raises InputError for another spacing or other units, and for nodes whose bonds are cut:
-        the law is not objective there, and the message says how far from it.
-        """
-        nodes = self.fitting(points)
-        return TensorOperator(
-            nodes,
-            self.stencil,
-            self.tensor(),
-            method=method,
-            dtype=dtype,
-            why=f": {self.uncut}",
-            model=self,
-        )
-
     def fitting(self, points: Points | Samples) -> Points:
-        """Nodes of the law's own spacing, units and axis; InputError for others."""
-        nodes = nodes_of(points)
-        check_same(self.units, nodes.units)
-        if not abs(nodes.spacing / self.spacing - 1) <= SAME_SPACING:
-            raise InputError(
-                f"spacing: the law is for {self.spacing:g}, the points have {nodes.spacing:g}; "
-                "transferred(law, spacing) fits another"
-            )
+        """As of others, of the crystal's own axis too."""
+        nodes = super().fitting(points)
         self._check_axis(nodes)
         return nodes
 
@@ -501,13 +525,6 @@ class Crystal(Record, format="warp_peri.micromodulus"):
                 f"axis: the crystal stands at {angle:.4g}° to these nodes, other than in the law; "
                 "transferred(law, spacing, rotation=…) turns it"
             )
-
-    def _stress(self, unit: str | None) -> float:
-        if unit is None:
-            return 1.0
-        if unit not in STRESSES:
-            raise InputError(f"unit: expected one of {', '.join(STRESSES)}, got {unit!r}")
-        return factors(self.units, (self.units[0], unit))[1]
 
     def summary(self) -> dict[str, Any]:
         """Symmetry, moduli, lattice and proof as plain values."""

@@ -23,7 +23,7 @@ from warp_peri.files.checkpoint import agreed
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
 from warp_peri.lps.model import Model
-from warp_peri.micromodulus.law import Crystal, tensors_of
+from warp_peri.micromodulus.law import StencilMaterial, tensors_of
 from warp_peri.points.interpolation import FINER, NEIGHBOURS
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
@@ -49,14 +49,14 @@ class RowOperator:
     """L of a lattice in tiles, and what inverts it nearly.
 
     Args:
-        law: certified tensors of the lattice's spacing.
+        law: certified on the lattice.
         piece: the nodes of this rank, in tiles.
         petsc: whether its coarse problem is PETSc's.
 
     Raises InputError for a law without a proof, and interior nodes near the edge of the box.
     """
 
-    def __init__(self, law: Crystal, piece: Subdomain, petsc: bool = False) -> None:
+    def __init__(self, law: StencilMaterial, piece: Subdomain, petsc: bool = False) -> None:
         if piece.tiles is None:
             raise InputError("points: expected a lattice in tiles for a body at rest on ranks")
         comm, tiles, d = piece.comm, piece.tiles, piece.dimension
@@ -71,15 +71,16 @@ class RowOperator:
             check_same(law.units, piece.units)
             if self.proven is None:
                 raise InputError("material: expected one that is proven stable on the lattice")
+        self.stencil = stencil = law.stencil
         self._check_whole()
         build(comm, row_kernels(SCALARS[np.dtype(np.float64)], d).pulled)
-        tensors = law.tensors * law.spacing**2
-        scale = law.spacing**-2
+        tensors = stencil.tensors * stencil.spacing**2
+        scale = stencil.spacing**-2
         self._L = Convolution(
             comm,
             tiles,
-            int(np.abs(law.steps).max()),
-            lambda torus: scale * torus_symbol(torus, law.steps, tensors),
+            stencil.reach,
+            lambda torus: scale * torus_symbol(torus, stencil.steps, tensors),
         )
 
     @cached_property
@@ -87,7 +88,7 @@ class RowOperator:
         """What nearly inverts L, which waves do not need: a filter for short waves, and multigrid
         on every second node."""
         law, comm, tiles, d = self.model, self.points.comm, self._tiles, self.dimension
-        scale = law.spacing**-2
+        scale = self.stencil.spacing**-2
         width, symbol = _filter(law)
         short = Convolution(comm, tiles, width, lambda torus: symbol(torus) / scale, np.float32)
         between = Between(comm, tiles)
@@ -97,10 +98,10 @@ class RowOperator:
 
     def _check_whole(self) -> None:
         """InputError where nodes are missing within the law's reach of an unknown one."""
-        grid, comm, steps = self._grid, self.points.comm, self.model.steps
+        grid, comm, steps = self._grid, self.points.comm, self.stencil.steps
         there = np.zeros((1, *self._box), np.int8)
         there.flat[grid.place] = 1
-        body = Halo(comm, self._tiles.everywhere(), int(np.abs(steps).max()))(there)[0] > 0
+        body = Halo(comm, self._tiles.everywhere(), self.stencil.reach)(there)[0] > 0
         counts = int((self.mask & ~complete(body, steps)).sum()), len(grid.interior)
         refuse_cut(*np.sum(comm.allgather(counts), axis=0).tolist())
 
@@ -168,24 +169,25 @@ class RowOperator:
 
 
 @lru_cache(MOST)
-def _filter(law: Crystal) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
-    return inverse_filter(law.steps, law.tensors * law.spacing**2, law.tensor())
+def _filter(law: StencilMaterial) -> tuple[int, Callable[[tuple[int, ...]], np.ndarray]]:
+    stencil = law.stencil
+    return inverse_filter(stencil.steps, stencil.tensors * stencil.spacing**2, law.tensor())
 
 
-_proven: dict[tuple[str, float], Crystal] = {}
+_proven: dict[tuple[str, float], StencilMaterial] = {}
 
 
-def tensors_at(linear: Any, piece: Subdomain) -> Crystal:
-    """A linear solid or a crystal as tensors on a piece's lattice, proven by all ranks.
+def tensors_at(linear: Any, piece: Subdomain) -> StencilMaterial:
+    """A linear solid as one stencil on a piece's lattice, a Model proven there by all ranks.
 
-    A linear solid is transferred as `model_at` does. Raises InputError as that, and for a crystal
-    as Crystal.fitting does.
+    A Model is transferred as `model_at` does. Raises InputError as that, and for others as their
+    `fitting` does.
     """
-    if isinstance(linear, Crystal):
+    if not isinstance(linear, Model):
         x, inside = one_node(piece.dimension, piece.spacing, linear.horizon)
         with agreed(piece.comm):
             linear.fitting(Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis))
-        return linear
+        return linear  # type: ignore[no-any-return]
     if not linear.is_certified_on(piece.spacing):
         linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
     known = str(linear.content()["sha256"]), piece.spacing

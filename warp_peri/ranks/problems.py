@@ -28,7 +28,6 @@ from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweeps
 from warp_peri.lps.model import Model
-from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
@@ -170,18 +169,18 @@ def operator_on(material: Any, piece: Subdomain, petsc: bool = False) -> Any:
     bends = hasattr(material, "proven_strain")
     with agreed(piece.comm):
         linear = getattr(material, "linear", material)
-        if not isinstance(linear, (Crystal, Model)) or not (bends or linear is material):
+        if not hasattr(linear, "stencil") or not (bends or linear is material):
             raise InputError(
                 "material: expected a linear solid, a crystal, or one with third-order constants "
                 f"on ranks, got {type(material).__name__}"
             )
-        if piece.carrier and (bends or isinstance(linear, Crystal)):
+        if piece.carrier and (bends or not isinstance(linear, Model)):
             raise InputError("material: expected a linear solid on scattered points on ranks")
         law = None if bends or piece.carrier else tensors_at(linear, piece)
     if law is not None:
         return RowOperator(law, piece, petsc)
     if piece.carrier:
-        return ScatteredOperator(linear, piece, petsc)  # type: ignore[arg-type]  # checked above
+        return ScatteredOperator(linear, piece, petsc)
     return RowNonlinear(material, piece)
 
 

@@ -10,12 +10,11 @@ import scipy.sparse as sp
 from scipy.linalg import eigh, eigvalsh
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from warp_peri.contract import linear_part, offered
-from warp_peri.core.groups import lattice_group
+from warp_peri.contract import LINEAR, offered, stencil_of
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
 from warp_peri.lps.matrices import matrices
-from warp_peri.lps.model import Model, lps_stencil
+from warp_peri.lps.model import Model
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
@@ -104,29 +103,36 @@ def certify(
     """Compute the certificate of a linear solid, or of a material's linear part, on a lattice.
 
     Args:
-        material: a Model, a material with a linear part, or the operator of either.
-        spacing: h [Å]; of an operator that of its points, by default.
+        material: a linear solid, a material with a linear part, or the operator of either.
+        spacing: h [Å]; by default that of a law for one lattice, of an operator that of its points.
         points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
             interior nodes, Φ with the dilatation of interior nodes only.
 
     Raises InputError for a material without a linear part, when the horizon is below one spacing,
     or the points have another spacing or do not carry the horizon.
     """
-    model: Model = linear_part(material, "certify")
+    law = getattr(material, "model", material)
+    model = getattr(law, "linear", law)
+    offered(model, "stencil", "certify", LINEAR)
     if spacing is None:
-        spacing = offered(material, "points", "certify", "a spacing, or an operator").spacing
+        given = getattr(model.stencil, "spacing", None)
+        spacing = (
+            given or offered(material, "points", "certify", "a spacing, or an operator").spacing
+        )
     if points is not None and not np.isclose(points.spacing, spacing, rtol=1e-6, atol=0):
         raise InputError(
             f"spacing: expected that of the points, {points.spacing:g} "
             f"{symbols(model.units)[0]}, got {spacing:g}"
         )
-    spacing = model.nominal_spacing(spacing)
-    proof = prove(lps_stencil(model, spacing), lattice_group(model.dimension))
+    spacing = getattr(model, "nominal_spacing", float)(spacing)
+    proof = prove(*stencil_of(model, spacing, "certify"))
     bare = Certificate(
         spacing, proof.sampled, proof.proven, units=model.units, dimension=model.dimension
     )
     if points is None:
         return bare
+    if not isinstance(model, Model):
+        raise InputError(f"points: of a Model alone, not of a {type(model).__name__}")
 
     parts = matrices(model, points)
     unknown = np.repeat(points.interior, 2)

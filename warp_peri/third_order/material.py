@@ -15,12 +15,11 @@ from typing import Annotated, Any, ClassVar, TypeVar
 import numpy as np
 import torch
 
-from warp_peri.core.groups import lattice_group
+from warp_peri.contract import SAME_SPACING
 from warp_peri.core.record import Entry, Length, OnLinear, Stress
-from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, by_spacing, lps_stencil, on_nominal_lattice
-from warp_peri.micromodulus.law import SAME_SPACING, Crystal, TensorOperator
+from warp_peri.lps.model import Model, by_spacing, on_nominal_lattice
+from warp_peri.micromodulus.law import Crystal, TensorOperator
 from warp_peri.micromodulus.waves import transferred
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import lattice_steps
@@ -88,15 +87,6 @@ class ThirdOrderSolid(OnLinear):
 
     def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
         """p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C]."""
-        raise NotImplementedError
-
-    def stencil(self, spacing: float) -> Stencil:
-        """Of the linear part on a lattice that it is for."""
-        raise NotImplementedError
-
-    @property
-    def group(self) -> np.ndarray:
-        """Of lattice and linear part: integer matrices, shape [g, 2, 2]."""
         raise NotImplementedError
 
     def proven_strain(self, spacing: float) -> float:
@@ -188,15 +178,6 @@ class NonlinearModel(ThirdOrderSolid, format="warp_peri.model", kind="nonlinear"
     def lame(self) -> tuple[float, float]:
         """λ and μ [stress]."""
         return self.linear.lam, self.linear.mu
-
-    @property
-    def group(self) -> np.ndarray:
-        """Of the lattice."""
-        return lattice_group(2)
-
-    def stencil(self, spacing: float) -> Stencil:
-        """Of the LPS on a lattice."""
-        return lps_stencil(self.linear, spacing)
 
     def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
         """p_in and p_out of the bond classes of a lattice [1/Å²], each of shape [C].
@@ -379,15 +360,6 @@ class ThirdOrderCrystal(ThirdOrderSolid, format="warp_peri.third_order_crystal")
         """λ and μ of long waves [stress]."""
         C = self.linear.tensor()
         return C[0, 0, 1, 1], C[0, 1, 0, 1]
-
-    @property
-    def group(self) -> np.ndarray:
-        """What nodes and crystal share."""
-        return self.linear.group
-
-    def stencil(self, spacing: float) -> Stencil:
-        """Of the tensors, on the law's own spacing."""
-        return self.linear.stencil
 
     def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
         """p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C]."""

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.contract import stencil_of
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
@@ -81,7 +82,7 @@ def uniqueness(model: Any, *, spacing: float) -> Uniqueness:
 
     Raises InputError when the horizon is below one spacing.
     """
-    stencil, group = model.stencil(spacing), model.group
+    stencil, group = stencil_of(model.linear, spacing, "uniqueness")
     classes = bond_classes(spacing, model.reach)
     p_in, p_out = model.weights(classes)
     kappa_out = proven_kappa(stencil, group, classes, p_out)
