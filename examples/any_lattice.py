@@ -6,9 +6,6 @@ scattered fields; one influence function is fitted for many lattices. Displaceme
 against molecular statics, smoothed at those nodes.
 """
 
-from __future__ import annotations
-
-import argparse
 import functools
 import json
 import sys
@@ -31,15 +28,15 @@ from scipy.spatial import cKDTree
 import warp_peri
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
+from tools.options import Options
 from warp_peri import Bernstein, Model, Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, whole_file, write_json, write_text
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer import cache as kept
 from warp_peri.transfer.lattice import new_lattice
-from warp_peri.transfer.shared_kernel import one_kernel
 from warp_peri.transfer.waves import dispersion, rings, wave_errors
-from warp_peri.transfers import on_lattice
+from warp_peri.transfers import on_lattice, one_kernel
 
 LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (7.5, 22.5), (10.0, 25.0))
 """Spacing and horizon [Å]; None for the fewest bonds that meet the tolerance."""
@@ -277,14 +274,9 @@ def figure(model: Model, file: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__, "any_lattice", json=True)
     parser.add_argument("--model", type=Path, default=ROOT / "runs" / "graphene_0K" / "model.json")
     parser.add_argument("--data", type=Path, default=ROOT / "data" / "graphene_0K.h5")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "any_lattice")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
     given = parser.parse_args(arguments)
     model, data = warp_peri.load(given.model), warp_peri.load(given.data)
     with locked(given.out), warnings.catch_warnings():

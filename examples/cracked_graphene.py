@@ -10,9 +10,6 @@ r = E G_c / (2π σ²) at each tip; strength and moduli come from sheets without
 says at what strain any straight cracks in any rectangle open, on no lattice (theory.md, C20–C24).
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -29,9 +26,11 @@ import warp_peri as wp
 from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
+from tools.options import Options
 from tools.row_separation import whole
-from warp_peri.damage import Cracked, rectangle
-from warp_peri.errors import InputError, exit_status
+from warp_peri import Cracked, InputError
+from warp_peri.damage import rectangle
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
 FITTED, DEFAULT, ALL = 24, (12, 16), (8, 12, 16, 32, 36)
@@ -159,8 +158,7 @@ def any_cracks(numbers: list[float], half: list[float], kept: Path, *, pull: boo
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "cracked_graphene", json=True)
     parser.add_argument("--all", action="store_true", help="six cracks, and two collinear ones")
     parser.add_argument("--later", action="store_true", help="three, predicted blindly")
     parser.add_argument(
@@ -172,10 +170,7 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--half", type=float, nargs=2, default=(100.0, 100.0), metavar="Å")
     parser.add_argument("--pull", action="store_true", help="these cracks' atoms too")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "cracked_graphene")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
-    args.out.mkdir(parents=True, exist_ok=True)
     if args.cracks:
         found = any_cracks(args.cracks, args.half, args.out / "atoms.json", pull=args.pull)
         print(json.dumps(found, indent=None if args.json else 1))

@@ -1,8 +1,5 @@
 """A block of copper with a void, pulled at its top: tetrahedra at its faces, the law inside."""
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -19,18 +16,17 @@ import warp_peri
 from examples.crystals import learned
 from examples.graphene_report import save_figure
 from tools.crystals import force_constants
-from warp_peri.edges.body import Coupling
+from tools.options import Options
 from warp_peri.errors import exit_status
+from warp_peri.methods import Coupling
 from warp_peri.points.solids import Block, Sphere, mesh_solid
 
 SIDE, RADIUS, TENSION = 180.0, 20.0, 1e-3  # Å, Å, TPa
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, json=True)
     parser.add_argument("--out", type=Path, default=ROOT / "runs" / "crystal_body.png")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     given = parser.parse_args(arguments)
     law = learned("Cu", force_constants("Cu"))
     mesh = mesh_solid(Block((SIDE,) * 3), [Sphere(RADIUS, size=5.0)], size=20.0)

@@ -7,9 +7,6 @@ python examples/crystals.py W --fields    learned from displacements under loads
 python examples/crystals.py Mg --picture runs/Mg.png
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import json
 import sys
@@ -27,18 +24,15 @@ from tools.crystal_ball import INNER, SEEN, Ball, ball
 from tools.crystal_void import Void, void, void_error
 from tools.crystals import RECIPES, force_constants, spacing_of
 from tools.isotropic_rival import isotropic_lps
-from warp_peri import LPS, Bernstein, Micromodulus
+from tools.options import Options
+from warp_peri import LPS, Bernstein, Micromodulus, Points, Samples
 from warp_peri.core.elastic import allowed_tensors, directional, named_moduli
 from warp_peri.core.elements import q1_tensors
 from warp_peri.core.groups import point_group
 from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum
-from warp_peri.micromodulus import tensors_of
+from warp_peri.micromodulus import Crystal, from_phonons, tensors_of
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.waves import from_phonons
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.structures.waves import Loads, placed_errors, wave_loads
 
 UNITS = ("angstrom", "TPa")
@@ -292,16 +286,13 @@ def picture(name: str, path: Path) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     """Print one crystal."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__, json=True)
     parser.add_argument("crystal", choices=list(RECIPES))
     parser.add_argument(
         "--bonds", type=int, help="of a node: " + ", ".join(map(str, (*SHELLS[2], *SHELLS[3])))
     )
     parser.add_argument("--quick", action="store_true", help="without the ball and the void")
     parser.add_argument("--fields", action="store_true", help="learn from fields instead")
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
     parser.add_argument("--picture", type=Path, help="draw the law there, and nothing else")
     given = parser.parse_args(arguments)
 

@@ -5,9 +5,6 @@ python examples/dressed.py --json    one object on stdout
 python examples/dressed.py --all     every crystal, and a free ball of each
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -29,6 +26,7 @@ from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools import crystals, graphene_phonons
 from tools.crystal_ball import ball
 from tools.graphene import DISK_RADIUS
+from tools.options import Options
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.dressed import DressedSolid, FiniteStrain, from_phonons, grown, torn
 from warp_peri.errors import exit_status
@@ -280,8 +278,7 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = Options(__doc__)
     parser.add_argument("--all", action="store_true", help="every crystal, with free balls")
     add_files(parser, ROOT / "runs" / "dressed")
     given = parser.parse_args(arguments)

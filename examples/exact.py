@@ -1,7 +1,5 @@
 """Exact solutions for examples and tests: a hole, a crack under pressure, plane Maxwell flows."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 

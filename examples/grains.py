@@ -4,9 +4,6 @@ python examples/grains.py           numbers, and a picture in runs/grains
 python examples/grains.py --json    one object on stdout
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import json
 import sys
@@ -22,6 +19,7 @@ import numpy as np
 import warp_peri as wp
 from examples.graphene_report import save_figure
 from tools.grains import Columns, columns, plane_constants
+from tools.options import Options
 from warp_peri.dressed import DressedSolid, fit_maps, from_phonons
 from warp_peri.errors import exit_status
 from warp_peri.micromodulus.force_constants import ForceConstants
@@ -132,11 +130,8 @@ def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> Non
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = Options(__doc__, "grains", json=True)
     parser.add_argument("--half", action="store_true", help="periods half as wide, for a look")
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "grains")
     given = parser.parse_args(arguments)
 
     def work() -> None:

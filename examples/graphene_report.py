@@ -1,7 +1,5 @@
 """Figures, metrics and report of the graphene example."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,15 +14,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from examples.prose import fill, table
-from warp_peri import plots
+from warp_peri import Dirichlet, Model, Samples, plots, solve
 from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.learning.result import Fit
 from warp_peri.learning.run import Run
-from warp_peri.learning.uncertainty import Uncertainty
-from warp_peri.lps.model import Model
-from warp_peri.points.samples import Samples
-from warp_peri.problems import Dirichlet
-from warp_peri.solving import solve
+from warp_peri.methods import Uncertainty
 
 PAPER = {
     "You et al. 2021, LPS": {

@@ -6,8 +6,6 @@ see the same samples: bonds alone, a sheet without fibres, and the true constant
 same nodes.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -27,9 +25,10 @@ import numpy as np
 
 import warp_peri as wp
 from tools.make_hgo import ELEMENTS, Material, make_hgo
+from tools.options import Options
+from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.points.samples import Samples
 from warp_peri.tissue import (
     Dictionary,
     HyperelasticSolid,
@@ -181,8 +180,7 @@ def study(given: argparse.Namespace, element: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = Options(__doc__, "hgo_square", json=True)
     parser.add_argument("--element", choices=(*ELEMENTS, "both"), default="both")
     parser.add_argument("--samples", type=int, default=200, help="to learn from")
     parser.add_argument("--disks", type=int, default=10, help="to test on")
@@ -191,8 +189,6 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1000, help="of the first load")
     parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
     parser.add_argument("--data", type=Path, default=ROOT / "data" / "hgo")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hgo_square")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     for name, value in vars(Material()).items():
         parser.add_argument(f"--{name}", type=float, default=value, help="of the sheet")
     given = parser.parse_args()

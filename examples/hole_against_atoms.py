@@ -6,9 +6,6 @@ knows of the edges nothing but, in a second solve, a stiffness that strips of tw
 Displacements are compared around atoms, the model's taken at the same atoms.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -36,12 +33,14 @@ from tools.holed_sheet import (
     held_samples,
     loads_of,
 )
+from tools.options import Options
 from tools.samples import Sample
-from warp_peri.edges.body import Coupling, solve_body
+from warp_peri import Mesh
+from warp_peri.atoms import force_on_mesh, smoothing_matrix
+from warp_peri.edges.body import solve_body
 from warp_peri.errors import exit_status
-from warp_peri.points.mesh import Mesh
+from warp_peri.methods import Coupling
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.sources.coarse_graining import force_on_mesh, smoothing_matrix
 
 INSIDE = 100.0
 """Half of the model's plate [Å]; the atoms go on beyond it."""
@@ -160,8 +159,7 @@ def draw(table: dict[str, dict[str, float]]) -> Figure:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "hole_against_atoms", json=True)
     file = ROOT / "runs" / "graphene_0K" / "model.json"
     parser.add_argument("--model", type=Path, default=file, help="a model file")
     parser.add_argument("--cache", type=Path, default=ROOT / "data" / "holes", help="of the atoms")
@@ -170,8 +168,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--waves", type=int, nargs="+", default=waves, help="their numbers, from 0")
     parser.add_argument("--edge-times", type=float, default=1.0, help="of an edge's stiffness")
     parser.add_argument("--elements", action="store_true", help="alone, the atoms' own moduli")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hole_against_atoms")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     warnings.simplefilter("ignore")
     start = time.perf_counter()
@@ -198,7 +194,6 @@ def main(argv: list[str] | None = None) -> int:
         "seconds": time.perf_counter() - start,
     }
     print(json.dumps(numbers) if args.json else json.dumps(numbers, indent=1))
-    args.out.mkdir(parents=True, exist_ok=True)
     draw(table).savefig(args.out / "errors.png", dpi=120)
     return 0
 

@@ -3,9 +3,6 @@
 Bonds add the compliances of μ along them, balls those of λ − μ; the exact field is on the collar.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -22,7 +19,9 @@ from matplotlib.figure import Figure
 import warp_peri as wp
 from examples.cracks.inclusions import MEANS, Mixed
 from examples.graphene_report import save_figure
-from warp_peri.damage import Cracked, box
+from tools.options import Options
+from warp_peri import Cracked
+from warp_peri.damage import box
 from warp_peri.errors import exit_status
 
 RADIUS = 0.5
@@ -76,13 +75,10 @@ def draw(ax: Axes, x: np.ndarray, off: np.ndarray, title: str) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "inclusion", json=True)
     parser.add_argument("--cells", type=int, nargs="+", help="per unit length")
     parser.add_argument("--space", action="store_true", help="a ball in space, not a disk")
     parser.add_argument("--case", choices=list(CASES), help="one of them, by default all")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "inclusion")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     d = 3 if args.space else 2
     args.cells = args.cells or CELLS[d]

@@ -6,8 +6,6 @@ folder of real frames instead, learns a material and the sheet's thickness from 
 the others; --other takes the material to another sheet.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -25,10 +23,12 @@ import warp_peri as wp
 from examples.leaflet_pictures import draw
 from examples.studies.leaflet_rivals import RIVALS, interpolated_errors, rival_errors
 from tools.make_leaflet import Leaflet, make_leaflet, noisy
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import InputError, Samples
+from warp_peri.atoms import noise_of
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.points.samples import Samples
-from warp_peri.sources.dic import frames_of_folder, noise_of
+from warp_peri.sources.dic import frames_of_folder
 from warp_peri.tissue import (
     Dictionary,
     DisplacementFit,
@@ -196,7 +196,7 @@ def blank(report: Any) -> Any:
 
 def arguments() -> argparse.Namespace:
     """What was asked for on the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = Options(__doc__, "leaflet", json=True)
     parser.add_argument("--noise", type=float, default=0.002, help="of every node, in spacings")
     parser.add_argument("--seed", type=int, default=7, help="of the noise")
     parser.add_argument("--frames", type=Path, help="folder of real frames")
@@ -208,8 +208,6 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--rivals", nargs="*", choices=RIVALS, help="all but the uneven sheet")
     parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
     parser.add_argument("--data", type=Path, default=ROOT / "data" / "leaflet")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "leaflet")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     for name, value in vars(Leaflet()).items():
         parser.add_argument(f"--{name}", type=float, default=value, help="of the synthetic leaflet")
     given = parser.parse_args()
@@ -224,7 +222,6 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Run and print."""
     given = arguments()
     report: dict[str, Any] = {}
     if not given.frames:

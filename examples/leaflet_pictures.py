@@ -1,7 +1,5 @@
 """What a biomechanician reads: maps, stress–stretch curves, the fibre rose, errors by frame."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 from typing import Any
@@ -14,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
-from warp_peri.points.samples import Samples
+from warp_peri import Samples
 from warp_peri.tissue import HyperelasticSolid, NoEquilibrium, PlacedSheet, rose_of
 
 

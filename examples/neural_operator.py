@@ -6,8 +6,6 @@ of a training from a fresh start. With --epochs a training that can be stopped a
 picture and errors are written to --out.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import dataclasses
@@ -32,14 +30,15 @@ from examples.neural_sets import Sets
 from examples.prose import table
 from examples.studies.paper_jafarzadeh_pictures import omega
 from tools.make_hgo import SPACING
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import InputError, Samples
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.launch import set_threads
+from warp_peri.neural import NeuralOperator, Training, evaluate, train
 from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.neural.material import NeuralOperator, load, save
-from warp_peri.neural.placed import evaluate
-from warp_peri.neural.training import Training, TrainingHistory, train
-from warp_peri.points.samples import Samples
+from warp_peri.neural.material import load, save
+from warp_peri.neural.training import TrainingHistory
 from warp_peri.points.unit_names import Units, symbols
 
 WEIGHTS = ROOT / "examples" / "neural_weights"
@@ -208,7 +207,6 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     report: dict[str, Any] = {"experiment": name}
     if given.epochs:
         material, history = trained(given, sets, 60 * given.minutes)
-        given.out.mkdir(parents=True, exist_ok=True)
         save(material, given.out / f"{name}.json", precision="float16")
         report |= {"epochs": history.epochs, "seconds_an_epoch": history.seconds / history.epochs}
     else:
@@ -292,10 +290,7 @@ def page(report: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__, "neural", json=True)
     parser.add_argument("experiment", choices=("graphene", "hgo", "leaflet"))
     parser.add_argument("--epochs", type=int, help="train so many; goes on from a checkpoint")
     parser.add_argument(
@@ -320,9 +315,7 @@ def main(arguments: list[str] | None = None) -> int:
         help="fit the other materials too; by default beside the shipped weights",
     )  # fmt: skip
     parser.add_argument("--data", type=Path, default=ROOT / "data")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "neural")
     parser.add_argument("--quiet", action="store_true", help="no bar of the training")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     report = finite(plain(run(given)))
     print(json.dumps(report) if given.json else page(report))

@@ -1,7 +1,5 @@
 """Other materials learned from what the neural operator learns from, by name."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any
@@ -13,11 +11,10 @@ from examples.hgo_square import FREE
 from examples.leaflet import ROSE
 from examples.neural_sets import Sets
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
-from warp_peri.points.samples import Samples
+from warp_peri import Samples
+from warp_peri.tissue import HyperelasticSolid, hyperelastic_errors
 from warp_peri.tissue.energy_fit import fit_energy
-from warp_peri.tissue.fit_errors import hyperelastic_errors
 from warp_peri.tissue.from_displacement import fit_displacement
-from warp_peri.tissue.solid import HyperelasticSolid
 
 EVERY = 10
 """Of the leaflet's training frames, one in so many is what the dictionary is fitted on, and what

@@ -1,7 +1,5 @@
 """What the neural operator is trained on: atoms, an anisotropic sheet, a leaflet."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 
@@ -10,8 +8,7 @@ import numpy as np
 import warp_peri
 from tools.make_hgo import DISK_RADIUS, HORIZON, NODES, SPACING, SQUARES, make_hgo
 from tools.make_leaflet import make_leaflet
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri import Points, Samples
 
 Sets = dict[str, Samples]
 LEVELS, LEARNED, CHOSEN = 20, 100, 20

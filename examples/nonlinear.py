@@ -5,8 +5,6 @@ whose constants are the potential's), metrics.json and a picture; and the same t
 micromodulus tensors of 28 bonds, and of the LPS, with the moduli of the potential held.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -23,11 +21,11 @@ from matplotlib.figure import Figure
 
 import warp_peri
 from examples.train_graphene import DATA, make_data
-from warp_peri import Bernstein, Dataset
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import Bernstein, Dataset, InputError, Micromodulus
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, whole_file, write_json
 from warp_peri.methods import Conditions, Optimum, Smoothing
-from warp_peri.micromodulus.learning import Micromodulus
 
 STRAINED = DATA.with_name("graphene_0K_strained.h5")
 OUT = ROOT / "runs" / "nonlinear"
@@ -99,7 +97,6 @@ def add_files(parser: argparse.ArgumentParser, out: Path) -> None:
     parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
     parser.add_argument("--strained", type=Path, help="data at larger strain (made if not there)")
     parser.add_argument("--out", type=Path, default=out, help="folder for the results")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
 
 
 def strained_file(given: argparse.Namespace) -> Path:
@@ -150,10 +147,7 @@ def draw(path: Path, numbers: dict[str, Any]) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = Options(__doc__, json=True, defaults=True)
     parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
     parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
     parser.add_argument(

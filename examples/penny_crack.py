@@ -1,6 +1,5 @@
 """A block of glass with a penny-shaped crack inside, pulled until it runs; Griffith beside it."""
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -13,14 +12,9 @@ import numpy as np
 
 import warp_peri as wp
 from examples.cracks.energy_release import energy_release
-from warp_peri.damage import (
-    BrittleSolid,
-    Cracked,
-    Injected,
-    box,
-    contour_integral,
-    penny,
-)
+from tools.options import Options
+from warp_peri import Cracked
+from warp_peri.damage import BrittleSolid, Injected, box, contour_integral, penny
 
 PICTURE = ROOT / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")  # with µs, densities are in g/cm³
@@ -80,8 +74,7 @@ def torn(side=24, radius=5.0, steps=400):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, json=True)
     as_json = parser.parse_args().json
     points, motion, stress = torn()
     G, J = released()

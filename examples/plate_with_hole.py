@@ -3,9 +3,6 @@
 Compared with Lekhnitskii's exact plate, Kirsch's where the material is isotropic.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -20,8 +17,10 @@ from matplotlib.tri import Triangulation
 
 import warp_peri
 from examples.exact import hoop_stress, plate_with_hole
-from warp_peri.edges.body import BodySolution, Coupling, long_wave, solve_body
+from tools.options import Options
+from warp_peri.edges.body import BodySolution, long_wave, solve_body
 from warp_peri.errors import exit_status
+from warp_peri.methods import Coupling
 from warp_peri.points.outlines import Circle, box, mesh_outline
 
 TENSION = 0.005
@@ -98,8 +97,7 @@ def reported(solution: BodySolution) -> dict[str, float]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "plate_with_hole", json=True)
     file = ROOT / "runs" / "graphene_0K" / "model.json"
     parser.add_argument("--model", type=Path, default=file, help="a model file")
     parser.add_argument("--radius", type=float, default=40.0, help="of the hole [Å]")
@@ -109,8 +107,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--horizon", type=float, default=7.5, help="there [Å]")
     parser.add_argument("--overlap", type=float, help="of rim and bulk [Å]")
     parser.add_argument("--three-holes", action="store_true", help="a plate of 500 Å instead")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "plate_with_hole")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     model = warp_peri.load(args.model)
     if not model.is_certified_on(args.spacing) or args.horizon != model.horizon:
@@ -129,7 +125,6 @@ def main(argv: list[str] | None = None) -> int:
     shown = axes.tripcolor(triangles, stress[:, 0, 0] / TENSION, shading="gouraud", cmap="viridis")
     axes.set(aspect="equal", title="σ₁₁ over the tension far away", xlabel="Å")
     figure.colorbar(shown, ax=axes)
-    args.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.out / "stress.png", dpi=120)
     return 0
 

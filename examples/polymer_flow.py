@@ -6,9 +6,6 @@ point of a channel. Hookean dumbbells have an exact law to be held to; FENE dumb
     python examples/polymer_flow.py --json      # numbers alone; figure and table under runs/
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -29,6 +26,7 @@ import numpy as np
 import warp_peri as wp
 from examples.exact import poiseuille
 from examples.flows.paths import Band, band
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json, write_text
 from warp_peri.flow import (
@@ -180,11 +178,10 @@ def table(numbers: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = Options(__doc__, json=True)
     parser.add_argument("--dumbbells", type=int, default=10_000, help="in each Hookean run")
     parser.add_argument("--fene", type=int, default=4000, help="in each FENE run")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     options = parser.parse_args(arguments)
     folder = ROOT / "runs" / "polymer_flow"
     start = time.perf_counter()

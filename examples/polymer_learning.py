@@ -7,9 +7,6 @@ is wrong by tens of per cent, and says so only by a warning.
     python examples/polymer_learning.py --json     # numbers alone; figure in runs/polymer_learning/
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -27,6 +24,7 @@ import numpy as np
 
 import warp_peri as wp
 from examples.flows.active import LearningClosure, replayed
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.flow import (
@@ -55,11 +53,10 @@ def run(fluid: Any) -> wp.Motion:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = Options(__doc__, json=True)
     parser.add_argument("--dumbbells", type=int, default=3000, help="in each record")
     parser.add_argument("--reference", type=int, default=3000, help="in each cell")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     options = parser.parse_args(arguments)
     K = held(np.concatenate([shear([0.5, 1.0, 2.0]), elongation([0.25, 0.5])]), 60)
     weak = simulate(Dumbbells(5, options.dumbbells, b=B, seed=options.seed), K, 0.1, steps=5)

@@ -7,8 +7,6 @@ oracle knows to be within the tolerance, among every second node, elements, the 
 corrections of the first and the last. Needs the extra `compare` for elements.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -32,6 +30,7 @@ from matplotlib.figure import Figure
 import warp_peri as wp
 from examples.studies.fem_rival import elastic_solver
 from examples.train_graphene import DATA, make_data
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, whole_file, write_json
 from warp_peri.launch import set_threads
@@ -379,13 +378,11 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, json=True)
     parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
     parser.add_argument("--scenes", type=Path, help="scenes with truth (made if not there)")
     parser.add_argument("--refit", action="store_true", help="learn the family anew")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     tell(parser.parse_args(arguments), run)
     return 0
 

@@ -3,9 +3,6 @@
 The load is minus the force that the missing bonds would carry.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -20,6 +17,7 @@ from matplotlib.figure import Figure
 
 import warp_peri as wp
 from examples.exact import sneddon_opening
+from tools.options import Options
 from warp_peri import damage
 from warp_peri.errors import exit_status
 
@@ -56,14 +54,11 @@ def opening(cells: int, lam: float = 1.0):
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "pressurised_crack", json=True)
     parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
     parser.add_argument(
         "--growth", type=int, default=16, help="cells of the growing crack, 0: none"
     )
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "pressurised_crack")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     if min(args.cells) < 4:
         parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
@@ -87,7 +82,6 @@ def main(argv: list[str] | None = None) -> int:
         right.plot(run["pumped"], exact, "k", linewidth=0.8, label="plane")
         right.set(xlabel="volume pumped", ylabel="pressure")
         right.legend(frameon=False)
-    args.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.out / "opening.png", dpi=120)
     print(json.dumps(numbers, indent=None if args.json else 1))
     return 0

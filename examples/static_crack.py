@@ -4,9 +4,6 @@ Westergaard's field is given on the collar; the bonds across the crack are cut. 
 run in from the edge of a strip that dead loads pull at.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -19,6 +16,7 @@ from matplotlib.figure import Figure
 
 import warp_peri as wp
 from examples.cracks.energy_release import energy_release, tip_shift
+from tools.options import Options
 from warp_peri import damage
 from warp_peri.errors import exit_status
 
@@ -92,15 +90,12 @@ def edge_cracks(lam: float) -> dict[str, dict[str, list[float]]]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "static_crack", json=True)
     parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
     parser.add_argument("--ratio", type=float, default=3.0, help="horizon over spacing")
     parser.add_argument("--lam", type=float, default=1.0, help="λ, with μ = 1")
     parser.add_argument("--growth", action="store_true", help="also what a growing crack spends")
     parser.add_argument("--edge", action="store_true", help="G of cracks from an edge instead")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "static_crack")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
     if min(args.cells) < 4:
         parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
@@ -126,7 +121,6 @@ def main(argv: list[str] | None = None) -> int:
     right.plot(x[row, 0], exact[row, 1], "k", linewidth=0.8, label="Westergaard")
     right.set(xlabel="x₁", ylabel="u₂ above the crack", title=f"L/{args.cells[-1]}")
     right.legend(frameon=False)
-    args.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.out / "crack.png", dpi=120)
     return 0
 

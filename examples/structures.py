@@ -4,9 +4,6 @@ python examples/structures.py            a table
 python examples/structures.py --picture runs/atoms.png
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import time
 from pathlib import Path
@@ -18,6 +15,7 @@ import ase.build
 import numpy as np
 
 import warp_peri as wp
+from tools.options import Options
 from warp_peri.core.elastic import voigt
 from warp_peri.errors import exit_status
 
@@ -74,7 +72,7 @@ def row(name: str) -> str:
 
 def main(words: list[str] | None = None) -> int:
     """Print the table, or draw one crystal."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__)
     parser.add_argument("crystals", nargs="*", default=list(CASES), metavar="NAME")
     parser.add_argument("--picture", type=Path, help="draw the first there, and nothing else")
     given = parser.parse_args(words)

@@ -3,8 +3,6 @@
 Writes model.json, metrics.json, report.md and figures to the output folder.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import shlex
@@ -19,16 +17,16 @@ sys.path.insert(0, str(ROOT))  # for tools/, which is not installed
 import warp_peri
 from examples import graphene_report as report
 from examples.studies import sweep_report
+from tools.options import Options
+from warp_peri import Dataset, InputError, Samples
 from warp_peri.cluster import scheduler
-from warp_peri.errors import InputError, exit_status
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.learning import METHODS, methods
 from warp_peri.learning.result import Fit
 from warp_peri.learning.run import train
-from warp_peri.learning.sweep import sweep
-from warp_peri.micromodulus.law import Crystal
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
+from warp_peri.methods import sweep
+from warp_peri.micromodulus import Crystal
 from warp_peri.third_order.material import CUBIC, NonlinearModel
 
 DATA = ROOT / "data" / "graphene_0K.h5"
@@ -251,9 +249,7 @@ def print_certificate(learned: Fit) -> None:
 
 def parser() -> argparse.ArgumentParser:
     """Options of the main job."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = Options(__doc__, defaults=True)
     parser.add_argument("--spacing", type=float, default=5.0, help="of the nodes [Å]; 5 or 2.5")
     parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
     parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")

@@ -6,9 +6,6 @@ python examples/uneven_sheet.py --json    one object on stdout
 python examples/uneven_sheet.py --all     sheets with vacancies too
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -25,6 +22,7 @@ import warp_peri as wp
 from examples.graphene_report import save_figure
 from tools.graphene_phonons import force_constants
 from tools.make_graphene import SMOOTHING_RADIUS
+from tools.options import Options
 from tools.uneven_sheets import Sheet, moduli, uneven_sheet
 from warp_peri.dressed import DressedSolid, MapFit, fit_density, fit_maps, from_phonons
 from warp_peri.errors import exit_status
@@ -128,12 +126,9 @@ def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Pa
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = Options(__doc__, "uneven_sheet", json=True)
     parser.add_argument("--loads", type=int, default=4, help="to learn from")
     parser.add_argument("--all", action="store_true", help="sheets with vacancies too")
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "uneven_sheet")
     given = parser.parse_args(arguments)
 
     def work() -> None:

@@ -1,8 +1,5 @@
 """Forward solves of a model on the held-out disks: errors disk by disk, and their picture."""
 
-from __future__ import annotations
-
-import argparse
 import sys
 from pathlib import Path
 
@@ -11,6 +8,7 @@ sys.path.insert(0, str(ROOT))
 
 import warp_peri
 from examples import graphene_report as report
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
@@ -18,10 +16,7 @@ DATA = ROOT / "data" / "graphene_0K.h5"
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = Options(__doc__, defaults=True)
     parser.add_argument("model", type=Path, metavar="MODEL", help="a model.json")
     parser.add_argument("--data", type=Path, default=DATA, help="HDF5 file with the disks")
     parser.add_argument("--set", default="test", help="name of the set")

@@ -17,9 +17,6 @@ are counted once from each end. What to read are the ratios: the times belong to
 the extra `bench` for Numba.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 import sys
 import time
@@ -46,15 +43,16 @@ from tools import (
     solve_study,
     solver_choice,
 )
+from tools.options import Options
+from warp_peri import Points
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
 from warp_peri.lps.bonds import BLOCKS, Bonds
 from warp_peri.lps.launches import Tabulated, influence_inputs
-from warp_peri.lps.model import Solid
 from warp_peri.lps.operator import lps_force
+from warp_peri.methods import Solid
 from warp_peri.points.families import families_of
-from warp_peri.points.points import Points
 from warp_peri.structures.lammps import LammpsError, lammps_class
 
 HORIZON = 4.0
@@ -404,10 +402,7 @@ def launches(*, quick: bool, threads: int = 2) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__)
     kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
     parser.add_argument("what", choices=kinds)
     parser.add_argument(

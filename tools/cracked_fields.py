@@ -1,7 +1,5 @@
 """Linear atoms of a cracked sheet whose rim is pulled, seen from nodes on either side."""
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path

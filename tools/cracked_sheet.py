@@ -5,8 +5,6 @@ too strong. Here the switch starts at 2.6 Å, and pairs of one sublattice, which
 would reach, are excluded; so are the bonds that a crack cuts.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 import time
@@ -33,7 +31,7 @@ from tools.lammps_session import (
     potential_file,
 )
 from tools.statics import find_bonds
-from warp_peri.errors import InputError
+from warp_peri import InputError
 from warp_peri.stability.inertia import symmetric_factors
 
 SWITCH, WIDTH = 2.65, 0.05

@@ -1,7 +1,5 @@
 """Bodies of atoms under load, relaxed by LAMMPS, and what nodes see of them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,10 +11,9 @@ from scipy.spatial import cKDTree
 
 from tools.crystals import RECIPES, session
 from tools.solid_session import SolidSession
+from warp_peri import Points, Samples
 from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
 
 RADIUS, SEEN, INNER = 11.0, 8.6, 5.5

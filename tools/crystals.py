@@ -1,7 +1,5 @@
 """Crystals whose potentials come with LAMMPS: at rest, constants of force, answers to waves."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,9 +10,9 @@ import numpy as np
 from scipy.optimize import root
 
 from tools.solid_session import SolidSession
+from warp_peri.micromodulus import Polar
 from warp_peri.micromodulus.force_constants import (
     ForceConstants,
-    Polar,
     finite_differences,
     from_supercell,
 )

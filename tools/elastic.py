@@ -1,7 +1,5 @@
 """The potential's own elastic constants at 0 K: the truth that a learned model is held to."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from pathlib import Path

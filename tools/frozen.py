@@ -12,9 +12,6 @@ limit. Some state a limit of their own. `--class moved` or `resummed` holds all 
 that. With another processor or packages than the record's, bits are no matter: moved is 1e-12.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -37,6 +34,7 @@ import numpy as np
 import torch
 
 from tools.frozen_cases import CASES, FOLDER, Absent
+from tools.options import Options
 from warp_peri.launch import set_threads
 
 RECORD = FOLDER / "record.json"
@@ -211,7 +209,7 @@ def check(only: re.Pattern[str], *, tightest: str = "", every: bool = False) -> 
 
 def main(arguments: list[str] | None = None) -> int:
     """Status of the command."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser = Options(__doc__)
     parser.add_argument("verb", choices=("record", "check"))
     parser.add_argument("--only", type=re.compile, default=re.compile(""), metavar="PATTERN")
     parser.add_argument("--class", dest="tightest", choices=("moved", "resummed"), default="")

@@ -5,8 +5,6 @@ a sheet two planes thick, its plane strain that of the solid. Turned by Â±35.26Â
 where they share a layer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,9 +16,8 @@ from scipy.spatial import cKDTree
 from tools.crystals import at_rest, force_constants, session
 from tools.hessian import ColouredHessian
 from tools.uneven_sheets import patch, waves
+from warp_peri import Points, Samples
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.stability.inertia import symmetric_factors
 from warp_peri.structures.waves import CONE, EV_IN_TPA, smoothing
 

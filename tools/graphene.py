@@ -1,7 +1,5 @@
 """Graphene at 0 K: its bond length, a periodic sheet and a free disk, built by ASE."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Hessian of the atoms' energy from differences of forces, many columns at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -3,9 +3,6 @@
 Every sample is kept as soon as it is done, so that an interrupted run goes on where it was.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -25,6 +22,7 @@ from tqdm import tqdm
 from tools.graphene import THICKNESS, _crystal, area_per_atom, bond_length
 from tools.lammps_session import POTENTIAL, LammpsSession
 from tools.loads import atom_force
+from tools.options import Options
 from tools.samples import Sample, file_hash, read_record, write_record
 from tools.statics import TOLERANCE, Statics, find_bonds
 from warp_peri.errors import exit_status
@@ -294,7 +292,7 @@ def _strip(bond: float, width: float, sign: int, *, armchair: bool) -> tuple[flo
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line: make what is missing."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__)
     parser.add_argument("--cache", type=Path, default=Path("data/holes"), metavar="FOLDER")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     parser.add_argument("--tension", type=float, default=TENSION, help="about the stress [TPa]")

@@ -4,8 +4,6 @@ An energy is a function of C = FᵗF, given as c = (C11, C22, C12) of shape [...
 ∂W/∂c and ∂²W/∂c² of shapes [...], [..., 3] and [..., 3, 3].
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

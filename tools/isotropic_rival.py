@@ -1,13 +1,11 @@
 """The best isotropic LPS on square or cubic nodes, as a rival of micromodulus tensors."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.optimize import least_squares
 
 from warp_peri.core.stencil import bend, directions, half_ball, laplacian, zone_sample
+from warp_peri.micromodulus import Crystal
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.law import Crystal
 
 WAVES, LARGEST = 200, 2.0
 PENALTY = 3.0

@@ -1,7 +1,5 @@
 """LAMMPS inside this process: energy, forces, stress and dynamics of atoms in one plane."""
 
-from __future__ import annotations
-
 import ctypes
 import math
 from collections.abc import Iterator, Sequence

@@ -3,8 +3,6 @@
 `python tools/benchmark.py launch` prints it on one and two threads, beside Numba by rows.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -19,8 +17,8 @@ from warp_peri.kernels.lps.influence import influence as influence_kernel
 from warp_peri.launch import Recorded, empty, threads
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.launches import filled, influence, influence_inputs
-from warp_peri.lps.model import Solid
 from warp_peri.lps.rows import Forward
+from warp_peri.methods import Solid
 
 ROUNDS, SECONDS = 1000, 6.0
 """Most rounds, and after how long no other is begun."""

@@ -1,7 +1,5 @@
 """Elastic constants from the response to the longest waves: the truth at a finite temperature."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,8 +1,5 @@
 """Graphene at 0 K by LAMMPS, coarse-grained: the data set of You et al. 2021, section 6.1."""
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import os
 import platform
@@ -25,16 +22,15 @@ from tools.elastic import elastic_constants
 from tools.graphene import DISK_RADIUS, SHEET_CELLS, THICKNESS, area_per_atom, bond_length
 from tools.lammps_session import CARBON_MASS, POTENTIAL
 from tools.loads import DESIGNED, TEST, TRAINING, VALIDATION, Load, WaveLoad
+from tools.options import Options
 from tools.samples import Piece, Sample, cache_file, file_hash, read_sample, solve_samples
 from tools.statics import TOLERANCE
+from warp_peri import Dataset, InputError, Points, Samples
+from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.cluster import scheduler
-from warp_peri.errors import InputError, exit_status
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import save_dataset
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.structures.lammps import potential_file
 
 LOADS: dict[str, Sequence[Load]] = {"designed": DESIGNED}
@@ -356,8 +352,7 @@ def versions() -> dict[str, str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status, 1 after an error and 130 after Ctrl-C."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__)
     parser.add_argument("--out", type=Path, default=Path("data/graphene_0K.h5"), metavar="FILE")
     parser.add_argument(
         "--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core"

@@ -4,9 +4,6 @@ The second experiment of Jafarzadeh et al. 2024: a unit square, its edge held, u
 forces, on 21 × 21 nodes; and disks cut from the same sheet.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -31,15 +28,13 @@ from tools.hyperelastic_elements import (
     triangles,
 )
 from tools.hyperelastic_energies import Family, Matrix, hgo
+from tools.options import Options
 from tools.random_field import RandomField
-from warp_peri.errors import InputError, exit_status
+from warp_peri import Dataset, InputError, Points, Samples, save
+from warp_peri.errors import exit_status
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import locked, whole_file
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import REDUCED
-from warp_peri.storage import save
 
 NODES = 21
 """Nodes a side of the square."""
@@ -286,7 +281,7 @@ def on_nodes(mesh: Elements, u: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Make the data from a shell."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = Options(__doc__)
     parser.add_argument("--out", type=Path, default=Path("data/hgo"), help="folder of samples")
     parser.add_argument("--element", choices=ELEMENTS, default="linear")
     parser.add_argument("--counts", type=int, nargs=4, default=(200, 25, 25, 10))

@@ -5,9 +5,6 @@ protocols, as valve leaflets are. What is kept is the displacement on a lattice 
 digital image correlation would give it, and the pull of two sides.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -25,11 +22,11 @@ from tqdm import tqdm
 
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, Matrix, plane_stress_hgo
+from tools.options import Options
+from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.archive import read_arrays
 from warp_peri.files.atomic import locked, whole_file
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import REDUCED
 
 PROTOCOLS = ((1, 1), (1, 0.66), (1, 0.33), (0.66, 1), (0.33, 1), (0.05, 1), (1, 0.1))
@@ -191,7 +188,7 @@ def noisy(frames: Samples, level: float, seed: int = 7) -> Samples:
 
 def main() -> None:
     """Make the frames from a shell."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = Options(__doc__)
     parser.add_argument(
         "--out", type=Path, default=Path("data/leaflet"), help="folder of protocols"
     )

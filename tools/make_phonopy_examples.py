@@ -3,8 +3,6 @@
 python tools/make_phonopy_examples.py examples/phonopy
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path

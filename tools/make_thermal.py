@@ -9,8 +9,6 @@ Each loaded run has an unloaded partner of the same seed. From the same runs com
 and a data set each, for every factor on the loads. Finished runs are kept; a second call goes on.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import sys
@@ -41,15 +39,15 @@ from tools.make_graphene import (
     solve_all,
     versions,
 )
+from tools.options import Options
 from tools.plans import Plan, graphene_plans
 from tools.reductions import REDUCTIONS, noise, reduced
 from tools.samples import Piece, Sample, file_hash
 from tools.thermal import Bath, Task, ThermalRun, read_run, run, run_file
-from warp_peri.errors import InputError, exit_status
+from warp_peri import Dataset, InputError, Samples
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.dataset_file import save_dataset
-from warp_peri.points.samples import Samples
 
 DATA = Path("data")
 
@@ -257,9 +255,7 @@ def run_all(
 
 def argument_parser() -> argparse.ArgumentParser:
     """Options of this tool."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__)
     bath = Bath()
     parser.add_argument("--out", type=Path, default=DATA, metavar="FOLDER", help="(default: data)")
     parser.add_argument(
@@ -301,7 +297,6 @@ def argument_parser() -> argparse.ArgumentParser:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status, 1 after an error and 130 after Ctrl-C."""
     parser = argument_parser()
     given = parser.parse_args(arguments)
     warnings.showwarning = short_warning

@@ -4,8 +4,6 @@ A triangular lattice of Lennard-Jones atoms, and a network of springs some of wh
 new user might bring, with the stiffness known from the lattice itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

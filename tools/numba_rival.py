@@ -1,7 +1,5 @@
 """The operator and its adjoint in parallel Numba loops, to measure the library against."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

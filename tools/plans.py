@@ -1,7 +1,5 @@
 """Which loads run with which seeds at a finite temperature."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

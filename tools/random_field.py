@@ -1,7 +1,5 @@
 """Smooth random vector fields: Gaussian, with a spectrum that falls like a power."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

@@ -9,8 +9,6 @@ seeds is subtracted, and then what is left of a rigid motion. Noise is estimated
 loaded run shares.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

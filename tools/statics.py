@@ -1,7 +1,5 @@
 """Equilibrium of atoms at 0 K: modified Newton, one sparse factorisation for many loads."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

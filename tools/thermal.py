@@ -5,8 +5,6 @@ and its plain average after a transient. Runs of one seed see the same random fo
 difference of a loaded and an unloaded one has far less noise than either.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -18,7 +16,7 @@ import numpy as np
 from tools.lammps_session import LammpsSession
 from tools.loads import Load
 from tools.samples import Piece, Sample, body_record, cache_file, read_record, write_record
-from warp_peri.errors import InputError
+from warp_peri import InputError
 from warp_peri.structures.lammps import LammpsError
 
 CACHE_VERSION = 1

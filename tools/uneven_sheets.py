@@ -1,7 +1,5 @@
 """Periodic sheets that are not even: boron nitride in graphene, vacancies; linear, at 0 K."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,11 +11,10 @@ from tools.graphene_phonons import force_constants
 from tools.lammps_session import LammpsSession
 from tools.make_graphene import SMOOTHING_RADIUS
 from tools.statics import Statics
+from warp_peri import Points, Samples
+from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.structures.lammps import potential_file
 
 CELLS, NODES = (78, 45), 40

@@ -5,8 +5,6 @@ one step of the row; all around is elastic, linear or to third order (C23). Noth
 tip is: that comes out.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np
@@ -15,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 from examples.cracks.cubic_energy import CubicEnergy, check_lengths
 from examples.cracks.straight_cracks import CrackedRectangle
-from warp_peri.errors import InputError
+from warp_peri import InputError
 
 ROUNDS = 60
 NODES = 6
@@ -53,7 +51,7 @@ class RowLaw:
         slope = self._curve(inside, 1)
         return self._curve(inside) + slope * (separation - inside), slope
 
-    def times(self, factor: float) -> RowLaw:
+    def times(self, factor: float) -> "RowLaw":
         """The law of a row so many times as strong, and as tough."""
         return RowLaw(self.separation, factor * self.traction)
 

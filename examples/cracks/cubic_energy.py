@@ -4,15 +4,13 @@ The energy of an elastic body is stationary at rest, so the energy of third orde
 field is what it adds, to first order.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri import InputError
 
 FINER = 2
 """Points of the sheet in a step, and in a height."""

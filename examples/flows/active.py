@@ -5,17 +5,14 @@ data. When some are outside, the gradients that the farthest cell felt since the
 dumbbells, the law is learned again from all records, and the flow goes on with it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.flow.closure import Closure
-from warp_peri.flow.dumbbells import Dumbbells, Ensembles, simulate
+from warp_peri import InputError
+from warp_peri.flow import Closure, Dumbbells, Ensembles, simulate
 from warp_peri.flow.laws import FlowLaw
 
 EARLIER = 1.5

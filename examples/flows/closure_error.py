@@ -5,18 +5,15 @@ from the law's is added to the law's, and the flow is run again: the change of v
 the error of the first run, and the second run is the better one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.flow.closure import Closure, homogeneous
-from warp_peri.flow.laws import shear
-from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
+from warp_peri import InputError
+from warp_peri.flow import Closure, PlaneFlow, Profiles, homogeneous, shear
+from warp_peri.flow.plane import run_plane
 
 
 @dataclass

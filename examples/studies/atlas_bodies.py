@@ -1,7 +1,5 @@
 """Stability atlas: families that an edge cuts, and what coupling with elements cannot do."""
 
-from __future__ import annotations
-
 import re
 import warnings
 
@@ -12,7 +10,8 @@ from tqdm import tqdm
 import warp_peri
 from examples.exact import plate_with_hole
 from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.edges.body import Coupling, long_wave, solve_body
+from warp_peri.edges.body import long_wave, solve_body
+from warp_peri.methods import Coupling
 from warp_peri.points.outlines import Circle, box, mesh_outline
 
 HALF, TENSION = 100.0, 0.005

@@ -1,7 +1,5 @@
 """Stability atlas: kernels fitted without conditions, and what they do to static problems."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import matplotlib.pyplot as plt
@@ -13,11 +11,10 @@ from tqdm import tqdm
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
+from warp_peri import Dataset, Model, Samples
 from warp_peri.lps.matrices import matrices
-from warp_peri.lps.model import Model
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
-from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.methods import Conditions
+from warp_peri.regression.conditions import LatticeConditions, ZoneSearch
 from warp_peri.regression.coordinates import Coordinates
 from warp_peri.regression.losses import ReducedLoss, reduce, sample_weights
 from warp_peri.regression.parameters import Parameters

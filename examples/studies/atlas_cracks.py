@@ -1,7 +1,5 @@
 """Stability atlas: learned kernels that are broken, a critical stretch misjudged, steps too long."""
 
-from __future__ import annotations
-
 import warnings
 
 import matplotlib.pyplot as plt
@@ -11,11 +9,17 @@ from examples.cracks.energy_release import energy_release, tip_shift
 from examples.static_crack import edge_crack
 from examples.studies.atlas_entry import Entry, words
 from warp_peri import Cracked, Model, Points
-from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, rectangle
+from warp_peri.damage import (
+    BrittleSolid,
+    LatticeBody,
+    apparent_toughness,
+    box,
+    lattice_body,
+    positive_kernel,
+    rectangle,
+)
 from warp_peri.damage.motion import BreakingBody, step
 from warp_peri.damage.operator import bond_weights, cut_matrix, stiffness_across
-from warp_peri.damage.slow_growth import apparent_toughness
-from warp_peri.damage.solid import BrittleSolid, positive_kernel
 from warp_peri.damage.stability import check_breakable, negative_eigenvalues
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import REDUCED

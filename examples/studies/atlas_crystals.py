@@ -1,7 +1,5 @@
 """Stability atlas: crystals whose bonds are cut, and crystals that lie otherwise than was said."""
 
-from __future__ import annotations
-
 import matplotlib.pyplot as plt
 import numpy as np
 

@@ -1,7 +1,5 @@
 """Stability atlas: learned bonds that are cut where a body ends; sheets strained too far."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import matplotlib.pyplot as plt
@@ -10,9 +8,8 @@ import scipy.sparse as sp
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
+from warp_peri import Dataset, Points
 from warp_peri.dressed import DressedSolid, FiniteSolid
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.points import Points
 
 SIDES = (9, 13, 17, 25, 33)
 STYLES = {"learned bonds, cut": "C3o-", "elements, dressed": "C0o-", "bonds, dressed": "C1o-"}

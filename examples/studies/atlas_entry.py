@@ -1,7 +1,5 @@
 """One entry of the stability atlas: what fails, a number, a figure, and what a user would see."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,8 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from examples.prose import fill
-from warp_peri.errors import InputError
-from warp_peri.points.points import Points
+from warp_peri import InputError, Points
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,24 @@
 """Stability atlas: polymer flows. Noise of each particle's own, a conformation turned."""
 
-from __future__ import annotations
-
 import matplotlib.pyplot as plt
 import numpy as np
 
 from examples.studies.atlas_entry import Entry, words, written
 from warp_peri import InputError
-from warp_peri.flow.channel import ChannelFlow, Particles, run_channel
-from warp_peri.flow.closure import Closure, CoupledDumbbells, heun, homogeneous
-from warp_peri.flow.dumbbells import Dumbbells, carried_exactly, propagator
-from warp_peri.flow.laws import (
-    IDENTITY,
+from warp_peri.flow import (
+    ChannelFlow,
+    Closure,
+    CoupledDumbbells,
+    Dumbbells,
     LogConformation,
     UpperConvectedMaxwell,
-    eigenvalues,
     elongation,
-    exponential_of,
+    homogeneous,
 )
+from warp_peri.flow.channel import Particles, run_channel
+from warp_peri.flow.closure import heun
+from warp_peri.flow.dumbbells import carried_exactly, propagator
+from warp_peri.flow.laws import IDENTITY, eigenvalues, exponential_of
 
 DE, UNTIL, STEPS, COUNT = 1e-2, 0.03, 300, 300
 

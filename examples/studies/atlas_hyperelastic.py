@@ -1,7 +1,5 @@
 """Stability atlas: a sheet at large deformation, pushed together with and without deviations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 
@@ -9,10 +7,10 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from examples.studies.atlas_entry import Entry, words
-from warp_peri.points.points import Points
+from warp_peri import Points
+from warp_peri.tissue import Dictionary, Term
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import Dictionary, Term
 
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 STIFFNESSES = (0.0, 0.05, 0.2, 0.5)

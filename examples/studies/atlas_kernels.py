@@ -1,7 +1,5 @@
 """Stability atlas: kernels that fail on their lattice, or away from it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,11 +12,12 @@ from tqdm import tqdm
 import warp_peri
 from examples.studies.atlas_conditions import displacement_error
 from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.lps.model import Model, bernstein_basis
-from warp_peri.points.dataset import Dataset
+from warp_peri import Dataset, Model
+from warp_peri.lps.model import bernstein_basis
+from warp_peri.methods import Conditions
 from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
-from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.conditions import LatticeConditions, ZoneSearch
 
 LAM, MU = -0.1972, 0.7223
 """Of the potential that the data come from [TPa]."""

@@ -1,7 +1,5 @@
 """Stability atlas: explicit dynamics, waves against phonons, strains beyond the linear range."""
 
-from __future__ import annotations
-
 import functools
 import warnings
 from collections.abc import Mapping, Sequence
@@ -20,16 +18,13 @@ from tools.loads import WaveLoad, atom_force
 from tools.make_graphene import point_set
 from tools.samples import Piece, Sample
 from tools.statics import ConvergenceError, Statics, find_bonds
+from warp_peri import Dataset, Dirichlet, Model, Points, Samples, move
 from warp_peri.dynamics import verlet
-from warp_peri.dynamics.verlet import INERTIA, critical_time_step
-from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.dynamics.verlet import INERTIA
+from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import symbol
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
-from warp_peri.problems import Dirichlet
-from warp_peri.solving import move
+from warp_peri.proofs import critical_time_step
 from warp_peri.structures.lammps import potential_file
 
 DENSITY = 2147.0

@@ -1,7 +1,5 @@
 """Stability atlas: networks that have learned forces from displacements with noise."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 
@@ -12,7 +10,7 @@ import warp_peri as wp
 from examples import neural_sets
 from examples.studies.atlas_entry import Entry, words, written
 from examples.studies.neural_noise import REACH, learned
-from warp_peri.neural.placed import evaluate
+from warp_peri.neural import evaluate
 
 LEVELS = (0.0, 0.002, 0.005, 0.01)
 EPOCHS = 60

@@ -1,7 +1,5 @@
 """Stability atlas: loads from small strains to where atoms fail, for linear and nonlinear solids."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -17,8 +15,7 @@ from tools.loads import TEST, VALIDATION, Load
 from tools.make_graphene import graphene_bodies, point_set
 from tools.make_strained import strained, strained_file
 from tools.samples import Piece, Sample, _statics, read_sample, write_record
-from warp_peri import Bernstein, Dataset, Model, Samples
-from warp_peri.errors import InputError
+from warp_peri import Bernstein, Dataset, InputError, Model, Samples
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.methods import Optimum, Smoothing
 from warp_peri.third_order.material import NonlinearModel

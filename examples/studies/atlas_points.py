@@ -1,7 +1,5 @@
 """Stability atlas: scattered points, holes, clusters and free surfaces."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -17,13 +15,12 @@ import warp_peri
 from examples.prose import rows_of
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
 from examples.studies.atlas_solves import MU, elastic_error
+from warp_peri import Model, Points
 from warp_peri.launch import ints
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.launches import influence
 from warp_peri.lps.matrices import assemble
-from warp_peri.lps.model import Model
 from warp_peri.points.families import families_of
-from warp_peri.points.points import Points
 
 HORIZON, NUMBER, SEEDS = 3.0, 12, range(4)
 """δ/h, unknown nodes a side, and seeds of the scattered points."""

@@ -1,7 +1,5 @@
 """Stability atlas: the error of an answer where the family's data hold nothing of its loads."""
 
-from __future__ import annotations
-
 import matplotlib.pyplot as plt
 import numpy as np
 

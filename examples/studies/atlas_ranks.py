@@ -1,7 +1,5 @@
 """What goes wrong where a solve is spread over ranks: a filter that is cut off, blocks alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path

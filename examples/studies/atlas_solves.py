@@ -1,7 +1,5 @@
 """Stability atlas: solves that fail through constants or precision."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping, Sequence
 
@@ -14,15 +12,14 @@ from tqdm import tqdm
 import warp_peri
 from examples.studies.atlas_conditions import unconstrained
 from examples.studies.atlas_entry import Entry, square_lattice, words, written
+from warp_peri import Dataset, Model, Points, Samples
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import matrices
-from warp_peri.lps.model import Model, Solid, stiffnesses
+from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.operator import lps_force
-from warp_peri.points.dataset import Dataset
+from warp_peri.methods import Conditions, Solid
 from warp_peri.points.families import bond_classes
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
-from warp_peri.regression.conditions import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.conditions import LatticeConditions, ZoneSearch
 from warp_peri.regression.losses import reduce, sample_weights
 
 MU = 0.7223

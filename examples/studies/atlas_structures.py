@@ -1,7 +1,5 @@
 """Stability atlas: supercells narrower than forces reach, and crystals that are none."""
 
-from __future__ import annotations
-
 import ase.build
 import matplotlib.pyplot as plt
 import numpy as np

@@ -1,7 +1,5 @@
 """Stability atlas: what a transfer to other lattices and to scattered points cannot give."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 
@@ -11,8 +9,7 @@ from matplotlib.figure import Figure
 
 import warp_peri
 from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.lps.model import Model
-from warp_peri.points.points import Points
+from warp_peri import Model, Points
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.lattice import home_of, new_lattice
 from warp_peri.transfer.waves import dispersion, rings, wave_errors

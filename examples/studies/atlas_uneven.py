@@ -1,7 +1,5 @@
 """Stability atlas: a sheet that is not even, learned from as if it were."""
 
-from __future__ import annotations
-
 import warnings
 
 import matplotlib.pyplot as plt
@@ -11,10 +9,9 @@ from examples.studies.atlas_entry import Entry, square_lattice, words, written
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import plane_stress_hgo
 from tools.make_leaflet import Leaflet
-from warp_peri.points.samples import Samples
-from warp_peri.tissue.fit_errors import hyperelastic_errors
-from warp_peri.tissue.from_displacement import DisplacementFit, fit_displacement
-from warp_peri.tissue.solid import Dictionary, Term
+from warp_peri import Samples
+from warp_peri.tissue import Dictionary, DisplacementFit, Term, hyperelastic_errors
+from warp_peri.tissue.from_displacement import fit_displacement
 
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 SHEET = Dictionary(3.0, (), NEAREST, (Term("plane_stress"), Term("volumetric")))

@@ -5,17 +5,20 @@ either choice of conditions, with held or isotropic moduli, with two influence f
 training on two grids at once, solved on both and on a third that no fit saw.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import time
 import warnings
 from pathlib import Path
 from typing import Any
 
-from warp_peri import Bernstein
+from warp_peri import Bernstein, Dataset, InputError, Model, Samples
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import write_json, write_text
+from warp_peri.learning.fit import learn as fit
+from warp_peri.learning.result import Fit
+from warp_peri.learning.two_stage import DenseMargins
 from warp_peri.methods import Optimum, TwoStage
+from warp_peri.points.families import bond_classes
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
@@ -27,15 +30,7 @@ from tqdm import tqdm
 import warp_peri
 from examples.train_graphene import DATA, make_data
 from tools.make_graphene import SMOOTHING_RADIUS, point_set, read_samples
-from warp_peri.errors import InputError, exit_status
-from warp_peri.files.atomic import write_json, write_text
-from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.result import Fit
-from warp_peri.learning.two_stage import DenseMargins
-from warp_peri.lps.model import Model
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
+from tools.options import Options
 
 UNSEEN_SPACING = 4.0
 """[Å]"""
@@ -169,12 +164,8 @@ def report(single: list[dict[str, Any]], double: list[dict[str, Any]], dense: fl
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__, "compare_fits")
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "compare_fits")
     given = parser.parse_args(arguments)
     data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
     body, loads, samples = read_samples(DATA.with_suffix(".cache"), "test")

@@ -8,9 +8,6 @@ without a crack, pulled along either axis. For comparison, armchair cracks with 
 own, fitted on one of them.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from collections.abc import Callable
@@ -28,6 +25,7 @@ from examples.cracked_graphene import Continuum, fitted
 from tools.cracked_sheet import cracked_sheet, critical_strain, finished, ideal_strength, opened
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
@@ -138,13 +136,9 @@ def atoms(cases: tuple, step: float, kept: Path) -> dict[str, dict]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "crack_directions", json=True)
     parser.add_argument("--cases", type=int, default=len(CASES), help="how many of them")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "crack_directions")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
     args = parser.parse_args(argv)
-    args.out.mkdir(parents=True, exist_ok=True)
     step = float(np.sqrt(3) * bond_length())
     if args.cases < 1:
         parser.error(f"--cases: expected a number ≥ 1, got {args.cases}")

@@ -9,9 +9,6 @@ The last five were chosen before any was looked at, and took no part in setting 
 the six before them were such once, and have been looked at since.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -27,9 +24,10 @@ import numpy as np
 
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
+from tools.options import Options
 from tools.statics import Statics
 from warp_peri import LPS, Bernstein, Points, Samples, diagnose, fit
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.structures.lammps import potential_file
 
 CELLS = (24, 14)
@@ -270,8 +268,7 @@ def study(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Print the table, or JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true")
+    parser = Options(__doc__, json=True)
     parser.add_argument("--only", nargs="+", help="names of sheets")
     given = parser.parse_args()
     wanted = [s for s in (*SHEETS, *UNSEEN) if not given.only or s.name in given.only]

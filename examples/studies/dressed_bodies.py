@@ -3,8 +3,6 @@
 python examples/studies/dressed_bodies.py    the hole, the strip and the crack
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys
@@ -25,9 +23,9 @@ from tools.graphene import THICKNESS, bond_length
 from tools.graphene_phonons import force_constants as graphene
 from tools.holed_sheet import STRIP, Plate, held_samples, loads_of
 from tools.make_graphene import SMOOTHING_RADIUS, ZIGZAG
+from warp_peri.atoms import force_on_mesh, smoothing_matrix
 from warp_peri.dressed import DressedSolid, from_phonons, torn
 from warp_peri.edges.body import solve_body
-from warp_peri.sources.coarse_graining import force_on_mesh, smoothing_matrix
 from warp_peri.structures.waves import CONE, EV_IN_TPA, relative, smoothing
 
 HOLED = Plate((120.0, 120.0), 30.0)

@@ -8,9 +8,6 @@ are. A missing figure is named with its command, and nothing is written. Needs m
 `export`).
 """
 
-from __future__ import annotations
-
-import argparse
 import io
 import sys
 import tomllib
@@ -31,7 +28,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure as Canvas
 from PIL import Image
 
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file, write_text
 
 LARGEST, WIDTH = 200_000, 1000
@@ -125,10 +124,7 @@ def stress(source: Path) -> Canvas:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__)
     parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="of the other examples")
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="default: docs/")
     given = parser.parse_args(arguments)

@@ -4,9 +4,6 @@ Positive shapes of one parameter, a damped wave of three, a table and the Bernst
 fitted by the same path under the same conditions. Writes table.md, metrics.json and shapes.png.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -21,14 +18,14 @@ from tqdm import tqdm
 import warp_peri
 from examples.train_graphene import make_data
 from tools.make_graphene import SMOOTHING_RADIUS
+from tools.options import Options
+from warp_peri import Dataset, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file, write_json, write_text
 from warp_peri.learning.result import Fit
-from warp_peri.lps.shapes import InfluenceFunction, damped_wave, named, table
 from warp_peri.plots import kernel_values
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
+from warp_peri.shapes import InfluenceFunction, damped_wave, named, table
 
 HORIZON, DEGREE = 20.0, 10
 KNOTS = np.linspace(4.0, HORIZON, 9)
@@ -132,12 +129,8 @@ def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], pat
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__, "influence_shapes")
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "influence_shapes")
     given = parser.parse_args(arguments)
     data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
     learned = fits(data["train"])

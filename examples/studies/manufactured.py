@@ -13,9 +13,6 @@ every grid takes the highest degree that its families carry. --quintic keeps deg
 Writes manufactured.json, fixed_alpha.png (figure 2) and learned_alpha.png (figure 3).
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 from pathlib import Path
 from typing import Any
@@ -36,11 +33,11 @@ from scipy.special import j0, j1
 from tqdm import tqdm
 
 from examples.graphene_report import save_figure
+from tools.options import Options
+from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.lps.model import bernstein_basis
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.regression.losses import ReducedLoss, class_weights, reduce, sample_weights
 
 LAM, MU = 0.1010, 0.4545
@@ -231,11 +228,7 @@ def run(out: Path, seed: int, *, quintic: bool, adam: bool = False) -> dict[str,
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "manufactured")
+    parser = Options(__doc__, "manufactured")
     parser.add_argument("--seed", type=int, default=0, help="of the initial D")
     parser.add_argument("--quintic", action="store_true", help="quadrature degree 5 on every grid")
     parser.add_argument("--adam", action="store_true", help="Adam instead of least squares")

@@ -7,8 +7,6 @@ short trainings, by the error of training and validation loads. The best setting
 anew. Leaves monotone.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -27,6 +25,7 @@ import warp_peri
 from examples.nonlinear import OUT, STRAINED
 from examples.prose import table
 from examples.train_graphene import DATA
+from tools.options import Options
 from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
@@ -281,16 +280,12 @@ def page(report: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = Options(__doc__, json=True, defaults=True)
     parser.add_argument("--minutes", type=float, default=2.0, help="processor time of the best one")
     parser.add_argument("--try-minutes", type=float, default=0.15, help="of each setting tried")
     parser.add_argument("--settings", type=int, default=len(TRIED), help="how many are tried")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--models", type=Path, default=OUT, help="folder of examples/nonlinear.py")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     report = run(given)
     print(json.dumps(report) if given.json else page(report))

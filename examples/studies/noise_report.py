@@ -1,7 +1,5 @@
 """Tables and figures of the noise study."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -16,14 +14,10 @@ import numpy as np
 
 from examples.graphene_report import save_figure
 from examples.prose import fill, rows_of
-from warp_peri import plots
+from warp_peri import Dirichlet, Model, Samples, plots, solve
 from warp_peri.learning.result import Fit
-from warp_peri.learning.uncertainty import Uncertainty
-from warp_peri.lps.model import Model
+from warp_peri.methods import Uncertainty
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
-from warp_peri.problems import Dirichlet
-from warp_peri.solving import solve
 
 Row = dict[str, Any]
 

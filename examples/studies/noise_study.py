@@ -6,8 +6,6 @@ shared-seed reference of the same loads, and to 0 K. Runs LAMMPS for an hour on 
 its runs are there.
 """
 
-from __future__ import annotations
-
 import argparse
 import operator
 import shlex
@@ -26,14 +24,13 @@ import warp_peri
 from examples.studies import noise_report
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from tools.make_thermal import make_thermal
+from tools.options import Options
 from tools.reductions import REDUCTIONS
+from warp_peri import Dataset, Samples, load
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json, write_text
 from warp_peri.learning.result import Fit
-from warp_peri.learning.sweep import sweep
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
-from warp_peri.storage import load
+from warp_peri.methods import sweep
 
 FACTORS = (1.0, 0.25, 0.1)
 HORIZON, DEGREE = 20.0, 10
@@ -183,12 +180,8 @@ def run(given: argparse.Namespace) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0, 1 after a failure, 2 for bad input."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__, "noise_study")
     parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: all cores")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "noise_study")
     given = parser.parse_args(arguments)
     words = sys.argv[1:] if arguments is None else arguments
     given.command = shlex.join(["python", "examples/studies/noise_study.py", *words])

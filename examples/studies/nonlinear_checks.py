@@ -3,9 +3,6 @@
 Takes the models that examples/nonlinear.py left, prints numbers, and leaves them as JSON.
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import json
 import statistics
@@ -33,6 +30,7 @@ from tools.make_graphene import (
     on_nodes,
     read_samples,
 )
+from tools.options import Options
 from tools.samples import Sample
 from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
@@ -188,11 +186,9 @@ def costs(model: NonlinearModel) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, json=True)
     parser.add_argument("--models", type=Path, default=OUT, help="folder of the models")
     parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     numbers: dict[str, Any] = {}
     data, cache = warp_peri.load(given.data), given.data.with_suffix(".cache")

@@ -4,8 +4,6 @@ Prints for each ρ the residual on fifths of the training loads that a fit did n
 of a wave vector stay together), the one on all of them, and the proven strain; leaves them as JSON.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -22,6 +20,7 @@ from tqdm import tqdm
 import warp_peri
 from examples.nonlinear import OUT
 from examples.train_graphene import make_data
+from tools.options import Options
 from warp_peri import Bernstein, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
@@ -95,15 +94,11 @@ def run(given: argparse.Namespace) -> dict[str, dict[str, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = Options(__doc__, json=True, defaults=True)
     parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
     parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
     parser.add_argument("--seed", type=int, default=0, help="of the parts")
     parser.add_argument("--out", type=Path, default=OUT, help="folder for filter.json")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

@@ -1,7 +1,5 @@
 """The same operator by SciPy and by Numba, and the model that a positive kernel can be."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
@@ -11,11 +9,10 @@ from scipy.optimize import least_squares
 from scipy.sparse.linalg import LinearOperator, cg
 
 from tools import numba_rival, rivals
-from warp_peri import InputError, Model, Samples
+from warp_peri import InputError, Model, Points, Samples
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import matrices
 from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.points import Points
 from warp_peri.regression.losses import class_weights, reduce, sample_weights
 
 TOLERANCE = 1e-8

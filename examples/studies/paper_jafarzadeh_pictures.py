@@ -1,7 +1,5 @@
 """Pictures of the page on Jafarzadeh et al. (2024), from this library's own data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,7 @@ from matplotlib.ticker import MaxNLocator, ScalarFormatter
 from examples.graphene_report import save_figure
 from tools.make_hgo import NODES
 from tools.make_leaflet import PROTOCOLS, SIDE, TINE, TINES_AT
-from warp_peri.points.samples import Samples
+from warp_peri import Samples
 
 BINS = 60
 

@@ -1,7 +1,5 @@
 """Figures of the page on polymer flow by Gaussian processes: see paper_polymer_gp.py."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

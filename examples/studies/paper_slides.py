@@ -1,7 +1,5 @@
 """What the page on the slides of Trask shows: see papers.py."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Nearly incompressible solids on scattered points, for the page on the slides: see papers.py."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from itertools import product
 from typing import Any
@@ -13,8 +11,8 @@ from scipy.spatial import ConvexHull, Voronoi
 import warp_peri
 from examples.studies.paper_slides_rates import LENGTH, MU, lattice
 from examples.studies.staggered import derivatives, least_squares, staggered, tensors, thinned
+from warp_peri import Points
 from warp_peri.lps.matrices import Matrices, matrices
-from warp_peri.points.points import Points
 from warp_peri.statics.direct import MatrixProblem
 
 STIFFER, CELLS, SEEDS = (3.0, 1e2, 1e4, 1e6), (8, 16, 32), range(5)

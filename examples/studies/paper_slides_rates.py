@@ -1,7 +1,5 @@
 """Rates of the page on the slides: functionals, quadrature, both limits, edges (see papers.py)."""
 
-from __future__ import annotations
-
 from itertools import product
 from math import factorial, pi
 from typing import Any
@@ -14,11 +12,10 @@ import warp_peri
 from examples.studies.manufactured import HORIZON, continuum_symbol
 from examples.studies.manufactured import MU as MANUFACTURED_MU
 from examples.studies.staggered import least_squares
+from warp_peri import InputError, Points
+from warp_peri.damage import continuum_stretch
 from warp_peri.damage.operator import unit_toughness
-from warp_peri.damage.solid import continuum_stretch
-from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
-from warp_peri.points.points import Points
 from warp_peri.points.quadrature import ball_integral
 from warp_peri.statics.direct import MatrixProblem
 

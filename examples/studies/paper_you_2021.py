@@ -1,7 +1,5 @@
 """What the page on You et al. (2021) shows: see papers.py."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -17,14 +15,12 @@ from examples.prose import rows_of
 from examples.studies import paper_you_pictures as pictures
 from examples.studies import paper_you_thermal as thermal
 from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_4
-from warp_peri import Bernstein
+from warp_peri import Bernstein, Dataset, Samples
 from warp_peri.files.atomic import whole_file
 from warp_peri.learning.fit import learn
 from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Stage
 from warp_peri.methods import TwoStage
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
 
 DATA, CACHE = "data/graphene_0K.h5", "data/graphene_0K.cache"
 NEEDED = {

@@ -1,7 +1,5 @@
 """Figures 1, 4 and 5 of the page on You et al. (2021): see paper_you_2021.py."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from examples.graphene_report import save_figure
 from tools.make_graphene import SMOOTHING_RADIUS, read_samples
-from warp_peri.points.dataset import Dataset
+from warp_peri import Dataset
 
 HORIZON = 20.0
 """Of the family that is drawn [Å]."""

@@ -1,7 +1,5 @@
 """What the page on You et al. (2021) shows at 300 K: Tables 3 to 6, noise, Figure 7."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +16,8 @@ from tools.make_graphene import solve_all
 from tools.make_thermal import data_set, run_all
 from tools.plans import Plan, graphene_plans
 from tools.thermal import Bath, Task, ThermalRun
-from warp_peri import Bernstein
+from warp_peri import Bernstein, Dataset
 from warp_peri.learning.fit import learn
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 
 BATH = Bath(steps=1500, transient=800)

@@ -5,14 +5,14 @@ set of nodes, or each on its own. Scattered points have no symbol and no reduced
 is minimised by the two stages of Algorithm 1, the conditions kept on the lattice of the disks.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import time
 from pathlib import Path
 
-from warp_peri import Bernstein
+from warp_peri import Bernstein, Points, Samples
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import write_json
+from warp_peri.learning.fit import learn as fit
 from warp_peri.methods import TwoStage
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -24,11 +24,7 @@ import warp_peri
 from examples.train_graphene import DATA, make_data
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
-from warp_peri.errors import exit_status
-from warp_peri.files.atomic import write_json
-from warp_peri.learning.fit import learn as fit
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from tools.options import Options
 
 SPACING = 5.0
 
@@ -64,17 +60,13 @@ def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[S
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__, "scattered")
     parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
     parser.add_argument("--degree", type=int, default=10, help="M")
     parser.add_argument("--perturbation", type=float, default=0.2, help="in spacings")
     parser.add_argument("--own-nodes", action="store_true", help="each sample on its own nodes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "scattered")
     given = parser.parse_args(arguments)
     data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
     sets = scattered_sets(given.perturbation, given.seed, own_nodes=given.own_nodes)

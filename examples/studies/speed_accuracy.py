@@ -11,9 +11,6 @@ from the samples that the data set was made from. Needs the extras `compare` for
 and `bench` for Numba.
 """
 
-from __future__ import annotations
-
-import argparse
 import functools
 import importlib.util
 import json
@@ -27,7 +24,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from warp_peri import LPS, Bernstein
+from warp_peri import LPS, Bernstein, InputError, Model, Points, Samples, fit, load
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import whole_file, write_json
+from warp_peri.methods import Optimum
+from warp_peri.transfer.lattice import agrees_to
+from warp_peri.transfers import on_lattice
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
@@ -41,13 +43,7 @@ from examples.studies.speed_chart import chart, markdown, training_chart
 from examples.studies.speed_timing import MANY, by_cg, by_lu, hundred, smooth_error, timed
 from tools import make_graphene as making
 from tools import samples
-from warp_peri import Model, Samples, fit, load
-from warp_peri.errors import InputError, exit_status
-from warp_peri.files.atomic import whole_file, write_json
-from warp_peri.methods import Optimum
-from warp_peri.points.points import Points
-from warp_peri.transfer.lattice import agrees_to
-from warp_peri.transfers import on_lattice
+from tools.options import Options
 
 DEGREE = 10
 CASES = (
@@ -338,10 +334,7 @@ def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__)
     parser.add_argument("--data", type=Path, default=Path("data/graphene_0K.h5"))
     parser.add_argument("--out", type=Path, default=Path("runs/speed_accuracy"))
     parser.add_argument("--again", action="store_true", help="draw what is there once more")

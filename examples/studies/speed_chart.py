@@ -1,7 +1,5 @@
 """The chart and the table of speed_accuracy.py."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

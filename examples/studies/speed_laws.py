@@ -1,7 +1,5 @@
 """The chart's laws beside the linear solid: third order, tensors, dressed, predict, a network."""
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Callable, Iterator

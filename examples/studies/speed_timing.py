@@ -1,7 +1,5 @@
 """Solvers of the chart that are ready to solve, and how they are timed."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any

@@ -5,9 +5,6 @@ stability.json. The texts are filled with the measurements of the run; the error
 them are caught as a user would see them.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import time
 from collections.abc import Callable
@@ -45,7 +42,9 @@ from examples.studies import (
 )
 from examples.studies.atlas_entry import Entry
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json, write_text
 
 STEPS = 100_000
@@ -111,10 +110,7 @@ def section(name: str, entry: Entry, figures: str) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__)
     parser.add_argument("--out", type=Path, default=ROOT / "docs", help="default: docs/")
     parser.add_argument("--only", nargs="+", metavar="NAME", help="some entries, no page")
     parser.add_argument("--steps", type=int, default=STEPS, help="of the energy drift")

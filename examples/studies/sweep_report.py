@@ -1,7 +1,5 @@
 """Tables 3 and 4 and figures 6 and 7 (left) of You et al. (2021), made again from a sweep."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,11 +12,10 @@ import matplotlib.pyplot as plt
 
 from examples.graphene_report import save_figure
 from examples.prose import fill, rows_of
-from warp_peri import plots
+from warp_peri import Model, load, plots
 from warp_peri.files.atomic import write_json, write_text
-from warp_peri.learning.sweep import COST_TOLERANCE, Sweep, Trial
-from warp_peri.lps.model import Model
-from warp_peri.storage import load
+from warp_peri.learning.sweep import COST_TOLERANCE, Trial
+from warp_peri.methods import Sweep
 
 PRINTED_TABLE_3 = {
     0: (12.5, 13.91, 17.54, 16.31, 14.49, 1.0),

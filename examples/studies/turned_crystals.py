@@ -7,8 +7,6 @@ of the nodes, so that one direction alone says more about the load than about th
 models that examples/nonlinear.py left.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -31,6 +29,7 @@ from examples.train_graphene import DATA
 from tools.loads import TEST, RandomRim, RimLoad
 from tools.make_graphene import graphene_bodies, on_nodes
 from tools.make_strained import solve_strained, strained_file
+from tools.options import Options
 from tools.samples import Sample, read_sample
 from warp_peri import Model
 from warp_peri.errors import exit_status
@@ -144,16 +143,12 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = Options(__doc__, json=True, defaults=True)
     parser.add_argument("--models", type=Path, default=OUT, help="folder of the models")
     parser.add_argument("--loads", type=int, default=24, help="random loads, at least 2")
     parser.add_argument(
         "--cache", type=Path, default=DATA.with_name("turned_disks.cache"), help="finished disks"
     )
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     if given.loads < 2:
         parser.error(f"--loads: expected a number ≥ 2, got {given.loads}")

@@ -4,9 +4,6 @@ python examples/studies/which_law.py           a table, and a picture in runs/wh
 python examples/studies/which_law.py --json    one object on stdout
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import warnings
@@ -23,6 +20,7 @@ import warp_peri as wp
 from examples.nonlinear import add_files, errors, strained_file
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools.benchmark_crystals import least
+from tools.options import Options
 from warp_peri.dressed import FiniteStrain
 from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum, Smoothing
@@ -97,8 +95,7 @@ def picture(table: dict[str, Any], path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser = Options(__doc__)
     add_files(parser, ROOT / "runs" / "which_law")
     given = parser.parse_args(arguments)
 
