@@ -10,8 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -106,15 +105,15 @@ def branch_point(x: np.ndarray, phi: np.ndarray, h: float) -> float | None:
 
 def main(argv: list[str] | None = None) -> int:
     parser = Options(__doc__, "branching", json=True)
-    parser.add_argument("--spacing", type=float, default=0.5e-3, help="[m]")
-    parser.add_argument("--ratio", type=float, default=4.0, help="horizon over spacing")
-    parser.add_argument("--time", type=float, help="[s]; 45e-6, or 85e-6 of the plate that is hit")
-    parser.add_argument("--share", type=float, default=0.4, help="of the longest step")
-    parser.add_argument("--kalthoff", action="store_true", help="the plate that is hit, instead")
-    parser.add_argument("--turn", type=float, default=0.0, help="of that plate [degrees]")
-    parser.add_argument("--hole", type=float, default=0.0, help="radius of a hole [m]")
-    parser.add_argument("--series", action="store_true", help="write files for ParaView")
-    parser.add_argument("--progress", action="store_true", help="show how far it is")
+    parser.add("--spacing", type=float, default=0.5e-3, help="[m]")
+    parser.add("--ratio", type=float, default=4.0, help="horizon over spacing")
+    parser.add("--time", type=float, help="[s]; 45e-6, or 85e-6 of the plate that is hit")
+    parser.add("--share", type=float, default=0.4, help="of the longest step")
+    parser.add("--kalthoff", action="store_true", help="the plate that is hit, instead")
+    parser.add("--turn", type=float, default=0.0, help="of that plate [degrees]")
+    parser.add("--hole", type=float, default=0.0, help="radius of a hole [m]")
+    parser.add("--series", action="store_true", help="write files for ParaView")
+    parser.add("--progress", action="store_true", help="show how far it is")
     args = parser.parse_args(argv)
     if not (args.spacing > 0 and args.share > 0 and (args.time is None or args.time > 0)):
         parser.error("--spacing, --share, --time: expected numbers > 0")

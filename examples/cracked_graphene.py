@@ -14,15 +14,14 @@ import json
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
 import warp_peri as wp
+from examples.figures import panels
 from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
@@ -159,17 +158,17 @@ def any_cracks(numbers: list[float], half: list[float], kept: Path, *, pull: boo
 
 def main(argv: list[str] | None = None) -> int:
     parser = Options(__doc__, "cracked_graphene", json=True)
-    parser.add_argument("--all", action="store_true", help="six cracks, and two collinear ones")
-    parser.add_argument("--later", action="store_true", help="three, predicted blindly")
-    parser.add_argument(
+    parser.add("--all", action="store_true", help="six cracks, and two collinear ones")
+    parser.add("--later", action="store_true", help="three, predicted blindly")
+    parser.add(
         "--cracks",
         type=float,
         nargs="+",
         metavar="Å",
         help="x y of both ends of each, any straight",
     )
-    parser.add_argument("--half", type=float, nargs=2, default=(100.0, 100.0), metavar="Å")
-    parser.add_argument("--pull", action="store_true", help="these cracks' atoms too")
+    parser.add("--half", type=float, nargs=2, default=(100.0, 100.0), metavar="Å")
+    parser.add("--pull", action="store_true", help="these cracks' atoms too")
     args = parser.parse_args(argv)
     if args.cracks:
         found = any_cracks(args.cracks, args.half, args.out / "atoms.json", pull=args.pull)
@@ -204,8 +203,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.later:
         small = Continuum(constants["lambda"], constants["mu"], step, LATER_HALF)
         numbers["later"] = later(small, toughness, zone, args.out / "atoms.json")
-    figure = Figure(figsize=(5, 3.6), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(5, 3.6)
     halves = np.linspace(min(lengths) / 2, max(lengths) / 2, 60)
     curve = [100 * np.sqrt(toughness / release(half + zone)) for half in halves]
     ax.plot(2 * halves * step, curve, "k", linewidth=0.8, label="one G_c")

@@ -19,11 +19,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
-import warp_peri
+import warp_peri as wp
 from tools.crystal_ball import INNER, SEEN, Ball, ball
 from tools.crystal_void import Void, void, void_error
-from tools.crystals import RECIPES, force_constants, spacing_of
-from tools.isotropic_rival import isotropic_lps
+from tools.crystals import RECIPES, force_constants, isotropic_lps, spacing_of
 from tools.options import Options
 from warp_peri import LPS, Bernstein, Micromodulus, Points, Samples
 from warp_peri.core.elastic import allowed_tensors, directional, named_moduli
@@ -38,10 +37,7 @@ from warp_peri.structures.waves import Loads, placed_errors, wave_loads
 UNITS = ("angstrom", "TPa")
 CUBIC = {"GX": (1, 0, 0), "GK": (1, 1, 0), "GL": (1, 1, 1)}
 HEXAGONAL = {"GK": (1, 0, 0), "GM": (0, 1, 0), "GA": (0, 0, 1)}
-SHELLS = {
-    2: {12: 2.0, 20: 2.5, 28: 3.0, 48: 4.0},
-    3: {32: 2.0, 56: 5**0.5, 80: 6**0.5, 122: 3.0},
-}
+SHELLS = {2: {12: 2.0, 20: 2.5, 28: 3.0, 48: 4.0}, 3: {32: 2.0, 56: 5**0.5, 80: 6**0.5, 122: 3.0}}
 """Horizons over the spacing, by their number of bonds."""
 USUAL_BONDS = {2: 20, 3: 80}
 ON_LOADS = ("waves", "short", "ball", "void", "ball_at_rest")
@@ -210,11 +206,11 @@ def by_fields(name: str) -> dict[str, dict[str, Any]]:
         ("fields, moduli free", None),
     ):
         crystal = Micromodulus(law.horizon, symmetry, moduli=moduli)
-        laws[key] = warp_peri.fit(train, crystal).material
+        laws[key] = wp.fit(train, crystal).material
     for key, held in (("isotropic, fields", "isotropic"), ("isotropic, moduli free", None)):
         if symmetry == "m-3m":
             solid = LPS(2 * h, Bernstein(2), method=Optimum(moduli=held))
-            laws[key] = tensors_of(warp_peri.fit(train, solid).material, h)
+            laws[key] = tensors_of(wp.fit(train, solid).material, h)
     return {
         key: {"moduli": one.moduli("GPa")}
         | {on: loads.errors_of(one)[1] for on, loads in zip(ON_LOADS, unseen)}
@@ -284,34 +280,30 @@ def picture(name: str, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> None:
     """Print one crystal."""
     parser = Options(__doc__, json=True)
-    parser.add_argument("crystal", choices=list(RECIPES))
-    parser.add_argument(
+    parser.add("crystal", choices=list(RECIPES))
+    parser.add(
         "--bonds", type=int, help="of a node: " + ", ".join(map(str, (*SHELLS[2], *SHELLS[3])))
     )
-    parser.add_argument("--quick", action="store_true", help="without the ball and the void")
-    parser.add_argument("--fields", action="store_true", help="learn from fields instead")
-    parser.add_argument("--picture", type=Path, help="draw the law there, and nothing else")
+    parser.add("--quick", action="store_true", help="without the ball and the void")
+    parser.add("--fields", action="store_true", help="learn from fields instead")
+    parser.add("--picture", type=Path, help="draw the law there, and nothing else")
     given = parser.parse_args(arguments)
-
-    def work() -> None:
-        if given.picture is not None:
-            picture(given.crystal, given.picture)
-            return
-        if given.fields:
-            for key, row in (rows := by_fields(given.crystal)).items():
-                if not given.json:
-                    print(f"{key:24s} E_u {row['waves']:.2f} {row['short']:.2f}  {row['moduli']}")
-            if given.json:
-                print(json.dumps(rows))
-            return
-        found = study(given.crystal, given.bonds, quick=given.quick)
-        print(json.dumps(found) if given.json else told(given.crystal, found))
-
-    return exit_status(work)
+    if given.picture is not None:
+        picture(given.crystal, given.picture)
+        return
+    if given.fields:
+        for key, row in (rows := by_fields(given.crystal)).items():
+            if not given.json:
+                print(f"{key:24s} E_u {row['waves']:.2f} {row['short']:.2f}  {row['moduli']}")
+        if given.json:
+            print(json.dumps(rows))
+        return
+    found = study(given.crystal, given.bonds, quick=given.quick)
+    print(json.dumps(found) if given.json else told(given.crystal, found))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

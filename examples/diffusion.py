@@ -11,14 +11,13 @@ from typing import Any
 
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Units of numbers that have none."""
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
-from examples.graphene_report import save_figure
+from examples.figures import save_figure
 from tools.options import Options
 from warp_peri import Points
 from warp_peri.diffusion import Conductor, CoupledSolid
@@ -169,8 +168,8 @@ def draw(
 
 def main(argv: list[str] | None = None) -> int:
     parser = Options(__doc__, "diffusion", json=True)
-    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
-    parser.add_argument("--microstructure", type=int, default=32, help="its cells, 0 for none")
+    parser.add("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add("--microstructure", type=int, default=32, help="its cells, 0 for none")
     args = parser.parse_args(argv)
     if min(args.cells) < 4 or len(set(args.cells)) < 2:
         parser.error(f"--cells: expected two numbers ≥ 4 or more, got {args.cells}")

@@ -20,11 +20,10 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from examples import neural_sets
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from examples.neural_rivals import rivals_of
 from examples.neural_sets import Sets
 from examples.prose import table
@@ -241,8 +240,7 @@ def draw(material: NeuralOperator, path: Path, stretch: float) -> None:
     positive where it is largest.
     """
     curves, (length, stress) = material.curves(strain=stretch), symbols(material.units)
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(9, 3.6, count=2)
     if material.anisotropic:
         omega(left, copy.deepcopy(material))
     else:
@@ -291,31 +289,25 @@ def page(report: dict[str, Any]) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__, "neural", json=True)
-    parser.add_argument("experiment", choices=("graphene", "hgo", "leaflet"))
-    parser.add_argument("--epochs", type=int, help="train so many; goes on from a checkpoint")
-    parser.add_argument(
-        "--minutes", type=float, default=np.inf, help="after which a training stops"
-    )
-    parser.add_argument(
-        "--reach", type=int, choices=(3, 4, 5), default=3, help="δ of hgo, spacings"
-    )
-    parser.add_argument("--mirror", action="store_true", help="hgo: squares by the mirror rule")
+    parser.add("experiment", choices=("graphene", "hgo", "leaflet"))
+    parser.add("--epochs", type=int, help="train so many; goes on from a checkpoint")
+    parser.add("--minutes", type=float, default=np.inf, help="after which a training stops")
+    parser.add("--reach", type=int, choices=(3, 4, 5), default=3, help="δ of hgo, spacings")
+    parser.add("--mirror", action="store_true", help="hgo: squares by the mirror rule")
     for key, kind in (("rate", float), ("batch", int), ("cells", int), ("strain", float)):
-        parser.add_argument(f"--{key}", type=kind, help="other than the experiment's")
-    parser.add_argument("--seed", type=int)
-    parser.add_argument(
-        "--start", type=Path, help="a material whose numbers a training begins with"
-    )
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
-    parser.add_argument("--no-solve", action="store_true", help="E_res alone")
-    parser.add_argument("--solved", type=int, help="E_u over so many samples of a set, not all")
-    parser.add_argument(
+        parser.add(f"--{key}", type=kind, help="other than the experiment's")
+    parser.add("--seed", type=int)
+    parser.add("--start", type=Path, help="a material whose numbers a training begins with")
+    parser.add("--threads", type=int, default=1)
+    parser.add("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add("--no-solve", action="store_true", help="E_res alone")
+    parser.add("--solved", type=int, help="E_u over so many samples of a set, not all")
+    parser.add(
         "--rivals", action=argparse.BooleanOptionalAction,
         help="fit the other materials too; by default beside the shipped weights",
     )  # fmt: skip
-    parser.add_argument("--data", type=Path, default=ROOT / "data")
-    parser.add_argument("--quiet", action="store_true", help="no bar of the training")
+    parser.add("--data", type=Path, default=ROOT / "data")
+    parser.add("--quiet", action="store_true", help="no bar of the training")
     given = parser.parse_args(arguments)
     report = finite(plain(run(given)))
     print(json.dumps(report) if given.json else page(report))

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-import warp_peri
+import warp_peri as wp
 from examples.hgo_square import FREE
 from examples.leaflet import ROSE
 from examples.neural_sets import Sets
@@ -27,8 +27,8 @@ Errors = dict[str, dict[str, Any]]
 
 def linear_solid(sets: Sets) -> Errors:
     """The linear peridynamic solid with a learned influence function, certified."""
-    model = warp_peri.fit(sets["train"], warp_peri.LPS(20.0), progress=False).material
-    errors = {name: warp_peri.evaluate(model, samples) for name, samples in sets.items()}
+    model = wp.fit(sets["train"], wp.LPS(20.0), progress=False).material
+    errors = {name: wp.evaluate(model, samples) for name, samples in sets.items()}
     return {
         key: {name: float(found[key]) for name, found in errors.items()}
         for key in ("E_res", "E_res_abs", "E_u")

@@ -8,8 +8,7 @@ certify. The learned constants are held to the sheet's own, from its lattice sta
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from ase.data import atomic_masses, atomic_numbers

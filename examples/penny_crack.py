@@ -7,11 +7,11 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
 from examples.cracks.energy_release import energy_release
+from examples.figures import panels
 from tools.options import Options
 from warp_peri import Cracked
 from warp_peri.damage import BrittleSolid, Injected, box, contour_integral, penny
@@ -88,7 +88,7 @@ if __name__ == "__main__":
     print(json.dumps(numbers, indent=None if as_json else 1))
     count = round(len(points.x) ** (1 / 3))
     damage = motion.details.damage.reshape(3 * (count,))
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+    figure, axes = panels(11, 3.4, count=3)
     cuts = damage[:, count // 2], damage[:, :, count // 2]
     for ax, cut, names in zip(axes, cuts, ("xz", "xy")):
         edges = 2 * (-count / 2, count / 2)

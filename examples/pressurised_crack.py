@@ -9,14 +9,13 @@ from pathlib import Path
 
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Units of numbers that have none."""
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import warp_peri as wp
 from examples.exact import sneddon_opening
+from examples.figures import panels
 from tools.options import Options
 from warp_peri import damage
 from warp_peri.errors import exit_status
@@ -55,16 +54,13 @@ def opening(cells: int, lam: float = 1.0):
 
 def main(argv: list[str] | None = None) -> int:
     parser = Options(__doc__, "pressurised_crack", json=True)
-    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
-    parser.add_argument(
-        "--growth", type=int, default=16, help="cells of the growing crack, 0: none"
-    )
+    parser.add("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add("--growth", type=int, default=16, help="cells of the growing crack, 0: none")
     args = parser.parse_args(argv)
     if min(args.cells) < 4:
         parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
     numbers: dict = {"over Sneddon": {}}
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(9, 4, count=2)
     for cells in args.cells:
         numbers["over Sneddon"][f"L/{cells}"], (place, opened, expected) = opening(cells)
         left.plot(place, opened, ".", label=f"L/{cells}")

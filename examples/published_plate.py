@@ -12,14 +12,13 @@ import sys
 import warnings
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.optimize import minimize_scalar
 
 import warp_peri as wp
+from examples.figures import panels
 from tools.options import Options
 from warp_peri import Cracked
 from warp_peri.damage import BondLaw, SoftSolid
@@ -148,8 +147,7 @@ def main(argv: list[str] | None = None) -> int:
             )
         },
     }
-    figure = Figure(figsize=(5, 3.6), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(5, 3.6)
     curves = {"L = 50": (small, 50), "L = 100": (large, 100), "L = 100, horizon × 2": (coarse, 100)}
     for label, (run, half) in curves.items():
         ax.plot(run.time / rate(half), stiffness * run["force"], label=label)

@@ -11,14 +11,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
-from examples.graphene_report import save_figure
+from examples.figures import save_figure
 from tools.options import Options
 from warp_peri import flow
 from warp_peri.errors import exit_status
@@ -59,7 +58,7 @@ def stresses(law: Any, record: flow.Ensembles) -> np.ndarray:
 
 def main(arguments: list[str] | None = None) -> None:
     parser = Options(__doc__, "stress_histories", json=True)
-    parser.add_argument("--most", type=int, default=300, help="increments that are learned from")
+    parser.add("--most", type=int, default=300, help="increments that are learned from")
     options = parser.parse_args(arguments)
     records, truth = histories(options.out / "histories"), unseen()
     law = flow.learn_rate(records, window=2, kernel="product", most=options.most)

@@ -70,23 +70,19 @@ def row(name: str) -> str:
     return f"| {name} | {C} | {off:.2f} | {waves} | {unseen} | {time.perf_counter() - begin:.1f} |"
 
 
-def main(words: list[str] | None = None) -> int:
+def main(words: list[str] | None = None) -> None:
     """Print the table, or draw one crystal."""
     parser = Options(__doc__)
-    parser.add_argument("crystals", nargs="*", default=list(CASES), metavar="NAME")
-    parser.add_argument("--picture", type=Path, help="draw the first there, and nothing else")
+    parser.add("crystals", nargs="*", default=list(CASES), metavar="NAME")
+    parser.add("--picture", type=Path, help="draw the first there, and nothing else")
     given = parser.parse_args(words)
-
-    def work() -> None:
-        if given.picture is not None:
-            given.picture.parent.mkdir(parents=True, exist_ok=True)
-            learned(given.crystals[0]).plot().savefig(given.picture, dpi=100)
-            return
-        for name in given.crystals:
-            print(row(name), flush=True)
-
-    return exit_status(work)
+    if given.picture is not None:
+        given.picture.parent.mkdir(parents=True, exist_ok=True)
+        learned(given.crystals[0]).plot().savefig(given.picture, dpi=100)
+        return
+    for name in given.crystals:
+        print(row(name), flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

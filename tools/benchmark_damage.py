@@ -15,8 +15,7 @@ import sys
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 import warp as wp
@@ -156,10 +155,10 @@ def alternating(jobs, repeats: int) -> np.ndarray:
 
 def main(argv: list[str] | None = None) -> int:
     parser = Options(__doc__, json=True)
-    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--scale", type=float, default=3e-3, help="of the displacements")
-    parser.add_argument("--sizes", type=int, default=len(SIZES), help="how many of them")
+    parser.add("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add("--repeats", type=int, default=15)
+    parser.add("--scale", type=float, default=3e-3, help="of the displacements")
+    parser.add("--sizes", type=int, default=len(SIZES), help="how many of them")
     args = parser.parse_args(argv)
     import numba
 

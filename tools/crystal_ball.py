@@ -10,7 +10,7 @@ import scipy.fft
 from scipy.spatial import cKDTree
 
 from tools.crystals import RECIPES, session
-from tools.solid_session import SolidSession
+from tools.lammps_session import SolidSession
 from warp_peri import Points, Samples
 from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.force_constants import ForceConstants
@@ -32,12 +32,9 @@ NEAR_REST, REST, NEWTON = 0.3, 1e-7, 8
 class Ball:
     """What nodes see of a free ball of atoms.
 
-    Attributes:
-        samples: displacement [Å] and load [TPa/Å], interior 5.5 spacings. The spacing is that of
-            the crystal as its surface has squeezed it.
-        strain: of the inside at rest along the axes, shape [3].
-        atoms: at rest [Å], shape [A, 3].
-        forces: on them [eV/Å], shape [S, A, 3].
+    `samples`: displacement [Å] and load [TPa/Å], interior 5.5 spacings. The spacing is that of the
+    crystal as its surface has squeezed it; `strain`: of the inside at rest along the axes, shape
+    [3]; `atoms`: at rest [Å], shape [A, 3]; `forces`: on them [eV/Å], shape [S, A, 3].
     """
 
     samples: Samples

@@ -42,9 +42,8 @@ EXCHANGES, AGREED = 60, 1e-6
 class Void:
     """What nodes see of a strained crystal with a void.
 
-    Attributes:
-        samples: without load; interior nodes out to INNER.
-        radius: of a sphere with the volume of the atoms that are missing [Å].
+    `samples`: without load; interior nodes out to INNER; `radius`: of a sphere with the volume of
+    the atoms that are missing [Å].
     """
 
     samples: Samples
@@ -135,9 +134,7 @@ def _interpolated(u: np.ndarray, place: np.ndarray, side: int, at: np.ndarray) -
 class Shell:
     """Quadratic elements between two spheres, the inner one free; factorised once.
 
-    Args:
-        elastic: C_ijkl.
-        inner, outer: radii.
+    `elastic`: C_ijkl; `inner`, `outer`: radii.
     """
 
     def __init__(self, elastic: np.ndarray, inner: float, outer: float) -> None:

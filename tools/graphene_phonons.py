@@ -29,9 +29,8 @@ def force_constants(
 ) -> ForceConstants:
     """Of the rectangular cell of four atoms, by finite differences on a supercell.
 
-    Args:
-        potential: a Tersoff file of the wheel.
-        elements: of the atoms, in turn, on the sites of graphene.
+    `potential`: a Tersoff file of the wheel; `elements`: of the atoms, in turn, on the sites of
+    graphene.
     """
     file = potential_file(potential)
     bond = bond_length(file)

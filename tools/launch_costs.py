@@ -46,10 +46,7 @@ def kernels(bonds: Bonds, solid: Solid, u: np.ndarray) -> Callable[[], None]:
     """The five launches of one sweep on arrays that stay: nothing but kernels, and threads that
     wait for each other.
 
-    Args:
-        bonds: of a lattice laid out in rows.
-        solid: its numbers.
-        u: displacement, shape [N, 2].
+    `bonds`: of a lattice laid out in rows; `solid`: its numbers; `u`: displacement, shape [N, 2].
     """
     rows, scalar = bonds.laid_out, bonds.scalar
     if rows is None:

@@ -62,8 +62,8 @@ def write_frames(folder: Path, *, noise: float = NOISE, seed: int = 7) -> None:
 def main() -> None:
     """Write the frames from a shell."""
     parser = Options(__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--noise", type=float, default=NOISE, help="[pixels]")
+    parser.add("folder", type=Path)
+    parser.add("--noise", type=float, default=NOISE, help="[pixels]")
     given = parser.parse_args()
     write_frames(given.folder, noise=given.noise)
 

@@ -42,11 +42,9 @@ SIDE, TINES_AT, TINE, SPRING, PULL = 1.7, 0.75, 0.05, 60.0, 0.45
 class Leaflet:
     """The sheet.
 
-    Attributes:
-        mu: shear modulus of the matrix [kPa].
-        k1, k2: of both fibre families [kPa, −].
-        first, second: directions of the families [degree].
-        uneven: how much the thickness varies, see `thickness`; 0 for an even sheet.
+    `mu`: shear modulus of the matrix [kPa]; `k1`, `k2`: of both fibre families [kPa, −]; `first`,
+    `second`: directions of the families [degree]; `uneven`: how much the thickness varies, see
+    `thickness`; 0 for an even sheet.
     """
 
     mu: float = 10.0
@@ -189,12 +187,10 @@ def noisy(frames: Samples, level: float, seed: int = 7) -> Samples:
 def main() -> None:
     """Make the frames from a shell."""
     parser = Options(__doc__)
-    parser.add_argument(
-        "--out", type=Path, default=Path("data/leaflet"), help="folder of protocols"
-    )
-    parser.add_argument("--jobs", type=int, default=-1)
+    parser.add("--out", type=Path, default=Path("data/leaflet"), help="folder of protocols")
+    parser.add("--jobs", type=int, default=-1)
     for name, value in asdict(Leaflet()).items():
-        parser.add_argument(f"--{name}", type=float, default=value)
+        parser.add(f"--{name}", type=float, default=value)
     given = parser.parse_args()
     leaflet = Leaflet(**{name: getattr(given, name) for name in asdict(Leaflet())})
     for name, frames in make_leaflet(given.out, leaflet=leaflet, jobs=given.jobs).items():

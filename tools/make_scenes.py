@@ -131,10 +131,10 @@ def make_scenes(
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    parser.add_argument("--out", type=Path, metavar="FILE", help=f"default {OUT}, or {POOL}")
-    parser.add_argument("--pool", action="store_true", help="loads that were scored before, in one")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one for each core")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add("--out", type=Path, metavar="FILE", help=f"default {OUT}, or {POOL}")
+    parser.add("--pool", action="store_true", help="loads that were scored before, in one")
+    parser.add("--jobs", type=int, default=-1, help="processes; -1: one for each core")
+    parser.add("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     warnings.showwarning = base.short_warning
 

@@ -208,19 +208,13 @@ def _set(body: Piece, loads: Sequence[Load], strain: float, cache: Path) -> Samp
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    parser.add_argument(
-        "--out", type=Path, default=Path("data/graphene_0K_strained.h5"), metavar="FILE"
-    )
-    parser.add_argument(
-        "--strains", type=float, nargs="+", default=STRAINS, help="largest bond strains"
-    )
-    parser.add_argument(
-        "--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core"
-    )
-    parser.add_argument(
+    parser.add("--out", type=Path, default=Path("data/graphene_0K_strained.h5"), metavar="FILE")
+    parser.add("--strains", type=float, nargs="+", default=STRAINS, help="largest bond strains")
+    parser.add("--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core")
+    parser.add(
         "--cache", type=Path, metavar="FOLDER", help="finished samples (default: beside FILE)"
     )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     warnings.showwarning = base.short_warning
 

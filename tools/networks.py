@@ -23,13 +23,9 @@ TPA = 0.1602176634
 class Network:
     """A periodic sheet of atoms with pair forces, harmonic about its positions.
 
-    Attributes:
-        x: positions [Å], shape [A, 2].
-        box: periods [Å].
-        pairs: atoms of each bond, shape [B, 2].
-        xi: bond vectors [Å], shape [B, 2].
-        along: V″ of each bond [eV/Å²], shape [B].
-        across: V′/r of each bond [eV/Å²], shape [B].
+    `x`: positions [Å], shape [A, 2]; `box`: periods [Å]; `pairs`: atoms of each bond, shape [B, 2];
+    `xi`: bond vectors [Å], shape [B, 2]; `along`: V″ of each bond [eV/Å²], shape [B]; `across`:
+    V′/r of each bond [eV/Å²], shape [B].
     """
 
     x: np.ndarray

@@ -24,12 +24,16 @@ class Options(argparse.ArgumentParser):
         )
         self._out, self._json = out, json
 
+    def add(self, *names: str, **how: Any) -> None:
+        """One more option, as add_argument takes it."""
+        self.add_argument(*names, **how)
+
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """What is given; the shared options stand last in the help."""
         if self._out:
-            self.add_argument("--out", type=Path, default=RUNS / self._out, help="for the results")
+            self.add("--out", type=Path, default=RUNS / self._out, help="for the results")
         if self._json:
-            self.add_argument("--json", action="store_true", help="print the numbers as JSON")
+            self.add("--json", action="store_true", help="print the numbers as JSON")
         self._json, out, self._out = False, self._out, ""
         given = super().parse_args(args, namespace)
         if out:

@@ -25,8 +25,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Command line; prints a table of E_res [%]."""
     root = Path(__file__).resolve().parent.parent
     parser = Options(__doc__)
-    parser.add_argument("--model", type=Path, default=root / "runs/graphene_0K/model.json")
-    parser.add_argument("--cache", type=Path, default=root / "data/graphene_0K.cache")
+    parser.add("--model", type=Path, default=root / "runs/graphene_0K/model.json")
+    parser.add("--cache", type=Path, default=root / "data/graphene_0K.cache")
     given = parser.parse_args(arguments)
     body, loads, samples = read_samples(given.cache, "val")
     model = load(given.model)

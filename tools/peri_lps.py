@@ -123,10 +123,9 @@ def isotropic(constants: dict[str, float]) -> tuple[float, float]:
 def summed_force(x: np.ndarray, u: np.ndarray, horizon: float, *, wrapped: bool) -> np.ndarray:
     """The same solid of a periodic cube as a sum over bonds in NumPy, with LAMMPS's volumes.
 
-    Args:
-        x, u: positions on a lattice of spacing 1 and displacements, shape [N, 3].
-        horizon: in spacings.
-        wrapped: the weighted volume from the bonds' own lengths; otherwise as LAMMPS has it.
+    `x`, `u`: positions on a lattice of spacing 1 and displacements, shape [N, 3]; `horizon`: in
+    spacings; `wrapped`: the weighted volume from the bonds' own lengths; otherwise as LAMMPS has
+    it.
     """
     classes = lammps_classes(horizon)
     nodes = round(len(x) ** (1 / 3))

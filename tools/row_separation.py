@@ -13,16 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from examples.cracks.cohesive_zone import HeldCracks, RowLaw
-from examples.cracks.cubic_energy import CubicEnergy
+from examples.cracks.cohesive_zone import CubicEnergy, HeldCracks, RowLaw
 from examples.cracks.kinked_cracks import KinkedCracks
-from tools.cracked_sheet import (
-    EV,
-    OPEN,
-    cracked_sheet,
-    longer_cutoff,
-    opened_ends,
-)
+from tools.cracked_sheet import EV, OPEN, cracked_sheet, longer_cutoff, opened_ends
 from tools.elastic import cubic_constants, elastic_constants
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
@@ -82,10 +75,8 @@ def row_law() -> RowLaw:
 class Whole:
     """What sheets without a crack say.
 
-    Attributes:
-        lam, mu: plane Lamé constants [TPa].
-        law: of a row of bonds along zigzag [Å, TPa].
-        cubic: energy of third order [TPa], None for a linear sheet.
+    `lam`, `mu`: plane Lamé constants [TPa]; `law`: of a row of bonds along zigzag [Å, TPa];
+    `cubic`: energy of third order [TPa], None for a linear sheet.
     """
 
     lam: float

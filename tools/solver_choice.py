@@ -65,10 +65,7 @@ def linear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
             iterative = "sine" if shape == "rectangle" else "multigrid"
             few = np.count_nonzero(points.interior) <= DIRECT
             to = RESIDUAL / 10 if few else TOLERANCE  # as close as what is chosen is carried
-            ways: dict[str | None, Any] = {
-                None: None,
-                iterative: Krylov(iterative, tolerance=to),
-            }
+            ways: dict[str | None, Any] = {None: None, iterative: Krylov(iterative, tolerance=to)}
             if side <= MOST_LU:
                 ways["lu"] = Direct()
             for count in LOADS if side <= 34 else (1, FEW):

@@ -33,10 +33,9 @@ Place = Callable[[np.ndarray], np.ndarray]
 class Sheet:
     """An uneven sheet.
 
-    Attributes:
-        sets: loads "train", "val" (waves) and "patch" (local).
-        density: smoothed number of atoms over that of the whole sheet, at the nodes.
-        inside: share of the atoms around a node that are boron and nitrogen.
+    `sets`: loads "train", "val" (waves) and "patch" (local); `density`: smoothed number of atoms
+    over that of the whole sheet, at the nodes; `inside`: share of the atoms around a node that are
+    boron and nitrogen.
     """
 
     sets: dict[str, Samples]
@@ -61,11 +60,9 @@ def uneven_sheet(
 ) -> Sheet:
     """Atoms' linear answers seen from nodes.
 
-    Args:
-        nitride: which positions over the box, [n, 2] from −½ to ½, are boron nitride, [n] bool.
-        vacant: share of atoms that is missing at such positions, [n].
-        train, others: loads of the set to learn from, and of each of the other two.
-        seed: of loads and vacancies.
+    `nitride`: which positions over the box, [n, 2] from −½ to ½, are boron nitride, [n] bool;
+    `vacant`: share of atoms that is missing at such positions, [n]; `train`, `others`: loads of the
+    set to learn from, and of each of the other two; `seed`: of loads and vacancies.
     """
     rng = np.random.default_rng(seed)
     potential = potential_file("SiC_1989.tersoff" if nitride is None else "BNC.tersoff")
@@ -117,10 +114,7 @@ def _vacancies(
 
 
 def waves(
-    x: np.ndarray,
-    box: tuple[float, float],
-    rng: np.random.Generator,
-    shortest: float = SHORTEST,
+    x: np.ndarray, box: tuple[float, float], rng: np.random.Generator, shortest: float = SHORTEST
 ) -> np.ndarray:
     """Force on atoms of a load of WAVES waves of a period, none shorter than this [Å]."""
     force, found = np.zeros_like(x), 0

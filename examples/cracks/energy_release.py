@@ -17,11 +17,7 @@ RADIUS = 4.0
 
 
 def energy_release(
-    material: Any,
-    problem: Cracked,
-    cracks: Sequence[Sequence[ArrayLike]],
-    *,
-    shift: float = 0.0,
+    material: Any, problem: Cracked, cracks: Sequence[Sequence[ArrayLike]], *, shift: float = 0.0
 ) -> float:
     """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
 

@@ -11,8 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from examples.cracks.cohesive_zone import HeldCracks
-from examples.cracks.cubic_energy import CubicEnergy, check_lengths
+from examples.cracks.cohesive_zone import CubicEnergy, HeldCracks, check_lengths
 from examples.cracks.straight_cracks import CrackedRectangle, meet
 from warp_peri import InputError
 

@@ -18,9 +18,8 @@ from warp_peri.flow.laws import carried, eigenvalues, from_eigenvalues, stack, u
 class TorchSpring:
     """A learned spring whose process has its values at the data as numbers to be found.
 
-    Args:
-        law: with a product kernel; its data give the kernel's places and lengths.
-        values: log(S_i/c_i) − mean at the data, shape [n], float64, in place of those learned.
+    `law`: with a product kernel; its data give the kernel's places and lengths; `values`:
+    log(S_i/c_i) − mean at the data, shape [n], float64, in place of those learned.
     """
 
     law: SpringLaw

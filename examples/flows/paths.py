@@ -80,11 +80,7 @@ def varied(process: GaussianProcess, count: int, random: np.random.Generator) ->
     drawn = theta + random.standard_normal((count, len(theta))) @ L.T
     d = len(process.log_lengths)
     return [
-        replace(
-            process,
-            log_amplitude=float(t[0]),
-            log_lengths=np.clip(t[1 : 1 + d], *LENGTHS),
-        )
+        replace(process, log_amplitude=float(t[0]), log_lengths=np.clip(t[1 : 1 + d], *LENGTHS))
         for t in drawn
     ]
 
@@ -152,11 +148,8 @@ class Band:
 def band(law: Any, run: Callable[[Any], np.ndarray], count: int = 8, seed: int = 0) -> Band:
     """Carry a law and `count` laws drawn from it through a flow.
 
-    Args:
-        law: a learned law with product or additive kernels.
-        run: gives the field, a velocity say, that a law makes.
-        count: of drawn laws.
-        seed: of the draws.
+    `law`: a learned law with product or additive kernels; `run`: gives the field, a velocity say,
+    that a law makes; `count`: of drawn laws; `seed`: of the draws.
     """
     random = np.random.default_rng(seed)
     return Band(run(law), np.array([run(drawn) for drawn in drawn_laws(law, count, random)]))

@@ -13,9 +13,9 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from examples.figures import panels
 from tools.cracked_sheet import critical_strain, finished
 from tools.graphene import bond_length
 from tools.options import Options
@@ -36,21 +36,13 @@ CASES: dict[str, tuple[tuple[tuple[int, int, int], ...], tuple[float, float], fl
     "two in line, 20 Å, 10 apart": (((2, 10, 0), (-10, -2, 0)), (20 * STEP, 20 * STEP), 0.038),
     "two stacked, 30 Å, 17.5 apart": (((-6, 6, 4), (-6, 6, -4)), (60.0, 60.0), 0.045),
     "echelon, 30 Å, 17.5 apart": (((-12, 0, 4), (0, 12, -4)), (60.0, 60.0), 0.040),
-    "three stacked, 25 Å, 13 apart": (
-        ((-5, 5, 6), (-5, 5, 0), (-5, 5, -6)),
-        (50.0, 60.0),
-        0.048,
-    ),
+    "three stacked, 25 Å, 13 apart": (((-5, 5, 6), (-5, 5, 0), (-5, 5, -6)), (50.0, 60.0), 0.048),
     "echelon over each other, 30 Å, 13 apart": (((-10, 2, 2), (-2, 10, -4)), (60.0, 50.0), 0.039),
     "35 Å off the middle, 120 × 70": (((2, 16, 6),), (60.0, 35.0), 0.045),
     "40 and 20 Å stacked, 22 apart": (((-8, 8, 6), (-4, 4, -4)), (60.0, 60.0), 0.041),
     "echelon, gap 10 Å, 13 apart": (((-14, -2, 4), (2, 14, -2)), (60.0, 50.0), 0.038),
     "two stacked, 40 Å, 110 × 180": (((-8, 8, 4), (-8, 8, -4)), (55.0, 90.0), 0.041),
-    "four of 20 Å": (
-        ((-14, -6, 8), (4, 12, 6), (-7, 1, -4), (5, 13, -10)),
-        (60.0, 60.0),
-        0.044,
-    ),
+    "four of 20 Å": (((-14, -6, 8), (4, 12, 6), (-7, 1, -4), (5, 13, -10)), (60.0, 60.0), 0.044),
     "51 Å, sheet 160 × 70": (((-10, 10, 2),), (80.0, 35.0), 0.040),
     "30 and 15 Å in line, 10 apart": (((-9, 3, 0), (7, 13, 0)), (50.0, 50.0), 0.0396),
     "25 Å near two rims": (((8, 18, -8),), (60.0, 40.0), 0.0486),
@@ -98,8 +90,8 @@ def atoms(cases: list[str], kept: Path) -> dict[str, float]:
 
 def main(argv: list[str] | None = None) -> int:
     parser = Options(__doc__, "crack_groups", json=True)
-    parser.add_argument("--cases", nargs="+", type=int, help="numbers, from 1; 0 is always there")
-    parser.add_argument("--linear", action="store_true", help="the sheet around is linear")
+    parser.add("--cases", nargs="+", type=int, help="numbers, from 1; 0 is always there")
+    parser.add("--linear", action="store_true", help="the sheet around is linear")
     args = parser.parse_args(argv)
     names, wanted = list(CASES), args.cases or range(1, len(CASES))
     if not all(0 < number < len(names) for number in wanted):
@@ -117,8 +109,7 @@ def main(argv: list[str] | None = None) -> int:
         error = predicted / strain - 1
         table[case] = {"atoms": strain, "predicted": predicted, "error": error}
     numbers = {"factor": factor, "strength": float(known.law.traction.max()), "cracks": table}
-    figure = Figure(figsize=(6, 4.2), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(6, 4.2)
     ax.plot([100 * table[case]["error"] for case in cases[1:]], range(1, len(cases)), "o")
     ax.axvspan(-3, 3, color="0.9")
     ax.set(yticks=range(1, len(cases)), yticklabels=cases[1:])

@@ -46,17 +46,11 @@ STEPS, SKIPPED, QUIET = 40, 20, 8
 class Sheet:
     """A sheet and what is wrong with it.
 
-    Attributes:
-        name: of the sheet.
-        causes: put in; names of `Diagnosis.shares`.
-        elements: of the matrix, in turn.
-        stretch: of the box along x and y.
-        turn: angle of the nodes' axes against the box.
-        missing: share of the atoms that are taken out, in pairs.
-        phase: where boron nitride replaces graphene: "band", "disk" or nowhere.
-        strain: largest change of a bond's length by a load.
-        shortest: wave of the loads [Å].
-        temperature: [K]; 0 for statics.
+    `name`: of the sheet; `causes`: put in; names of `Diagnosis.shares`; `elements`: of the matrix,
+    in turn; `stretch`: of the box along x and y; `turn`: angle of the nodes' axes against the box;
+    `missing`: share of the atoms that are taken out, in pairs; `phase`: where boron nitride
+    replaces graphene: "band", "disk" or nowhere; `strain`: largest change of a bond's length by a
+    load; `shortest`: wave of the loads [Å]; `temperature`: [K]; 0 for statics.
     """
 
     name: str
@@ -246,8 +240,7 @@ def study(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:
         begin = time.perf_counter()
         samples, quiet = make(asked)
         made = time.perf_counter() - begin
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             found = fit(samples, LPS(HORIZON, Bernstein(DEGREE)), noise=quiet, progress=False)
             diagnosis = diagnose(found.material, samples, quiet)
         named = diagnosis.causes[: len(asked.causes)]
@@ -269,7 +262,7 @@ def study(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:
 def main() -> None:
     """Print the table, or JSON."""
     parser = Options(__doc__, json=True)
-    parser.add_argument("--only", nargs="+", help="names of sheets")
+    parser.add("--only", nargs="+", help="names of sheets")
     given = parser.parse_args()
     wanted = [s for s in (*SHEETS, *UNSEEN) if not given.only or s.name in given.only]
     rows = study(wanted)

@@ -17,17 +17,13 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import meshio
 import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure as Canvas
 from PIL import Image
 
+from examples.figures import panels
 from tools.options import Options
 from warp_peri import InputError
 from warp_peri.errors import exit_status
@@ -77,7 +73,6 @@ def collect(source: Path, path: Path) -> None:
     if source.suffix == ".vtu":
         drawn, figure = io.BytesIO(), stress(source)
         figure.savefig(drawn, dpi=100)
-        plt.close(figure)
         content = drawn.getvalue()
     else:
         content = source.read_bytes()
@@ -104,7 +99,7 @@ def stress(source: Path) -> Canvas:
     inside = data["interior"][quads].all(axis=1)
     values = 1e3 * data["stress"][quads[inside]].mean(axis=1)
     limit = np.abs(values).max()
-    figure, axes = plt.subplots(1, 3, figsize=(10.5, 3.5), sharey=True, layout="constrained")
+    figure, axes = panels(10.5, 3.5, count=3, sharey=True)
     for ax, column, name in zip(axes, (0, 1, 3), ("σ₁₁", "σ₂₂", "σ₁₂")):
         ax.add_collection(
             PolyCollection(x[quads[~inside]], facecolor="none", edgecolor="0.75", linewidth=0.4)
@@ -115,9 +110,7 @@ def stress(source: Path) -> Canvas:
         faces.set_clim(-limit, limit)
         ax.add_collection(faces)
         ax.autoscale_view()
-        ax.set_aspect("equal")
-        ax.set_title(name)
-        ax.set_xlabel("x₁ [Å]")
+        ax.set(aspect="equal", title=name, xlabel="x₁ [Å]")
     axes[0].set_ylabel("x₂ [Å]")
     figure.colorbar(faces, ax=axes, label="stress [GPa]", shrink=0.85)
     return figure
@@ -125,8 +118,8 @@ def stress(source: Path) -> Canvas:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="of the other examples")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs", help="default: docs/")
+    parser.add("--runs", type=Path, default=ROOT / "runs", help="of the other examples")
+    parser.add("--out", type=Path, default=ROOT / "docs", help="default: docs/")
     given = parser.parse_args(arguments)
     for figure in FIGURES:
         needed = given.runs / figure.source if figure.source else given.out / figure.path

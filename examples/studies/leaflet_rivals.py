@@ -13,14 +13,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from tools.hyperelastic_elements import Elements, NotSolved, finite_elements
-from tools.hyperelastic_energies import (
-    Energy,
-    Family,
-    Fung,
-    Invariants,
-    ensemble,
-    plane_stress_hgo,
-)
+from tools.hyperelastic_energies import Energy, Family, Fung, Invariants, ensemble, plane_stress_hgo
 from warp_peri import InputError, Samples
 
 

@@ -12,8 +12,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 
@@ -97,9 +96,9 @@ def check(repository: Path, tasks: list[int], samples: list[int]) -> dict[str, d
 
 def main() -> None:
     parser = Options(__doc__, json=True)
-    parser.add_argument("repository", type=Path, help="a clone of MetaNO")
-    parser.add_argument("--tasks", type=int, nargs="+", default=[0, 1])
-    parser.add_argument("--samples", type=int, nargs="+", default=[0, 1, 5])
+    parser.add("repository", type=Path, help="a clone of MetaNO")
+    parser.add("--tasks", type=int, nargs="+", default=[0, 1])
+    parser.add("--samples", type=int, nargs="+", default=[0, 1, 5])
     given = parser.parse_args()
     differences = check(given.repository, given.tasks, given.samples)
     if given.json:

@@ -86,9 +86,9 @@ def terms(sets: Sets, level: float, guaranteed: bool) -> dict[str, float | None]
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__, "neural_noise")
-    parser.add_argument("--epochs", type=int, default=25, help="of each network")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
-    parser.add_argument("--data", type=Path, default=ROOT / "data")
+    parser.add("--epochs", type=int, default=25, help="of each network")
+    parser.add("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add("--data", type=Path, default=ROOT / "data")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     sets = neural_sets.hgo(given.data / "hgo", REACH, mirror=False, jobs=given.jobs, progress=True)

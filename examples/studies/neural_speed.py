@@ -82,10 +82,10 @@ def least(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, floa
 def main() -> int:
     """Measure and print."""
     parser = Options(__doc__)
-    parser.add_argument("--samples", type=int, default=2)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--fresh", action="store_true", help="untrained numbers")
+    parser.add("--samples", type=int, default=2)
+    parser.add("--repeats", type=int, default=3)
+    parser.add("--threads", type=int, default=1)
+    parser.add("--fresh", action="store_true", help="untrained numbers")
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     set_threads(given.threads)

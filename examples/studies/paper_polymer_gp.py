@@ -126,10 +126,7 @@ def shear_record(De: float, count: int, seed: int = 0) -> Ensembles:
 def shear_laws(De: float, count: int) -> dict[str, ShearLaw]:
     """Learned as printed, and with what shear does to any stress known."""
     record = shear_record(De, count)
-    return {
-        LAWS[0]: printed_shear(record, 0),
-        LAWS[1]: learn_shear(record, outside="allow"),
-    }
+    return {LAWS[0]: printed_shear(record, 0), LAWS[1]: learn_shear(record, outside="allow")}
 
 
 def law_at_10() -> dict[str, Any]:

@@ -22,12 +22,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
-from examples.studies import (
-    paper_jafarzadeh_2024,
-    paper_polymer_gp,
-    paper_slides,
-    paper_you_2021,
-)
+from examples.studies import paper_jafarzadeh_2024, paper_polymer_gp, paper_slides, paper_you_2021
 from tools.options import Options
 from warp_peri import InputError
 from warp_peri.errors import exit_status
@@ -125,10 +120,10 @@ def where() -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    parser.add_argument("source", choices=SOURCES)
-    parser.add_argument("--section", nargs="+", default=[], metavar="TITLE", help="only these")
-    parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="results of the commands")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "papers")
+    parser.add("source", choices=SOURCES)
+    parser.add("--section", nargs="+", default=[], metavar="TITLE", help="only these")
+    parser.add("--runs", type=Path, default=ROOT / "runs", help="results of the commands")
+    parser.add("--out", type=Path, default=ROOT / "docs" / "papers")
     given = parser.parse_args(arguments)
     source, path = SOURCES[given.source], given.out / f"{given.source}.md"
     template, now = source.TEMPLATE.read_text(encoding="utf-8"), where()

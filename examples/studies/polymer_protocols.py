@@ -136,9 +136,9 @@ STUDIES = {f.__name__: f for f in (steady, unseen)}
 
 def main(arguments: list[str] | None = None) -> None:
     parser = Options(__doc__, json=True)
-    parser.add_argument("studies", nargs="*", choices=[*STUDIES, []], help="both, if none is named")
-    parser.add_argument("--dumbbells", type=int, default=4000, help="in each ensemble of the data")
-    parser.add_argument("--sets", type=int, default=5, help="of data")
+    parser.add("studies", nargs="*", choices=[*STUDIES, []], help="both, if none is named")
+    parser.add("--dumbbells", type=int, default=4000, help="in each ensemble of the data")
+    parser.add("--sets", type=int, default=5, help="of data")
     options = parser.parse_args(arguments)
     folder = ROOT / "runs" / "polymer_protocols"
     for name in options.studies or STUDIES:

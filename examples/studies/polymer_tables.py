@@ -25,7 +25,7 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 from examples.exact import poiseuille
-from examples.flows.closure_error import corrected_run, missing_stress
+from examples.flows.active import corrected_run, missing_stress
 from examples.flows.paths import band
 from examples.polymer_flow import fene_law, fene_study, hookean_law, relative
 from tools.options import Options
@@ -247,8 +247,7 @@ def fene(reference: int = 4000, count: int = 5000) -> dict[str, Any]:
         name = (
             "learned spring, table" if rival is not law and hasattr(rival, "shape") else rival.name
         )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             try:
                 rows[name] = relative(run(Closure(rival, 1.0, 64)).u, truth)
             except InputError as error:
@@ -331,7 +330,7 @@ STUDIES = {f.__name__: f for f in (couette, channel, recipes, speed, fene, held_
 
 def main(arguments: list[str] | None = None) -> None:
     parser = Options(__doc__, json=True)
-    parser.add_argument("studies", nargs="*", choices=[*STUDIES, []], help="all, if none is named")
+    parser.add("studies", nargs="*", choices=[*STUDIES, []], help="all, if none is named")
     options = parser.parse_args(arguments)
     folder = ROOT / "runs" / "polymer_tables"
     for name in options.studies or STUDIES:

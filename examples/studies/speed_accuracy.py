@@ -24,13 +24,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from warp_peri import LPS, Bernstein, InputError, Model, Points, Samples, fit, load
-from warp_peri.errors import exit_status
-from warp_peri.files.atomic import whole_file, write_json
-from warp_peri.methods import Optimum
-from warp_peri.transfer.lattice import agrees_to
-from warp_peri.transfers import on_lattice
-
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
@@ -38,12 +31,28 @@ import torch
 
 from examples.studies import speed_laws
 from examples.studies.fem_rival import elastic_solver
-from examples.studies.operator_rivals import Solver, by_numba, by_scipy, positive_model
 from examples.studies.speed_chart import chart, markdown, training_chart
-from examples.studies.speed_timing import MANY, by_cg, by_lu, hundred, smooth_error, timed
+from examples.studies.speed_laws import (
+    MANY,
+    Solver,
+    by_cg,
+    by_lu,
+    by_numba,
+    by_scipy,
+    hundred,
+    positive_model,
+    smooth_error,
+    timed,
+)
 from tools import make_graphene as making
 from tools import samples
 from tools.options import Options
+from warp_peri import LPS, Bernstein, InputError, Model, Points, Samples, fit, load
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import whole_file, write_json
+from warp_peri.methods import Optimum
+from warp_peri.transfer.lattice import agrees_to
+from warp_peri.transfers import on_lattice
 
 DEGREE = 10
 CASES = (
@@ -335,9 +344,9 @@ def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    parser.add_argument("--data", type=Path, default=Path("data/graphene_0K.h5"))
-    parser.add_argument("--out", type=Path, default=Path("runs/speed_accuracy"))
-    parser.add_argument("--again", action="store_true", help="draw what is there once more")
+    parser.add("--data", type=Path, default=Path("data/graphene_0K.h5"))
+    parser.add("--out", type=Path, default=Path("runs/speed_accuracy"))
+    parser.add("--again", action="store_true", help="draw what is there once more")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     table = given.out / "speed_accuracy.json"

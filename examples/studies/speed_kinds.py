@@ -150,8 +150,8 @@ CHARTS: dict[str, tuple[Callable[[], Iterator[Row]], str]] = {
 
 def main() -> None:
     parser = Options(__doc__, "speed_kinds")
-    parser.add_argument("what", choices=CHARTS)
-    parser.add_argument("--again", action="store_true", help="draw what is there once more")
+    parser.add("what", choices=CHARTS)
+    parser.add("--again", action="store_true", help="draw what is there once more")
     given = parser.parse_args()
     table = given.out / f"{given.what}.json"
     measured, error = CHARTS[given.what]

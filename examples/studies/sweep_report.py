@@ -4,13 +4,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from examples.prose import fill, rows_of
 from warp_peri import Model, load, plots
 from warp_peri.files.atomic import write_json, write_text
@@ -56,7 +52,7 @@ def write_sweep(
 
 def draw_errors(path: Path, trials: Sequence[Trial]) -> None:
     """Figure 6: errors by degree, here and printed."""
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    figure, axes = panels(10, 4, count=2)
     degrees = [trial.degree for trial in trials]
     known = [M for M in degrees if M in PRINTED_TABLE_3]
     for ax, names in zip(axes, (("E_res_train", "E_res_val"), ("E_u_train", "E_u_val"))):
@@ -66,8 +62,7 @@ def draw_errors(path: Path, trials: Sequence[Trial]) -> None:
             printed = [PRINTED_TABLE_3[M][column] for M in known]
             ax.semilogy(degrees, ours, "o-", color=f"C{number}", label=f"{name}, here")
             ax.semilogy(known, printed, "s--", color=f"C{number}", label=f"{name}, printed")
-        ax.set_xlabel("degree M, each at its δ*")
-        ax.set_ylabel("error [%]")
+        ax.set(xlabel="degree M, each at its δ*", ylabel="error [%]")
         ax.legend(frameon=False)
     figure.suptitle("Errors by degree (figure 6, 0 K)")
     save_figure(figure, path)

@@ -7,9 +7,8 @@ import matplotlib.pyplot as plt
 import pytest
 
 from examples.studies import (
-    atlas_crystals,
+    atlas_bodies,
     atlas_kernels,
-    atlas_points,
     atlas_solves,
     stability_atlas,
 )
@@ -64,7 +63,7 @@ def test_float32_loses_forces_under_a_rigid_shift():
 @pytest.mark.parametrize("ratio", [-0.27, 3.0])
 def test_the_corrected_edge_is_better(ratio):
     lam = ratio * atlas_solves.MU
-    corrected, plain = (atlas_points.free_edge(16, lam, corrected=kind) for kind in (True, False))
+    corrected, plain = (atlas_solves.free_edge(16, lam, corrected=kind) for kind in (True, False))
     assert corrected < 0.7 * plain
 
 
@@ -75,16 +74,16 @@ def test_an_unprovoked_failure_is_not_taken_for_one():
 
 def test_an_unknown_entry_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(stability_atlas, "make_data", lambda *_: tmp_path)
-    monkeypatch.setattr(stability_atlas.warp_peri, "load", lambda _: {})
+    monkeypatch.setattr(stability_atlas.wp, "load", lambda _: {})
     with pytest.raises(InputError, match="--only: expected some of sign-changing"):
         stability_atlas.main(["--only", "nothing", "--out", str(tmp_path)])
 
 
 def test_crystals_feel_their_turn_on_cut_faces_and_a_direction_that_is_not_stated():
     law = learned(3)
-    traction = atlas_crystals.turned_face(law)
+    traction = atlas_bodies.turned_face(law)
     assert traction == pytest.approx((0.122 - 0.076) / 2, rel=1e-8)
     assert traction == pytest.approx(law.surface_traction(), rel=1e-8)
-    seen = atlas_crystals.refusals(learned(2))
+    seen = atlas_bodies.refusals(learned(2))
     assert "not objective" in seen[0]
     assert "stands at 20°" in seen[1]
