@@ -324,22 +324,11 @@ def main() -> None:
     for name, value in asdict(Material()).items():
         parser.add(f"--{name}", type=float, default=value)
     given = parser.parse_args()
-    material = Material(given.E, given.nu, given.k1, given.k2, given.angle)
-    sets = make_hgo(
-        given.out,
-        material=material,
-        element=given.element,
-        counts=tuple(given.counts),
-        seed=given.seed,
-        jobs=given.jobs,
-    )
-    file = given.out.with_suffix(".h5")
-    save(
-        file,
-        Dataset(
-            sets, thickness=1.0, density=1000.0, provenance=vars(given) | {"out": given.out.name}
-        ),
-    )
+    material = Material(**{name: getattr(given, name) for name in asdict(Material())})
+    how = {name: getattr(given, name) for name in ("element", "counts", "seed", "jobs")}
+    sets, file = make_hgo(given.out, material=material, **how), given.out.with_suffix(".h5")
+    made = vars(given) | {"out": given.out.name}
+    save(file, Dataset(sets, thickness=1.0, density=1000.0, provenance=made))
     for name, samples in sets.items():
         print(f"{name}: {len(samples)} samples on {len(samples.x)} nodes, in {file}")
 
