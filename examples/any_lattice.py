@@ -6,9 +6,6 @@ scattered fields; one influence function is fitted for many lattices. Displaceme
 against molecular statics, smoothed at those nodes.
 """
 
-from __future__ import annotations
-
-import argparse
 import functools
 import json
 import sys
@@ -24,21 +21,22 @@ sys.path.insert(0, str(ROOT))
 import matplotlib
 
 matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 from scipy.spatial import cKDTree
 
-import warp_peri
+import warp_peri as wp
+from examples import prose
+from examples.figures import panels, save_figure
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
+from tools.options import Options
 from warp_peri import Bernstein, Model, Points, Samples
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import locked, whole_file, write_json, write_text
+from warp_peri.files.atomic import locked, write_json, write_text
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer import cache as kept
 from warp_peri.transfer.lattice import dispersion, new_lattice, rings, wave_errors
-from warp_peri.transfer.shared_kernel import one_kernel
-from warp_peri.transfers import on_lattice
+from warp_peri.transfers import on_lattice, one_kernel
 
 LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (7.5, 22.5), (10.0, 25.0))
 """Spacing and horizon [Å]; None for the fewest bonds that meet the tolerance."""
@@ -59,10 +57,10 @@ class SmoothedAtoms:
     def at(self, x: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
         """u [Å] and b [TPa/Å] at nodes, each of shape [S, N, 2]."""
         body, _, samples = self.read(name)
-        omega = warp_peri.atoms.smoothing_matrix(
+        omega = wp.atoms.smoothing_matrix(
             samples[0].reference, x, radius=SMOOTHING_RADIUS, box=body.box, density=True
         )
-        return warp_peri.atoms.coarse_grain(
+        return wp.atoms.coarse_grain(
             omega,
             displacement=np.stack([sample.displacement for sample in samples]),
             force=np.stack([sample.force for sample in samples]),
@@ -113,8 +111,7 @@ def clouds(seed: int = 1) -> dict[str, Points]:
 def errors(model: Model, atoms: SmoothedAtoms, points: Points) -> dict[str, float]:
     """E_u in % of the sets."""
     return {
-        key: 100 * warp_peri.evaluate(model, atoms.on(points, name))["E_u"]
-        for key, name in SETS.items()
+        key: 100 * wp.evaluate(model, atoms.on(points, name))["E_u"] for key, name in SETS.items()
     }
 
 
@@ -142,7 +139,7 @@ def transferred(
 
 
 def scattered(
-    model: Model, atoms: SmoothedAtoms, data: warp_peri.Dataset, points: Points
+    model: Model, atoms: SmoothedAtoms, data: wp.Dataset, points: Points
 ) -> dict[str, Any]:
     """Solves on scattered nodes, b on the lattice or at the nodes; learning from their fields."""
     operator = ThroughLattice(model, points)
@@ -158,11 +155,9 @@ def scattered(
     figures = operator.figures()
     row |= {"asymmetry": figures.asymmetry, "smallest_eigenvalue": figures.smallest_eigenvalue}
     row |= {"condition": figures.condition, "sigma_min": figures.smallest_singular_value}
-    carried = warp_peri.transfers.onto_lattice(
-        Samples(points, *atoms.at(points.x, "train")), spacing=5.0
-    )
-    learned = warp_peri.fit(carried, warp_peri.LPS(20.0, Bernstein(10))).material
-    row["learned_disks"] = 100 * warp_peri.evaluate(learned, data["test"])["E_u"]
+    carried = wp.transfers.onto_lattice(Samples(points, *atoms.at(points.x, "train")), spacing=5.0)
+    learned = wp.fit(carried, wp.LPS(20.0, Bernstein(10))).material
+    row["learned_disks"] = 100 * wp.evaluate(learned, data["test"])["E_u"]
     return row
 
 
@@ -179,19 +174,17 @@ def many(model: Model, atoms: SmoothedAtoms) -> dict[str, Any]:
     rows = {f"{h:g}": float("nan") for h in (5.0, 4.0, 2.5)}
     for h in rows:
         points = atoms.on(lattice(float(h)), "test")
-        rows[h] = 100 * warp_peri.evaluate(kernel, points, allow_uncertified=True)["E_u"]
+        rows[h] = 100 * wp.evaluate(kernel, points, allow_uncertified=True)["E_u"]
     return {**record, "symbol": symbol, "disks": rows}
 
 
 def measure(
-    model: Model, data: warp_peri.Dataset, cache: Path, part: Callable[..., Any]
+    model: Model, data: wp.Dataset, cache: Path, part: Callable[..., Any]
 ) -> dict[str, Any]:
     """All tables; `part` keeps each as it is finished."""
     atoms = SmoothedAtoms(cache)
     nodes = lattice(5.0)
-    rich = functools.cache(
-        lambda: warp_peri.fit(data["train"], warp_peri.LPS(25.0, Bernstein(15))).material
-    )
+    rich = functools.cache(lambda: wp.fit(data["train"], wp.LPS(25.0, Bernstein(15))).material)
     return {
         "home": part("home", lambda: {"horizon": model.horizon, **errors(model, atoms, nodes)}),
         "lattices": [
@@ -229,13 +222,10 @@ def kept_part(folder: Path, name: str, make: Callable[..., Any], *given: Any) ->
 def table(rows: list[dict[str, Any]]) -> str:
     """Rows as Markdown."""
     columns = [key for key in rows[0] if key != "agreement"]
-    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    for row in rows:
-        cells = (
-            f"{row[key]:.3g}" if isinstance(row[key], float) else str(row[key]) for key in columns
-        )
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+    cells = ([row[key] for key in columns] for row in rows)
+    return prose.table(
+        columns, ([f"{c:.3g}" if isinstance(c, float) else str(c) for c in row] for row in cells)
+    )
 
 
 def report(tables: dict[str, Any]) -> str:
@@ -258,7 +248,7 @@ def report(tables: dict[str, Any]) -> str:
 
 def figure(model: Model, file: Path) -> None:
     """Error against home by wavelength."""
-    _, ax = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    drawn, ax = panels(7, 4.5)
     for spacing, horizon in LATTICES:
         there = on_lattice(model, spacing=spacing, horizon=horizon)
         record = there.provenance["transfer"]
@@ -270,22 +260,15 @@ def figure(model: Model, file: Path) -> None:
     ax.minorticks_off()
     ax.set_title("A kernel of its own on each lattice, from one learned at 5 Å")
     ax.legend(fontsize=8)
-    with whole_file(file) as path:
-        plt.savefig(path, dpi=130, format="png")
-    plt.close()
+    save_figure(drawn, file, dpi=130, bbox_inches=None)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--model", type=Path, default=ROOT / "runs" / "graphene_0K" / "model.json")
-    parser.add_argument("--data", type=Path, default=ROOT / "data" / "graphene_0K.h5")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "any_lattice")
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser = Options(__doc__, "any_lattice", json=True)
+    parser.add("--model", type=Path, default=ROOT / "runs" / "graphene_0K" / "model.json")
+    parser.add("--data", type=Path, default=ROOT / "data" / "graphene_0K.h5")
     given = parser.parse_args(arguments)
-    model, data = warp_peri.load(given.model), warp_peri.load(given.data)
+    model, data = wp.load(given.model), wp.load(given.data)
     with locked(given.out), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # each transfer would say so
         part = functools.partial(kept_part, given.out / "parts")

@@ -6,21 +6,19 @@ cracks like some directions of the lattice, so --turn shows what is the lattice'
 mpiexec the plate is spread over ranks, with the same bits (docs/ranks.md).
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
-from warp_peri.damage import BrittleSolid, Cracked, rectangle
+from tools.options import Options
+from warp_peri import Cracked
+from warp_peri.damage import BrittleSolid, rectangle
 from warp_peri.errors import exit_status
 from warp_peri.ranks import gather, is_first, partition
 
@@ -106,19 +104,16 @@ def branch_point(x: np.ndarray, phi: np.ndarray, h: float) -> float | None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--spacing", type=float, default=0.5e-3, help="[m]")
-    parser.add_argument("--ratio", type=float, default=4.0, help="horizon over spacing")
-    parser.add_argument("--time", type=float, help="[s]; 45e-6, or 85e-6 of the plate that is hit")
-    parser.add_argument("--share", type=float, default=0.4, help="of the longest step")
-    parser.add_argument("--kalthoff", action="store_true", help="the plate that is hit, instead")
-    parser.add_argument("--turn", type=float, default=0.0, help="of that plate [degrees]")
-    parser.add_argument("--hole", type=float, default=0.0, help="radius of a hole [m]")
-    parser.add_argument("--series", action="store_true", help="write files for ParaView")
-    parser.add_argument("--progress", action="store_true", help="show how far it is")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "branching")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "branching", json=True)
+    parser.add("--spacing", type=float, default=0.5e-3, help="[m]")
+    parser.add("--ratio", type=float, default=4.0, help="horizon over spacing")
+    parser.add("--time", type=float, help="[s]; 45e-6, or 85e-6 of the plate that is hit")
+    parser.add("--share", type=float, default=0.4, help="of the longest step")
+    parser.add("--kalthoff", action="store_true", help="the plate that is hit, instead")
+    parser.add("--turn", type=float, default=0.0, help="of that plate [degrees]")
+    parser.add("--hole", type=float, default=0.0, help="radius of a hole [m]")
+    parser.add("--series", action="store_true", help="write files for ParaView")
+    parser.add("--progress", action="store_true", help="show how far it is")
     args = parser.parse_args(argv)
     if not (args.spacing > 0 and args.share > 0 and (args.time is None or args.time > 0)):
         parser.error("--spacing, --share, --time: expected numbers > 0")
@@ -152,7 +147,6 @@ def main(argv: list[str] | None = None) -> int:
         numbers["speed_over_rayleigh"] = speed / rayleigh(
             solid.model.lam, solid.model.mu, solid.density
         )
-    args.out.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(4, 6) if args.kalthoff else (8, 3.6), layout="constrained")
     ax = figure.subplots()
     shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)

@@ -10,28 +10,26 @@ r = E G_c / (2π σ²) at each tip; strength and moduli come from sheets without
 says at what strain any straight cracks in any rectangle open, on no lattice (theory.md, C20–C24).
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.interpolate import CubicSpline
 from tqdm import tqdm
 
 import warp_peri as wp
+from examples.figures import panels
 from tools.cracked_sheet import critical_strain, finished, ideal_strength
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
+from tools.options import Options
 from tools.row_separation import whole
-from warp_peri.damage import Cracked, rectangle
-from warp_peri.errors import InputError, exit_status
+from warp_peri import Cracked, InputError
+from warp_peri.damage import rectangle
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
 FITTED, DEFAULT, ALL = 24, (12, 16), (8, 12, 16, 32, 36)
@@ -159,23 +157,19 @@ def any_cracks(numbers: list[float], half: list[float], kept: Path, *, pull: boo
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--all", action="store_true", help="six cracks, and two collinear ones")
-    parser.add_argument("--later", action="store_true", help="three, predicted blindly")
-    parser.add_argument(
+    parser = Options(__doc__, "cracked_graphene", json=True)
+    parser.add("--all", action="store_true", help="six cracks, and two collinear ones")
+    parser.add("--later", action="store_true", help="three, predicted blindly")
+    parser.add(
         "--cracks",
         type=float,
         nargs="+",
         metavar="Å",
         help="x y of both ends of each, any straight",
     )
-    parser.add_argument("--half", type=float, nargs=2, default=(100.0, 100.0), metavar="Å")
-    parser.add_argument("--pull", action="store_true", help="these cracks' atoms too")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "cracked_graphene")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser.add("--half", type=float, nargs=2, default=(100.0, 100.0), metavar="Å")
+    parser.add("--pull", action="store_true", help="these cracks' atoms too")
     args = parser.parse_args(argv)
-    args.out.mkdir(parents=True, exist_ok=True)
     if args.cracks:
         found = any_cracks(args.cracks, args.half, args.out / "atoms.json", pull=args.pull)
         print(json.dumps(found, indent=None if args.json else 1))
@@ -209,8 +203,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.later:
         small = Continuum(constants["lambda"], constants["mu"], step, LATER_HALF)
         numbers["later"] = later(small, toughness, zone, args.out / "atoms.json")
-    figure = Figure(figsize=(5, 3.6), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(5, 3.6)
     halves = np.linspace(min(lengths) / 2, max(lengths) / 2, 60)
     curve = [100 * np.sqrt(toughness / release(half + zone)) for half in halves]
     ax.plot(2 * halves * step, curve, "k", linewidth=0.8, label="one G_c")

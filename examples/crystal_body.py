@@ -1,8 +1,5 @@
 """A block of copper with a void, pulled at its top: tetrahedra at its faces, the law inside."""
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -12,31 +9,29 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.interpolate import LinearNDInterpolator
 
-import warp_peri
+import warp_peri as wp
 from examples.crystals import learned
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from tools.crystals import force_constants
-from warp_peri.edges.body import Coupling
+from tools.options import Options
 from warp_peri.errors import exit_status
+from warp_peri.methods import Coupling
 from warp_peri.points.outlines import Block, Sphere, mesh_solid
 
 SIDE, RADIUS, TENSION = 180.0, 20.0, 1e-3  # Å, Å, TPa
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "crystal_body.png")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, json=True)
+    parser.add("--out", type=Path, default=ROOT / "runs" / "crystal_body.png")
     given = parser.parse_args(arguments)
     law = learned("Cu", force_constants("Cu"))
     mesh = mesh_solid(Block((SIDE,) * 3), [Sphere(RADIUS, size=5.0)], size=20.0)
     held, pulled = {"bottom": (0, 0, 0)}, {"top": (0, 0, TENSION)}
     began = time.perf_counter()
-    solution = warp_peri.solve(law, warp_peri.Body(mesh, held, pulled, coupling=Coupling(degree=1)))
+    solution = wp.solve(law, wp.Body(mesh, held, pulled, coupling=Coupling(degree=1)))
     parts, stress = solution.details, solution.details.on_corners()[1][:, 2, 2] / TENSION
     numbers = {
         "nodes_of_the_lattice": int(parts.points.interior.sum()),
@@ -51,8 +46,7 @@ def main(arguments: list[str] | None = None) -> int:
     x, z = np.meshgrid(line, line)
     shown = LinearNDInterpolator(mesh.x, stress)(x, 0 * x, z)
     shown[np.hypot(x, z) < RADIUS] = np.nan
-    figure = Figure(figsize=(5.2, 4.3), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = panels(5.2, 4.3)
     image = axes.pcolormesh(x, z, shown, cmap="viridis", shading="nearest")
     axes.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₃ [Å]", title="σ₃₃ over the tension")
     figure.colorbar(image, ax=axes)

@@ -7,9 +7,6 @@ python examples/crystals.py W --fields    learned from displacements under loads
 python examples/crystals.py Mg --picture runs/Mg.png
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import json
 import sys
@@ -22,23 +19,19 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
-import warp_peri
+import warp_peri as wp
 from tools.crystal_ball import INNER, SEEN, Ball, ball
 from tools.crystal_void import Void, void, void_error
-from tools.crystals import RECIPES, force_constants, spacing_of
-from tools.isotropic_rival import isotropic_lps
-from warp_peri import LPS, Bernstein, Micromodulus
+from tools.crystals import RECIPES, force_constants, isotropic_lps, spacing_of
+from tools.options import Options
+from warp_peri import LPS, Bernstein, Micromodulus, Points, Samples
 from warp_peri.core.elastic import allowed_tensors, directional, named_moduli
 from warp_peri.core.groups import point_group
 from warp_peri.core.stencil import q1_tensors
 from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum
-from warp_peri.micromodulus import tensors_of
+from warp_peri.micromodulus import Crystal, from_phonons, tensors_of
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.waves import from_phonons
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.structures.phonons import Loads, placed_errors, wave_loads
 
 UNITS = ("angstrom", "TPa")
@@ -213,11 +206,11 @@ def by_fields(name: str) -> dict[str, dict[str, Any]]:
         ("fields, moduli free", None),
     ):
         crystal = Micromodulus(law.horizon, symmetry, moduli=moduli)
-        laws[key] = warp_peri.fit(train, crystal).material
+        laws[key] = wp.fit(train, crystal).material
     for key, held in (("isotropic, fields", "isotropic"), ("isotropic, moduli free", None)):
         if symmetry == "m-3m":
             solid = LPS(2 * h, Bernstein(2), method=Optimum(moduli=held))
-            laws[key] = tensors_of(warp_peri.fit(train, solid).material, h)
+            laws[key] = tensors_of(wp.fit(train, solid).material, h)
     return {
         key: {"moduli": one.moduli("GPa")}
         | {on: loads.errors_of(one)[1] for on, loads in zip(ON_LOADS, unseen)}
@@ -287,37 +280,30 @@ def picture(name: str, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> None:
     """Print one crystal."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("crystal", choices=list(RECIPES))
-    parser.add_argument(
+    parser = Options(__doc__, json=True)
+    parser.add("crystal", choices=list(RECIPES))
+    parser.add(
         "--bonds", type=int, help="of a node: " + ", ".join(map(str, (*SHELLS[2], *SHELLS[3])))
     )
-    parser.add_argument("--quick", action="store_true", help="without the ball and the void")
-    parser.add_argument("--fields", action="store_true", help="learn from fields instead")
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
-    parser.add_argument("--picture", type=Path, help="draw the law there, and nothing else")
+    parser.add("--quick", action="store_true", help="without the ball and the void")
+    parser.add("--fields", action="store_true", help="learn from fields instead")
+    parser.add("--picture", type=Path, help="draw the law there, and nothing else")
     given = parser.parse_args(arguments)
-
-    def work() -> None:
-        if given.picture is not None:
-            picture(given.crystal, given.picture)
-            return
-        if given.fields:
-            for key, row in (rows := by_fields(given.crystal)).items():
-                if not given.json:
-                    print(f"{key:24s} E_u {row['waves']:.2f} {row['short']:.2f}  {row['moduli']}")
-            if given.json:
-                print(json.dumps(rows))
-            return
-        found = study(given.crystal, given.bonds, quick=given.quick)
-        print(json.dumps(found) if given.json else told(given.crystal, found))
-
-    return exit_status(work)
+    if given.picture is not None:
+        picture(given.crystal, given.picture)
+        return
+    if given.fields:
+        for key, row in (rows := by_fields(given.crystal)).items():
+            if not given.json:
+                print(f"{key:24s} E_u {row['waves']:.2f} {row['short']:.2f}  {row['moduli']}")
+        if given.json:
+            print(json.dumps(rows))
+        return
+    found = study(given.crystal, given.bonds, quick=given.quick)
+    print(json.dumps(found) if given.json else told(given.crystal, found))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -3,9 +3,6 @@
 Exact solutions are given on the collar; the microstructure is held to finite elements.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from collections.abc import Callable
@@ -14,14 +11,14 @@ from typing import Any
 
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Units of numbers that have none."""
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
-from examples.graphene_report import save_figure
+from examples.figures import save_figure
+from tools.options import Options
 from warp_peri import Points
 from warp_peri.diffusion import Conductor, CoupledSolid
 from warp_peri.errors import exit_status
@@ -170,12 +167,9 @@ def draw(
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
-    parser.add_argument("--microstructure", type=int, default=32, help="its cells, 0 for none")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "diffusion")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "diffusion", json=True)
+    parser.add("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add("--microstructure", type=int, default=32, help="its cells, 0 for none")
     args = parser.parse_args(argv)
     if min(args.cells) < 4 or len(set(args.cells)) < 2:
         parser.error(f"--cells: expected two numbers ≥ 4 or more, got {args.cells}")
@@ -196,7 +190,6 @@ def main(argv: list[str] | None = None) -> int:
         }
     if args.microstructure:
         numbers["microstructure"], fields = microstructure(args.microstructure)
-        args.out.mkdir(parents=True, exist_ok=True)
         draw(args.out / "diffusion.png", *fields)
     print(json.dumps(numbers, ensure_ascii=False, indent=None if args.json else 1))
     return 0

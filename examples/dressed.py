@@ -5,9 +5,6 @@ python examples/dressed.py --json    one object on stdout
 python examples/dressed.py --all     every crystal, and a free ball of each
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -18,17 +15,18 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
 from examples.crystals import Unseen
+from examples.figures import panels
 from examples.nonlinear import add_files, strained_file
 from examples.studies.dressed_bodies import STRIP, faces, free_ball, plate, squeezed_law, without
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools import crystals, graphene_phonons
 from tools.crystal_ball import ball
 from tools.graphene import DISK_RADIUS
+from tools.options import Options
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.dressed import DressedSolid, FiniteStrain, from_phonons, grown, torn
 from warp_peri.errors import exit_status
@@ -258,7 +256,7 @@ def cost(solid: DressedSolid, side: int = 1000) -> float:
 
 def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
     """Errors of base and dressed laws, and a cracked sheet that is soft in a patch."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained")
+    figure, (left, right) = panels(9.5, 4, count=2)
     kinds = ("base alone", "phonons", "from fields")
     names = {"base alone": "bonds", "phonons": "bonds 12", "from fields": "bonds 12"}
     for n, kind in enumerate(kinds):
@@ -279,31 +277,26 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--all", action="store_true", help="every crystal, with free balls")
+def main(arguments: list[str] | None = None) -> None:
+    parser = Options(__doc__)
+    parser.add("--all", action="store_true", help="every crystal, with free balls")
     add_files(parser, ROOT / "runs" / "dressed")
     given = parser.parse_args(arguments)
-
-    def work() -> None:
-        data = wp.load(given.data or make_data(-1, SMOOTHING_RADIUS))
-        numbers, laws = sheets(data)
-        best = numbers["from fields"]["bonds 12"]
-        numbers |= {key: best[key] for key in ("E_res", "E_u")}
-        numbers["breaking"] = breaking(laws["bonds 12"])
-        numbers["breaking"]["beside atoms"] = faces()
-        numbers["free"] = {"disk": free(laws["elements 8"]), "hole": plate(), "strip": plate(STRIP)}
-        numbers["finite_strain"] = finite_strain(data, wp.load(strained_file(given)))
-        names = ("Cu", "Al", "W", "Si") if given.all else ("Cu",)
-        numbers["split"] = {name: crystal(name, given.all) for name in names}
-        numbers["nanoseconds"] = {name: cost(law) for name, law in laws.items()}
-        picture(numbers, laws["bonds 12"], given.out / "dressed.png")
-        wp.save(given.out / "graphene.json", laws["bonds 12"])
-        print(json.dumps(numbers, indent=None if given.json else 1))
-
-    return exit_status(work)
+    data = wp.load(given.data or make_data(-1, SMOOTHING_RADIUS))
+    numbers, laws = sheets(data)
+    best = numbers["from fields"]["bonds 12"]
+    numbers |= {key: best[key] for key in ("E_res", "E_u")}
+    numbers["breaking"] = breaking(laws["bonds 12"])
+    numbers["breaking"]["beside atoms"] = faces()
+    numbers["free"] = {"disk": free(laws["elements 8"]), "hole": plate(), "strip": plate(STRIP)}
+    numbers["finite_strain"] = finite_strain(data, wp.load(strained_file(given)))
+    names = ("Cu", "Al", "W", "Si") if given.all else ("Cu",)
+    numbers["split"] = {name: crystal(name, given.all) for name in names}
+    numbers["nanoseconds"] = {name: cost(law) for name, law in laws.items()}
+    picture(numbers, laws["bonds 12"], given.out / "dressed.png")
+    wp.save(given.out / "graphene.json", laws["bonds 12"])
+    print(json.dumps(numbers, indent=None if given.json else 1))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

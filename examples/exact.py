@@ -1,7 +1,5 @@
 """Exact solutions for examples and tests: a hole, a crack under pressure, plane Maxwell flows."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -19,14 +17,10 @@ def plate_with_hole(
     S. G. Lekhnitskii's (1968) for a plate of cubic symmetry along the axes; Kirsch's (1898) where
     it is isotropic. Tension acts along the first axis, far away.
 
-    Args:
-        x: positions [Å], shape [n, 2], at the hole's edge or outside.
-        radius: of the hole [Å].
-        tension: far from the hole [TPa].
-        moduli: of the plate.
+    `x`: positions [Å], shape [n, 2], at the hole's edge or outside; `radius`: of the hole [Å];
+    `tension`: far from the hole [TPa]; `moduli`: of the plate.
 
-    Returns:
-        u, shape [n, 2], and σ, shape [n, 2, 2].
+    Returns: u, shape [n, 2], and σ, shape [n, 2, 2].
     """
     C11, C12, C44 = moduli.C11, moduli.C12, moduli.C44
     det = C11**2 - C12**2

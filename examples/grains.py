@@ -4,24 +4,20 @@ python examples/grains.py           numbers, and a picture in runs/grains
 python examples/grains.py --json    one object on stdout
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import json
 import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from tools.grains import Columns, columns, plane_constants
+from tools.options import Options
 from warp_peri.dressed import DressedSolid, fit_maps, from_phonons
 from warp_peri.errors import exit_status
 from warp_peri.micromodulus.force_constants import ForceConstants
@@ -112,7 +108,7 @@ def study(found: Columns, degrees: tuple[float, ...], atoms: ForceConstants) -> 
 
 def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> None:
     """Grains, the map, and one unseen load's answer and error."""
-    figure, axes = plt.subplots(len(tables), 4, figsize=(13, 6.2), layout="constrained")
+    figure, axes = panels(13, 6.2, count=4, rows=len(tables))
     for row, (name, table) in zip(axes, tables.items()):
         samples = split_up(data[name])["val"]
         answer = table["answer"] - table["answer"].mean(axis=0)
@@ -131,29 +127,22 @@ def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> Non
     save_figure(figure, path)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--half", action="store_true", help="periods half as wide, for a look")
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "grains")
+def main(arguments: list[str] | None = None) -> None:
+    parser = Options(__doc__, "grains", json=True)
+    parser.add("--half", action="store_true", help="periods half as wide, for a look")
     given = parser.parse_args(arguments)
-
-    def work() -> None:
-        atoms = plane_constants()
-        turns = np.random.default_rng(SEED + 1).uniform(0, 180, SEVERAL)
-        cases = {"twins": (pair, (TILT, -TILT)), "several": (nearest, tuple(turns.tolist()))}
-        data, tables = {}, {}
-        for name, (number, degrees) in cases.items():
-            data[name] = columns(number, degrees, loads=LOADS, half=given.half)
-            tables[name] = study(data[name], degrees, atoms)
-        picture(tables, data, given.out / "grains.png")
-        hidden = ("map", "answer")
-        numbers = {n: {k: v for k, v in t.items() if k not in hidden} for n, t in tables.items()}
-        print(json.dumps(numbers, indent=None if given.json else 1))
-
-    return exit_status(work)
+    atoms = plane_constants()
+    turns = np.random.default_rng(SEED + 1).uniform(0, 180, SEVERAL)
+    cases = {"twins": (pair, (TILT, -TILT)), "several": (nearest, tuple(turns.tolist()))}
+    data, tables = {}, {}
+    for name, (number, degrees) in cases.items():
+        data[name] = columns(number, degrees, loads=LOADS, half=given.half)
+        tables[name] = study(data[name], degrees, atoms)
+    picture(tables, data, given.out / "grains.png")
+    hidden = ("map", "answer")
+    numbers = {n: {k: v for k, v in t.items() if k not in hidden} for n, t in tables.items()}
+    print(json.dumps(numbers, indent=None if given.json else 1))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

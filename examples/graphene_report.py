@@ -1,30 +1,20 @@
 """Figures, metrics and report of the graphene example."""
 
-from __future__ import annotations
-
 import operator
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 
+from examples.figures import panels, save_figure
 from examples.prose import fill, table
-from warp_peri import plots
-from warp_peri.files.atomic import whole_file, write_text
+from warp_peri import Dirichlet, Model, Samples, plots, solve
+from warp_peri.files.atomic import write_text
 from warp_peri.learning.result import Fit
 from warp_peri.learning.sweep import Run
-from warp_peri.learning.uncertainty import Uncertainty
-from warp_peri.lps.model import Model
-from warp_peri.points.samples import Samples
-from warp_peri.problems import Dirichlet
-from warp_peri.solving import solve
+from warp_peri.methods import Uncertainty
 
 PAPER = {
     "You et al. 2021, LPS": {
@@ -55,13 +45,6 @@ TEMPLATE = Path(__file__).with_suffix(".md")
 ROLES = {"train": "training", "val": "validation", "test": "disks"}
 
 
-def save_figure(figure: Figure, path: Path) -> None:
-    """Write a figure whole or not at all, and close it."""
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=150, bbox_inches="tight")
-    plt.close(figure)
-
-
 def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = None) -> None:
     """influence.png, with a band where the noise is known, and loss.png."""
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
@@ -83,9 +66,7 @@ def draw_disks(
     errors, inside = table["E_u_samples"], points.interior
     samples = [int(np.argmax(errors))] if worst else list(range(len(points)))
     rows = len(samples)
-    figure, axes = plt.subplots(
-        rows, 3, figsize=(9.5, 2.7 * rows + 0.4), squeeze=False, layout="constrained"
-    )
+    figure, axes = panels(9.5, 2.7 * rows + 0.4, count=3, rows=rows, squeeze=False)
     names = points.arrays.get("load_id", np.arange(1, len(points) + 1))
     for s, row in zip(samples, axes):
         truth, predicted = points.u[s, inside, 0], solved[s, inside, 0]

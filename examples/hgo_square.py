@@ -6,8 +6,6 @@ see the same samples: bonds alone, a sheet without fibres, and the true constant
 same nodes.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -19,17 +17,15 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib
-
-matplotlib.use("Agg")
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
+from examples.figures import panels
 from tools.make_hgo import ELEMENTS, Material, make_hgo
+from tools.options import Options
+from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.points.samples import Samples
 from warp_peri.tissue import (
     Dictionary,
     HyperelasticSolid,
@@ -125,7 +121,7 @@ def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
     """Measured, predicted and difference of the displacement on the first disk."""
     u = wp.solve(solid, wp.Dirichlet(disks, disks.loads[0], disks.u[0])).u
     truth, inner = disks.u[0], disks.interior
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+    figure, axes = panels(11, 3.4, count=3)
     shown = {
         "finite elements": np.hypot(*truth.T),
         "model": np.hypot(*u.T),
@@ -138,7 +134,6 @@ def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
         ax.set(title=f"|u|, {title}", aspect="equal", xlabel="x in sides", ylabel="y")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
-    plt.close(figure)
 
 
 def at_rest(solid: HyperelasticSolid, samples: Samples) -> float:
@@ -181,20 +176,17 @@ def study(given: argparse.Namespace, element: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--element", choices=(*ELEMENTS, "both"), default="both")
-    parser.add_argument("--samples", type=int, default=200, help="to learn from")
-    parser.add_argument("--disks", type=int, default=10, help="to test on")
-    parser.add_argument("--solved", type=int, default=10, help="samples of a set solved for E_u")
-    parser.add_argument("--stiffness", type=float, default=STIFFNESS, help="of deviations, to read")
-    parser.add_argument("--seed", type=int, default=1000, help="of the first load")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
-    parser.add_argument("--data", type=Path, default=ROOT / "data" / "hgo")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hgo_square")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, "hgo_square", json=True)
+    parser.add("--element", choices=(*ELEMENTS, "both"), default="both")
+    parser.add("--samples", type=int, default=200, help="to learn from")
+    parser.add("--disks", type=int, default=10, help="to test on")
+    parser.add("--solved", type=int, default=10, help="samples of a set solved for E_u")
+    parser.add("--stiffness", type=float, default=STIFFNESS, help="of deviations, to read")
+    parser.add("--seed", type=int, default=1000, help="of the first load")
+    parser.add("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add("--data", type=Path, default=ROOT / "data" / "hgo")
     for name, value in vars(Material()).items():
-        parser.add_argument(f"--{name}", type=float, default=value, help="of the sheet")
+        parser.add(f"--{name}", type=float, default=value, help="of the sheet")
     given = parser.parse_args()
     chosen = ELEMENTS if given.element == "both" else (given.element,)
     reports = {element: study(given, element) for element in chosen}

@@ -6,9 +6,6 @@ knows of the edges nothing but, in a second solve, a stiffness that strips of tw
 Displacements are compared around atoms, the model's taken at the same atoms.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -23,7 +20,8 @@ import scipy.sparse as sp
 from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
-import warp_peri
+import warp_peri as wp
+from examples.figures import panels
 from tools.elastic import elastic_constants
 from tools.graphene import THICKNESS, bond_length
 from tools.holed_sheet import (
@@ -36,12 +34,14 @@ from tools.holed_sheet import (
     held_samples,
     loads_of,
 )
+from tools.options import Options
 from tools.samples import Sample
-from warp_peri.edges.body import Coupling, solve_body
+from warp_peri import Mesh
+from warp_peri.atoms import force_on_mesh, smoothing_matrix
+from warp_peri.edges.body import solve_body
 from warp_peri.errors import exit_status
-from warp_peri.points.mesh import Mesh
+from warp_peri.methods import Coupling
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.sources.coarse_graining import force_on_mesh, smoothing_matrix
 
 INSIDE = 100.0
 """Half of the model's plate [Å]; the atoms go on beyond it."""
@@ -82,12 +82,7 @@ def held_sides(plate: Plate, sample: Sample) -> dict:
 
 
 def compare(
-    model: warp_peri.Model,
-    plate: Plate,
-    sample: Sample,
-    edge: float,
-    whole: Mesh,
-    coupling: Coupling,
+    model: wp.Model, plate: Plate, sample: Sample, edge: float, whole: Mesh, coupling: Coupling
 ) -> dict[str, float]:
     """Errors of one plate under one load, without and with the stiffness of its edges."""
     mesh = mesh_of(plate, bond_length())
@@ -133,10 +128,10 @@ def compare(
     return numbers
 
 
-def elements_alone(bond: float) -> tuple[warp_peri.Model, Coupling]:
+def elements_alone(bond: float) -> tuple[wp.Model, Coupling]:
     """The atoms' own moduli, on a lattice so coarse that no body has room for it."""
     own = elastic_constants(bond)
-    model = warp_peri.Model(
+    model = wp.Model(
         own["lambda"], own["mu"], 1.0, np.ones(1), horizon=3 * COARSE, certified_on=(COARSE,)
     )
     return model, Coupling(spacing=COARSE)
@@ -144,8 +139,7 @@ def elements_alone(bond: float) -> tuple[warp_peri.Model, Coupling]:
 
 def draw(table: dict[str, dict[str, float]]) -> Figure:
     """Errors of every case, without and with the edges' own stiffness."""
-    figure = Figure(figsize=(6.5, 4.0), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = panels(6.5, 4.0)
     place = np.arange(len(table))
     for shift, key, label in (
         (-0.2, "error", "edges like the inside"),
@@ -160,18 +154,15 @@ def draw(table: dict[str, dict[str, float]]) -> Figure:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "hole_against_atoms", json=True)
     file = ROOT / "runs" / "graphene_0K" / "model.json"
-    parser.add_argument("--model", type=Path, default=file, help="a model file")
-    parser.add_argument("--cache", type=Path, default=ROOT / "data" / "holes", help="of the atoms")
-    parser.add_argument("--tension", type=float, default=TENSION, help="about the stress [TPa]")
+    parser.add("--model", type=Path, default=file, help="a model file")
+    parser.add("--cache", type=Path, default=ROOT / "data" / "holes", help="of the atoms")
+    parser.add("--tension", type=float, default=TENSION, help="about the stress [TPa]")
     waves = tuple(range(len(WAVES)))
-    parser.add_argument("--waves", type=int, nargs="+", default=waves, help="their numbers, from 0")
-    parser.add_argument("--edge-times", type=float, default=1.0, help="of an edge's stiffness")
-    parser.add_argument("--elements", action="store_true", help="alone, the atoms' own moduli")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "hole_against_atoms")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser.add("--waves", type=int, nargs="+", default=waves, help="their numbers, from 0")
+    parser.add("--edge-times", type=float, default=1.0, help="of an edge's stiffness")
+    parser.add("--elements", action="store_true", help="alone, the atoms' own moduli")
     args = parser.parse_args(argv)
     warnings.simplefilter("ignore")
     start = time.perf_counter()
@@ -180,7 +171,7 @@ def main(argv: list[str] | None = None) -> int:
     if args.elements:
         model, coupling = elements_alone(bond_length())
     else:
-        model, coupling = warp_peri.load(args.model), Coupling()
+        model, coupling = wp.load(args.model), Coupling()
     zigzag, armchair = (edge_constants(armchair=turned) for turned in (False, True))
     round_edge = (zigzag["stiffness"] + armchair["stiffness"]) / 2
     whole = mesh_outline(box(2 * INSIDE, 2 * INSIDE), size=8.0)
@@ -198,7 +189,6 @@ def main(argv: list[str] | None = None) -> int:
         "seconds": time.perf_counter() - start,
     }
     print(json.dumps(numbers) if args.json else json.dumps(numbers, indent=1))
-    args.out.mkdir(parents=True, exist_ok=True)
     draw(table).savefig(args.out / "errors.png", dpi=120)
     return 0
 

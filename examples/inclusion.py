@@ -3,26 +3,23 @@
 Bonds add the compliances of μ along them, balls those of λ − μ; the exact field is on the collar.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Units of numbers that have none."""
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 import warp_peri as wp
 from examples.cracks.inclusions import MEANS, Mixed
-from examples.graphene_report import save_figure
-from warp_peri.damage import Cracked, box
+from examples.figures import panels, save_figure
+from tools.options import Options
+from warp_peri import Cracked
+from warp_peri.damage import box
 from warp_peri.errors import exit_status
 
 RADIUS = 0.5
@@ -76,21 +73,17 @@ def draw(ax: Axes, x: np.ndarray, off: np.ndarray, title: str) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, nargs="+", help="per unit length")
-    parser.add_argument("--space", action="store_true", help="a ball in space, not a disk")
-    parser.add_argument("--case", choices=list(CASES), help="one of them, by default all")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "inclusion")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "inclusion", json=True)
+    parser.add("--cells", type=int, nargs="+", help="per unit length")
+    parser.add("--space", action="store_true", help="a ball in space, not a disk")
+    parser.add("--case", choices=list(CASES), help="one of them, by default all")
     args = parser.parse_args(argv)
     d = 3 if args.space else 2
     args.cells = args.cells or CELLS[d]
     if min(args.cells) < 4 or len(set(args.cells)) < 2:
         parser.error(f"--cells: expected two numbers ≥ 4 or more, got {args.cells}")
     numbers: dict = {}
-    figure = Figure(figsize=(9.5, 4), layout="constrained")
-    shown, ax = figure.subplots(1, 2)
+    figure, (shown, ax) = panels(9.5, 4, count=2)
     for name, materials in CASES.items():
         if args.case not in (None, name):
             continue

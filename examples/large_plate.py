@@ -7,9 +7,6 @@ No rank has the whole of it. The number of iterations does not grow with the pla
 the answer has the same bits on any number of ranks. At the first size it is held to one process.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import resource
@@ -23,6 +20,8 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 import warp_peri as wp
+from examples.figures import save_figure
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.ranks import is_first, lattice, partition
 
@@ -80,16 +79,13 @@ def difference(points, b: np.ndarray, u: np.ndarray, found, law, solver) -> floa
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sides", type=int, nargs="+", default=[128, 250], help="nodes")
-    parser.add_argument("--shape", choices=SHAPES, default="L")
-    parser.add_argument("--block", type=int, nargs="+", help="nodes of a tile along the first axes")
-    parser.add_argument("--tolerance", type=float, default=1e-10, help="of the residual")
-    parser.add_argument("--ratio", type=float, help="λ/μ, instead of the learned one")
-    parser.add_argument("--preconditioner", choices=("multigrid", "petsc"), default="multigrid")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "large_plate")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "large_plate", json=True)
+    parser.add("--sides", type=int, nargs="+", default=[128, 250], help="nodes")
+    parser.add("--shape", choices=SHAPES, default="L")
+    parser.add("--block", type=int, nargs="+", help="nodes of a tile along the first axes")
+    parser.add("--tolerance", type=float, default=1e-10, help="of the residual")
+    parser.add("--ratio", type=float, help="λ/μ, instead of the learned one")
+    parser.add("--preconditioner", choices=("multigrid", "petsc"), default="multigrid")
     args = parser.parse_args(argv)
     model = wp.load(ROOT / "tools" / "solve_model.json")
     lam = model.lam if args.ratio is None else args.ratio * model.mu
@@ -131,9 +127,6 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     from matplotlib.figure import Figure  # the other ranks need no memory for it
 
-    from examples.graphene_report import save_figure
-
-    args.out.mkdir(parents=True, exist_ok=True)
     figure = Figure(figsize=(8, 3.6), layout="constrained")
     flat = slice(None) if x.shape[1] == 2 else x[:, 2] == np.median(x[:, 2])
     size = np.linalg.norm(found, axis=1)

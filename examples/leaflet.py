@@ -6,9 +6,8 @@ folder of real frames instead, learns a material and the sheet's thickness from 
 the others; --other takes the material to another sheet.
 """
 
-from __future__ import annotations
-
 import argparse
+import contextlib
 import json
 import sys
 import time
@@ -19,28 +18,137 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.figure import Figure
 
 import warp_peri as wp
-from examples.leaflet_pictures import draw
+from examples.figures import panels
 from examples.studies.leaflet_rivals import RIVALS, interpolated_errors, rival_errors
 from tools.make_leaflet import Leaflet, make_leaflet, noisy
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import InputError, Samples
+from warp_peri.atoms import noise_of
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.points.samples import Samples
-from warp_peri.sources.dic import frames_of_folder, noise_of
+from warp_peri.sources.dic import frames_of_folder
 from warp_peri.tissue import (
     Dictionary,
     DisplacementFit,
     HyperelasticSolid,
+    NoEquilibrium,
+    PlacedSheet,
     Term,
     families,
     fit_thickness,
     hyperelastic_errors,
     in_words,
     rose,
+    rose_of,
     save_febio,
 )
+
+
+def draw(
+    solid: HyperelasticSolid,
+    test: Samples,
+    truth: np.ndarray,
+    report: dict[str, Any],
+    folder: Path,
+    thickness: np.ndarray | None = None,
+) -> None:
+    """Write the four figures, and the thickness of a sheet that is not even."""
+    folder.mkdir(parents=True, exist_ok=True)
+    sheet = solid.on(test, thickness=thickness)
+    figures = {
+        "maps": maps(sheet, test, truth),
+        "curves": curves(sheet, test),
+        "rose": fibre_rose(solid),
+        "errors": errors_by_frame(report),
+    }
+    if thickness is not None:
+        figures["thickness"] = thickness_map(test, thickness)
+    for name, figure in figures.items():
+        figure.savefig(folder / f"{name}.png", dpi=130)
+        plt.close(figure)
+
+
+def maps(sheet: PlacedSheet, test: Samples, truth: np.ndarray) -> Figure:
+    """Measured, predicted and difference of both components on the last held-out frame."""
+    u = test.u[-1]
+    with contextlib.suppress(NoEquilibrium):
+        u = wp.solve(sheet, wp.Dirichlet(test, None, u)).u
+    inner = test.interior
+    figure, axes = panels(10.5, 6.4, count=3, rows=2)
+    for row, component in zip(axes, (0, 1)):
+        fields = (truth[-1], u, u - truth[-1])
+        for ax, field, title in zip(row, fields, ("measured", "predicted", "difference")):
+            values = field[inner, component]
+            drawn = ax.scatter(*test.x[inner].T, c=values, s=28, marker="s", cmap="viridis")
+            figure.colorbar(drawn, ax=ax, shrink=0.8)
+            ax.set(title=f"$u_{component + 1}$, {title}", aspect="equal", xlabel="x", ylabel="y")
+    return figure
+
+
+def thickness_map(test: Samples, thickness: np.ndarray) -> Figure:
+    """Thickness over that at the centre."""
+    figure, ax = panels(4.6, 4.0)
+    x, y = test.x.T
+    drawn = ax.scatter(x, y, c=thickness, s=22, marker="s", cmap="cividis")
+    figure.colorbar(drawn, ax=ax, label="thickness / that at the centre")
+    ax.set(aspect="equal", xlabel="x", ylabel="y", title="in the units of the frames")
+    return figure
+
+
+def curves(sheet: PlacedSheet, test: Samples) -> Figure:
+    """Mean nominal stress against mean stretch by protocol; bands span the middle four fifths."""
+    protocols = test.arrays.get("protocol", np.zeros(len(test), int))
+    figure, axes = panels(9, 3.8, count=2, sharey=True)
+    for number in np.unique(protocols):
+        points = []
+        for n in np.flatnonzero(protocols == number):
+            stretch = np.sqrt(1 + 2 * sheet.energies.strain(test.u[n])[test.interior, :2])
+            P = sheet.stress(test.u[n])
+            stress = P[:, [0, 1], [0, 1]]
+            points.append(
+                (stretch.mean(axis=0), stress.mean(axis=0), np.quantile(stress, (0.1, 0.9), axis=0))
+            )
+        for axis, ax in enumerate(axes):
+            x = [1.0, *(p[0][axis] for p in points)]
+            y = [0.0, *(p[1][axis] for p in points)]
+            low, high = ([0.0, *(p[2][end][axis] for p in points)] for end in (0, 1))
+            (line,) = ax.plot(x, y, "o-", ms=3, label=f"protocol {number}")
+            ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15)
+    for ax, name in zip(axes, ("1", "2")):
+        ax.set(xlabel=f"stretch $\\lambda_{name}$", title=f"direction {name}")
+    axes[0].set_ylabel("stress / initial stiffness")
+    axes[0].legend(fontsize=8)
+    return figure
+
+
+def fibre_rose(solid: HyperelasticSolid) -> Figure:
+    """Energy of the fibres by direction at the largest stretch of the data."""
+    figure, ax = plt.subplots(figsize=(4.2, 4.2), subplot_kw={"projection": "polar"})
+    for angle, value in rose_of(solid).items():
+        for turn in (0.0, np.pi):
+            ax.bar(angle + turn, value, width=0.08, color="tab:red")
+    ax.set(yticklabels=[], title="fibres")
+    return figure
+
+
+def errors_by_frame(report: dict[str, Any]) -> Figure:
+    """Held-out errors of every frame, of the fits and their rivals."""
+    figure, ax = panels(6.4, 3.8)
+    fits = {n: e["frames"] for n, e in report.items() if isinstance(e, dict) and "frames" in e}
+    for name, frames in fits.items():
+        ax.plot(100 * np.asarray(frames), "o-", ms=3, label=name)
+    for number, (name, rival) in enumerate(report.get("rivals", {}).items()):
+        errors = 100 * np.asarray(rival["frames"])
+        ax.plot(errors, "x--", color=f"C{number + len(fits)}", lw=1, ms=3, label=name)
+    ax.set(xlabel="held-out frame", ylabel="error of displacement [%]", yscale="log")
+    ax.legend(fontsize=8, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), frameon=False)
+    return figure
+
 
 UNEVEN = "neo-Hookean, uneven"
 INTERPOLATED = "no material, interpolation"
@@ -193,22 +301,20 @@ def blank(report: Any) -> Any:
 
 def arguments() -> argparse.Namespace:
     """What was asked for on the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--noise", type=float, default=0.002, help="of every node, in spacings")
-    parser.add_argument("--seed", type=int, default=7, help="of the noise")
-    parser.add_argument("--frames", type=Path, help="folder of real frames")
-    parser.add_argument("--other", type=Path, nargs="*", default=[], help="folders to predict too")
-    parser.add_argument("--fibres", action="store_true", help="real sheets may have fibres")
-    parser.add_argument("--count", type=int, default=7, help="real frames to use")
-    parser.add_argument("--pixel", type=float, default=1.0, help="length of the frames' unit")
-    parser.add_argument("--smooth", type=float, default=0.0, help="radius of local fits, spacings")
-    parser.add_argument("--rivals", nargs="*", choices=RIVALS, help="all but the uneven sheet")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
-    parser.add_argument("--data", type=Path, default=ROOT / "data" / "leaflet")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "leaflet")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, "leaflet", json=True)
+    parser.add("--noise", type=float, default=0.002, help="of every node, in spacings")
+    parser.add("--seed", type=int, default=7, help="of the noise")
+    parser.add("--frames", type=Path, help="folder of real frames")
+    parser.add("--other", type=Path, nargs="*", default=[], help="folders to predict too")
+    parser.add("--fibres", action="store_true", help="real sheets may have fibres")
+    parser.add("--count", type=int, default=7, help="real frames to use")
+    parser.add("--pixel", type=float, default=1.0, help="length of the frames' unit")
+    parser.add("--smooth", type=float, default=0.0, help="radius of local fits, spacings")
+    parser.add("--rivals", nargs="*", choices=RIVALS, help="all but the uneven sheet")
+    parser.add("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add("--data", type=Path, default=ROOT / "data" / "leaflet")
     for name, value in vars(Leaflet()).items():
-        parser.add_argument(f"--{name}", type=float, default=value, help="of the synthetic leaflet")
+        parser.add(f"--{name}", type=float, default=value, help="of the synthetic leaflet")
     given = parser.parse_args()
     if given.rivals is None:  # the synthetic leaflet is even
         given.rivals = [name for name in RIVALS if given.frames or name != UNEVEN]
@@ -221,7 +327,6 @@ def arguments() -> argparse.Namespace:
 
 
 def main() -> None:
-    """Run and print."""
     given = arguments()
     report: dict[str, Any] = {}
     if not given.frames:

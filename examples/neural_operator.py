@@ -6,8 +6,6 @@ of a training from a fresh start. With --epochs a training that can be stopped a
 picture and errors are written to --out.
 """
 
-from __future__ import annotations
-
 import argparse
 import copy
 import dataclasses
@@ -22,24 +20,24 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from examples import neural_sets
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from examples.neural_rivals import rivals_of
 from examples.neural_sets import Sets
 from examples.prose import table
 from examples.studies.paper_jafarzadeh_pictures import omega
 from tools.make_hgo import SPACING
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import InputError, Samples
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.launch import set_threads
+from warp_peri.neural import NeuralOperator, Training, evaluate, train
 from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.neural.material import NeuralOperator, load, save
-from warp_peri.neural.placed import evaluate
-from warp_peri.neural.training import Training, TrainingHistory, train
-from warp_peri.points.samples import Samples
+from warp_peri.neural.material import load, save
+from warp_peri.neural.training import TrainingHistory
 from warp_peri.points.unit_names import Units, symbols
 
 WEIGHTS = ROOT / "examples" / "neural_weights"
@@ -208,7 +206,6 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     report: dict[str, Any] = {"experiment": name}
     if given.epochs:
         material, history = trained(given, sets, 60 * given.minutes)
-        given.out.mkdir(parents=True, exist_ok=True)
         save(material, given.out / f"{name}.json", precision="float16")
         report |= {"epochs": history.epochs, "seconds_an_epoch": history.seconds / history.epochs}
     else:
@@ -243,8 +240,7 @@ def draw(material: NeuralOperator, path: Path, stretch: float) -> None:
     positive where it is largest.
     """
     curves, (length, stress) = material.curves(strain=stretch), symbols(material.units)
-    figure = Figure(figsize=(9, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(9, 3.6, count=2)
     if material.anisotropic:
         omega(left, copy.deepcopy(material))
     else:
@@ -292,37 +288,26 @@ def page(report: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("experiment", choices=("graphene", "hgo", "leaflet"))
-    parser.add_argument("--epochs", type=int, help="train so many; goes on from a checkpoint")
-    parser.add_argument(
-        "--minutes", type=float, default=np.inf, help="after which a training stops"
-    )
-    parser.add_argument(
-        "--reach", type=int, choices=(3, 4, 5), default=3, help="δ of hgo, spacings"
-    )
-    parser.add_argument("--mirror", action="store_true", help="hgo: squares by the mirror rule")
+    parser = Options(__doc__, "neural", json=True)
+    parser.add("experiment", choices=("graphene", "hgo", "leaflet"))
+    parser.add("--epochs", type=int, help="train so many; goes on from a checkpoint")
+    parser.add("--minutes", type=float, default=np.inf, help="after which a training stops")
+    parser.add("--reach", type=int, choices=(3, 4, 5), default=3, help="δ of hgo, spacings")
+    parser.add("--mirror", action="store_true", help="hgo: squares by the mirror rule")
     for key, kind in (("rate", float), ("batch", int), ("cells", int), ("strain", float)):
-        parser.add_argument(f"--{key}", type=kind, help="other than the experiment's")
-    parser.add_argument("--seed", type=int)
-    parser.add_argument(
-        "--start", type=Path, help="a material whose numbers a training begins with"
-    )
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
-    parser.add_argument("--no-solve", action="store_true", help="E_res alone")
-    parser.add_argument("--solved", type=int, help="E_u over so many samples of a set, not all")
-    parser.add_argument(
+        parser.add(f"--{key}", type=kind, help="other than the experiment's")
+    parser.add("--seed", type=int)
+    parser.add("--start", type=Path, help="a material whose numbers a training begins with")
+    parser.add("--threads", type=int, default=1)
+    parser.add("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add("--no-solve", action="store_true", help="E_res alone")
+    parser.add("--solved", type=int, help="E_u over so many samples of a set, not all")
+    parser.add(
         "--rivals", action=argparse.BooleanOptionalAction,
         help="fit the other materials too; by default beside the shipped weights",
     )  # fmt: skip
-    parser.add_argument("--data", type=Path, default=ROOT / "data")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "neural")
-    parser.add_argument("--quiet", action="store_true", help="no bar of the training")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser.add("--data", type=Path, default=ROOT / "data")
+    parser.add("--quiet", action="store_true", help="no bar of the training")
     given = parser.parse_args(arguments)
     report = finite(plain(run(given)))
     print(json.dumps(report) if given.json else page(report))

@@ -1,23 +1,20 @@
 """Other materials learned from what the neural operator learns from, by name."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-import warp_peri
+import warp_peri as wp
 from examples.hgo_square import FREE
 from examples.leaflet import ROSE
 from examples.neural_sets import Sets
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
-from warp_peri.points.samples import Samples
+from warp_peri import Samples
+from warp_peri.tissue import HyperelasticSolid, hyperelastic_errors
 from warp_peri.tissue.energy_fit import fit_energy
 from warp_peri.tissue.from_displacement import fit_displacement
-from warp_peri.tissue.placed import hyperelastic_errors
-from warp_peri.tissue.solid import HyperelasticSolid
 
 EVERY = 10
 """Of the leaflet's training frames, one in so many is what the dictionary is fitted on, and what
@@ -30,8 +27,8 @@ Errors = dict[str, dict[str, Any]]
 
 def linear_solid(sets: Sets) -> Errors:
     """The linear peridynamic solid with a learned influence function, certified."""
-    model = warp_peri.fit(sets["train"], warp_peri.LPS(20.0), progress=False).material
-    errors = {name: warp_peri.evaluate(model, samples) for name, samples in sets.items()}
+    model = wp.fit(sets["train"], wp.LPS(20.0), progress=False).material
+    errors = {name: wp.evaluate(model, samples) for name, samples in sets.items()}
     return {
         key: {name: float(found[key]) for name, found in errors.items()}
         for key in ("E_res", "E_res_abs", "E_u")

@@ -1,17 +1,14 @@
 """What the neural operator is trained on: atoms, an anisotropic sheet, a leaflet."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 
 import numpy as np
 
-import warp_peri
+import warp_peri as wp
 from tools.make_hgo import DISK_RADIUS, HORIZON, NODES, SPACING, SQUARES, make_hgo
 from tools.make_leaflet import make_leaflet
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri import Points, Samples
 
 Sets = dict[str, Samples]
 LEVELS, LEARNED, CHOSEN = 20, 100, 20
@@ -22,7 +19,7 @@ REACH = 5
 
 def graphene(file: Path) -> Sets:
     """Coarse-grained atoms: 70 loads, 10 to choose by, 4 disks."""
-    data = warp_peri.load(file)
+    data = wp.load(file)
     return {"train": data["train"], "val": data["val"], "disks": data["test"]}
 
 

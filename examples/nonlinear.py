@@ -5,8 +5,6 @@ whose constants are the potential's), metrics.json and a picture; and the same t
 micromodulus tensors of 28 bonds, and of the LPS, with the moduli of the potential held.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -21,13 +19,14 @@ sys.path.insert(0, str(ROOT))
 
 from matplotlib.figure import Figure
 
-import warp_peri
+import warp_peri as wp
+from examples.figures import save_figure
 from examples.train_graphene import DATA, make_data
-from warp_peri import Bernstein, Dataset
-from warp_peri.errors import InputError, exit_status
-from warp_peri.files.atomic import locked, whole_file, write_json
+from tools.options import Options
+from warp_peri import Bernstein, Dataset, InputError, Micromodulus
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import locked, write_json
 from warp_peri.methods import Conditions, Optimum, Smoothing
-from warp_peri.micromodulus.learning import Micromodulus
 
 STRAINED = DATA.with_name("graphene_0K_strained.h5")
 OUT = ROOT / "runs" / "nonlinear"
@@ -41,19 +40,19 @@ SETS = ("train", "val", "test", "val_4", "test_4", "val_6", "test_6")
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
     """Every form, and the linear solid beside them; what metrics.json holds."""
-    data = warp_peri.load(given.data or make_data(-1, 10.0))
-    larger = warp_peri.load(strained_file(given))
+    data = wp.load(given.data or make_data(-1, 10.0))
+    larger = wp.load(strained_file(given))
     truth = larger.provenance.get("truth", {})
     train, kernel = data["train"], Bernstein(given.degree, two_functions=True)
     begin = time.perf_counter()
     options: dict[str, Any] = {"method": Optimum(moduli="isotropic"), "normalise": True}
     options["conditions"] = Conditions(zeta=given.zeta)
-    linear = warp_peri.fit(train, warp_peri.LPS(given.horizon, kernel, **options)).material
+    linear = wp.fit(train, wp.LPS(given.horizon, kernel, **options)).material
     numbers: dict[str, Any] = {"truth": truth, "horizon": given.horizon}
     numbers["linear"] = {"seconds": time.perf_counter() - begin, **errors(linear, data, larger)}
     for name, law in laws(given.horizon, kernel, options, truth).items():
         begin = time.perf_counter()
-        model = warp_peri.fit(train, law).material
+        model = wp.fit(train, law).material
         seconds = time.perf_counter() - begin
         table = errors(model, data, larger)
         proven = model.proven.get(f"{train.spacing:g}", model.proven)
@@ -75,13 +74,13 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
 
 def laws(
     horizon: float, kernel: Bernstein, options: dict[str, Any], truth: dict[str, float]
-) -> dict[str, warp_peri.ThirdOrder]:
+) -> dict[str, wp.ThirdOrder]:
     """What is learned, by name: today's forms, and tensors; "held" with the potential's moduli."""
-    solid = warp_peri.LPS(horizon, kernel, **options)
-    found = {name: warp_peri.ThirdOrder(solid, form) for name, form in FORMS.items()}
+    solid = wp.LPS(horizon, kernel, **options)
+    found = {name: wp.ThirdOrder(solid, form) for name, form in FORMS.items()}
     tensors = Micromodulus(REACH)
     for name, smoothing in TENSORS.items():
-        found[f"tensors {name}"] = warp_peri.ThirdOrder(tensors, smoothing, name)
+        found[f"tensors {name}"] = wp.ThirdOrder(tensors, smoothing, name)
     if not {"lambda", "mu"} <= truth.keys():
         return found
     lam, mu = truth["lambda"], truth["mu"]
@@ -89,17 +88,16 @@ def laws(
     solid = dataclasses.replace(solid, method=Optimum(moduli=(lam, mu)))
     tensors = Micromodulus(REACH, moduli=voigt)
     for name, smoothing in TENSORS.items():
-        found[f"{name} held"] = warp_peri.ThirdOrder(solid, FORMS[name])
-        found[f"tensors {name} held"] = warp_peri.ThirdOrder(tensors, smoothing, name)
+        found[f"{name} held"] = wp.ThirdOrder(solid, FORMS[name])
+        found[f"tensors {name} held"] = wp.ThirdOrder(tensors, smoothing, name)
     return found
 
 
-def add_files(parser: argparse.ArgumentParser, out: Path) -> None:
+def add_files(parser: Options, out: Path) -> None:
     """Options of what is read and written where the sheet is strained."""
-    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
-    parser.add_argument("--strained", type=Path, help="data at larger strain (made if not there)")
-    parser.add_argument("--out", type=Path, default=out, help="folder for the results")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser.add("--data", type=Path, help="the main job's data (made if not there)")
+    parser.add("--strained", type=Path, help="data at larger strain (made if not there)")
+    parser.add("--out", type=Path, default=out, help="folder for the results")
 
 
 def strained_file(given: argparse.Namespace) -> Path:
@@ -123,7 +121,7 @@ def errors(model: Any, data: Dataset, larger: Dataset) -> dict[str, Any]:
         with warnings.catch_warnings():  # beyond the proven or the trained strain: as asked
             warnings.simplefilter("ignore", UserWarning)
             try:
-                table = warp_peri.evaluate(model, source[name])
+                table = wp.evaluate(model, source[name])
             except InputError as error:  # a load that the model does not bear
                 print(f"{name}: {error}", file=sys.stderr)
                 continue
@@ -145,18 +143,14 @@ def draw(path: Path, numbers: dict[str, Any]) -> None:
         ax.set(xlabel="largest bond strain [%]", ylabel="E_u [%]", title=f"unseen {title}")
         ax.set_ylim(bottom=0)
     ax.legend()
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=150, format="png")
+    save_figure(figure, path, dpi=150, bbox_inches=None)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
-    parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
-    parser.add_argument(
+    parser = Options(__doc__, json=True, defaults=True)
+    parser.add("--horizon", type=float, default=20.0, help="δ [Å]")
+    parser.add("--degree", type=int, default=10, help="M of the Bernstein polynomials")
+    parser.add(
         "--zeta",
         type=float,
         help="ζ [TPa]: a larger one can prove larger strains (as fit takes it)",

@@ -5,14 +5,10 @@ load, as LAMMPS dumps and CSV files of forces. Then only the command is used: co
 certify. The learned constants are held to the sheet's own, from its lattice statics.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from ase.data import atomic_masses, atomic_numbers
@@ -22,11 +18,12 @@ from tools.elastic import elastic_constants
 from tools.graphene import bond_length, sheet
 from tools.lammps_session import LammpsSession
 from tools.loads import WaveLoad
+from tools.options import Options
 from tools.statics import Statics
+from warp_peri import load
 from warp_peri.cli.main import main as warp_peri
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
-from warp_peri.storage import load
 from warp_peri.structures.calculators import potential_file
 
 ELEMENTS = ("B", "N")
@@ -97,11 +94,7 @@ def run(out: Path) -> dict[str, dict[str, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "boron_nitride")
+    parser = Options(__doc__, "boron_nitride")
     given = parser.parse_args(arguments)
     with locked(given.out):
         rows = run(given.out)

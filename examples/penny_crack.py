@@ -1,6 +1,5 @@
 """A block of glass with a penny-shaped crack inside, pulled until it runs; Griffith beside it."""
 
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -8,12 +7,14 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
 from examples.cracks.energy_release import energy_release
-from warp_peri.damage import BrittleSolid, Cracked, Injected, box, contour_integral, penny
+from examples.figures import panels
+from tools.options import Options
+from warp_peri import Cracked
+from warp_peri.damage import BrittleSolid, Injected, box, contour_integral, penny
 
 PICTURE = ROOT / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")  # with µs, densities are in g/cm³
@@ -73,8 +74,7 @@ def torn(side=24, radius=5.0, steps=400):
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, json=True)
     as_json = parser.parse_args().json
     points, motion, stress = torn()
     G, J = released()
@@ -88,7 +88,7 @@ if __name__ == "__main__":
     print(json.dumps(numbers, indent=None if as_json else 1))
     count = round(len(points.x) ** (1 / 3))
     damage = motion.details.damage.reshape(3 * (count,))
-    figure, axes = plt.subplots(1, 3, figsize=(11, 3.4), layout="constrained")
+    figure, axes = panels(11, 3.4, count=3)
     cuts = damage[:, count // 2], damage[:, :, count // 2]
     for ax, cut, names in zip(axes, cuts, ("xz", "xy")):
         edges = 2 * (-count / 2, count / 2)

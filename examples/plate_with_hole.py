@@ -3,9 +3,6 @@
 Compared with Lekhnitskii's exact plate, Kirsch's where the material is isotropic.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -15,13 +12,15 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.tri import Triangulation
 
-import warp_peri
+import warp_peri as wp
 from examples.exact import hoop_stress, plate_with_hole
-from warp_peri.edges.body import BodySolution, Coupling, long_wave, solve_body
+from examples.figures import panels
+from tools.options import Options
+from warp_peri.edges.body import BodySolution, long_wave, solve_body
 from warp_peri.errors import exit_status
+from warp_peri.methods import Coupling
 from warp_peri.points.outlines import Circle, box, mesh_outline
 
 TENSION = 0.005
@@ -29,7 +28,7 @@ TENSION = 0.005
 
 
 def solve_plate(
-    model: warp_peri.Model, radius: float, half: float, size: float, coupling: Coupling
+    model: wp.Model, radius: float, half: float, size: float, coupling: Coupling
 ) -> tuple[dict[str, float], BodySolution]:
     """The numbers of a square plate 2 · half wide whose sides have the exact displacement."""
     stiff = long_wave(model, coupling.spacing or model.certified_on[0])
@@ -56,9 +55,7 @@ def solve_plate(
     return numbers, solution
 
 
-def solve_three_holes(
-    model: warp_peri.Model, coupling: Coupling
-) -> tuple[dict[str, float], BodySolution]:
+def solve_three_holes(model: wp.Model, coupling: Coupling) -> tuple[dict[str, float], BodySolution]:
     """The numbers of a plate of 500 Å with three holes, held at one side and pulled at another."""
     holes = [
         Circle(40.0, (-120.0, -100.0), size=2.5),
@@ -98,23 +95,20 @@ def reported(solution: BodySolution) -> dict[str, float]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Options(__doc__, "plate_with_hole", json=True)
     file = ROOT / "runs" / "graphene_0K" / "model.json"
-    parser.add_argument("--model", type=Path, default=file, help="a model file")
-    parser.add_argument("--radius", type=float, default=40.0, help="of the hole [Å]")
-    parser.add_argument("--half", type=float, default=100.0, help="half the plate's width [Å]")
-    parser.add_argument("--size", type=float, default=2.0, help="of the triangles at the hole [Å]")
-    parser.add_argument("--spacing", type=float, default=2.5, help="of the bulk's lattice [Å]")
-    parser.add_argument("--horizon", type=float, default=7.5, help="there [Å]")
-    parser.add_argument("--overlap", type=float, help="of rim and bulk [Å]")
-    parser.add_argument("--three-holes", action="store_true", help="a plate of 500 Å instead")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "plate_with_hole")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser.add("--model", type=Path, default=file, help="a model file")
+    parser.add("--radius", type=float, default=40.0, help="of the hole [Å]")
+    parser.add("--half", type=float, default=100.0, help="half the plate's width [Å]")
+    parser.add("--size", type=float, default=2.0, help="of the triangles at the hole [Å]")
+    parser.add("--spacing", type=float, default=2.5, help="of the bulk's lattice [Å]")
+    parser.add("--horizon", type=float, default=7.5, help="there [Å]")
+    parser.add("--overlap", type=float, help="of rim and bulk [Å]")
+    parser.add("--three-holes", action="store_true", help="a plate of 500 Å instead")
     args = parser.parse_args(argv)
-    model = warp_peri.load(args.model)
+    model = wp.load(args.model)
     if not model.is_certified_on(args.spacing) or args.horizon != model.horizon:
-        model = warp_peri.transfers.on_lattice(model, spacing=args.spacing, horizon=args.horizon)
+        model = wp.transfers.on_lattice(model, spacing=args.spacing, horizon=args.horizon)
     coupling = Coupling(spacing=args.spacing, overlap=args.overlap)
     if args.three_holes:
         numbers, solution = solve_three_holes(model, coupling)
@@ -123,13 +117,11 @@ def main(argv: list[str] | None = None) -> int:
     print(json.dumps(numbers) if args.json else json.dumps(numbers, indent=1))
     mesh = solution.rim.mesh
     _, stress = solution.on_corners()
-    figure = Figure(figsize=(5.5, 4.5), layout="constrained")
-    axes = figure.subplots()
+    figure, axes = panels(5.5, 4.5)
     triangles = Triangulation(mesh.x[:, 0], mesh.x[:, 1], mesh.cells)
     shown = axes.tripcolor(triangles, stress[:, 0, 0] / TENSION, shading="gouraud", cmap="viridis")
     axes.set(aspect="equal", title="σ₁₁ over the tension far away", xlabel="Å")
     figure.colorbar(shown, ax=axes)
-    args.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.out / "stress.png", dpi=120)
     return 0
 

@@ -6,9 +6,6 @@ point of a channel. Hookean dumbbells have an exact law to be held to; FENE dumb
     python examples/polymer_flow.py --json      # numbers alone; figure and table under runs/
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -19,16 +16,14 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
+from examples import prose
 from examples.exact import poiseuille
+from examples.figures import panels
 from examples.flows.paths import Band, band
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json, write_text
 from warp_peri.flow import (
@@ -150,7 +145,7 @@ def fene_study(count: int, seed: int) -> dict[str, Any]:
 
 def draw(runs: dict[str, ChannelRecord], spread: Band, folder: Path) -> None:
     """Velocity in the middle of the channel, and its profile at the end."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 3.8), layout="constrained")
+    figure, (left, right) = panels(10, 3.8, count=2)
     for (name, run), style in zip(runs.items(), ("k-", "C1--", "C0:")):
         left.plot(run.t, run.centre(), style, label=name)
         order = np.argsort(run.x[-1, :, 1])
@@ -162,29 +157,28 @@ def draw(runs: dict[str, ChannelRecord], spread: Band, folder: Path) -> None:
     right.set(xlabel=f"u / U at t = {t[-1]:g}", ylabel="y / L")
     left.legend(frameon=False)
     figure.savefig(folder / "channel.png", dpi=130)
-    plt.close(figure)
 
 
 def table(numbers: dict[str, Any]) -> str:
     """The numbers as Markdown."""
-    lines = ["| fluid | error % | ms a step |", "|---|---|---|"]
+    channels = []
     for name, row in numbers["channel"].items():
         error = row["against the exact law in the same scheme"]
-        lines.append(f"| {name} | {error:.2f} | {1e3 * row['seconds a step']:.2f} |")
-    lines += ["", "| FENE, flow no fit saw | law | s_xy % | N1 % |", "|---|---|---|---|"]
-    for law, rows in numbers["fene"].items():
-        for name, row in rows.items():
-            xy = "–" if row["s_xy"] is None else f"{row['s_xy']:.1f}"
-            lines.append(f"| {name} | {law} | {xy} | {row['N1']:.1f} |")
-    return "\n".join(lines) + "\n"
+        channels.append([name, f"{error:.2f}", f"{1e3 * row['seconds a step']:.2f}"])
+    flows = [
+        [name, law, "–" if row["s_xy"] is None else f"{row['s_xy']:.1f}", f"{row['N1']:.1f}"]
+        for law, rows in numbers["fene"].items()
+        for name, row in rows.items()
+    ]
+    both = prose.table(["fluid", "error %", "ms a step"], channels) + "\n\n"
+    return both + prose.table(["FENE, flow no fit saw", "law", "s_xy %", "N1 %"], flows) + "\n"
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--dumbbells", type=int, default=10_000, help="in each Hookean run")
-    parser.add_argument("--fene", type=int, default=4000, help="in each FENE run")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
+    parser.add("--dumbbells", type=int, default=10_000, help="in each Hookean run")
+    parser.add("--fene", type=int, default=4000, help="in each FENE run")
+    parser.add("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     folder = ROOT / "runs" / "polymer_flow"
     start = time.perf_counter()

@@ -7,9 +7,6 @@ is wrong by tens of per cent, and says so only by a warning.
     python examples/polymer_learning.py --json     # numbers alone; figure in runs/polymer_learning/
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -18,15 +15,12 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
+from examples.figures import panels
 from examples.flows.active import LearningClosure, replayed
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.flow import (
@@ -55,11 +49,10 @@ def run(fluid: Any) -> wp.Motion:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--dumbbells", type=int, default=3000, help="in each record")
-    parser.add_argument("--reference", type=int, default=3000, help="in each cell")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
+    parser.add("--dumbbells", type=int, default=3000, help="in each record")
+    parser.add("--reference", type=int, default=3000, help="in each cell")
+    parser.add("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
     K = held(np.concatenate([shear([0.5, 1.0, 2.0]), elongation([0.25, 0.5])]), 60)
     weak = simulate(Dumbbells(5, options.dumbbells, b=B, seed=options.seed), K, 0.1, steps=5)
@@ -80,7 +73,7 @@ def main(arguments: list[str] | None = None) -> None:
     numbers["asked (t, cell, gaps)"] = [list(map(float, row)) for row in learning.asked]
     folder = ROOT / "runs" / "polymer_learning"
     write_json(folder / "numbers.json", numbers)
-    figure, axes = plt.subplots(figsize=(6, 3.8), layout="constrained")
+    figure, axes = panels(6, 3.8)
     for (name, r), style in zip(runs.items(), ("k-", "C3:", "C0--", "C2-.", "C1:")):
         axes.plot(r.time, r["u"][:, CELLS // 2], style, label=name)
     for t, *_ in learning.asked:
@@ -88,7 +81,6 @@ def main(arguments: list[str] | None = None) -> None:
     axes.set(xlabel="t / t0", ylabel="u / U in the middle")
     axes.legend(frameon=False)
     figure.savefig(folder / "velocity.png", dpi=130)
-    plt.close(figure)
     print(json.dumps(numbers, indent=None if options.json else 2))
 
 

@@ -7,8 +7,6 @@ oracle knows to be within the tolerance, among every second node, elements, the 
 corrections of the first and the last. Needs the extra `compare` for elements.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os
@@ -27,13 +25,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # idle threads that wait cou
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.figures import panels, save_figure
 from examples.studies.fem_rival import elastic_solver
 from examples.train_graphene import DATA, make_data
+from tools.options import Options
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import locked, whole_file, write_json
+from warp_peri.files.atomic import locked, write_json
 from warp_peri.launch import set_threads
 from warp_peri.methods import Optimum, Smoothing
 from warp_peri.prediction import Answer, Family, Members, PlacedMembers, strain
@@ -339,8 +338,7 @@ def spread(ratios: list[float]) -> dict[str, float]:
 
 def draw(path: Path, rows: list[dict[str, Any]], answer: Answer) -> None:
     """What was said against what is true; and where one answer is likely wrong."""
-    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(8.4, 3.6, count=2)
     for name, mark in (("0.01", "o"), ("best", ".")):
         told = np.array([[row[name]["true"], row[name]["error"]] for row in rows])
         left.loglog(*100 * told.T, mark, ms=4, alpha=0.6, label={"best": "best"}.get(name, "1 %"))
@@ -351,8 +349,7 @@ def draw(path: Path, rows: list[dict[str, Any]], answer: Answer) -> None:
     answer.plot(ax=right)
     right.set_title(f"likely error {100 * answer.error:.2g} %")
     right.set(xlabel="x [Å]", ylabel="y [Å]")
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=150, format="png")
+    save_figure(figure, path, dpi=150, bbox_inches=None)
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
@@ -379,13 +376,11 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
-    parser.add_argument("--scenes", type=Path, help="scenes with truth (made if not there)")
-    parser.add_argument("--refit", action="store_true", help="learn the family anew")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
+    parser.add("--data", type=Path, help="the main job's data (made if not there)")
+    parser.add("--scenes", type=Path, help="scenes with truth (made if not there)")
+    parser.add("--refit", action="store_true", help="learn the family anew")
+    parser.add("--out", type=Path, default=OUT, help="folder for the results")
     tell(parser.parse_args(arguments), run)
     return 0
 

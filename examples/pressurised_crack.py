@@ -3,23 +3,20 @@
 The load is minus the force that the missing bonds would carry.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 
 REDUCED = ("sigma", "epsilon/sigma^3")
 """Units of numbers that have none."""
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import warp_peri as wp
 from examples.exact import sneddon_opening
+from examples.figures import panels
+from tools.options import Options
 from warp_peri import damage
 from warp_peri.errors import exit_status
 
@@ -56,20 +53,14 @@ def opening(cells: int, lam: float = 1.0):
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
-    parser.add_argument(
-        "--growth", type=int, default=16, help="cells of the growing crack, 0: none"
-    )
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "pressurised_crack")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "pressurised_crack", json=True)
+    parser.add("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add("--growth", type=int, default=16, help="cells of the growing crack, 0: none")
     args = parser.parse_args(argv)
     if min(args.cells) < 4:
         parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
     numbers: dict = {"over Sneddon": {}}
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(9, 4, count=2)
     for cells in args.cells:
         numbers["over Sneddon"][f"L/{cells}"], (place, opened, expected) = opening(cells)
         left.plot(place, opened, ".", label=f"L/{cells}")
@@ -87,7 +78,6 @@ def main(argv: list[str] | None = None) -> int:
         right.plot(run["pumped"], exact, "k", linewidth=0.8, label="plane")
         right.set(xlabel="volume pumped", ylabel="pressure")
         right.legend(frameon=False)
-    args.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.out / "opening.png", dpi=120)
     print(json.dumps(numbers, indent=None if args.json else 1))
     return 0

@@ -1,7 +1,5 @@
 """Reports from Markdown files with {names}: the prose in the file, the numbers from a run."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any

@@ -7,23 +7,21 @@ stiffness and softening of the bonds on the whole one, strength and toughness on
 What the large plate does, at this horizon and at one twice as long, is then predicted.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import warnings
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
-from matplotlib.figure import Figure
 from scipy.optimize import minimize_scalar
 
 import warp_peri as wp
-from warp_peri.damage import BondLaw, Cracked, SoftSolid
+from examples.figures import panels
+from tools.options import Options
+from warp_peri import Cracked
+from warp_peri.damage import BondLaw, SoftSolid
 from warp_peri.errors import exit_status
 
 WHOLE = {20: 176.7, 40: 346.7, 60: 523.0, 80: 673.0, 100: 817.0, 150: 1167.0}
@@ -121,10 +119,7 @@ def fit_tail(softness: float, stiffness: float, stretch: float) -> tuple[BondLaw
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "published_plate")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "published_plate", json=True)
     args = parser.parse_args(argv)
     softness, stiffness, error = fit_whole()
     fits = {stretch: fit_tail(softness, stiffness, stretch) for stretch in STRENGTHS}
@@ -152,15 +147,13 @@ def main(argv: list[str] | None = None) -> int:
             )
         },
     }
-    figure = Figure(figsize=(5, 3.6), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(5, 3.6)
     curves = {"L = 50": (small, 50), "L = 100": (large, 100), "L = 100, horizon × 2": (coarse, 100)}
     for label, (run, half) in curves.items():
         ax.plot(run.time / rate(half), stiffness * run["force"], label=label)
     ax.plot(*np.transpose([SMALL_PEAK, LARGE_PEAK]), "ks", label="atoms, peaks")
     ax.set(xlabel="t", ylabel="force across the middle")
     ax.legend(frameon=False)
-    args.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.out / "force.png", dpi=120)
     print(json.dumps(numbers, ensure_ascii=False, indent=None if args.json else 1))
     return 0

@@ -4,10 +4,10 @@ import argparse
 import json
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri
+from examples.figures import panels
 from warp_peri.micromodulus import tensors_of
 
 PICTURE = Path(__file__).parent.parent / "runs" / "solid_in_space.png"
@@ -43,7 +43,7 @@ if __name__ == "__main__":
     points, u = solved[-1][:2]
     count = round(len(points.x) ** (1 / 3))
     size = np.where(points.interior, np.linalg.norm(u, axis=1), np.nan).reshape(3 * (count,))
-    figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    figure, axes = panels(9, 4, count=2)
     edge = points.x.max()
     image = axes[0].imshow(size[:, :, count // 2].T, extent=2 * (-edge, edge), origin="lower")
     figure.colorbar(image, label="|u|, in half sides of the block")

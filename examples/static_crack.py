@@ -4,21 +4,18 @@ Westergaard's field is given on the collar; the bonds across the crack are cut. 
 run in from the edge of a strip that dead loads pull at.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
-from matplotlib.figure import Figure
 
 import warp_peri as wp
 from examples.cracks.energy_release import energy_release, tip_shift
+from examples.figures import panels
+from tools.options import Options
 from warp_peri import damage
 from warp_peri.errors import exit_status
 
@@ -92,15 +89,12 @@ def edge_cracks(lam: float) -> dict[str, dict[str, list[float]]]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
-    parser.add_argument("--ratio", type=float, default=3.0, help="horizon over spacing")
-    parser.add_argument("--lam", type=float, default=1.0, help="λ, with μ = 1")
-    parser.add_argument("--growth", action="store_true", help="also what a growing crack spends")
-    parser.add_argument("--edge", action="store_true", help="G of cracks from an edge instead")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "static_crack")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "static_crack", json=True)
+    parser.add("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
+    parser.add("--ratio", type=float, default=3.0, help="horizon over spacing")
+    parser.add("--lam", type=float, default=1.0, help="λ, with μ = 1")
+    parser.add("--growth", action="store_true", help="also what a growing crack spends")
+    parser.add("--edge", action="store_true", help="G of cracks from an edge instead")
     args = parser.parse_args(argv)
     if min(args.cells) < 4:
         parser.error(f"--cells: expected numbers ≥ 4, got {args.cells}")
@@ -116,8 +110,7 @@ def main(argv: list[str] | None = None) -> int:
         )
         table["growth"] = {"apparent_toughness": damage.apparent_toughness(model, 1.0)}
     print(json.dumps(table) if args.json else json.dumps(table, indent=1))
-    figure = Figure(figsize=(9, 4), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(9, 4, count=2)
     shown = left.scatter(*(x + 0.1 * u).T, c=u[:, 1], s=2, cmap="RdBu")
     left.set(aspect="equal", title="displacement u₂, drawn 0.1 times")
     figure.colorbar(shown, ax=left)
@@ -126,7 +119,6 @@ def main(argv: list[str] | None = None) -> int:
     right.plot(x[row, 0], exact[row, 1], "k", linewidth=0.8, label="Westergaard")
     right.set(xlabel="x₁", ylabel="u₂ above the crack", title=f"L/{args.cells[-1]}")
     right.legend(frameon=False)
-    args.out.mkdir(parents=True, exist_ok=True)
     figure.savefig(args.out / "crack.png", dpi=120)
     return 0
 

@@ -6,22 +6,19 @@ It is held to four other histories, and to the laws that a book would take.
     python examples/stress_histories.py --json
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
-from examples.graphene_report import save_figure
+from examples.figures import save_figure
+from tools.options import Options
 from warp_peri import flow
 from warp_peri.errors import exit_status
 
@@ -60,11 +57,8 @@ def stresses(law: Any, record: flow.Ensembles) -> np.ndarray:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--most", type=int, default=300, help="increments that are learned from")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "stress_histories")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, "stress_histories", json=True)
+    parser.add("--most", type=int, default=300, help="increments that are learned from")
     options = parser.parse_args(arguments)
     records, truth = histories(options.out / "histories"), unseen()
     law = flow.learn_rate(records, window=2, kernel="product", most=options.most)

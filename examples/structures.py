@@ -4,9 +4,6 @@ python examples/structures.py            a table
 python examples/structures.py --picture runs/atoms.png
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import time
 from pathlib import Path
@@ -18,6 +15,7 @@ import ase.build
 import numpy as np
 
 import warp_peri as wp
+from tools.options import Options
 from warp_peri.core.elastic import voigt
 from warp_peri.errors import exit_status
 
@@ -72,23 +70,19 @@ def row(name: str) -> str:
     return f"| {name} | {C} | {off:.2f} | {waves} | {unseen} | {time.perf_counter() - begin:.1f} |"
 
 
-def main(words: list[str] | None = None) -> int:
+def main(words: list[str] | None = None) -> None:
     """Print the table, or draw one crystal."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("crystals", nargs="*", default=list(CASES), metavar="NAME")
-    parser.add_argument("--picture", type=Path, help="draw the first there, and nothing else")
+    parser = Options(__doc__)
+    parser.add("crystals", nargs="*", default=list(CASES), metavar="NAME")
+    parser.add("--picture", type=Path, help="draw the first there, and nothing else")
     given = parser.parse_args(words)
-
-    def work() -> None:
-        if given.picture is not None:
-            given.picture.parent.mkdir(parents=True, exist_ok=True)
-            learned(given.crystals[0]).plot().savefig(given.picture, dpi=100)
-            return
-        for name in given.crystals:
-            print(row(name), flush=True)
-
-    return exit_status(work)
+    if given.picture is not None:
+        given.picture.parent.mkdir(parents=True, exist_ok=True)
+        learned(given.crystals[0]).plot().savefig(given.picture, dpi=100)
+        return
+    for name in given.crystals:
+        print(row(name), flush=True)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -3,8 +3,6 @@
 Writes model.json, metrics.json, report.md and figures to the output folder.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import shlex
@@ -16,18 +14,19 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # for tools/, which is not installed
 
-import warp_peri
+import warp_peri as wp
 from examples import graphene_report as report
 from examples.studies import sweep_report
+from tools.options import Options
+from warp_peri import Dataset, InputError, Samples
 from warp_peri.cluster import scheduler
-from warp_peri.errors import InputError, exit_status
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.learning import METHODS, methods
 from warp_peri.learning.result import Fit
-from warp_peri.learning.sweep import sweep, train
-from warp_peri.micromodulus.law import Crystal
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
+from warp_peri.learning.sweep import train
+from warp_peri.methods import sweep
+from warp_peri.micromodulus import Crystal
 from warp_peri.third_order.material import CUBIC, NonlinearModel
 
 DATA = ROOT / "data" / "graphene_0K.h5"
@@ -41,17 +40,17 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     """The whole main job; returns what metrics.json holds."""
     begin = time.perf_counter()
     path = data_file(given)
-    data = warp_peri.load(path)
+    data = wp.load(path)
     sets = sets_at(data, given.spacing)
     seconds = {"data": time.perf_counter() - begin}
     trained = train(
         sets["train"],
         given.horizon,
-        warp_peri.Bernstein(given.degree),
+        wp.Bernstein(given.degree),
         sets,
         noise=noise_at(data, given.spacing),
         method=methods.named(given.method, seed=given.seed),
-        conditions=warp_peri.methods.Conditions(given.conditions),
+        conditions=wp.methods.Conditions(given.conditions),
         allow_uncertified=True,
         progress=True,
     )
@@ -91,14 +90,14 @@ def nonlinear_row(
     The linear model and its numbers are not touched.
     """
     begin = time.perf_counter()
-    model = warp_peri.fit(
+    model = wp.fit(
         sets["train"],
-        warp_peri.ThirdOrder(
-            warp_peri.LPS(
+        wp.ThirdOrder(
+            wp.LPS(
                 given.horizon,
-                warp_peri.Bernstein(given.degree, two_functions=True),
-                method=warp_peri.methods.Optimum(moduli="isotropic"),
-                conditions=warp_peri.methods.Conditions(given.conditions),
+                wp.Bernstein(given.degree, two_functions=True),
+                method=wp.methods.Optimum(moduli="isotropic"),
+                conditions=wp.methods.Conditions(given.conditions),
                 normalise=True,
             )
         ),
@@ -120,8 +119,8 @@ def crystal_row(
 ) -> tuple[dict[str, Any], Crystal]:
     """Errors of tensors on 20 bonds, moduli held as long waves show them; the law."""
     begin = time.perf_counter()
-    law = warp_peri.Micromodulus(BONDS_20 * given.spacing)
-    crystal = warp_peri.fit(sets["train"], law).material
+    law = wp.Micromodulus(BONDS_20 * given.spacing)
+    crystal = wp.fit(sets["train"], law).material
     row: dict[str, Any] = {
         **errors_of(crystal, sets),
         "bonds": crystal.bonds,
@@ -134,7 +133,7 @@ def crystal_row(
 
 def errors_of(material: Any, sets: dict[str, Samples]) -> dict[str, dict[str, float]]:
     """E_res and E_u of a material by role."""
-    tables = {role: warp_peri.evaluate(material, points) for role, points in sets.items()}
+    tables = {role: wp.evaluate(material, points) for role, points in sets.items()}
     return {key: {role: tables[role][key] for role in tables} for key in ("E_res", "E_u")}
 
 
@@ -188,7 +187,7 @@ def make_data(jobs: int, smoothing_radius: float, loads: str = "waves") -> Path:
 
 def run_sweep(given: argparse.Namespace) -> None:
     """Algorithm 2: every horizon and degree, and the choice."""
-    data = warp_peri.load(data_file(given))
+    data = wp.load(data_file(given))
     sets = sets_at(data, given.spacing)
     if "val" not in sets:
         raise InputError("the sweep needs a validation set beside the training set")
@@ -248,47 +247,45 @@ def print_certificate(learned: Fit) -> None:
         print(f"  {'not defined' if value is None else f'{value:.4e}':>11}  {unit}")
 
 
-def parser() -> argparse.ArgumentParser:
+def parser() -> Options:
     """Options of the main job."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    parser.add_argument("--spacing", type=float, default=5.0, help="of the nodes [Å]; 5 or 2.5")
-    parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
-    parser.add_argument("--degree", type=int, default=10, help="M of the Bernstein polynomials")
-    parser.add_argument("--method", choices=METHODS, default=METHODS[0])
-    parser.add_argument("--conditions", choices=("direct", "paper"), default="direct")
-    parser.add_argument(
+    parser = Options(__doc__, defaults=True)
+    parser.add("--spacing", type=float, default=5.0, help="of the nodes [Å]; 5 or 2.5")
+    parser.add("--horizon", type=float, default=20.0, help="δ [Å]")
+    parser.add("--degree", type=int, default=10, help="M of the Bernstein polynomials")
+    parser.add("--method", choices=METHODS, default=METHODS[0])
+    parser.add("--conditions", choices=("direct", "paper"), default="direct")
+    parser.add(
         "--loads",
         choices=("waves", "designed"),
         default="waves",
         help="to learn from at 0 K: seventy waves, or two loads of all waves, each both ways",
     )
-    parser.add_argument("--linear", action="store_true", help="leave out the nonlinear model's row")
-    parser.add_argument(
+    parser.add("--linear", action="store_true", help="leave out the nonlinear model's row")
+    parser.add(
         "--temperature", type=float, default=0.0, help="[K]; 300 K takes LAMMPS 15 to 30 minutes"
     )
-    parser.add_argument(
+    parser.add(
         "--reduction",
         choices=("shared", "plain", "iota"),
         default="shared",
         help="of thermal runs (see tools/make_thermal.py); above 0 K only, as the next two",
     )
-    parser.add_argument("--factor", type=float, default=1.0, help="on the loads")
-    parser.add_argument("--steps", type=int, default=4000, help="of each thermal run")
-    parser.add_argument("--seed", type=int, default=0, help="of the initial influence function")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, whose workers do the work")
-    parser.add_argument(
+    parser.add("--factor", type=float, default=1.0, help="on the loads")
+    parser.add("--steps", type=int, default=4000, help="of each thermal run")
+    parser.add("--seed", type=int, default=0, help="of the initial influence function")
+    parser.add("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
+    parser.add("--scheduler", metavar="ADDRESS", help="of Dask, whose workers do the work")
+    parser.add(
         "--sweep",
         action="store_true",
         help="choose horizon and degree (Algorithm 2); --horizon, --degree, --method do not apply",
     )
-    parser.add_argument(
+    parser.add(
         "--smoothing-radius", type=float, default=SMOOTHING_RADIUS, help="R of made data [Å]"
     )
-    parser.add_argument("--data", type=Path, help="use this HDF5 file instead of making data")
-    parser.add_argument(
+    parser.add("--data", type=Path, help="use this HDF5 file instead of making data")
+    parser.add(
         "--out",
         type=Path,
         help="folder for the results (default: runs/graphene_0K or what the temperature is, "

@@ -6,25 +6,21 @@ python examples/uneven_sheet.py --json    one object on stdout
 python examples/uneven_sheet.py --all     sheets with vacancies too
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.colors import Normalize
 
 import warp_peri as wp
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from tools.graphene_phonons import force_constants
 from tools.make_graphene import SMOOTHING_RADIUS
+from tools.options import Options
 from tools.uneven_sheets import Sheet, moduli, uneven_sheet
 from warp_peri.dressed import DressedSolid, MapFit, fit_density, fit_maps, from_phonons
 from warp_peri.errors import exit_status
@@ -103,7 +99,7 @@ def within(found: np.ndarray, true: np.ndarray, spread: np.ndarray) -> float:
 
 def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Path) -> None:
     """Truth, map, error and correlation of each modulus, over that of the even sheet."""
-    figure, axes = plt.subplots(2, 4, figsize=(13, 6), layout="constrained")
+    figure, axes = panels(13, 6, count=4, rows=2)
     for row, (part, letter) in zip(axes, {"bulk": "κ", "shear": "μ"}.items()):
         map_ = found.maps[part]
         shown = {f"{letter}, as the share of each": true[part], f"{letter}, its map": map_,
@@ -128,58 +124,48 @@ def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Pa
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--loads", type=int, default=4, help="to learn from")
-    parser.add_argument("--all", action="store_true", help="sheets with vacancies too")
-    parser.add_argument("--json", action="store_true", help="one object on stdout")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "uneven_sheet")
+    parser = Options(__doc__, "uneven_sheet", json=True)
+    parser.add("--loads", type=int, default=4, help="to learn from")
+    parser.add("--all", action="store_true", help="sheets with vacancies too")
     given = parser.parse_args(arguments)
-
-    def work() -> None:
-        sheet = uneven_sheet(
-            lambda at: np.linalg.norm(at, axis=1) * SIDE < RADIUS, train=given.loads
-        )
-        points = sheet.sets["train"].points
-        law = graphene(POTENTIAL, points.spacing)
-        carbon, nitride = (parts_of(moduli(names)) for names in (("C",), ("B", "N")))
-        even = dict.fromkeys(law.parts.names, np.ones(len(points.x)))
-        numbers: dict[str, Any] = {"uniform": displacement_errors(law.on(points, maps=even), sheet)}
-        middle = np.linalg.norm(points.x - points.x.mean(axis=0), axis=1) < INNER
-        fits = {
-            name: fit_maps(sheet.sets["train"], law, parts=name, smoothing=SMOOTHING_RADIUS)
-            for name in ("each", "one")
+    sheet = uneven_sheet(lambda at: np.linalg.norm(at, axis=1) * SIDE < RADIUS, train=given.loads)
+    points = sheet.sets["train"].points
+    law = graphene(POTENTIAL, points.spacing)
+    carbon, nitride = (parts_of(moduli(names)) for names in (("C",), ("B", "N")))
+    even = dict.fromkeys(law.parts.names, np.ones(len(points.x)))
+    numbers: dict[str, Any] = {"uniform": displacement_errors(law.on(points, maps=even), sheet)}
+    middle = np.linalg.norm(points.x - points.x.mean(axis=0), axis=1) < INNER
+    fits = {
+        name: fit_maps(sheet.sets["train"], law, parts=name, smoothing=SMOOTHING_RADIUS)
+        for name in ("each", "one")
+    }
+    for name, fit in fits.items():
+        body = law.on(points, maps=fit.maps)
+        numbers["maps" if name == "each" else "one factor"] = {
+            **displacement_errors(body, sheet), "smoothness": fit.smoothness,
+        }  # fmt: skip
+    found = fits["each"]
+    true = {part: 1 - sheet.inside * (1 - nitride[part] / carbon[part]) for part in even}
+    numbers["maps"] |= {
+        "resolution": found.resolution,
+        "correlation": {p: correlation(found.maps[p], true[p]) for p in true},
+        "off": {p: float(np.abs(found.maps[p] - true[p]).mean()) for p in true},
+        "within two spreads": {p: within(found.maps[p], true[p], found.spread[p]) for p in true},
+    }
+    if given.all:
+        numbers["density"] = vacancies(LOADS_OF_DENSITY)
+    numbers["moduli"] = {
+        part: {
+            "found": float(found.maps[part][middle].mean()),
+            "spread": float(found.spread[part][middle].mean()),
+            "true": nitride[part] / carbon[part],
         }
-        for name, fit in fits.items():
-            body = law.on(points, maps=fit.maps)
-            numbers["maps" if name == "each" else "one factor"] = {
-                **displacement_errors(body, sheet), "smoothness": fit.smoothness,
-            }  # fmt: skip
-        found = fits["each"]
-        true = {part: 1 - sheet.inside * (1 - nitride[part] / carbon[part]) for part in even}
-        numbers["maps"] |= {
-            "resolution": found.resolution,
-            "correlation": {p: correlation(found.maps[p], true[p]) for p in true},
-            "off": {p: float(np.abs(found.maps[p] - true[p]).mean()) for p in true},
-            "within two spreads": {
-                p: within(found.maps[p], true[p], found.spread[p]) for p in true
-            },
-        }
-        if given.all:
-            numbers["density"] = vacancies(LOADS_OF_DENSITY)
-        numbers["moduli"] = {
-            part: {
-                "found": float(found.maps[part][middle].mean()),
-                "spread": float(found.spread[part][middle].mean()),
-                "true": nitride[part] / carbon[part],
-            }
-            for part in law.parts.names
-        }
-        print(json.dumps(numbers, indent=None if given.json else 1))
-        picture(points.x - points.x.mean(axis=0), found, true, given.out / "maps.png")
-
-    return exit_status(work)
+        for part in law.parts.names
+    }
+    print(json.dumps(numbers, indent=None if given.json else 1))
+    picture(points.x - points.x.mean(axis=0), found, true, given.out / "maps.png")
+    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

@@ -17,13 +17,11 @@ are counted once from each end. What to read are the ratios: the times belong to
 the extra `bench` for Numba.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -46,14 +44,15 @@ from tools import (
     solve_study,
     solver_choice,
 )
+from tools.options import Options
+from warp_peri import Points
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
 from warp_peri.lps.bonds import BLOCKS, Bonds, Tabulated, influence_inputs
-from warp_peri.lps.model import Solid
 from warp_peri.lps.operator import lps_force
+from warp_peri.methods import Solid
 from warp_peri.points.families import families_of
-from warp_peri.points.points import Points
 from warp_peri.structures.calculators import LammpsError, lammps_class
 
 HORIZON = 4.0
@@ -403,37 +402,26 @@ def launches(*, quick: bool, threads: int = 2) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__)
     kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
-    parser.add_argument("what", choices=kinds)
-    parser.add_argument(
-        "--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice"
-    )
-    parser.add_argument(
-        "--threads", type=int, default=2, help="operator, launch: of every candidate"
-    )
-    parser.add_argument("--model", type=Path, help="of solve and choice (default: learned)")
-    parser.add_argument("--out", type=Path, help="solve, choice: write the table as JSON")
+    parser.add("what", choices=kinds)
+    parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
+    parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
+    parser.add("--model", type=Path, help="of solve and choice (default: learned)")
+    parser.add("--out", type=Path, help="solve, choice: write the table as JSON")
     given = parser.parse_args(arguments)
-    if given.what == "solve":
-        solve_study.solve_study(quick=given.quick, model_file=given.model, out=given.out)
-    elif given.what == "crystals":
-        benchmark_crystals.crystals(quick=given.quick)
-    elif given.what == "dressed":
-        benchmark_dressed.dressed(quick=given.quick)
-    elif given.what == "ranks":
-        benchmark_ranks.ranks(quick=given.quick)
-    elif given.what == "choice":
-        solver_choice.solver_choice(quick=given.quick, model_file=given.model, out=given.out)
-    elif given.what == "roofline":
-        ceilings(quick=given.quick)
-    elif given.what == "launch":
-        launches(quick=given.quick, threads=given.threads)
-    else:
-        operator(quick=given.quick, threads=given.threads)
+    files = {"model_file": given.model, "out": given.out}
+    work: dict[str, Callable[..., Any]] = {
+        "operator": partial(operator, threads=given.threads),
+        "roofline": ceilings,
+        "launch": partial(launches, threads=given.threads),
+        "solve": partial(solve_study.solve_study, **files),
+        "crystals": benchmark_crystals.crystals,
+        "dressed": benchmark_dressed.dressed,
+        "ranks": benchmark_ranks.ranks,
+        "choice": partial(solver_choice.solver_choice, **files),
+    }
+    work[given.what](quick=given.quick)
     return 0
 
 

@@ -1,7 +1,5 @@
 """What a law of micromodulus tensors costs in space: a force, a solve, a proof."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import json
@@ -16,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from tools.crystals import force_constants
+from warp_peri import Points
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import half_ball
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus.law import Crystal, TensorOperator
-from warp_peri.micromodulus.waves import from_phonons, transferred
-from warp_peri.points.points import Points
+from warp_peri.micromodulus import Crystal, from_phonons, transferred
+from warp_peri.micromodulus.law import TensorOperator
 from warp_peri.statics.solution import TOLERANCE
 
 SIDES = (64, 128)

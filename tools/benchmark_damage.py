@@ -7,9 +7,6 @@ machine hardly changes it. The clock is printed beside it; on more threads than 
 something only where nothing else runs.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import os
 
@@ -18,14 +15,14 @@ import sys
 import time
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 import warp as wp
 
+from tools.options import Options
 from warp_peri import Model
-from warp_peri.damage.lattice_body import lattice_body, rectangle
+from warp_peri.damage import lattice_body, rectangle
 from warp_peri.damage.operator import CutOperator
 from warp_peri.errors import exit_status
 from warp_peri.launch import floats, set_threads, zeros
@@ -157,13 +154,11 @@ def alternating(jobs, repeats: int) -> np.ndarray:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--threads", type=int, nargs="+", default=[1, 2])
-    parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--scale", type=float, default=3e-3, help="of the displacements")
-    parser.add_argument("--sizes", type=int, default=len(SIZES), help="how many of them")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, json=True)
+    parser.add("--threads", type=int, nargs="+", default=[1, 2])
+    parser.add("--repeats", type=int, default=15)
+    parser.add("--scale", type=float, default=3e-3, help="of the displacements")
+    parser.add("--sizes", type=int, default=len(SIZES), help="how many of them")
     args = parser.parse_args(argv)
     import numba
 

@@ -1,7 +1,5 @@
 """What a force of a dressed sheet costs, even and with maps, beside bonds and a sparse matrix."""
 
-from __future__ import annotations
-
 import functools
 import json
 from collections.abc import Callable
@@ -11,11 +9,11 @@ import numpy as np
 
 from tools.benchmark_crystals import least
 from tools.graphene_phonons import force_constants
+from warp_peri import Points
 from warp_peri.dressed import DressedSolid, FiniteSolid, from_phonons
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus.waves import from_phonons as tensors_from_phonons
-from warp_peri.points.points import Points
+from warp_peri.micromodulus import from_phonons as tensors_from_phonons
 
 LAWS = {"elements, G 8": ("elements", 8), "bonds, G 8": ("bonds", 8), "bonds, G 12": ("bonds", 12)}
 TENSORS = 12.5

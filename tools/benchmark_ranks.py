@@ -4,8 +4,6 @@ Run by `python tools/benchmark.py ranks`. Times are of this machine; iterations,
 not.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -14,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri import InputError
 from warp_peri.ranks.processes import own_mpiexec
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -5,8 +5,6 @@ too strong. Here the switch starts at 2.6 Å, and pairs of one sublattice, which
 would reach, are excluded; so are the bonds that a crack cuts.
 """
 
-from __future__ import annotations
-
 import json
 import tempfile
 import time
@@ -23,17 +21,9 @@ from scipy.optimize import brentq
 from scipy.sparse.csgraph import breadth_first_order
 
 from tools.graphene import THICKNESS, bond_length, sheet
-from tools.hessian import ColouredHessian
-from tools.lammps_session import (
-    CARBON_MASS,
-    POTENTIAL,
-    LammpsSession,
-    lammps_class,
-    lammps_words,
-    potential_file,
-)
-from tools.statics import find_bonds
-from warp_peri.errors import InputError
+from tools.lammps_session import CARBON_MASS, POTENTIAL, LammpsSession, potential_file
+from tools.statics import ColouredHessian, find_bonds
+from warp_peri import InputError
 from warp_peri.stability.inertia import symmetric_factors
 
 SWITCH, WIDTH = 2.65, 0.05
@@ -54,10 +44,7 @@ PLACE = 1e-4
 def longer_cutoff(folder: Path, *, middle: float = SWITCH, width: float = WIDTH) -> Path:
     """The wheel's potential with the cut-off moved, one carbon, as a file in a folder.
 
-    Args:
-        folder: to write to.
-        middle: of the switch [Å].
-        width: half of the switch [Å].
+    `folder`: to write to; `middle`: of the switch [Å]; `width`: half of the switch [Å].
     """
     for line in potential_file(POTENTIAL).read_text().splitlines():
         words = line.split()
@@ -73,12 +60,9 @@ def longer_cutoff(folder: Path, *, middle: float = SWITCH, width: float = WIDTH)
 class CrackedSheet:
     """Atoms, what is held, and the bonds that cracks cut.
 
-    Attributes:
-        positions: at rest [Å], shape [A, 2].
-        bonds: pairs of atoms, shape [bonds, 2].
-        cut: which bonds are cut, shape [bonds] bool.
-        held: atoms of the rim, shape [A] bool.
-        step: width of a hexagon along the zigzag direction [Å].
+    `positions`: at rest [Å], shape [A, 2]; `bonds`: pairs of atoms, shape [bonds, 2]; `cut`: which
+    bonds are cut, shape [bonds] bool; `held`: atoms of the rim, shape [A] bool; `step`: width of a
+    hexagon along the zigzag direction [Å].
     """
 
     positions: np.ndarray
@@ -93,11 +77,10 @@ def cracked_sheet(
 ) -> CrackedSheet:
     """A rectangular sheet with straight cracks.
 
-    Args:
-        cracks: ends of each [Å], shape [2, 2]; y = 0 runs through the middle of bonds when the
-            crack runs along the zigzag direction, x = 0 midway between two of them.
-        half: half sides of the part that moves [Å], one for a square, or two.
-        turned: degrees from the zigzag direction to the x axis; 30 is the armchair direction.
+    `cracks`: ends of each [Å], shape [2, 2]; y = 0 runs through the middle of bonds when the crack
+    runs along the zigzag direction, x = 0 midway between two of them; `half`: half sides of the
+    part that moves [Å], one for a square, or two; `turned`: degrees from the zigzag direction to
+    the x axis; 30 is the armchair direction.
     """
     bond = bond_length()
     step = np.sqrt(3) * bond
@@ -182,30 +165,22 @@ class CutSession(LammpsSession):
         self._xyz[:, :2] = positions
         types = 1 + _sublattice(body) + 2 * _sides(body)
         low, high = positions.min(axis=0) - 40, positions.max(axis=0) + 40
-        with lammps_words():
-            self._lammps = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
-            for line in (
-                "units metal",
-                "atom_style atomic",
-                "atom_modify map array sort 0 0",
-                "boundary f f p",
-                f"region cell block {low[0]} {high[0]} {low[1]} {high[1]} -10 10",
-                "create_box 6 cell",
-                f"mass * {CARBON_MASS}",
-            ):
-                self._lammps.command(line)
-            ids = list(range(1, self.atoms + 1))
-            self._lammps.create_atoms(self.atoms, ids, types.tolist(), self._xyz.ravel().tolist())
-            pairs = [(a, b) for a in range(1, 7) for b in range(a, 7) if (a - b) % 2 == 0]
-            pairs += [(3, 6), (4, 5)]
-            for line in (
-                "pair_style tersoff",
-                f'pair_coeff * * "{potential}" C C C C C C',
-                "neighbor 0.05 bin",
-                *(f"neigh_modify exclude type {a} {b}" for a, b in pairs),
-                "thermo_modify lost error norm no",
-            ):
-                self._lammps.command(line)
+        pairs = [(a, b) for a in range(1, 7) for b in range(a, 7) if (a - b) % 2 == 0]
+        before = (
+            "atom_style atomic",
+            "boundary f f p",
+            f"region cell block {low[0]} {high[0]} {low[1]} {high[1]} -10 10",
+            "create_box 6 cell",
+            f"mass * {CARBON_MASS}",
+        )
+        after = (
+            "pair_style tersoff",
+            f'pair_coeff * * "{potential}" C C C C C C',
+            "neighbor 0.05 bin",
+            *(f"neigh_modify exclude type {a} {b}" for a, b in [*pairs, (3, 6), (4, 5)]),
+            "thermo_modify lost error norm no",
+        )
+        self._fill(before, types.tolist(), after)
 
 
 def _sublattice(body: CrackedSheet) -> np.ndarray:
@@ -298,8 +273,7 @@ class Pulled:
     def critical_strain(self, expected: float) -> tuple[float, float]:
         """The last strain at which the sheet held, and the one at which it did not.
 
-        Args:
-            expected: a guess from below the truth is safe; steps are in parts of it.
+        `expected`: a guess from below the truth is safe; steps are in parts of it.
         """
         rest, rim = self.body.positions, self.body.held
         x, strain, step = rest.copy(), 0.0, 0.6 * expected

@@ -1,7 +1,5 @@
 """Bodies of atoms under load, relaxed by LAMMPS, and what nodes see of them."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,11 +10,10 @@ import scipy.fft
 from scipy.spatial import cKDTree
 
 from tools.crystals import RECIPES, session
-from tools.solid_session import SolidSession
+from tools.lammps_session import SolidSession
+from warp_peri import Points, Samples
 from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.structures.phonons import CONE, EV_IN_TPA, smoothing
 
 RADIUS, SEEN, INNER = 11.0, 8.6, 5.5
@@ -35,12 +32,9 @@ NEAR_REST, REST, NEWTON = 0.3, 1e-7, 8
 class Ball:
     """What nodes see of a free ball of atoms.
 
-    Attributes:
-        samples: displacement [Å] and load [TPa/Å], interior 5.5 spacings. The spacing is that of
-            the crystal as its surface has squeezed it.
-        strain: of the inside at rest along the axes, shape [3].
-        atoms: at rest [Å], shape [A, 3].
-        forces: on them [eV/Å], shape [S, A, 3].
+    `samples`: displacement [Å] and load [TPa/Å], interior 5.5 spacings. The spacing is that of the
+    crystal as its surface has squeezed it; `strain`: of the inside at rest along the axes, shape
+    [3]; `atoms`: at rest [Å], shape [A, 3]; `forces`: on them [eV/Å], shape [S, A, 3].
     """
 
     samples: Samples

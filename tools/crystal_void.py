@@ -5,8 +5,6 @@ elements with the law's own moduli lies around the void. Shell and nodes hand di
 other until they agree, as the rim and bulk of a sheet do (theory.md, B5).
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import operator
@@ -21,10 +19,9 @@ from scipy.sparse.linalg import splu
 
 from tools.crystal_ball import at_rest, cut, lattice_inverse, response, seen, stiffness
 from tools.crystals import session
+from warp_peri import Points, Samples
+from warp_peri.micromodulus import Crystal
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.micromodulus.law import Crystal
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.structures.phonons import CONE, relative
 
 VOID, HELD, INNER = 2.6, 10.6, 7.0
@@ -45,9 +42,8 @@ EXCHANGES, AGREED = 60, 1e-6
 class Void:
     """What nodes see of a strained crystal with a void.
 
-    Attributes:
-        samples: without load; interior nodes out to INNER.
-        radius: of a sphere with the volume of the atoms that are missing [Å].
+    `samples`: without load; interior nodes out to INNER; `radius`: of a sphere with the volume of
+    the atoms that are missing [Å].
     """
 
     samples: Samples
@@ -138,9 +134,7 @@ def _interpolated(u: np.ndarray, place: np.ndarray, side: int, at: np.ndarray) -
 class Shell:
     """Quadratic elements between two spheres, the inner one free; factorised once.
 
-    Args:
-        elastic: C_ijkl.
-        inner, outer: radii.
+    `elastic`: C_ijkl; `inner`, `outer`: radii.
     """
 
     def __init__(self, elastic: np.ndarray, inner: float, outer: float) -> None:

@@ -1,7 +1,5 @@
 """The potential's own elastic constants at 0 K: the truth that a learned model is held to."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
@@ -55,12 +53,9 @@ def cubic_constants(
     fourth order, t = E₁₁ + E₂₂, q = (E₁₁ − E₂₂)/2, E the Green strain; its derivatives, the second
     Piola–Kirchhoff stresses, are fitted on a grid of strains. x is the zigzag direction.
 
-    Args:
-        bond: stress-free bond length [Å].
-        potential, elements: as in LammpsSession.
+    `bond`: stress-free bond length [Å]; `potential`, `elements`: as in LammpsSession.
 
-    Returns:
-        `t3`, `tq2`, `q3` [TPa], and from them `C111`, `C222`, `C112` [TPa].
+    Returns: `t3`, `tq2`, `q3` [TPa], and from them `C111`, `C222`, `C112` [TPa].
     """
     rows, stresses = [], []
     for size in CUBIC_STRAINS:

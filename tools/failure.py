@@ -5,8 +5,6 @@ it there. Here it begins at 2.2 Å, and pairs of one sublattice, which it might 
 up to 1.8 Å forces are the same to the last digits.
 """
 
-from __future__ import annotations
-
 import tempfile
 from dataclasses import replace
 from pathlib import Path

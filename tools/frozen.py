@@ -12,9 +12,6 @@ limit. Some state a limit of their own. `--class moved` or `resummed` holds all 
 that. With another processor or packages than the record's, bits are no matter: moved is 1e-12.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -37,6 +34,7 @@ import numpy as np
 import torch
 
 from tools.frozen_cases import CASES, FOLDER, Absent
+from tools.options import Options
 from warp_peri.launch import set_threads
 
 RECORD = FOLDER / "record.json"
@@ -211,12 +209,12 @@ def check(only: re.Pattern[str], *, tightest: str = "", every: bool = False) -> 
 
 def main(arguments: list[str] | None = None) -> int:
     """Status of the command."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("verb", choices=("record", "check"))
-    parser.add_argument("--only", type=re.compile, default=re.compile(""), metavar="PATTERN")
-    parser.add_argument("--class", dest="tightest", choices=("moved", "resummed"), default="")
-    parser.add_argument("--every", action="store_true", help="print entries that are equal too")
-    parser.add_argument("--list", action="store_true", help="print the names and do nothing")
+    parser = Options(__doc__)
+    parser.add("verb", choices=("record", "check"))
+    parser.add("--only", type=re.compile, default=re.compile(""), metavar="PATTERN")
+    parser.add("--class", dest="tightest", choices=("moved", "resummed"), default="")
+    parser.add("--every", action="store_true", help="print entries that are equal too")
+    parser.add("--list", action="store_true", help="print the names and do nothing")
     given = parser.parse_args(arguments)
     if given.list:
         entries = json.loads(RECORD.read_text())["entries"]
@@ -226,8 +224,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     set_threads(1)
     torch.set_num_threads(1)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of transfers, of strains: said where the user asks
+    with warnings.catch_warnings(action="ignore"):  # of transfers, of strains: said to users
         if given.verb == "record":
             return record(given.only)
         return check(given.only, tightest=given.tightest, every=given.every)

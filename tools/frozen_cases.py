@@ -3,8 +3,6 @@
 A case yields entries: name, class, value and, where the class has none for it, its limit.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import json

@@ -5,8 +5,6 @@ a sheet two planes thick, its plane strain that of the solid. Turned by ±35.26�
 where they share a layer.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -16,11 +14,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from tools.crystals import at_rest, force_constants, session
-from tools.hessian import ColouredHessian
+from tools.statics import ColouredHessian
 from tools.uneven_sheets import patch, waves
+from warp_peri import Points, Samples
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.stability.inertia import symmetric_factors
 from warp_peri.structures.phonons import CONE, EV_IN_TPA, smoothing
 
@@ -47,11 +44,9 @@ PATCHES = (5.0, 3.0, 2.0)
 class Columns:
     """Grains under loads.
 
-    Attributes:
-        sets: "waves" and "patch", displacement [Å] and load [TPa/Å] on nodes.
-        grain: number of each node's own, [N].
-        atoms: of them at rest, [A, 3] [Å].
-        stress: of the period at rest, in its plane [TPa].
+    `sets`: "waves" and "patch", displacement [Å] and load [TPa/Å] on nodes; `grain`: number of each
+    node's own, [N]; `atoms`: of them at rest, [A, 3] [Å]; `stress`: of the period at rest, in its
+    plane [TPa].
     """
 
     sets: dict[str, Samples]
@@ -88,12 +83,9 @@ def columns(
 ) -> Columns:
     """Atoms' linear answers seen from nodes.
 
-    Args:
-        number: of the grain at positions over the box, [n, 2] from −½ to ½, [n].
-        degrees: by which each grain is turned.
-        loads: of either set.
-        seed: of the loads.
-        half: a period half as wide.
+    `number`: of the grain at positions over the box, [n, 2] from −½ to ½, [n]; `degrees`: by which
+    each grain is turned; `loads`: of either set; `seed`: of the loads; `half`: a period half as
+    wide.
     """
     rng = np.random.default_rng(seed)
     cell, _ = at_rest(NAME)

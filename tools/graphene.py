@@ -1,7 +1,5 @@
 """Graphene at 0 K: its bond length, a periodic sheet and a free disk, built by ASE."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -50,12 +48,10 @@ def sheet(
     of nodes and of atoms run in step (5 Å is nearly twice the half cell), and the ripple that
     smoothing leaves adds up instead of averaging out.
 
-    Args:
-        bond: bond length [Å].
-        cells: number of cells, √3 bond × 3 bond each, along x and y.
+    `bond`: bond length [Å]; `cells`: number of cells, √3 bond × 3 bond each, along x and y.
 
-    Returns:
-        Positions [Å], shape [A, 2], bonds between even and odd numbers, and periods (Lx, Ly) [Å].
+    Returns: positions [Å], shape [A, 2], bonds between even and odd numbers, and periods (Lx, Ly)
+    [Å].
     """
     positions, box = _crystal(bond, cells)
     return positions - positions.mean(axis=0), (float(box[0]), float(box[1]))

@@ -1,7 +1,5 @@
 """Force constants of graphene, and its free disk under smooth loads, both linear at 0 K."""
 
-from __future__ import annotations
-
 import ase
 import numpy as np
 
@@ -9,14 +7,13 @@ from tools.graphene import DISK_RADIUS, THICKNESS, area_per_atom, bond_length, d
 from tools.lammps_session import POTENTIAL, LammpsSession
 from tools.make_graphene import SMOOTHING_RADIUS, ZIGZAG
 from tools.statics import Statics
+from warp_peri import Points, Samples
+from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.micromodulus.force_constants import (
     ForceConstants,
     finite_differences,
     from_supercell,
 )
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.structures.calculators import potential_file
 
 CELLS = (9, 6)
@@ -32,9 +29,8 @@ def force_constants(
 ) -> ForceConstants:
     """Of the rectangular cell of four atoms, by finite differences on a supercell.
 
-    Args:
-        potential: a Tersoff file of the wheel.
-        elements: of the atoms, in turn, on the sites of graphene.
+    `potential`: a Tersoff file of the wheel; `elements`: of the atoms, in turn, on the sites of
+    graphene.
     """
     file = potential_file(potential)
     bond = bond_length(file)

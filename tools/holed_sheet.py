@@ -3,9 +3,6 @@
 Every sample is kept as soon as it is done, so that an interrupted run goes on where it was.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -25,6 +22,7 @@ from tqdm import tqdm
 from tools.graphene import THICKNESS, _crystal, area_per_atom, bond_length
 from tools.lammps_session import POTENTIAL, LammpsSession
 from tools.loads import atom_force
+from tools.options import Options
 from tools.samples import Sample, file_hash, read_record, write_record
 from tools.statics import TOLERANCE, Statics, find_bonds
 from warp_peri.errors import exit_status
@@ -53,9 +51,7 @@ STRIPS = (40.0, 80.0)
 class Plate:
     """A rectangle of graphene with a round hole in the middle, the zigzag direction along x.
 
-    Attributes:
-        half: half of its sides [Å].
-        radius: of the hole [Å]; 0 for none.
+    `half`: half of its sides [Å]; `radius`: of the hole [Å]; 0 for none.
     """
 
     half: tuple[float, float]
@@ -246,12 +242,10 @@ def edge_constants(*, armchair: bool) -> dict[str, float]:
     The force in a periodic strip of width W, the area of its atoms over its length, is
     F = W σ + 2 τ: what does not grow with W belongs to the edges.
 
-    Args:
-        armchair: edges along the armchair direction instead of the zigzag direction.
+    `armchair`: edges along the armchair direction instead of the zigzag direction.
 
-    Returns:
-        `E` of the sheet [TPa], `stiffness` dτ/dε and `tension` τ of one edge [TPa Å], all for the
-        thickness THICKNESS.
+    Returns: `E` of the sheet [TPa], `stiffness` dτ/dε and `tension` τ of one edge [TPa Å], all for
+    the thickness THICKNESS.
     """
     bond = bond_length()
     widths, slopes, tensions = [], [], []
@@ -294,10 +288,10 @@ def _strip(bond: float, width: float, sign: int, *, armchair: bool) -> tuple[flo
 
 def main(arguments: list[str] | None = None) -> int:
     """Command line: make what is missing."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cache", type=Path, default=Path("data/holes"), metavar="FOLDER")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
-    parser.add_argument("--tension", type=float, default=TENSION, help="about the stress [TPa]")
+    parser = Options(__doc__)
+    parser.add("--cache", type=Path, default=Path("data/holes"), metavar="FOLDER")
+    parser.add("--quiet", action="store_true", help="no progress bar")
+    parser.add("--tension", type=float, default=TENSION, help="about the stress [TPa]")
     given = parser.parse_args(arguments)
 
     def work() -> None:

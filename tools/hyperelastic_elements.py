@@ -1,7 +1,5 @@
 """Plane finite elements at large deformation for any energy: mesh and shapes by scikit-fem."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +7,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from tools.hyperelastic_energies import Energy
-from warp_peri.errors import InputError
+from warp_peri import InputError
 from warp_peri.stability.inertia import symmetric_factors
 
 SMALLEST_JACOBIAN = 0.02

@@ -4,8 +4,6 @@ An energy is a function of C = FᵗF, given as c = (C11, C22, C12) of shape [...
 ∂W/∂c and ∂²W/∂c² of shapes [...], [..., 3] and [..., 3, 3].
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -19,10 +17,7 @@ AREA_CURVE = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -2.0]])
 class Family:
     """Fibres in one direction: k1/(2 k2) (exp(k2 ⟨I4 − 1⟩²) − 1).
 
-    Attributes:
-        angle: of the direction [rad].
-        k1: stiffness [stress].
-        k2: exponent.
+    `angle`: of the direction [rad]; `k1`: stiffness [stress]; `k2`: exponent.
     """
 
     angle: float
@@ -34,11 +29,8 @@ class Family:
 class Matrix:
     """a (I1 − 2) + f(D), D = det C, with fibre families added.
 
-    Attributes:
-        linear: a [stress].
-        of_area: f, f′ and f″ of D.
-        families: of fibres.
-        tension_only: whether fibres carry no compression; false only to show what that does.
+    `linear`: a [stress]; `of_area`: f, f′ and f″ of D; `families`: of fibres; `tension_only`:
+    whether fibres carry no compression; false only to show what that does.
     """
 
     linear: float
@@ -84,11 +76,8 @@ def hgo(
 
     a (I1 − 2) − 2a ln J + b ((J² − 1)/2 − ln J) with a = E/(4(1+ν)), b = E/(6(1−2ν)), and fibres.
 
-    Args:
-        E, nu: of the matrix [stress], ν < ½.
-        families: of fibres.
-        tension_only: as for Matrix.
-        bulk: b where it is not the one above [stress].
+    `E`, `nu`: of the matrix [stress], ν < ½; `families`: of fibres; `tension_only`: as for Matrix;
+    `bulk`: b where it is not the one above [stress].
     """
     a = E / (4 * (1 + nu))
     b = E / (6 * (1 - 2 * nu)) if bulk is None else bulk
@@ -114,10 +103,7 @@ def plane_stress_hgo(mu: float, families: Sequence[Family] = ()) -> Matrix:
 class Invariants:
     """An incompressible sheet: μ/2 (I1 − 3) + k/(2a) (exp(a (I1 − 3)²) − 1), and fibres.
 
-    Attributes:
-        mu, k: of the matrix [stress].
-        a: exponent, > 0.
-        families: of fibres.
+    `mu`, `k`: of the matrix [stress]; `a`: exponent, > 0; `families`: of fibres.
     """
 
     mu: float
@@ -148,8 +134,7 @@ def ensemble(mean: float, spread: float, k1: float, k2: float, count: int = 12) 
 class Fung:
     """(e^Q − 1)/2 with Q = e·A e, e = (E11, E22, 2 E12), A symmetric with six numbers.
 
-    Attributes:
-        numbers: A11, A22, A12, A33, A13, A23.
+    `numbers`: A11, A22, A12, A33, A13, A23.
     """
 
     numbers: Sequence[float]

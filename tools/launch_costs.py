@@ -3,8 +3,6 @@
 `python tools/benchmark.py launch` prints it on one and two threads, beside Numba by rows.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -18,8 +16,8 @@ from warp_peri.kernels.lps.force import sweeps
 from warp_peri.kernels.lps.influence import influence as influence_kernel
 from warp_peri.launch import Recorded, empty, threads
 from warp_peri.lps.bonds import Bonds, filled, influence, influence_inputs
-from warp_peri.lps.model import Solid
 from warp_peri.lps.rows import Forward
+from warp_peri.methods import Solid
 
 ROUNDS, SECONDS = 1000, 6.0
 """Most rounds, and after how long no other is begun."""
@@ -47,10 +45,7 @@ def kernels(bonds: Bonds, solid: Solid, u: np.ndarray) -> Callable[[], None]:
     """The five launches of one sweep on arrays that stay: nothing but kernels, and threads that
     wait for each other.
 
-    Args:
-        bonds: of a lattice laid out in rows.
-        solid: its numbers.
-        u: displacement, shape [N, 2].
+    `bonds`: of a lattice laid out in rows; `solid`: its numbers; `u`: displacement, shape [N, 2].
     """
     rows, scalar = bonds.laid_out, bonds.scalar
     if rows is None:

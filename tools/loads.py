@@ -4,15 +4,13 @@ Each load has a `shape`, a dimensionless field on the atoms without net force; a
 times shape is a body force density.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
-from warp_peri.prediction.next_load import mixed_waves
+from warp_peri.prediction import mixed_waves
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 Box = tuple[float, float] | None

@@ -3,9 +3,6 @@
 python tools/make_frames.py data/frames
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +13,7 @@ import numpy as np
 
 from tools.hyperelastic_energies import AREA_CURVE
 from tools.make_leaflet import NODES, PROTOCOLS, SPACING, Leaflet, pull
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_text
 
@@ -63,9 +61,9 @@ def write_frames(folder: Path, *, noise: float = NOISE, seed: int = 7) -> None:
 
 def main() -> None:
     """Write the frames from a shell."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--noise", type=float, default=NOISE, help="[pixels]")
+    parser = Options(__doc__)
+    parser.add("folder", type=Path)
+    parser.add("--noise", type=float, default=NOISE, help="[pixels]")
     given = parser.parse_args()
     write_frames(given.folder, noise=given.noise)
 

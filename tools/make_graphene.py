@@ -1,8 +1,5 @@
 """Graphene at 0 K by LAMMPS, coarse-grained: the data set of You et al. 2021, section 6.1."""
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import os
 import platform
@@ -25,15 +22,15 @@ from tools.elastic import elastic_constants
 from tools.graphene import DISK_RADIUS, SHEET_CELLS, THICKNESS, area_per_atom, bond_length
 from tools.lammps_session import CARBON_MASS, POTENTIAL
 from tools.loads import DESIGNED, TEST, TRAINING, VALIDATION, Load, WaveLoad
+from tools.options import Options
 from tools.samples import Piece, Sample, cache_file, file_hash, read_sample, solve_samples
 from tools.statics import TOLERANCE
+from warp_peri import Dataset, InputError, Points, Samples
+from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.cluster import scheduler
-from warp_peri.errors import InputError, exit_status
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset, save_dataset
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.points.dataset import save_dataset
 from warp_peri.structures.calculators import potential_file
 
 LOADS: dict[str, Sequence[Load]] = {"designed": DESIGNED}
@@ -218,33 +215,11 @@ def solve_all(
 
 
 def point_set(
-    body: Piece,
-    loads: Sequence[Load],
-    samples: Sequence[Sample],
-    *,
-    spacing: float,
-    shape: str = "cone",
-    radius: float = SMOOTHING_RADIUS,
-    shift: tuple[float, float] = (0.0, 0.0),
+    body: Piece, loads: Sequence[Load], samples: Sequence[Sample], *, spacing: float, **how: Any
 ) -> Samples:
-    """Samples of one body, smoothed to a lattice of nodes; see on_nodes.
-
-    Args:
-        body: a sheet is evaluated through its periodic images.
-        loads: of the samples.
-        samples: at least one.
-        spacing, shape, radius, shift: as for on_nodes.
-    """
-    points = on_nodes(
-        body,
-        samples[0].reference,
-        np.stack([sample.displacement for sample in samples]),
-        np.stack([sample.force for sample in samples]),
-        spacing=spacing,
-        shape=shape,
-        radius=radius,
-        shift=shift,
-    )
+    """Samples of one body, and their loads, smoothed to a lattice of nodes as on_nodes does."""
+    fields = (np.stack([getattr(s, name) for s in samples]) for name in ("displacement", "force"))
+    points = on_nodes(body, samples[0].reference, *fields, spacing=spacing, **how)
     record = load_record(body, loads)
     for name in ("amplitude", "max_bond_strain", "residual"):
         record[name] = np.array([getattr(sample, name) for sample in samples])
@@ -264,14 +239,10 @@ def on_nodes(
 ) -> Samples:
     """Fields on the atoms of one body, smoothed to a lattice of nodes.
 
-    Args:
-        body: a sheet is evaluated through its periodic images.
-        reference: of the atoms [Å], shape [A, 2].
-        displacement, force: of the atoms [Å] and [eV/Å], shape [S, A, 2].
-        spacing: of the nodes [Å].
-        shape: of the smoothing function, "cone" or "paraboloid".
-        radius: of the smoothing function [Å].
-        shift: where the middle node lies, seen from the body's origin [Å].
+    `body`: a sheet is evaluated through its periodic images; `reference`: of the atoms [Å], shape
+    [A, 2]; `displacement`, `force`: of the atoms [Å] and [eV/Å], shape [S, A, 2]; `spacing`: of the
+    nodes [Å]; `shape`: of the smoothing function, "cone" or "paraboloid"; `radius`: of the
+    smoothing function [Å]; `shift`: where the middle node lies, seen from the body's origin [Å].
     """
     count = int(REACH / spacing)
     line = spacing * np.arange(-count, count + 1)
@@ -355,26 +326,23 @@ def versions() -> dict[str, str]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status, 1 after an error and 130 after Ctrl-C."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("data/graphene_0K.h5"), metavar="FILE")
-    parser.add_argument(
-        "--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core"
-    )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="of Dask, whose workers do the work")
-    parser.add_argument(
+    parser = Options(__doc__)
+    parser.add("--out", type=Path, default=Path("data/graphene_0K.h5"), metavar="FILE")
+    parser.add("--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core")
+    parser.add("--scheduler", metavar="ADDRESS", help="of Dask, whose workers do the work")
+    parser.add(
         "--cache", type=Path, metavar="FOLDER", help="finished samples (default: beside FILE)"
     )
-    parser.add_argument(
+    parser.add(
         "--smoothing-radius", type=float, default=SMOOTHING_RADIUS, help="R [Å] (default: 10)"
     )
-    parser.add_argument(
+    parser.add(
         "--loads",
         choices=("waves", *LOADS),
         default="waves",
         help="to learn from: seventy waves, or two loads, each both ways",
     )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     if given.jobs == 0 or given.jobs < -1:
         parser.error(f"--jobs: expected a number of processes ≥ 1, or -1, got {given.jobs}")

@@ -4,9 +4,6 @@ The second experiment of Jafarzadeh et al. 2024: a unit square, its edge held, u
 forces, on 21 × 21 nodes; and disks cut from the same sheet.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -31,14 +28,47 @@ from tools.hyperelastic_elements import (
     triangles,
 )
 from tools.hyperelastic_energies import Family, Matrix, hgo
-from tools.random_field import RandomField
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import Dataset, InputError, Points, Samples, save
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, read_arrays, whole_file
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import REDUCED
-from warp_peri.storage import save
+
+
+class RandomField:
+    """Σ ξ (π²(k² + l²)/L² + τ²)^(−α/2) cos(π k x/L) cos(π l y/L), scaled to a root mean square.
+
+    `rng`: of the normal ξ; `amplitude`: expected root mean square of each component; `waves`:
+    largest k and l; `side`: L of the square; `first`: its lower corner, along both axes;
+    `vanishing`: sines instead of cosines: the field is zero on the edge.
+    """
+
+    def __init__(
+        self,
+        rng: np.random.Generator,
+        amplitude: float,
+        *,
+        waves: int = 12,
+        side: float = 1.0,
+        first: float = 0.0,
+        vanishing: bool = False,
+    ) -> None:
+        self.k = np.arange(1 if vanishing else 0, waves + 1)
+        self.side, self.first, self.vanishing = side, first, vanishing
+        k, m = np.meshgrid(self.k, self.k, indexing="ij")
+        spectrum = (np.pi**2 * (k**2 + m**2) / side**2 + 25.0) ** -1.25
+        mean_square = np.where(k == 0, 1.0, 0.5) * np.where(m == 0, 1.0, 0.5)
+        scale = amplitude / np.sqrt((spectrum**2 * mean_square).sum())
+        self.numbers = scale * spectrum * rng.standard_normal((2, *spectrum.shape))
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        """The field at points of shape [..., 2]."""
+        wave = np.sin if self.vanishing else np.cos
+        along, up = (
+            wave(np.pi * (x[..., n, None] - self.first) / self.side * self.k) for n in (0, 1)
+        )
+        return np.einsum("...k,dkl,...l->...d", along, self.numbers, up, optimize=True)
+
 
 NODES = 21
 """Nodes a side of the square."""
@@ -57,9 +87,8 @@ ELEMENTS = ("linear", "quadratic")
 class Material:
     """What the sheet is made of.
 
-    Attributes:
-        E, nu, k1, k2: of the HGO energy.
-        angle: of the fibre families, ± from the x axis [degree]; 90 is one family twice.
+    `E`, `nu`, `k1`, `k2`: of the HGO energy; `angle`: of the fibre families, ± from the x axis
+    [degree]; 90 is one family twice.
     """
 
     E: float = 0.3278
@@ -285,31 +314,20 @@ def on_nodes(mesh: Elements, u: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def main() -> None:
     """Make the data from a shell."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("data/hgo"), help="folder of samples")
-    parser.add_argument("--element", choices=ELEMENTS, default="linear")
-    parser.add_argument("--counts", type=int, nargs=4, default=(200, 25, 25, 10))
-    parser.add_argument("--seed", type=int, default=1000)
-    parser.add_argument("--jobs", type=int, default=-1)
+    parser = Options(__doc__)
+    parser.add("--out", type=Path, default=Path("data/hgo"), help="folder of samples")
+    parser.add("--element", choices=ELEMENTS, default="linear")
+    parser.add("--counts", type=int, nargs=4, default=(200, 25, 25, 10))
+    parser.add("--seed", type=int, default=1000)
+    parser.add("--jobs", type=int, default=-1)
     for name, value in asdict(Material()).items():
-        parser.add_argument(f"--{name}", type=float, default=value)
+        parser.add(f"--{name}", type=float, default=value)
     given = parser.parse_args()
-    material = Material(given.E, given.nu, given.k1, given.k2, given.angle)
-    sets = make_hgo(
-        given.out,
-        material=material,
-        element=given.element,
-        counts=tuple(given.counts),
-        seed=given.seed,
-        jobs=given.jobs,
-    )
-    file = given.out.with_suffix(".h5")
-    save(
-        file,
-        Dataset(
-            sets, thickness=1.0, density=1000.0, provenance=vars(given) | {"out": given.out.name}
-        ),
-    )
+    material = Material(**{name: getattr(given, name) for name in asdict(Material())})
+    how = {name: getattr(given, name) for name in ("element", "counts", "seed", "jobs")}
+    sets, file = make_hgo(given.out, material=material, **how), given.out.with_suffix(".h5")
+    made = vars(given) | {"out": given.out.name}
+    save(file, Dataset(sets, thickness=1.0, density=1000.0, provenance=made))
     for name, samples in sets.items():
         print(f"{name}: {len(samples)} samples on {len(samples.x)} nodes, in {file}")
 

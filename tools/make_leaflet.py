@@ -5,9 +5,6 @@ protocols, as valve leaflets are. What is kept is the displacement on a lattice 
 digital image correlation would give it, and the pull of two sides.
 """
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -25,10 +22,10 @@ from tqdm import tqdm
 
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, Matrix, plane_stress_hgo
+from tools.options import Options
+from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, read_arrays, whole_file
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import REDUCED
 
 PROTOCOLS = ((1, 1), (1, 0.66), (1, 0.33), (0.66, 1), (0.33, 1), (0.05, 1), (1, 0.1))
@@ -44,11 +41,9 @@ SIDE, TINES_AT, TINE, SPRING, PULL = 1.7, 0.75, 0.05, 60.0, 0.45
 class Leaflet:
     """The sheet.
 
-    Attributes:
-        mu: shear modulus of the matrix [kPa].
-        k1, k2: of both fibre families [kPa, −].
-        first, second: directions of the families [degree].
-        uneven: how much the thickness varies, see `thickness`; 0 for an even sheet.
+    `mu`: shear modulus of the matrix [kPa]; `k1`, `k2`: of both fibre families [kPa, −]; `first`,
+    `second`: directions of the families [degree]; `uneven`: how much the thickness varies, see
+    `thickness`; 0 for an even sheet.
     """
 
     mu: float = 10.0
@@ -190,13 +185,11 @@ def noisy(frames: Samples, level: float, seed: int = 7) -> Samples:
 
 def main() -> None:
     """Make the frames from a shell."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--out", type=Path, default=Path("data/leaflet"), help="folder of protocols"
-    )
-    parser.add_argument("--jobs", type=int, default=-1)
+    parser = Options(__doc__)
+    parser.add("--out", type=Path, default=Path("data/leaflet"), help="folder of protocols")
+    parser.add("--jobs", type=int, default=-1)
     for name, value in asdict(Leaflet()).items():
-        parser.add_argument(f"--{name}", type=float, default=value)
+        parser.add(f"--{name}", type=float, default=value)
     given = parser.parse_args()
     leaflet = Leaflet(**{name: getattr(given, name) for name in asdict(Leaflet())})
     for name, frames in make_leaflet(given.out, leaflet=leaflet, jobs=given.jobs).items():

@@ -3,8 +3,6 @@
 python tools/make_phonopy_examples.py examples/phonopy
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -27,9 +25,7 @@ STEP = 0.01
 def write(folder: Path, cell: ase.Atoms, repeats: int, forces: Forces, born: str = "") -> None:
     """phonopy_disp.yaml, FORCE_SETS and BORN of one crystal.
 
-    Args:
-        forces: of an ase.Atoms [eV/Å].
-        born: content of the file of that name.
+    `forces`: of an ase.Atoms [eV/Å]; `born`: content of the file of that name.
     """
     from phonopy import Phonopy
     from phonopy.file_IO import write_FORCE_SETS

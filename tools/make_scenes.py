@@ -7,9 +7,6 @@ the nodes of the data set, on other shapes of the interior, and on nodes turned 
 The loads were written down before any of them was looked at.
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import sys
 import warnings
@@ -23,11 +20,12 @@ import numpy as np
 from tools import make_graphene as base
 from tools.loads import Load, MixedLoad, RandomRim
 from tools.make_strained import SPACING, _solve_missing, strained_file
+from tools.options import Options
 from tools.samples import Piece, Sample, read_sample
+from warp_peri import Dataset, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset, save_dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.dataset import save_dataset
 
 OUT, POOL = Path("data/graphene_0K_scenes.h5"), Path("data/graphene_0K_pool.h5")
 STRAINS = (0.01, 0.03, 0.05, 0.08, 0.10)
@@ -132,12 +130,11 @@ def make_scenes(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, metavar="FILE", help=f"default {OUT}, or {POOL}")
-    parser.add_argument("--pool", action="store_true", help="loads that were scored before, in one")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: one for each core")
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser = Options(__doc__)
+    parser.add("--out", type=Path, metavar="FILE", help=f"default {OUT}, or {POOL}")
+    parser.add("--pool", action="store_true", help="loads that were scored before, in one")
+    parser.add("--jobs", type=int, default=-1, help="processes; -1: one for each core")
+    parser.add("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     warnings.showwarning = base.short_warning
 

@@ -1,8 +1,5 @@
 """The validation and test loads at larger strain, by continuation: a data set of its own."""
 
-from __future__ import annotations
-
-import argparse
 import hashlib
 import json
 import os
@@ -23,12 +20,13 @@ from tools import make_graphene as base
 from tools.elastic import cubic_constants, elastic_constants
 from tools.graphene import THICKNESS, area_per_atom
 from tools.loads import Load, atom_force
+from tools.options import Options
 from tools.samples import Piece, Sample, _statics, body_record, file_hash, read_sample, write_record
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
-from warp_peri.errors import InputError, exit_status
+from warp_peri import Dataset, InputError, Samples
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset, save_dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.dataset import save_dataset
 
 STRAINS = (0.04, 0.06)
 """Largest bond strain of the samples of each set."""
@@ -209,21 +207,14 @@ def _set(body: Piece, loads: Sequence[Load], strain: float, cache: Path) -> Samp
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status, 1 after an error and 130 after Ctrl-C."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--out", type=Path, default=Path("data/graphene_0K_strained.h5"), metavar="FILE"
-    )
-    parser.add_argument(
-        "--strains", type=float, nargs="+", default=STRAINS, help="largest bond strains"
-    )
-    parser.add_argument(
-        "--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core"
-    )
-    parser.add_argument(
+    parser = Options(__doc__)
+    parser.add("--out", type=Path, default=Path("data/graphene_0K_strained.h5"), metavar="FILE")
+    parser.add("--strains", type=float, nargs="+", default=STRAINS, help="largest bond strains")
+    parser.add("--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core")
+    parser.add(
         "--cache", type=Path, metavar="FOLDER", help="finished samples (default: beside FILE)"
     )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
     warnings.showwarning = base.short_warning
 

@@ -9,9 +9,6 @@ Each loaded run has an unloaded partner of the same seed. From the same runs com
 and a data set each, for every factor on the loads. Finished runs are kept; a second call goes on.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 import sys
 import warnings
@@ -28,9 +25,8 @@ import numpy as np
 from tqdm import tqdm
 
 from tools.elastic import elastic_constants, lame_constants
-from tools.graphene import THICKNESS
-from tools.loads import Load
-from tools.long_wave import long_wave_constants
+from tools.graphene import THICKNESS, area_per_atom
+from tools.loads import Load, WaveLoad
 from tools.make_graphene import (
     SPACINGS,
     load_record,
@@ -41,14 +37,82 @@ from tools.make_graphene import (
     solve_all,
     versions,
 )
-from tools.plans import Plan, graphene_plans
-from tools.reductions import REDUCTIONS, noise, reduced
+from tools.options import Options
 from tools.samples import Piece, Sample, file_hash
-from tools.thermal import Bath, Task, ThermalRun, read_run, run, run_file
-from warp_peri.errors import InputError, exit_status
+from tools.thermal import (
+    REDUCTIONS,
+    Bath,
+    Plan,
+    Task,
+    ThermalRun,
+    graphene_plans,
+    noise,
+    read_run,
+    reduced,
+    run,
+    run_file,
+)
+from warp_peri import Dataset, InputError, Samples
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.points.dataset import Dataset, save_dataset
-from warp_peri.points.samples import Samples
+from warp_peri.points.dataset import save_dataset
+from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
+
+LONGEST = 2
+"""Loads with p₁² + p₂² up to this count as long waves."""
+
+
+def long_wave_constants(
+    body: Piece,
+    reference: np.ndarray,
+    loads: Sequence[Load],
+    displacement: np.ndarray,
+    force: np.ndarray,
+) -> dict[str, float]:
+    """λ and μ of the isotropic solid that answers the longest WaveLoads as the atoms do.
+
+    A load B cos k₁x cos k₂y along x moves such a solid by u = (U cos cos, V sin sin) with
+    ((λ+2μ) k₁² + μ k₂²) U − (λ+μ) k₁k₂ V = B and (μ k₁² + (λ+2μ) k₂²) V = (λ+μ) k₁k₂ U. U, V and B
+    are least-squares amplitudes over the atoms; λ and μ solve all these equations, relative to B,
+    in the least-squares sense.
+
+    Args:
+        body: a periodic sheet.
+        reference: of the atoms [Å], shape [A, 2].
+        loads: of the samples; one of the longest waves at least.
+        displacement, force: of the atoms [Å] and [eV/Å], shape [S, A, 2].
+
+    Returns:
+        `lambda`, `mu`, `E` [TPa] for the thickness THICKNESS, and `nu`.
+
+    Raises ValueError without a long wave or without a box.
+    """
+    if body.box is None:
+        raise ValueError("body: expected a periodic sheet")
+    density = force * (EV_PER_CUBIC_ANGSTROM / (area_per_atom(body.bond) * THICKNESS))
+    rows, right = [], []
+    for load, u, b in zip(loads, displacement, density):
+        if not isinstance(load, WaveLoad) or np.square(load.waves).sum() > LONGEST:
+            continue
+        k = load.wave_vector(body.box)
+        cos, sin = np.cos(k * reference).prod(axis=1), np.sin(k * reference).prod(axis=1)
+        along, across = load.axis, 1 - load.axis
+        B, U = b[:, along] @ cos / (cos @ cos), u[:, along] @ cos / (cos @ cos)
+        V = u[:, across] @ sin / (sin @ sin) if k.all() else 0.0
+        own, other, mixed = k[along] ** 2, k[across] ** 2, k.prod()
+        rows.append([own * U - mixed * V, (2 * own + other) * U - mixed * V])
+        right.append(B)
+        rows[-1] = [entry / B for entry in rows[-1]]
+        right[-1] = 1.0
+        if k.all():
+            second = [other * V - mixed * U, (own + 2 * other) * V - mixed * U]
+            rows.append([entry / B for entry in second])
+            right.append(0.0)
+    if not rows:
+        raise ValueError(f"loads: expected a WaveLoad with p₁² + p₂² ≤ {LONGEST}")
+    lam, mu = np.linalg.lstsq(np.array(rows), np.array(right))[0]
+    return lame_constants(float(lam), float(mu))
+
 
 DATA = Path("data")
 
@@ -254,20 +318,18 @@ def run_all(
     return at_rest, result
 
 
-def argument_parser() -> argparse.ArgumentParser:
+def argument_parser() -> Options:
     """Options of this tool."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = Options(__doc__)
     bath = Bath()
-    parser.add_argument("--out", type=Path, default=DATA, metavar="FOLDER", help="(default: data)")
-    parser.add_argument(
+    parser.add("--out", type=Path, default=DATA, metavar="FOLDER", help="(default: data)")
+    parser.add(
         "--reduction",
         choices=REDUCTIONS,
         action="append",
         help="may be given several times (default: all three, which cost no more)",
     )
-    parser.add_argument(
+    parser.add(
         "--factors",
         type=float,
         nargs="+",
@@ -275,32 +337,23 @@ def argument_parser() -> argparse.ArgumentParser:
         metavar="F",
         help="on the loads, e.g. 1 0.25 0.1 (default: 1)",
     )
-    parser.add_argument("--temperature", type=float, default=bath.temperature, help="[K]")
-    parser.add_argument(
-        "--steps", type=int, default=bath.steps, help=f"of a run (default: {bath.steps})"
-    )
-    parser.add_argument(
+    parser.add("--temperature", type=float, default=bath.temperature, help="[K]")
+    parser.add("--steps", type=int, default=bath.steps, help=f"of a run (default: {bath.steps})")
+    parser.add(
         "--transient",
         type=int,
         default=bath.transient,
         help=f"steps that averages leave out (default: {bath.transient})",
     )
-    parser.add_argument(
-        "--iota", type=float, default=bath.iota, help=f"of (2.10) (default: {bath.iota})"
-    )
-    parser.add_argument("--fine", action="store_true", help="also on nodes 2.5 Å apart")
-    parser.add_argument(
-        "--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core"
-    )
-    parser.add_argument(
-        "--cache", type=Path, metavar="FOLDER", help="finished runs (default: in --out)"
-    )
-    parser.add_argument("--quiet", action="store_true", help="no progress bar")
+    parser.add("--iota", type=float, default=bath.iota, help=f"of (2.10) (default: {bath.iota})")
+    parser.add("--fine", action="store_true", help="also on nodes 2.5 Å apart")
+    parser.add("--jobs", type=int, default=-1, help="processes; -1 (default) is one for each core")
+    parser.add("--cache", type=Path, metavar="FOLDER", help="finished runs (default: in --out)")
+    parser.add("--quiet", action="store_true", help="no progress bar")
     return parser
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status, 1 after an error and 130 after Ctrl-C."""
     parser = argument_parser()
     given = parser.parse_args(arguments)
     warnings.showwarning = short_warning

@@ -4,8 +4,6 @@ A triangular lattice of Lennard-Jones atoms, and a network of springs some of wh
 new user might bring, with the stiffness known from the lattice itself.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,13 +23,9 @@ TPA = 0.1602176634
 class Network:
     """A periodic sheet of atoms with pair forces, harmonic about its positions.
 
-    Attributes:
-        x: positions [Å], shape [A, 2].
-        box: periods [Å].
-        pairs: atoms of each bond, shape [B, 2].
-        xi: bond vectors [Å], shape [B, 2].
-        along: V″ of each bond [eV/Å²], shape [B].
-        across: V′/r of each bond [eV/Å²], shape [B].
+    `x`: positions [Å], shape [A, 2]; `box`: periods [Å]; `pairs`: atoms of each bond, shape [B, 2];
+    `xi`: bond vectors [Å], shape [B, 2]; `along`: V″ of each bond [eV/Å²], shape [B]; `across`:
+    V′/r of each bond [eV/Å²], shape [B].
     """
 
     x: np.ndarray

@@ -1,7 +1,5 @@
 """The operator and its adjoint in parallel Numba loops, to measure the library against."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -16,14 +14,10 @@ from tools.rivals import Tables
 class Loops:
     """What the loops are compiled with; Numba takes its numbers for constants.
 
-    Attributes:
-        jit: numba.njit with its options.
-        prange: numba.prange.
-        dtype: of all numbers.
-        pattern: whether all nodes are alike, so that tables are kept by the step from node to node.
-        volumes: how many weighted volumes differ.
-        lam, mu, horizon: of the model.
-        parts: pieces that sums are split into, so that no two threads add to one.
+    `jit`: numba.njit with its options; `prange`: numba.prange; `dtype`: of all numbers; `pattern`:
+    whether all nodes are alike, so that tables are kept by the step from node to node; `volumes`:
+    how many weighted volumes differ; `lam`, `mu`, `horizon`: of the model; `parts`: pieces that
+    sums are split into, so that no two threads add to one.
     """
 
     jit: Any
@@ -35,6 +29,12 @@ class Loops:
     mu: Any
     horizon: Any
     parts: int
+
+    @property
+    def constants(self) -> tuple[Any, ...]:
+        """What forces and their adjoints take: dtype, pattern, prange, λ, μ, 2 and 16."""
+        numbers = self.dtype(2), self.dtype(16)
+        return self.dtype, self.pattern, self.prange, self.lam, self.mu, *numbers
 
 
 def numba_parallel(t: Tables, dtype: Any, *, fastmath: bool) -> tuple[Callable, Callable]:
@@ -150,15 +150,7 @@ def _dilatation(loops):
 
 def _force(loops):
     """L u at every node."""
-    dtype, pattern, prange, lam, mu, two, sixteen = (
-        loops.dtype,
-        loops.pattern,
-        loops.prange,
-        loops.lam,
-        loops.mu,
-        loops.dtype(2),
-        loops.dtype(16),
-    )
+    dtype, pattern, prange, lam, mu, two, sixteen = loops.constants
 
     @loops.jit
     def force(row, neighbour, bond_class, xi, kw, m, u, theta, out):
@@ -182,14 +174,7 @@ def _force(loops):
 
 def _theta_adjoint(loops):
     """What the force makes of θ, gathered."""
-    dtype, pattern, prange, lam, mu, two = (
-        loops.dtype,
-        loops.pattern,
-        loops.prange,
-        loops.lam,
-        loops.mu,
-        loops.dtype(2),
-    )
+    dtype, pattern, prange, lam, mu, two, _ = loops.constants
 
     @loops.jit
     def theta_adjoint(row, neighbour, bond_class, reverse, xi, kw, m, h, tau):
@@ -209,16 +194,8 @@ def _theta_adjoint(loops):
 
 def _adjoint(loops):
     """Gradients to u and to K·W of every bond, or of every step where all nodes are alike."""
-    dtype, pattern, prange, lam, mu, parts, two, sixteen = (
-        loops.dtype,
-        loops.pattern,
-        loops.prange,
-        loops.lam,
-        loops.mu,
-        loops.parts,
-        loops.dtype(2),
-        loops.dtype(16),
-    )
+    dtype, pattern, prange, lam, mu, two, sixteen = loops.constants
+    parts = loops.parts
 
     @loops.jit
     def adjoint(row, neighbour, bond_class, reverse, xi, kw, m, u, theta, h, tau, u_bar, kw_bar):

@@ -1,7 +1,5 @@
 """The force on a periodic square lattice in Numba, row by row, for its compiler to make vectors."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

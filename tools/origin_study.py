@@ -4,9 +4,6 @@ Evaluates one model on the validation samples with the node lattice shifted by f
 four-atom cell; the loads stay with the atoms.
 """
 
-from __future__ import annotations
-
-import argparse
 import math
 import sys
 from pathlib import Path
@@ -17,9 +14,9 @@ if __name__ == "__main__":
 import numpy as np
 
 from tools.make_graphene import point_set, read_samples
+from tools.options import Options
+from warp_peri import evaluate, load
 from warp_peri.errors import exit_status
-from warp_peri.learning.evaluate import evaluate
-from warp_peri.storage import load
 
 FRACTIONS = np.arange(8) / 8
 
@@ -27,9 +24,9 @@ FRACTIONS = np.arange(8) / 8
 def main(arguments: list[str] | None = None) -> int:
     """Command line; prints a table of E_res [%]."""
     root = Path(__file__).resolve().parent.parent
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--model", type=Path, default=root / "runs/graphene_0K/model.json")
-    parser.add_argument("--cache", type=Path, default=root / "data/graphene_0K.cache")
+    parser = Options(__doc__)
+    parser.add("--model", type=Path, default=root / "runs/graphene_0K/model.json")
+    parser.add("--cache", type=Path, default=root / "data/graphene_0K.cache")
     given = parser.parse_args(arguments)
     body, loads, samples = read_samples(given.cache, "val")
     model = load(given.model)

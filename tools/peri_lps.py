@@ -10,9 +10,6 @@ leaves the critical stretches of atoms as the memory was: they are set here, or 
 the next run.
 """
 
-from __future__ import annotations
-
-import argparse
 import ctypes
 import json
 import sys
@@ -24,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
 
+from tools.options import Options
 from warp_peri import Model
 from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
@@ -125,10 +123,9 @@ def isotropic(constants: dict[str, float]) -> tuple[float, float]:
 def summed_force(x: np.ndarray, u: np.ndarray, horizon: float, *, wrapped: bool) -> np.ndarray:
     """The same solid of a periodic cube as a sum over bonds in NumPy, with LAMMPS's volumes.
 
-    Args:
-        x, u: positions on a lattice of spacing 1 and displacements, shape [N, 3].
-        horizon: in spacings.
-        wrapped: the weighted volume from the bonds' own lengths; otherwise as LAMMPS has it.
+    `x`, `u`: positions on a lattice of spacing 1 and displacements, shape [N, 3]; `horizon`: in
+    spacings; `wrapped`: the weighted volume from the bonds' own lengths; otherwise as LAMMPS has
+    it.
     """
     classes = lammps_classes(horizon)
     nodes = round(len(x) ** (1 / 3))
@@ -164,8 +161,7 @@ def periodic_errors(nodes: int, horizon: float) -> tuple[float, dict[bool, float
 
 def main() -> None:
     """Print both."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="one JSON object")
+    parser = Options(__doc__, json=True)
     as_json = parser.parse_args().json
     found: dict[str, Any] = {"bulk": BULK, "shear": SHEAR, "horizon": {}}
     for horizon in (2.0, 3.0, 4.0):

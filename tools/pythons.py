@@ -5,8 +5,6 @@ CUDA build of several GB; --without-torch leaves it out, runs what works without
 rest as not run.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

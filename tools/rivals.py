@@ -4,8 +4,6 @@ All take the tables of a periodic point set and compute (4)–(9) of docs/theory
 are written as a careful user would write them: K once per bond class, no memory allocated twice.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -3,8 +3,6 @@
 `python tools/benchmark.py roofline` prints the ceilings and how close each sweep comes to them.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from typing import Any
@@ -16,7 +14,7 @@ from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.peak import peak
 from warp_peri.launch import launch_slices, zeros
 from warp_peri.lps.bonds import Bonds, filled, influence
-from warp_peri.lps.model import Solid
+from warp_peri.methods import Solid
 
 PER_BOND = {"dilatation": (4, 3, 2), "force": (7, 7, 3)}
 """Additions, multiplications and loads of numbers that a bond takes in each sweep, as the vector

@@ -3,8 +3,6 @@
 With it go the cracks of a continuum that this row law holds (theory.md, C20–C22).
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from examples.cracks.cohesive_zone import HeldCracks, RowLaw
-from examples.cracks.cubic_energy import CubicEnergy
+from examples.cracks.cohesive_zone import CubicEnergy, HeldCracks, RowLaw
 from examples.cracks.kinked_cracks import KinkedCracks
 from tools.cracked_sheet import EV, OPEN, cracked_sheet, longer_cutoff, opened_ends
 from tools.elastic import cubic_constants, elastic_constants
@@ -78,10 +75,8 @@ def row_law() -> RowLaw:
 class Whole:
     """What sheets without a crack say.
 
-    Attributes:
-        lam, mu: plane Lamé constants [TPa].
-        law: of a row of bonds along zigzag [Å, TPa].
-        cubic: energy of third order [TPa], None for a linear sheet.
+    `lam`, `mu`: plane Lamé constants [TPa]; `law`: of a row of bonds along zigzag [Å, TPa];
+    `cubic`: energy of third order [TPa], None for a linear sheet.
     """
 
     lam: float

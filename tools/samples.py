@@ -1,7 +1,5 @@
 """Samples of atoms at rest under a load, solved in worker processes and kept in a cache."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -34,11 +32,8 @@ CACHE_VERSION = 1
 class Piece:
     """What carries the load, and the potential that holds it together.
 
-    Attributes:
-        bond: stress-free bond length [Å].
-        potential: Tersoff file.
-        cells: four-atom cells of a periodic sheet along x and y, or
-        radius: of a free disk [Å]; exactly one of the two is given.
+    `bond`: stress-free bond length [Å]; `potential`: Tersoff file; `cells`: four-atom cells of a
+    periodic sheet along x and y, or; `radius`: of a free disk [Å]; exactly one of the two is given.
     """
 
     bond: float
@@ -72,13 +67,10 @@ R = TypeVar("R", bound=Arrays)
 class Sample:
     """One body at rest under one load.
 
-    Attributes:
-        reference: unloaded positions of the atoms [Å], shape [A, 2].
-        displacement: from the reference [Å], shape [A, 2].
-        force: external force on the atoms [eV/Å], shape [A, 2].
-        amplitude: of the load [TPa/Å].
-        max_bond_strain: largest |ℓ/ℓ₀ − 1|.
-        residual: largest component of the force left on an atom [eV/Å].
+    `reference`: unloaded positions of the atoms [Å], shape [A, 2]; `displacement`: from the
+    reference [Å], shape [A, 2]; `force`: external force on the atoms [eV/Å], shape [A, 2];
+    `amplitude`: of the load [TPa/Å]; `max_bond_strain`: largest |ℓ/ℓ₀ − 1|; `residual`: largest
+    component of the force left on an atom [eV/Å].
     """
 
     reference: np.ndarray

@@ -5,8 +5,6 @@ or another file. Right-hand sides: a smooth load, a point load and noise, zero c
 counts.
 """
 
-from __future__ import annotations
-
 import resource
 import time
 from dataclasses import asdict, dataclass, replace
@@ -17,15 +15,14 @@ import numpy as np
 import torch
 
 from tools import numba_rival, rivals
-from warp_peri import Model, load
+from warp_peri import InputError, Model, Points, load
 from warp_peri.core.grid import Grid
-from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
 from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.model import Solid, lps_stencil
+from warp_peri.lps.model import lps_stencil
 from warp_peri.lps.operator import lps_force
-from warp_peri.points.points import Points
+from warp_peri.methods import Solid
 from warp_peri.statics.equilibrium import equilibrium, lps_linear
 from warp_peri.statics.linear import STIFF, Linear
 

@@ -5,8 +5,6 @@ linear and the nonlinear solid. Set-up and solve count together: the processor's
 least of several calls after an untimed one.
 """
 
-from __future__ import annotations
-
 import time
 import warnings
 from collections.abc import Callable, Iterator
@@ -19,10 +17,9 @@ import numpy as np
 import torch
 
 from tools.solve_study import TABLE, mask_of, problem
-from warp_peri import Direct, Dirichlet, Krylov, load, solve
+from warp_peri import Direct, Dirichlet, Krylov, Points, load, solve
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
-from warp_peri.points.points import Points
 from warp_peri.statics import linear
 from warp_peri.statics.direct import RESIDUAL
 from warp_peri.statics.linear import DIRECT

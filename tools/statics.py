@@ -1,15 +1,81 @@
 """Equilibrium of atoms at 0 K: modified Newton, one sparse factorisation for many loads."""
 
-from __future__ import annotations
-
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from tools.hessian import ColouredHessian
 from tools.lammps_session import LammpsSession
 from warp_peri.stability.inertia import symmetric_factors
+
+STEP = 1e-4
+"""Half width of the central difference [Å]."""
+
+
+class ColouredHessian:
+    """Energy Hessian of atoms whose forces reach the second bonded neighbour.
+
+    A Tersoff bond energy depends on the bonds next to it, so that moving an atom changes the
+    forces on atoms up to two bonds away and on no other. Atoms more than four bonds apart have
+    no such atom in common and are moved together; their columns are read from one difference.
+    """
+
+    def __init__(self, bonds: np.ndarray, atoms: int) -> None:
+        """Colour the atoms.
+
+        `bonds`: each bond once, pairs of atom numbers, shape [bonds, 2]; `atoms`: number of atoms
+        A.
+        """
+        i, j = np.concatenate([bonds, bonds[:, ::-1]]).T
+        bonded = sp.csr_array((np.ones(len(i)), (i, j)), shape=(atoms, atoms))
+        step = bonded + sp.eye_array(atoms, format="csr")
+        reach = sp.csr_array(step @ step)
+        reach.sort_indices()
+        self._colour = _greedy_colours(sp.csr_array(reach @ reach))
+        self._row = np.repeat(np.arange(atoms), np.diff(reach.indptr))
+        self._column = reach.indices.astype(int)
+        self.colours = int(self._colour.max()) + 1
+        self.atoms = atoms
+
+    def __call__(
+        self, forces: Callable[[np.ndarray], np.ndarray], positions: np.ndarray
+    ) -> sp.csc_array:
+        """Hessian −∂F/∂x [eV/Å²], symmetrised, shape [2A, 2A], degrees of freedom x₀ y₀ x₁ …
+
+        `forces`: of the atoms [eV/Å] at positions [Å], both of shape [A, 2]; `positions`: where to
+        take the Hessian [Å], shape [A, 2].
+        """
+        blocks = np.empty((len(self._row), 2, 2))
+        for colour in range(self.colours):
+            moved = self._colour == colour
+            entries = np.flatnonzero(moved[self._column])
+            for axis in range(2):
+                shift = np.zeros_like(positions)
+                shift[moved, axis] = STEP
+                change = forces(positions - shift) - forces(positions + shift)
+                blocks[entries, :, axis] = change[self._row[entries]] / (2 * STEP)
+        a, b = np.meshgrid([0, 1], [0, 1], indexing="ij")
+        rows = 2 * self._row[:, None, None] + a
+        columns = 2 * self._column[:, None, None] + b
+        size = 2 * self.atoms
+        hessian = sp.csc_array((blocks.ravel(), (rows.ravel(), columns.ravel())), (size, size))
+        return sp.csc_array((hessian + hessian.T) / 2)
+
+
+def _greedy_colours(conflict: sp.csr_array) -> np.ndarray:
+    """The smallest colour free among the neighbours, node by node; shape [A]."""
+    colour = np.full(conflict.shape[0], -1)
+    starts = conflict.indptr
+    for node in range(len(colour)):
+        taken = set(colour[conflict.indices[starts[node] : starts[node + 1]]].tolist())
+        free = 0
+        while free in taken:
+            free += 1
+        colour[node] = free
+    return colour
+
 
 TOLERANCE = 1e-9
 """Largest force component left on an atom [eV/Å]."""
@@ -32,12 +98,10 @@ class ConvergenceError(RuntimeError):
 class AtomsAtRest:
     """Atoms at rest under a load.
 
-    Attributes:
-        displacement: from the reference [Å], shape [A, 2]; no mean, and in a free body no mean
-            rotation (Σ X × u = 0).
-        force: the external load actually balanced [eV/Å], shape [A, 2].
-        residual: largest component of internal plus external force [eV/Å].
-        steps: number of Newton steps.
+    `displacement`: from the reference [Å], shape [A, 2]; no mean, and in a free body no mean
+    rotation (Σ X × u = 0); `force`: the external load actually balanced [eV/Å], shape [A, 2];
+    `residual`: largest component of internal plus external force [eV/Å]; `steps`: number of Newton
+    steps.
     """
 
     displacement: np.ndarray
@@ -49,9 +113,8 @@ class AtomsAtRest:
 class Statics:
     """Atoms around a stress-free reference, and their equilibria under dead loads.
 
-    Attributes:
-        reference: positions of the unloaded atoms [Å], shape [A, 2].
-        bonds: pairs of bonded atoms, shape [bonds, 2].
+    `reference`: positions of the unloaded atoms [Å], shape [A, 2]; `bonds`: pairs of bonded atoms,
+    shape [bonds, 2].
     """
 
     def __init__(

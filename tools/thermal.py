@@ -5,20 +5,20 @@ and its plain average after a transient. Runs of one seed see the same random fo
 difference of a loaded and an unloaded one has far less noise than either.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from tools.lammps_session import LammpsSession
-from tools.loads import Load
+from tools.loads import TEST, TRAINING, VALIDATION, Load
+from tools.make_graphene import graphene_bodies
 from tools.samples import Piece, Sample, body_record, cache_file, read_record, write_record
-from warp_peri.errors import InputError
+from warp_peri import InputError
 from warp_peri.structures.calculators import LammpsError
 
 CACHE_VERSION = 1
@@ -28,13 +28,9 @@ CACHE_VERSION = 1
 class Bath:
     """A heat bath and how long the atoms stay in it.
 
-    Attributes:
-        temperature: [K].
-        steps: of a run.
-        transient: steps at its begin that the plain average leaves out.
-        iota: ι of the smoothing in time.
-        timestep, damping: of the Langevin dynamics [ps]. The paper's text says 5.0 fs, with which
-            atoms are lost, and 5.0E-16 s, which is taken.
+    `temperature`: [K]; `steps`: of a run; `transient`: steps at its begin that the plain average
+    leaves out; `iota`: ι of the smoothing in time; `timestep`, `damping`: of the Langevin dynamics
+    [ps]. The paper's text says 5.0 fs, with which atoms are lost, and 5.0E-16 s, which is taken.
     """
 
     temperature: float = 300.0
@@ -69,10 +65,9 @@ class Task:
 class ThermalRun:
     """What is kept of a run.
 
-    Attributes:
-        average: mean displacement from the reference after the transient [Å], shape [A, 2].
-        smoothed: displacement at the end, smoothed in time by (2.10) [Å], shape [A, 2].
-        snr: √(Σ|B|²/Σ|B + F|²), sums over atoms, and over steps after the transient.
+    `average`: mean displacement from the reference after the transient [Å], shape [A, 2];
+    `smoothed`: displacement at the end, smoothed in time by (2.10) [Å], shape [A, 2]; `snr`:
+    √(Σ|B|²/Σ|B + F|²), sums over atoms, and over steps after the transient.
     """
 
     average: np.ndarray
@@ -147,3 +142,156 @@ def run(task: Task, at_rest: Sample, bath: Bath, cache: str | os.PathLike[str]) 
     snr = float(np.sqrt(kept * (force**2).sum() / total))
     write_record(run_file(cache, task, bath), ThermalRun(average / kept, smoothed, snr))
     return float(len(reference) * bath.steps)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Runs of one body.
+
+    A load runs with one of the seeds 1 … `seeds`, in turn. Unloaded runs exist for these and for
+    `spare` more seeds, whose noise no loaded run shares. Every `repeat`-th load runs a second time
+    with the next seed: the difference is the noise of the shared-seed reduction.
+
+    `body`: what runs; `groups`: loads by set name; `seeds`, `spare`: numbers of seeds; two at
+    least, one at least; `repeat`: how far apart the repeated loads are.
+    """
+
+    body: Piece
+    groups: dict[str, Sequence[Load]]
+    seeds: int
+    spare: int
+    repeat: int
+
+    def seed(self, number: int) -> int:
+        """Seed of the load of this number in its group."""
+        return 1 + number % self.seeds
+
+    def repeated(self, group: str) -> dict[int, int]:
+        """Second seeds by the numbers of the loads that run again."""
+        return {
+            number: self.seed(number + 1)
+            for number in range(0, len(self.groups[group]), self.repeat)
+        }
+
+    def unloaded(self, seed: int) -> Task:
+        """The run without load."""
+        return Task(self.body, None, 0.0, seed)
+
+    def every_seed(self) -> range:
+        """Seeds of the unloaded runs."""
+        return range(1, self.seeds + self.spare + 1)
+
+    def spare_seeds(self) -> range:
+        """Seeds of unloaded runs only."""
+        return range(self.seeds + 1, self.seeds + self.spare + 1)
+
+    def tasks(self, factors: Sequence[float]) -> list[Task]:
+        """Every run, for every factor on the loads."""
+        tasks = [self.unloaded(seed) for seed in self.every_seed()]
+        for factor in factors:
+            for group, loads in self.groups.items():
+                for number, load in enumerate(loads):
+                    tasks.append(Task(self.body, load, factor, self.seed(number)))
+                for number, seed in self.repeated(group).items():
+                    tasks.append(Task(self.body, loads[number], factor, seed))
+        return tasks
+
+
+def graphene_plans() -> list[Plan]:
+    """The sheet with training and validation loads, and the disk."""
+    sheet, disk = graphene_bodies()
+    return [
+        # The disk first: its runs are the longest.
+        Plan(disk, {"test": TEST}, seeds=4, spare=4, repeat=4),
+        Plan(sheet, {"train": TRAINING, "val": VALIDATION}, seeds=20, spare=8, repeat=9),
+    ]
+
+
+REDUCTIONS = ("shared", "plain", "iota")
+
+
+@dataclass(frozen=True)
+class Fields:
+    """Displacement of the atoms of one group of loads.
+
+    `loads`: of the samples; `displacement`: [Å], shape [S, A, 2]; `snr`: signal-to-noise ratio of
+    each sample's atoms; `seed`: of each sample.
+    """
+
+    loads: list[Load]
+    displacement: np.ndarray
+    snr: np.ndarray
+    seed: np.ndarray
+
+
+def reduced(
+    plan: Plan,
+    group: str,
+    runs: Mapping[Task, ThermalRun],
+    at_rest: Mapping[Load, Sample],
+    *,
+    reduction: str,
+    factor: float,
+) -> Fields:
+    """Every load of a group by one reduction, for one factor on the loads."""
+    loads = list(plan.groups[group])
+    seeds = [plan.seed(number) for number in range(len(loads))]
+    loaded = [runs[Task(plan.body, load, factor, seed)] for load, seed in zip(loads, seeds)]
+    fields = []
+    for run, seed, load in zip(loaded, seeds, loads):
+        if reduction == "shared":
+            field = run.average - runs[plan.unloaded(seed)].average
+        else:
+            field = _unpaired(plan, runs, run, seed, reduction)
+        fields.append(settled(plan.body, at_rest[load].reference, field))
+    snr = np.array([run.snr for run in loaded])
+    return Fields(loads, np.stack(fields), snr, np.array(seeds))
+
+
+def _unpaired(
+    plan: Plan, runs: Mapping[Task, ThermalRun], run: ThermalRun, seed: int, reduction: str
+) -> np.ndarray:
+    """Average or smoothed displacement of a run, on the disk less the mean of other seeds."""
+    field = run.average if reduction == "plain" else run.smoothed
+    if plan.body.box is not None:
+        return field
+    others = [runs[plan.unloaded(other)].average for other in plan.every_seed() if other != seed]
+    return field - np.mean(others, axis=0)
+
+
+def noise(
+    plan: Plan,
+    runs: Mapping[Task, ThermalRun],
+    reference: np.ndarray,
+    *,
+    reduction: str,
+    factor: float,
+) -> np.ndarray:
+    """Noise of a reduction by itself: fields [Å], shape [S, A, 2], that no load caused.
+
+    Of the plain average and of the smoothing: unloaded runs of the spare seeds. Of the shared
+    seeds: what a load gives with two seeds, difference over √2.
+    """
+    fields = []
+    if reduction == "shared":
+        for group, loads in plan.groups.items():
+            for number, second in plan.repeated(group).items():
+                pair = []
+                for seed in (plan.seed(number), second):
+                    loaded = runs[Task(plan.body, loads[number], factor, seed)]
+                    pair.append(loaded.average - runs[plan.unloaded(seed)].average)
+                fields.append((pair[0] - pair[1]) / np.sqrt(2))
+    else:
+        for seed in plan.spare_seeds():
+            fields.append(_unpaired(plan, runs, runs[plan.unloaded(seed)], seed, reduction))
+    return np.stack([settled(plan.body, reference, field) for field in fields])
+
+
+def settled(body: Piece, reference: np.ndarray, field: np.ndarray) -> np.ndarray:
+    """A field without its mean and, on a free body, without its mean rotation; shapes [A, 2]."""
+    field = field - field.mean(axis=0)
+    if body.box is None:
+        x = reference - reference.mean(axis=0)
+        turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
+        field -= turn * ((turn * field).sum() / (turn**2).sum())
+    return field

@@ -1,7 +1,5 @@
 """Periodic sheets that are not even: boron nitride in graphene, vacancies; linear, at 0 K."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,11 +11,10 @@ from tools.graphene_phonons import force_constants
 from tools.lammps_session import LammpsSession
 from tools.make_graphene import SMOOTHING_RADIUS
 from tools.statics import Statics
+from warp_peri import Points, Samples
+from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
 from warp_peri.structures.calculators import potential_file
 
 CELLS, NODES = (78, 45), 40
@@ -36,10 +33,9 @@ Place = Callable[[np.ndarray], np.ndarray]
 class Sheet:
     """An uneven sheet.
 
-    Attributes:
-        sets: loads "train", "val" (waves) and "patch" (local).
-        density: smoothed number of atoms over that of the whole sheet, at the nodes.
-        inside: share of the atoms around a node that are boron and nitrogen.
+    `sets`: loads "train", "val" (waves) and "patch" (local); `density`: smoothed number of atoms
+    over that of the whole sheet, at the nodes; `inside`: share of the atoms around a node that are
+    boron and nitrogen.
     """
 
     sets: dict[str, Samples]
@@ -64,11 +60,9 @@ def uneven_sheet(
 ) -> Sheet:
     """Atoms' linear answers seen from nodes.
 
-    Args:
-        nitride: which positions over the box, [n, 2] from −½ to ½, are boron nitride, [n] bool.
-        vacant: share of atoms that is missing at such positions, [n].
-        train, others: loads of the set to learn from, and of each of the other two.
-        seed: of loads and vacancies.
+    `nitride`: which positions over the box, [n, 2] from −½ to ½, are boron nitride, [n] bool;
+    `vacant`: share of atoms that is missing at such positions, [n]; `train`, `others`: loads of the
+    set to learn from, and of each of the other two; `seed`: of loads and vacancies.
     """
     rng = np.random.default_rng(seed)
     potential = potential_file("SiC_1989.tersoff" if nitride is None else "BNC.tersoff")

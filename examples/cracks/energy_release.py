@@ -1,7 +1,5 @@
 """What a crack releases as it grows, and how much further it reaches than its last cut bond."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -9,12 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri import Cracked, InputError, Model, Points
 from warp_peri.contract import offered
-from warp_peri.damage.lattice_body import rectangle, size_and_normal
-from warp_peri.damage.problems import Cracked
-from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
-from warp_peri.points.points import Points
+from warp_peri.damage import rectangle
+from warp_peri.damage.lattice_body import size_and_normal
 
 RADIUS = 4.0
 """Half side of the smaller square around a tip, in horizons; the larger has twice that."""

@@ -1,7 +1,5 @@
 """Bodies of several materials: bond-wise μ and node-wise λ − μ (theory.md, C15)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -9,9 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.damage.lattice_body import LatticeBody
-from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
+from warp_peri import InputError, Model
+from warp_peri.damage import LatticeBody
 from warp_peri.points.arrays import mean_inverse
 from warp_peri.points.unit_names import USUAL, Units
 

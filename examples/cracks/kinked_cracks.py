@@ -5,18 +5,15 @@ sliding; polynomials meet the rim. Two dislocations bound a piece, so that all f
 expressions.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from examples.cracks.cohesive_zone import HeldCracks
-from examples.cracks.cubic_energy import CubicEnergy, check_lengths
+from examples.cracks.cohesive_zone import CubicEnergy, HeldCracks, check_lengths
 from examples.cracks.straight_cracks import CrackedRectangle, meet
-from warp_peri.errors import InputError
+from warp_peri import InputError
 
 Potentials: TypeAlias = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """φ, φ′, φ″, ψ and ψ′ of (C20), a column of each source."""

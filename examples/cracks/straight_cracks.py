@@ -5,12 +5,10 @@ both satisfy the equations of plane elasticity, and least squares meet the rim a
 need not lie on rows of nodes: this is the limit that lattices of cut bonds come to.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
+from warp_peri import InputError
 
 RESIDUAL = 3e-3
 """Largest displacement on the rim, and stress on faces, that is left over, in parts of the load;

@@ -5,18 +5,102 @@ data. When some are outside, the gradients that the farthest cell felt since the
 dumbbells, the law is learned again from all records, and the flow goes on with it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
 
-from warp_peri.errors import InputError
-from warp_peri.flow.closure import Closure
-from warp_peri.flow.dumbbells import Dumbbells, Ensembles, simulate
+from warp_peri import InputError
+from warp_peri.flow import (
+    Closure,
+    Dumbbells,
+    Ensembles,
+    PlaneFlow,
+    Profiles,
+    homogeneous,
+    shear,
+    simulate,
+)
 from warp_peri.flow.laws import FlowLaw
+from warp_peri.flow.plane import run_plane
+
+
+@dataclass
+class Corrected:
+    """A closure and a stress that is added to it, known in all cells at equal times.
+
+    `closure`: the law in the cells; `missing`: σ [T, n, 4] to be added, at multiples of the
+    interval; `interval`: t0.
+    """
+
+    closure: Closure
+    missing: np.ndarray
+    interval: float
+    t: float = 0.0
+
+    def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
+        """σ [n, 4] after dt under κ [n, 4] held."""
+        self.t += dt
+        place = min(self.t / self.interval, len(self.missing) - 1.0)
+        n = min(int(place), len(self.missing) - 2)
+        weight = place - n
+        extra = (1 - weight) * self.missing[n] + weight * self.missing[n + 1]
+        return np.asarray(self.closure.advance(kappa, dt) + extra)
+
+    def state(self) -> np.ndarray:
+        """The conformation C and the time it has reached."""
+        return np.append(self.closure.state().ravel(), self.t)
+
+    def restore(self, state: np.ndarray) -> None:
+        """Go on from a conformation and a time that were kept."""
+        self.closure.restore(state[:-1].reshape(self.closure.C.shape))
+        self.t = float(state[-1])
+
+
+def missing_stress(
+    flow: PlaneFlow,
+    profiles: Profiles,
+    law: Any,
+    replay: Callable[[np.ndarray, float], np.ndarray],
+    cells: int,
+) -> np.ndarray:
+    """σ [T, all cells, 4] that a law lacks under the gradients of a run.
+
+    Args:
+        flow: the flow that was run.
+        profiles: what it gave, recorded at equal times from 0 on.
+        law: its law.
+        replay: stress s [T + 1, m, 4] under gradients K [T, m, 4], each held for an interval of
+            relaxation times: dumbbells, through `simulate`.
+        cells: how many are replayed, evenly from wall to wall; between them it is interpolated.
+
+    Raises InputError for fewer than 2 cells, or records that are not equally spaced.
+    """
+    gaps = np.diff(profiles.t)
+    if cells < 2 or not np.allclose(gaps, gaps[0]):
+        raise InputError("replay: expected 2 cells or more and equally spaced records")
+    places = np.unique(np.linspace(0, flow.cells - 1, cells).round().astype(int))
+    rate = np.diff(profiles.u, axis=1) * flow.cells
+    K = flow.De * shear((rate[:-1] + rate[1:])[:, places] / 2)
+    interval = float(gaps[0]) / flow.De
+    C = homogeneous(law, K, interval)
+    known = np.asarray(law.stress(C.reshape(-1, C.shape[-1]))).reshape(*C.shape[:2], 4)
+    lacking = (replay(K, interval) - known) / flow.De
+    middle = (np.arange(flow.cells) + 0.5) / flow.cells
+    spread = [[np.interp(middle, middle[places], now[:, i]) for i in range(4)] for now in lacking]
+    return np.moveaxis(np.array(spread), 1, 2)
+
+
+def corrected_run(
+    flow: PlaneFlow, law: Any, missing: np.ndarray, until: float, dt: float, every: int
+) -> Profiles:
+    """The flow again, with what the law lacks added."""
+    closure = Closure(law, flow.De, flow.cells)
+    fluid = Corrected(closure, missing, until / (len(missing) - 1))
+    return run_plane(flow, fluid, until=until, dt=dt, every=every)
+
 
 EARLIER = 1.5
 """Gaps of the data beyond which dumbbells are asked; warnings come at twice as many."""
@@ -107,10 +191,8 @@ class LearningClosure(Closure):
 def replayed(count: int, b: float | None, seed: int) -> Callable[[np.ndarray, float], Ensembles]:
     """A replay in dumbbells, each with random numbers of its own.
 
-    Args:
-        count: of dumbbells.
-        b: of FENE dumbbells, None for Hookean ones.
-        seed: of the first replay; the next ones count on.
+    `count`: of dumbbells; `b`: of FENE dumbbells, None for Hookean ones; `seed`: of the first
+    replay; the next ones count on.
     """
     seeds = iter(range(seed, seed + 10**6))
 

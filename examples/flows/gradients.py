@@ -1,7 +1,5 @@
 """From velocities to the law: plane flows in torch, differentiable in a law's numbers (F31)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -10,20 +8,18 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
-from warp_peri.errors import InputError
+from warp_peri import InputError
+from warp_peri.flow import PlaneFlow, SpringLaw
 from warp_peri.flow.closure import check_time_step, heun
 from warp_peri.flow.laws import carried, eigenvalues, from_eigenvalues, stack, unpack
-from warp_peri.flow.plane import PlaneFlow
-from warp_peri.flow.springs import SpringLaw
 
 
 @dataclass(frozen=True)
 class TorchSpring:
     """A learned spring whose process has its values at the data as numbers to be found.
 
-    Args:
-        law: with a product kernel; its data give the kernel's places and lengths.
-        values: log(S_i/c_i) − mean at the data, shape [n], float64, in place of those learned.
+    `law`: with a product kernel; its data give the kernel's places and lengths; `values`:
+    log(S_i/c_i) − mean at the data, shape [n], float64, in place of those learned.
     """
 
     law: SpringLaw

@@ -4,8 +4,6 @@ A path is a whole function, drawn by Matheron's rule: random cosines for the pri
 pull on them. It knows the noise and the gaps of the data, not what the form of the law leaves out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -14,9 +12,9 @@ import numpy as np
 import scipy.linalg as sl
 from scipy import stats
 
-from warp_peri.errors import InputError
+from warp_peri import InputError
+from warp_peri.flow import RateLaw
 from warp_peri.flow.gaussian_process import LENGTHS, SUBSET, GaussianProcess, unlikelihood
-from warp_peri.flow.rates import RateLaw
 
 COSINES = 512
 """Of one prior function, for each input where the kernel is a sum."""
@@ -150,11 +148,8 @@ class Band:
 def band(law: Any, run: Callable[[Any], np.ndarray], count: int = 8, seed: int = 0) -> Band:
     """Carry a law and `count` laws drawn from it through a flow.
 
-    Args:
-        law: a learned law with product or additive kernels.
-        run: gives the field, a velocity say, that a law makes.
-        count: of drawn laws.
-        seed: of the draws.
+    `law`: a learned law with product or additive kernels; `run`: gives the field, a velocity say,
+    that a law makes; `count`: of drawn laws; `seed`: of the draws.
     """
     random = np.random.default_rng(seed)
     return Band(run(law), np.array([run(drawn) for drawn in drawn_laws(law, count, random)]))

@@ -1,9 +1,7 @@
 """One entry of the stability atlas: what fails, a number, a figure, and what a user would see."""
 
-from __future__ import annotations
-
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,22 +10,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from examples.prose import fill
-from warp_peri.errors import InputError
-from warp_peri.points.points import Points
+from warp_peri import InputError, Points
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A provoked failure.
-
-    Attributes:
-        title: of its section.
-        number: the one measurement to remember, in words.
-        text: what fails and why, in Markdown.
-        seen: errors and warnings that were provoked, in their own words.
-        figure: drawn from the measurements.
-        values: the measurements, plain numbers.
-    """
+    """A provoked failure: title, a number to remember, text in Markdown, errors and warnings in
+    their own words, a figure of the measurements, and these as plain numbers."""
 
     title: str
     number: str
@@ -37,11 +26,18 @@ class Entry:
     values: dict[str, Any]
 
 
-def written(name: str, **numbers: Any) -> tuple[str, str, str]:
-    """Title, number and text of an entry: atlas/NAME.md filled with its measurements."""
+def entry(
+    name: str,
+    numbers: Mapping[str, Any],
+    seen: Sequence[str | Callable[[], Any]],
+    figure: Figure,
+    values: dict[str, Any],
+) -> Entry:
+    """atlas/NAME.md filled with its measurements, and the words that each of `seen` ends in."""
     template = Path(__file__).parent / "atlas" / f"{name}.md"
     title, number, text = fill(template, **numbers).rstrip("\n").split("\n\n", 2)
-    return title.removeprefix("# "), number, text
+    said = [one if isinstance(one, str) else words(one) for one in seen]
+    return Entry(title.removeprefix("# "), number, text, said, figure, values)
 
 
 def words(run: Callable[[], Any]) -> str:

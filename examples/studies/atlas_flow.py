@@ -1,23 +1,24 @@
 """Stability atlas: polymer flows. Noise of each particle's own, a conformation turned."""
 
-from __future__ import annotations
-
-import matplotlib.pyplot as plt
 import numpy as np
 
-from examples.studies.atlas_entry import Entry, words, written
+from examples.figures import curves, panels
+from examples.studies.atlas_entry import Entry, entry
 from warp_peri import InputError
-from warp_peri.flow.channel import ChannelFlow, Particles, run_channel
-from warp_peri.flow.closure import Closure, CoupledDumbbells, heun, homogeneous
-from warp_peri.flow.dumbbells import Dumbbells, carried_exactly, propagator
-from warp_peri.flow.laws import (
-    IDENTITY,
+from warp_peri.flow import (
+    ChannelFlow,
+    Closure,
+    CoupledDumbbells,
+    Dumbbells,
     LogConformation,
     UpperConvectedMaxwell,
-    eigenvalues,
     elongation,
-    exponential_of,
+    homogeneous,
 )
+from warp_peri.flow.channel import Particles, run_channel
+from warp_peri.flow.closure import heun
+from warp_peri.flow.dumbbells import carried_exactly, propagator
+from warp_peri.flow.laws import IDENTITY, eigenvalues, exponential_of
 
 DE, UNTIL, STEPS, COUNT = 1e-2, 0.03, 300, 300
 
@@ -42,7 +43,7 @@ def independent_noise() -> Entry:
     except InputError as error:
         seen.append(f"InputError: {error}")
     off = float(np.linalg.norm(shared.v - exact.v) / np.linalg.norm(exact.v))
-    figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
+    figure, axes = panels(6, 3.6)
     axes.plot(exact.t, np.abs(exact.v).max(axis=(1, 2)), "k", label="exact law")
     axes.plot(shared.t, np.abs(shared.v).max(axis=(1, 2)), "C0--", label="shared noise")
     t = (np.arange(len(speeds)) + 1) * UNTIL / STEPS
@@ -50,10 +51,10 @@ def independent_noise() -> Entry:
     axes.set(xlabel="t / t0", ylabel="largest speed / U", yscale="log")
     axes.legend(frameon=False)
     values = {"largest": max(speeds), "exact": float(np.abs(exact.v).max())}
-    text = written("noise-of-its-own", off=100 * off, count=COUNT, De=DE, **values)
     if not seen:
         raise RuntimeError("expected particles to leave the channel")
-    return Entry(*text, seen, figure, values)
+    numbers = values | {"off": 100 * off, "count": COUNT, "De": DE}
+    return entry("noise-of-its-own", numbers, seen, figure, values)
 
 
 def stretched_and_turned() -> Entry:
@@ -79,24 +80,19 @@ def stretched_and_turned() -> Entry:
         name: eigenvalues(np.array(rows))[1][:, 0]
         for name, rows in (("exact", exact), ("C", unchecked), ("log C", log), ("half", half))
     }
-    seen = words(lambda: homogeneous(law, K, interval, parts=parts))
     t = np.arange(len(K) + 1) * interval
-    figure, axes = plt.subplots(figsize=(6, 3.6), layout="constrained")
-    for (name, style), label in zip(
-        (("exact", "k"), ("C", "C3"), ("half", "C1:"), ("log C", "C0--")),
-        ("exact", "state C", "state C, half the step", "state log C"),
-    ):
-        axes.plot(t, small[name], style, label=label)
-    axes.set(xlabel="t / relaxation time", ylabel="smaller eigenvalue of C in the plane")
+    figure, axes = panels(6, 3.6)
+    names = {"exact": "exact", "C": "state C", "half": "state C, half the step"}
+    rows = {label: small[key] for key, label in (names | {"log C": "state log C"}).items()}
     axes.set_yscale("symlog", linthresh=0.1)
-    axes.legend(frameon=False)
+    x, y = "t / relaxation time", "smaller eigenvalue of C in the plane"
+    curves(axes, "plot", t, rows, "k", "C3", "C1:", "C0--", xlabel=x, ylabel=y)
     large = eigenvalues(np.array(exact))[0].max()
     values = {
-        "least": float(small["C"].min()),
-        "exact": float(small["exact"][-1]),
-        "log": float(small["log C"][-1]),
-        "half": float(small["half"][-1]),
+        "least": float(small["C"].min()), "exact": float(small["exact"][-1]),
+        "log": float(small["log C"][-1]), "half": float(small["half"][-1]),
         "ratio": float(large / small["exact"].min()),
-    }
-    text = written("stretched-and-turned", step=interval / parts, wi=wi, **values)
-    return Entry(*text, [seen], figure, values)
+    }  # fmt: skip
+    seen = (lambda: homogeneous(law, K, interval, parts=parts),)
+    numbers = values | {"step": interval / parts, "wi": wi}
+    return entry("stretched-and-turned", numbers, seen, figure, values)

@@ -1,94 +1,225 @@
-"""Stability atlas: kernels that fail on their lattice, or away from it."""
+"""Stability atlas: kernels that fail without conditions, on their lattice, or away from it."""
 
-from __future__ import annotations
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from scipy.optimize import least_squares
 from tqdm import tqdm
 
-import warp_peri
-from examples.studies.atlas_conditions import displacement_error
-from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.lps.model import Model, bernstein_basis
-from warp_peri.points.dataset import Dataset
+import warp_peri as wp
+from examples.figures import ABOVE, curves, panels
+from examples.studies.atlas_entry import Entry, entry, square_lattice
+from tools.make_graphene import point_set, read_samples
+from warp_peri import Dataset, Model, Samples
+from warp_peri.lps.matrices import matrices
+from warp_peri.lps.model import bernstein_basis
+from warp_peri.methods import Conditions
 from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
-from warp_peri.regression.optimum import Conditions, LatticeConditions, ZoneSearch
+from warp_peri.regression.coordinates import Coordinates, Parameters
+from warp_peri.regression.losses import ReducedLoss, reduce, sample_weights
+from warp_peri.regression.optimum import LatticeConditions, ZoneSearch
+from warp_peri.statics.direct import MatrixProblem
 
+RATIOS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
+DEGREES = (0, 1, 2, 3, 4, 5, 6, 8, 10, 15, 20)
+SIDES = range(4, 17)
+"""Nodes a side of the rectangles that are solved on."""
 LAM, MU = -0.1972, 0.7223
 """Of the potential that the data come from [TPa]."""
 
 
+def unconstrained(grid: ReducedLoss, degree: int) -> tuple[Parameters, float, float]:
+    """The least residual that kernels of a degree allow when nothing else is asked.
+
+    Returns the parameters, the relative residual and the smallest D(k)/s(k) [TPa].
+    """
+    i, j = grid.pairs
+    best = None
+    for alpha in (1.0, 2.0):
+        coordinates = Coordinates([grid.classes], alpha, degree)
+
+        def residual(y: np.ndarray, space: Coordinates = coordinates) -> np.ndarray:
+            point = space.point(y)
+            v, z = point.v[0], point.z[0]
+            return grid.R @ np.concatenate([v, point.kappa * z[i] * z[j], [1.0]])
+
+        def slope(y: np.ndarray, space: Coordinates = coordinates) -> np.ndarray:
+            point = space.point(y)
+            z, dv, dz = point.z[0], point.dv[0], point.dz[0]
+            by_pairs = point.kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
+            by_pairs[:, 0] += z[i] * z[j]  # y₀ is κ
+            return grid.R[:, :-1] @ np.concatenate([dv, by_pairs])
+
+        start = coordinates.start(Parameters(-0.2, 0.7, alpha, np.ones(degree + 1)))
+        low, high = np.full(len(start), -np.inf), np.full(len(start), np.inf)
+        if coordinates.free_alpha:
+            low[-1], high[-1] = -6.0, 2.999
+        trial = least_squares(
+            residual, start, jac=slope, bounds=(low, high), x_scale="jac", xtol=1e-12, ftol=1e-12
+        )
+        if best is None or trial.cost < best[0]:
+            best = trial.cost, trial.x, coordinates
+    assert best is not None
+    cost, y, coordinates = best
+    point = coordinates.point(y)
+    search = ZoneSearch(LatticeConditions(grid.classes, Conditions("direct", 1.0)))
+    smallest = float(search.worst(point.v[0], point.z[0], point.kappa)[0][0]) + 1.0
+    return coordinates.parameters(y, []), float(np.sqrt(2 * cost)), smallest
+
+
+def sign_changing(data: Dataset) -> Entry:
+    """Symbols of the best kernels without conditions, and what they do to static problems."""
+    train, test = data["train"], data["test"]
+    smallest, models = kernels_without_conditions(train)
+    unsafe = smallest <= 0
+    # Fits of one horizon and degree, so that nothing but the conditions differs.
+    case = next(case for case in sorted(models, key=lambda case: smallest[case]) if unsafe[case])
+    free, degree, ratio = models[case], DEGREES[case[0]], RATIOS[case[1]]
+    kept = wp.fit(train, wp.LPS(horizon=free.horizon, kernel=wp.Bernstein(degree))).material
+    errors = {
+        f"{RATIOS[column]:g}, {DEGREES[row]}": displacement_error(model, test)
+        for (row, column), model in models.items()
+        if unsafe[row, column]
+    }
+    sizes, spectra = rectangle_spectra({"without": free, "with": kept}, train.spacing)
+    closest = {
+        f"{name} conditions": [float(np.abs(v).min()) for v in rows]
+        for name, rows in spectra.items()
+    }
+    figure, (left, right) = panels(10.5, 4, count=2)
+    draw_symbols(figure, left, smallest)
+    for (label, near), style in zip(closest.items(), "os"):
+        right.semilogy(sizes, near, style, label=label, markersize=4, alpha=0.7)
+    right.set(xlabel="unknown nodes of a rectangle", ylabel="smallest |eigenvalue of L| / λ₁ [TPa]")
+    right.set_title(f"δ = {ratio:g}h, M = {degree}; λ₁: 5-point Laplacian")
+    right.legend(frameon=False)
+    negative = [int((values < 0).sum()) for values in spectra["without"]]
+    nearest = {name: min(closest[f"{name} conditions"]) for name in spectra}
+    numbers = edge_of_safety(unsafe) | {
+        "unsafe": np.count_nonzero(unsafe), "pairs": unsafe.size, "smallest": smallest.min(),
+        "ratio": ratio, "degree": degree, "negative": max(negative), "rectangles": len(sizes),
+        "without": nearest["without"], "kept": nearest["with"],
+        "nearer": nearest["with"] / nearest["without"],
+        "best": 100 * min(errors.values()), "worst": 100 * max(errors.values()),
+    }  # fmt: skip
+    problem = wp.Dirichlet(test, test.loads, test.u)
+    said = f"certificate: {wp.certify(free, spacing=train.spacing).statement}"
+    values = {
+        "ratios": RATIOS, "degrees": DEGREES, "symbol_min": smallest, "E_u of the unsafe": errors,
+        "negative eigenvalues": negative, "nearest to zero": nearest,
+    }  # fmt: skip
+    seen = (said, lambda: wp.solve(free, problem).u)
+    return entry("sign-changing", numbers, seen, figure, values)
+
+
+def kernels_without_conditions(train: Samples) -> tuple[np.ndarray, dict[tuple[int, int], Model]]:
+    """Smallest D(k)/s(k) [TPa] by degree and δ/h, and the models that are solids, by place."""
+    weight = sample_weights([train], normalise=False)[0]
+    smallest = np.empty((len(DEGREES), len(RATIOS)))
+    models: dict[tuple[int, int], Model] = {}
+    for column, ratio in enumerate(tqdm(RATIOS, desc="kernels without conditions")):
+        horizon = ratio * train.spacing
+        grid = reduce(train, horizon, weight)
+        for row, degree in enumerate(DEGREES):
+            fitted, _, smallest[row, column] = unconstrained(grid, degree)
+            if fitted.mu > 0 and fitted.lam + fitted.mu > 0:
+                models[row, column] = Model(fitted.lam, fitted.mu, fitted.alpha, fitted.D, horizon)
+    return smallest, models
+
+
+def rectangle_spectra(
+    models: Mapping[str, Model], spacing: float
+) -> tuple[list[int], dict[str, list[np.ndarray]]]:
+    """Unknown nodes of each rectangle, and eigenvalues of each model there over λ₁ [TPa]."""
+    shapes = [(a, b) for a in SIDES for b in SIDES if a <= b]
+    sizes = [a * b for a, b in shapes]
+    spectra: dict[str, list[np.ndarray]] = {name: [] for name in models}
+    for shape in tqdm(shapes, desc="rectangles"):
+        squares = np.sin(np.pi / (2 * (np.array(shape) + 1))) ** 2
+        laplacian = 4 / spacing**2 * squares.sum()
+        for name, model in models.items():
+            points = square_lattice(shape, model.horizon, spacing)
+            unknown = np.repeat(points.interior, 2)
+            L = matrices(model, points).operator(model.lam, model.mu)[:, unknown].toarray()
+            spectra[name].append(np.linalg.eigvalsh((L + L.T) / 2) / laplacian)
+    return sizes, spectra
+
+
+def edge_of_safety(unsafe: np.ndarray) -> dict[str, str]:
+    """Ratios δ/h that are safe at every degree, and of the others the degree where that ends."""
+    first = {
+        ratio: next((degree for degree, off in zip(DEGREES, column) if off), None)
+        for ratio, column in zip(RATIOS, unsafe.T)
+    }
+    ends = (f"δ/h = {r:g} from M = {degree}" for r, degree in first.items() if degree is not None)
+    stable = (f"{ratio:g}" for ratio, degree in first.items() if degree is None)
+    return {"edge": "; ".join(ends), "stable": ", ".join(stable)}
+
+
+def draw_symbols(figure: Figure, ax: Axes, smallest: np.ndarray) -> None:
+    """Smallest D(k)/s(k) by degree and horizon."""
+    columns, rows = np.arange(len(RATIOS)), np.arange(len(DEGREES))
+    mesh = ax.pcolormesh(
+        columns, rows, np.arcsinh(smallest / 0.01),
+        cmap="RdBu", vmin=-np.arcsinh(1e3), vmax=np.arcsinh(1e3), shading="nearest",
+    )  # fmt: skip
+    for (row, column), value in np.ndenumerate(smallest):
+        ax.text(column, row, f"{value:.2g}", ha="center", va="center", fontsize=7)
+    ax.set_xticks(columns, [f"{ratio:g}" for ratio in RATIOS])
+    ax.set_yticks(rows, [str(degree) for degree in DEGREES])
+    ax.set(xlabel="δ/h", ylabel="degree M", title="smallest D(k)/s(k) [TPa], no conditions asked")
+    bar = figure.colorbar(mesh, ax=ax, ticks=np.arcsinh(np.array([-1, -0.01, 0, 0.01, 1]) / 0.01))
+    bar.ax.set_yticklabels(["−1", "−0.01", "0", "0.01", "1"])
+
+
+def displacement_error(model: Model, points: Samples) -> float:
+    """E_u of what LU gives without asking; `solve` refuses where the operator is indefinite."""
+    L = matrices(model, points).operator(model.lam, model.mu)
+    solved = MatrixProblem(L, points.interior).solve(points.loads, points.u)
+    u, solved = points.u[:, points.interior], solved[:, points.interior]
+    wrong = np.linalg.norm(solved - u, axis=(1, 2)) / np.linalg.norm(u, axis=(1, 2))
+    return float(wrong.mean())
+
+
 def other_spacing(data: Dataset, cache: Path) -> Entry:
     """Error on lattices that the model was not trained on, before and after two-grid training."""
-    from tools.make_graphene import point_set, read_samples
-
     body, loads, samples = read_samples(cache, "test")
     spacings = (2.5, 10 / 3, 4.0, 5.0, 6.25, 8.0)
     disks = [point_set(body, loads, samples, spacing=h) for h in spacings]
     both = [data["train"], data["train_fine"]]
     table: dict[str, list[float]] = {}
-    first: Model | None = None
+    models: list[Model] = []
     for horizon in (12.5, 20.0):
         for name, sets in (("5 Å", both[:1]), ("5 and 2.5 Å", both)):
-            model = warp_peri.fit(
-                sets, warp_peri.LPS(horizon=horizon, kernel=warp_peri.Bernstein(12), normalise=True)
-            ).material
-            first = first or model
+            law = wp.LPS(horizon, wp.Bernstein(12), normalise=True)
+            models.append(wp.fit(sets, law).material)
             label = f"δ = {horizon:g} Å, trained on {name}"
-            table[label] = []
-            for h, points in zip(tqdm(spacings, desc=label), disks):
-                fits = horizon / h >= 2
-                table[label].append(displacement_error(model, points) if fits else np.nan)
-    assert first is not None
-    model = first
+            table[label] = [
+                displacement_error(models[-1], points) if horizon / h >= 2 else np.nan
+                for h, points in zip(tqdm(spacings, desc=label), disks)
+            ]
     single, two = (table[f"δ = 20 Å, trained on {name}"] for name in ("5 Å", "5 and 2.5 Å"))
     short = table["δ = 12.5 Å, trained on 5 and 2.5 Å"]
-    return Entry(
-        *written(
-            "spacing",
-            one_fine=100 * single[0],
-            one_own=100 * single[3],
-            both_fine=100 * two[0],
-            both_own=100 * two[3],
-            both_third=100 * two[1],
-            both_four=100 * two[2],
-            short_third=100 * short[1],
-            short_four=100 * short[2],
-        ),
-        [
-            words(lambda: warp_peri.evaluate(model, disks[0])),
-            words(
-                lambda: (
-                    warp_peri.solve(
-                        model,
-                        warp_peri.Dirichlet(disks[0], disks[0].loads, disks[0].u),
-                        allow_uncertified=True,
-                    ).u
-                )
-            ),
-        ],
-        draw_spacings(spacings, table),
-        {"spacings": spacings, "E_u": table},
+    named = {
+        "one_fine": single[0], "one_own": single[3], "both_fine": two[0], "both_own": two[3],
+        "both_third": two[1], "both_four": two[2], "short_third": short[1], "short_four": short[2],
+    }  # fmt: skip
+    fine = wp.Dirichlet(disks[0], disks[0].loads, disks[0].u)
+    seen = (
+        lambda: wp.evaluate(models[0], disks[0]),
+        lambda: wp.solve(models[0], fine, allow_uncertified=True).u,
     )
-
-
-def draw_spacings(spacings: Sequence[float], table: Mapping[str, Sequence[float]]) -> Figure:
-    """Errors on the disks by the spacing of their nodes, for each training."""
-    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
-    for number, (label, values) in enumerate(table.items()):
-        style = "o--" if number % 2 == 0 else "s-"
-        ratio = np.array(spacings) / 5.0
-        ax.semilogy(ratio, 100 * np.array(values), style, color=f"C{number // 2}", label=label)
-    ax.set_xlabel("spacing of the nodes / 5 Å")
-    ax.set_ylabel("E_u on held-out disks [%]")
-    ax.legend(frameon=False, ncols=2, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    return figure
+    figure, ax = panels()
+    axes = {"xlabel": "spacing of the nodes / 5 Å", "ylabel": "E_u on held-out disks [%]"}
+    styles = "C0o--", "C0s-", "C1o--", "C1s-"
+    ratios = np.array(spacings) / 5.0
+    curves(ax, "semilogy", ratios, table, *styles, scale=100, legend=ABOVE, **axes)
+    numbers = {name: 100 * value for name, value in named.items()}
+    return entry("spacing", numbers, seen, figure, {"spacings": spacings, "E_u": table})
 
 
 def plain_symbol(alpha: float, ratio: float) -> tuple[float, float, float]:
@@ -112,37 +243,23 @@ def steep_kernels() -> Entry:
         dict(zip((1.0, 2.9, 2.999, 6.0, 10.0), column))
         for column in zip(*(plain_symbol(alpha, 3.0) for alpha in (1.0, 2.9, 2.999, 6.0, 10.0)))
     )
-    return Entry(
-        *written(
-            "exponent",
-            shear_29=shear[2.9],
-            shear_2999=shear[2.999],
-            shear_6=shear[6.0],
-            shear_10=shear[10.0],
-            symbol_2999=symbol[2.999],
-            share_1=share[1.0],
-            share_2999=share[2.999],
-            share_10=share[10.0],
-        ),
-        [words(lambda: Model(LAM, MU, 3.0, np.ones(1), 3.0))],
-        draw_exponents(alphas, table),
-        {"alpha": alphas, "by ratio": {str(ratio): values for ratio, values in table.items()}},
-    )
-
-
-def draw_exponents(alphas: np.ndarray, table: Mapping[float, np.ndarray]) -> Figure:
-    """Shear modulus and smallest symbol by exponent, for each δ/h."""
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    for ratio, values in table.items():
-        for ax, column in zip(axes, (0, 1)):
-            ax.plot(alphas, values[:, column], label=f"δ/h = {ratio:g}")
-    for ax, name in zip(axes, ("C44/μ of the discrete operator", "smallest D(k)/s(k) / μ")):
+    numbers = {
+        "shear_29": shear[2.9], "shear_2999": shear[2.999], "shear_6": shear[6.0],
+        "shear_10": shear[10.0], "symbol_2999": symbol[2.999],
+        "share_1": share[1.0], "share_2999": share[2.999], "share_10": share[10.0],
+    }  # fmt: skip
+    figure, axes = panels(10, 4, count=2)
+    names = "C44/μ of the discrete operator", "smallest D(k)/s(k) / μ"
+    for column, (ax, name) in enumerate(zip(axes, names)):
+        for ratio, rows in table.items():
+            ax.plot(alphas, rows[:, column], label=f"δ/h = {ratio:g}")
         ax.axvspan(3, 10, color="0.9")
         ax.axhline(0, color="0.6", linewidth=0.8)
-        ax.set_xlabel("exponent α of K = r^(−α) (grey: refused)")
-        ax.set_ylabel(name)
+        ax.set(xlabel="exponent α of K = r^(−α) (grey: refused)", ylabel=name)
     axes[0].legend(frameon=False)
-    return figure
+    values = {"alpha": alphas, "by ratio": {str(ratio): rows for ratio, rows in table.items()}}
+    refused = (lambda: Model(LAM, MU, 3.0, np.ones(1), 3.0),)
+    return entry("exponent", numbers, refused, figure, values)
 
 
 def short_horizons() -> Entry:
@@ -154,21 +271,26 @@ def short_horizons() -> Entry:
     weights = [bond_classes(1.0, ratio).weight for ratio in kept]
     lowest = np.array([float((weight / weight.max()).min()) for weight in weights])
     negative = kept[lowest < 0]
-    return Entry(
-        *written(
-            "horizon",
-            accepted=max(residual for residual in residuals if residual <= RESIDUAL),
-            functions=2 + 1 + 3 + 4 + 5 + 6 - 3,
-            residual_19=residuals[int(np.argmin(np.abs(ratios - 1.9)))],
-            residual_2=residuals[int(np.argmin(np.abs(ratios - 2.0)))],
-            smallest=min(symbols),
-            smallest_ratio=kept[int(np.argmin(symbols))],
-            negative=f"{negative.min():.2f} to {negative.max():.2f}" if len(negative) else "none",
-        ),
-        [words(lambda: bond_classes(5.0, 9.9)), words(lambda: bond_classes(5.0, 4.0))],
-        draw_horizons(ratios, residuals, kept, symbols, lowest),
-        {"ratio": ratios, "residual": residuals, "kept": kept, "symbol_min": symbols},
-    )
+    numbers = {
+        "accepted": max(residual for residual in residuals if residual <= RESIDUAL),
+        "functions": 2 + 1 + 3 + 4 + 5 + 6 - 3,
+        "residual_19": residuals[int(np.argmin(np.abs(ratios - 1.9)))],
+        "residual_2": residuals[int(np.argmin(np.abs(ratios - 2.0)))],
+        "smallest": min(symbols),
+        "smallest_ratio": kept[int(np.argmin(symbols))],
+        "negative": f"{negative.min():.2f} to {negative.max():.2f}" if len(negative) else "none",
+    }
+    figure, (left, right) = panels(10, 4, count=2)
+    left.semilogy(ratios, residuals, ".-")
+    left.axhline(RESIDUAL, color="C3", linewidth=0.8, label="accepted")
+    left.set(xlabel="δ/h", ylabel="relative residual of the quadrature's conditions")
+    left.legend(frameon=False)
+    rows = {"smallest D(k)/s(k) / μ, K = 1/r": symbols, "smallest weight / largest": lowest}
+    curves(right, "plot", kept, rows, ".", xlabel="δ/h")
+    right.axhline(0, color="0.6", linewidth=0.8)
+    seen = (lambda: bond_classes(5.0, 9.9), lambda: bond_classes(5.0, 4.0))
+    values = {"ratio": ratios, "residual": residuals, "kept": kept, "symbol_min": symbols}
+    return entry("horizon", numbers, seen, figure, values)
 
 
 def weight_residual(ratio: float) -> float:
@@ -178,28 +300,6 @@ def weight_residual(ratio: float) -> float:
     length = np.hypot(*steps.T)
     xi = steps[(length > 0) & (length <= ratio * (1 + 1e-6))].astype(float)
     return max(float(family_weights(xi[None], ratio)[1][0]), 1e-17)
-
-
-def draw_horizons(
-    ratios: np.ndarray,
-    residuals: Sequence[float],
-    kept: np.ndarray,
-    symbols: Sequence[float],
-    lowest: np.ndarray,
-) -> Figure:
-    """Residual of the weights, and where they exist the symbol and the smallest of them."""
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    axes[0].semilogy(ratios, residuals, ".-")
-    axes[0].axhline(RESIDUAL, color="C3", linewidth=0.8, label="accepted")
-    axes[0].set_ylabel("relative residual of the quadrature's conditions")
-    axes[0].legend(frameon=False)
-    axes[1].plot(kept, symbols, ".", label="smallest D(k)/s(k) / μ, K = 1/r")
-    axes[1].plot(kept, lowest, ".", label="smallest weight / largest")
-    axes[1].axhline(0, color="0.6", linewidth=0.8)
-    axes[1].legend(frameon=False)
-    for ax in axes:
-        ax.set_xlabel("δ/h")
-    return figure
 
 
 def large_degrees(data: Dataset) -> Entry:
@@ -215,49 +315,27 @@ def large_degrees(data: Dataset) -> Entry:
     errors, swings = [], []
     r = np.linspace(train.spacing, horizon, 2000)
     for degree in tqdm(tried, desc="high degrees"):
-        fit = warp_peri.fit(
-            train, warp_peri.LPS(horizon=horizon, kernel=warp_peri.Bernstein(degree))
-        )
+        fit = wp.fit(train, wp.LPS(horizon, wp.Bernstein(degree)))
         errors.append(fit.history[-1].E_res_train)
         at_bonds = np.abs(fit.material.influence(classes.r)).max()
         swings.append(float(np.abs(fit.material.influence(r)).max() / at_bonds))
     worst, widest = int(np.argmax(condition)), int(np.argmax(swings))
-    return Entry(
-        *written(
-            "degree",
-            worst=condition[worst],
-            worst_degree=degrees[worst],
-            condition_8=condition[degrees.index(8)],
-            error_10=100 * errors[tried.index(10)],
-            error_100=100 * errors[tried.index(100)],
-            swing=swings[widest],
-            swing_degree=tried[widest],
-            swing_100=swings[tried.index(100)],
-        ),
-        [words(lambda: bernstein_basis(classes.r, horizon, 1030))],
-        draw_degrees((degrees, condition), (tried, errors, swings)),
-        {
-            "degrees": degrees,
-            "condition": condition,
-            "tried": tried,
-            "E_res": errors,
-            "swing": swings,
-        },
-    )
-
-
-def draw_degrees(basis: tuple[Any, Any], fits: tuple[Any, Any, Any]) -> Figure:
-    """Degrees and condition of the basis; degrees, errors and swings of fits."""
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-    degrees, condition = basis
-    axes[0].loglog(np.maximum(degrees, 0.5), condition, "o-")
-    axes[0].set_ylabel("condition of B_k,M(r_c/δ), 9 bond lengths, δ = 4h")
-    tried, errors, swings = fits
-    axes[1].plot(np.maximum(tried, 0.5), 100 * np.array(errors), "o-", label="E_res, training [%]")
-    axes[1].plot(np.maximum(tried, 0.5), swings, "s-", label="max |K| between bonds / at bonds")
-    axes[1].set_xscale("log")
-    axes[1].set_yscale("log")
-    axes[1].legend(frameon=False)
-    for ax in axes:
-        ax.set_xlabel("degree M")
-    return figure
+    numbers = {
+        "worst": condition[worst], "worst_degree": degrees[worst],
+        "condition_8": condition[degrees.index(8)], "swing_100": swings[tried.index(100)],
+        "error_10": 100 * errors[tried.index(10)], "error_100": 100 * errors[tried.index(100)],
+        "swing": swings[widest], "swing_degree": tried[widest],
+    }  # fmt: skip
+    figure, (left, right) = panels(10, 4, count=2)
+    left.loglog(np.maximum(degrees, 0.5), condition, "o-")
+    left.set(xlabel="degree M", ylabel="condition of B_k,M(r_c/δ), 9 bond lengths, δ = 4h")
+    rows = {
+        "E_res, training [%]": 100 * np.array(errors),
+        "max |K| between bonds / at bonds": np.array(swings),
+    }
+    curves(right, "loglog", np.maximum(tried, 0.5), rows, "o-", "s-", xlabel="degree M")
+    values = {
+        "degrees": degrees, "condition": condition, "tried": tried, "E_res": errors, "swing": swings
+    }  # fmt: skip
+    refused = (lambda: bernstein_basis(classes.r, horizon, 1030),)
+    return entry("degree", numbers, refused, figure, values)

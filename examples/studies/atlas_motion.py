@@ -1,35 +1,27 @@
 """Stability atlas: explicit dynamics, waves against phonons, strains beyond the linear range."""
 
-from __future__ import annotations
-
-import functools
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
-import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
-import warp_peri
-from examples.studies.atlas_entry import Entry, words, written
+import warp_peri as wp
+from examples.figures import curves, panels
+from examples.studies.atlas_entry import Entry, entry, words
 from tools.graphene import SHEET_CELLS, bond_length, sheet
-from tools.hessian import ColouredHessian
 from tools.lammps_session import CARBON_MASS, POTENTIAL, LammpsSession
 from tools.loads import WaveLoad, atom_force
 from tools.make_graphene import point_set
 from tools.samples import Piece, Sample
-from tools.statics import ConvergenceError, Statics, find_bonds
+from tools.statics import ColouredHessian, ConvergenceError, Statics, find_bonds
+from warp_peri import Dataset, Dirichlet, Model, Points, move
 from warp_peri.dynamics import verlet
-from warp_peri.dynamics.verlet import INERTIA, critical_time_step
-from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.dynamics.verlet import INERTIA
+from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import symbol
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
-from warp_peri.problems import Dirichlet
-from warp_peri.solving import move
+from warp_peri.proofs import critical_time_step
 from warp_peri.structures.calculators import potential_file
 
 DENSITY = 2147.0
@@ -56,12 +48,8 @@ def box_of_the_stiffest(model: Model, spacing: float) -> tuple[Points, float]:
     omega = frequencies(model, spacing, 1.0, k)[:, 1]
     shape = []
     for fraction in k[omega.argmax()] * spacing / (2 * np.pi):
-        size = next(n for n in range(1, part + 1) if abs(n * fraction - round(n * fraction)) < 1e-9)
-        while size <= 2 * model.horizon / spacing:
-            size += next(
-                n for n in range(1, part + 1) if abs(n * fraction - round(n * fraction)) < 1e-9
-            )
-        shape.append(size)
+        period = next(n for n in range(1, 49) if abs(n * fraction - round(n * fraction)) < 1e-9)
+        shape.append(period * (int(2 * model.horizon / spacing / period) + 1))
     steps = np.argwhere(np.ones(shape))
     box = (spacing * shape[0], spacing * shape[1])
     points = Points(spacing * steps, np.ones(len(steps), bool), spacing, box=box)
@@ -77,35 +65,33 @@ def critical_step(model: Model) -> Entry:
         "r^(−2.9), δ = 2h": Model(-0.2, 0.72, 2.9, np.ones(1), 10.0, certified_on=(spacing,)),
     }
     growth: dict[str, list[float]] = {}
-    sharpness, shapes = {}, {}
-    refused = ""
+    sharpness, shapes = {}, []
     for number, (name, solid) in enumerate(models.items()):
         points, stiffest = box_of_the_stiffest(solid, spacing)
         critical = critical_time_step(solid, spacing=spacing, density=DENSITY)
         sharpness[name] = 2 * np.sqrt(DENSITY) / stiffest / critical - 1
-        shapes[name] = "×".join(f"{side / spacing:.0f}" for side in points.box or ())
+        shapes.append(f"{name}: {'×'.join(f'{side / spacing:.0f}' for side in points.box or ())}")
         u = np.random.default_rng(number).normal(size=points.x.shape)
         growth[name] = [
             largest_growth(solid, points, u, part * critical)
             for part in tqdm(PARTS, desc=f"time step, {name}")
         ]
-        refused = words(functools.partial(one_step, solid, points, 1.01 * critical))
-    above = min(values[PARTS.index(1.01)] for values in growth.values())
-    return Entry(
-        *written(
-            "time-step",
-            sharpness=max(abs(value) for value in sharpness.values()),
-            shapes=", ".join(f"{name}: {shape}" for name, shape in shapes.items()),
-            below=max(values[PARTS.index(0.99)] for values in growth.values()),
-            above=above,
-            least_sharp=min(sharpness.values()),
-            most_sharp=max(sharpness.values()),
-            femtoseconds=1000 * critical_time_step(model, spacing=spacing, density=DENSITY),
-        ),
-        [refused],
-        draw_growth(growth),
-        {"part": PARTS, "growth": growth, "sharpness": sharpness},
-    )
+    rest = Dirichlet(points, None, 0 * points.x)
+    refused = words(lambda: move(solid, rest, density=DENSITY, step=1.01 * critical, steps=1))
+    numbers = {
+        "sharpness": max(abs(value) for value in sharpness.values()), "shapes": ", ".join(shapes),
+        "below": max(values[PARTS.index(0.99)] for values in growth.values()),
+        "above": min(values[PARTS.index(1.01)] for values in growth.values()),
+        "least_sharp": min(sharpness.values()), "most_sharp": max(sharpness.values()),
+        "femtoseconds": 1000 * critical_time_step(model, spacing=spacing, density=DENSITY),
+    }  # fmt: skip
+    figure, ax = panels()
+    axes = {"xlabel": "time step / proven critical step"}
+    axes["ylabel"] = "largest |u| after 400 steps / at the start"
+    curves(ax, "semilogy", PARTS, growth, "o-", **axes)
+    ax.axvline(1, color="0.6", linewidth=0.8)
+    values = {"part": PARTS, "growth": growth, "sharpness": sharpness}
+    return entry("time-step", numbers, [refused], figure, values)
 
 
 def largest_growth(model: Model, points: Points, u: np.ndarray, step: float) -> float:
@@ -118,24 +104,6 @@ def largest_growth(model: Model, points: Points, u: np.ndarray, step: float) -> 
     return float(np.abs(state.u).max() / np.abs(u).max())
 
 
-def one_step(model: Model, points: Points, step: float) -> None:
-    """A step from rest, refused where it is too long."""
-    rest = 0 * points.x
-    move(model, Dirichlet(points, None, rest), density=DENSITY, step=step, steps=1)
-
-
-def draw_growth(growth: Mapping[str, Sequence[float]]) -> Figure:
-    """Growth by time step, for each model."""
-    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
-    for name, values in growth.items():
-        ax.semilogy(PARTS, values, "o-", label=name)
-    ax.axvline(1, color="0.6", linewidth=0.8)
-    ax.set_xlabel("time step / proven critical step")
-    ax.set_ylabel("largest |u| after 400 steps / at the start")
-    ax.legend(frameon=False)
-    return figure
-
-
 def energy_drift(model: Model, steps: int) -> Entry:
     """The energy that leapfrog keeps, over many steps."""
     spacing, side = 5.0, 10
@@ -144,25 +112,17 @@ def energy_drift(model: Model, steps: int) -> Entry:
     points = Points(spacing * nodes, np.ones(len(nodes), bool), spacing, box=box)
     u = np.random.default_rng(0).normal(size=points.x.shape)
     step = 0.9 * critical_time_step(model, spacing=spacing, density=DENSITY)
-    motion = move(
-        model, Dirichlet(points, None, u), density=DENSITY, step=step, steps=steps,
-        every=max(1, steps // 1000),
-    )  # fmt: skip
-    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
+    how = {"density": DENSITY, "step": step}
+    every = max(1, steps // 1000)
+    motion = move(model, Dirichlet(points, None, u), **how, steps=steps, every=every)
+    figure, ax = panels()
     ax.plot(motion.time / step, motion.energy / motion.energy[0] - 1, linewidth=0.8)
-    ax.set_xlabel("step")
-    ax.set_ylabel("E(n + ½)/E(½) − 1")
+    ax.set(xlabel="step", ylabel="E(n + ½)/E(½) − 1")
     cloud = Points(points.x + 0.1 * u, points.interior, 0.0)
-    return Entry(
-        *written("energy", drift=motion.drift, steps=steps, side=side),
-        [
-            words(
-                lambda: move(model, Dirichlet(cloud, None, u), density=DENSITY, step=step, steps=1)
-            )
-        ],
-        figure,
-        {"steps": steps, "drift": motion.drift},
-    )
+    numbers = {"drift": motion.drift, "steps": steps, "side": side}
+    seen = (lambda: move(model, Dirichlet(cloud, None, u), **how, steps=1),)
+    values = {"steps": steps, "drift": motion.drift}
+    return entry("energy", numbers, seen, figure, values)
 
 
 def phonons(k: np.ndarray) -> np.ndarray:
@@ -207,86 +167,59 @@ def dispersion(model: Model, data: Dataset) -> Entry:
         k = size[:, None] * np.array(direction)
         learned = frequencies(model, spacing, data.density, k)
         branches[name] = {"k": size, "atoms": phonons(k), "model": learned}
-    worst = {
-        part: max(
-            float(
-                np.abs(branch["model"] / branch["atoms"] - 1)[
-                    size <= part * edge * (1 + 1e-9)
-                ].max()
-            )
-            for branch in branches.values()
-        )
-        for part in (0.25, 0.5, 1.0)
-    }
-    elastic = {
-        part: max(
-            float(np.abs(speeds * part * edge / branch["atoms"][int(50 * part) - 1] - 1).max())
-            for branch in branches.values()
-        )
-        for part in (0.5, 1.0)
-    }
+    worst, elastic = {}, {}
+    for part in (0.25, 0.5, 1.0):
+        within = size <= part * edge * (1 + 1e-9)
+        off = [np.abs(b["model"] / b["atoms"] - 1)[within].max() for b in branches.values()]
+        worst[part] = float(max(off))
+        last = int(50 * part) - 1
+        off = [np.abs(speeds * part * edge / b["atoms"][last] - 1).max() for b in branches.values()]
+        elastic[part] = float(max(off))
     bare = Model(model.lam, model.mu, model.alpha, model.D, model.horizon)
-    return Entry(
-        *written(
-            "dispersion",
-            quarter=worst[0.25],
-            half=worst[0.5],
-            whole=worst[1.0],
-            edge=edge,
-            elastic_half=elastic[0.5],
-            elastic_whole=elastic[1.0],
-            reach=float(data["train"].arrays["wave_number"].max() / np.sqrt(2)),
-        ),
-        [words(lambda: critical_time_step(bare, spacing=spacing, density=DENSITY))],
-        draw_branches(branches, speeds),
-        {"branches": branches, "worst": worst},
-    )
-
-
-def draw_branches(branches: Mapping[str, Mapping[str, np.ndarray]], speeds: np.ndarray) -> Figure:
-    """Both acoustic branches of atoms and model in each direction, and elasticity's."""
-    figure, axes = plt.subplots(1, 2, figsize=(10.5, 4), layout="constrained")
+    numbers = {
+        "quarter": worst[0.25], "half": worst[0.5], "whole": worst[1.0], "edge": edge,
+        "elastic_half": elastic[0.5], "elastic_whole": elastic[1.0],
+        "reach": float(data["train"].arrays["wave_number"].max() / np.sqrt(2)),
+    }  # fmt: skip
+    figure, axes = panels(10.5, 4, count=2)
     for ax, (name, branch) in zip(axes, branches.items()):
-        k = branch["k"]
         for number, label in enumerate(("transverse", "longitudinal")):
             colour = f"C{number}"
-            ax.plot(k, branch["atoms"][:, number], color=colour, label=f"{label}, atoms")
-            ax.plot(k, branch["model"][:, number], "--", color=colour, label=f"{label}, model")
-            ax.plot(k, speeds[number] * k, ":", color=colour, linewidth=0.8)
-        ax.set_xlabel("|k| [1/Å], up to π/h of the 5 Å nodes")
-        ax.set_ylabel("ω [1/ps]")
+            ax.plot(size, branch["atoms"][:, number], color=colour, label=f"{label}, atoms")
+            ax.plot(size, branch["model"][:, number], "--", color=colour, label=f"{label}, model")
+            ax.plot(size, speeds[number] * size, ":", color=colour, linewidth=0.8)
+        ax.set(xlabel="|k| [1/Å], up to π/h of the 5 Å nodes", ylabel="ω [1/ps]")
         ax.set_title(f"along {name} (dotted: elasticity)")
     axes[0].legend(frameon=False, fontsize="small")
-    return figure
+    refused = (lambda: critical_time_step(bare, spacing=spacing, density=DENSITY),)
+    values = {"branches": branches, "worst": worst}
+    return entry("dispersion", numbers, refused, figure, values)
 
 
 def strained_samples(
     load: WaveLoad, strains: Sequence[float], body: Piece, statics: Statics
 ) -> tuple[list[Sample], str]:
     """Equilibria of one load at rising bond strains; ends at the first that is not found."""
-    unit = atom_force(
-        load.shape(statics.reference, body.box), 3 * np.sqrt(3) / 4 * body.bond**2, 3.35
-    )
+    shape = load.shape(statics.reference, body.box)
+    unit = atom_force(shape, 3 * np.sqrt(3) / 4 * body.bond**2, 3.35)
     linear = statics.linear_response(unit)
     scale = 1e-6 / np.abs(linear).max()
     per_strain = scale / statics.max_bond_strain(scale * linear)
-    samples, guess, before, end = [], linear, 0.0, ""
+    samples: list[Sample] = []
+    guess, before = linear, 0.0
     for strain in strains:
         amplitude = strain * per_strain
         start = amplitude * linear if before == 0 else guess * (amplitude / before)
         try:
             rest = statics.equilibrium(amplitude * unit, name=load.load_id, guess=start)
         except ConvergenceError as error:
-            end = str(error)
-            break
-        reached = statics.max_bond_strain(rest.displacement)
-        samples.append(
-            Sample(
-                statics.reference, rest.displacement, rest.force, amplitude, reached, rest.residual
-            )
-        )
+            return samples, str(error)
         guess, before = rest.displacement, amplitude
-    return samples, end
+        reached = statics.max_bond_strain(guess)
+        samples.append(
+            Sample(statics.reference, guess, rest.force, amplitude, reached, rest.residual)
+        )
+    return samples, ""
 
 
 def large_strains(model: Model) -> Entry:
@@ -296,61 +229,34 @@ def large_strains(model: Model) -> Entry:
     positions = body.positions()
     aimed = (0.001, 0.003, 0.01, 0.02, 0.03, 0.05, 0.07, 0.1)
     table: dict[str, dict[str, list[float]]] = {}
-    last: Samples | None = None
     ends = []
     with LammpsSession(positions, box=body.box, potential=potential) as session:
         statics = Statics(positions, box=body.box, session=session)
         for load in (WaveLoad(0, (1, 0)), WaveLoad(0, (0, 1)), WaveLoad(1, (2, 3))):
-            samples, end = strained_samples(
-                load, tqdm(aimed, desc=f"strains, {load.load_id}"), body, statics
-            )
+            bar = tqdm(aimed, desc=f"strains, {load.load_id}")
+            samples, end = strained_samples(load, bar, body, statics)
             last = point_set(body, [load] * len(samples), samples, spacing=5.0)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                errors = warp_peri.evaluate(model, last)["E_u_samples"]
+            with warnings.catch_warnings(action="ignore"):
+                errors = wp.evaluate(model, last)["E_u_samples"]
             strain = [sample.max_bond_strain for sample in samples]
             table[load.load_id] = {"strain": strain, "E_u": errors}
             ends += [end] if end else []
-    assert last is not None
-    points = last
     steep = max(table, key=lambda name: table[name]["E_u"][-1] / table[name]["E_u"][0])
     percent = {name: 100 * np.array(values) for name, values in table[steep].items()}
-    return Entry(
-        *written(
-            "strain",
-            load=steep,
-            first=percent["E_u"][0],
-            training=percent["E_u"][3],
-            last=percent["E_u"][-1],
-            training_strain=percent["strain"][3],
-            last_strain=percent["strain"][-1],
-            reach=100 * max(max(row["strain"]) for row in table.values()),
-            low=100 * max(row["E_u"][0] for row in table.values()),
-            high=100 * max(row["E_u"][-1] for row in table.values()),
-            lost=f" Beyond that no equilibrium was found for {len(ends)} of the loads."
-            if ends
-            else "",
-        ),
-        [
-            words(
-                lambda: (
-                    warp_peri.solve(model, warp_peri.Dirichlet(points, points.loads, points.u)).u
-                )
-            )
-        ],
-        draw_strains(table),
-        {"loads": table, "ends": ends},
-    )
-
-
-def draw_strains(table: Mapping[str, Mapping[str, Sequence[float]]]) -> Figure:
-    """Errors by strain, for each load."""
-    figure, ax = plt.subplots(figsize=(6.4, 4.2), layout="constrained")
-    for load, row in table.items():
-        strain, error = np.array(row["strain"]), np.array(row["E_u"])
-        ax.loglog(100 * strain, 100 * error, "o-", label=load)
+    lost = f" Beyond that no equilibrium was found for {len(ends)} of the loads."
+    numbers = {
+        "load": steep, "first": percent["E_u"][0], "training": percent["E_u"][3],
+        "last": percent["E_u"][-1], "training_strain": percent["strain"][3],
+        "last_strain": percent["strain"][-1],
+        "reach": 100 * max(max(row["strain"]) for row in table.values()),
+        "low": 100 * max(row["E_u"][0] for row in table.values()),
+        "high": 100 * max(row["E_u"][-1] for row in table.values()), "lost": lost if ends else "",
+    }  # fmt: skip
+    figure, ax = panels()
+    for name, row in table.items():
+        ax.loglog(100 * np.array(row["strain"]), 100 * np.array(row["E_u"]), "o-", label=name)
     ax.axvline(2, color="0.6", linewidth=0.8)
-    ax.set_xlabel("largest bond strain [%] (line: training)")
-    ax.set_ylabel("E_u [%]")
+    ax.set(xlabel="largest bond strain [%] (line: training)", ylabel="E_u [%]")
     ax.legend(frameon=False)
-    return figure
+    seen = (lambda: wp.solve(model, Dirichlet(last, last.loads, last.u)).u,)
+    return entry("strain", numbers, seen, figure, {"loads": table, "ends": ends})

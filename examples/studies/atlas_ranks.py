@@ -1,19 +1,16 @@
 """What goes wrong where a solve is spread over ranks: a filter that is cut off, blocks alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import numpy as np
 import scipy.sparse as sp
-from matplotlib.figure import Figure
 from scipy.sparse.linalg import splu
 
-import warp_peri
-from examples.studies.atlas_entry import Entry, words, written
+import warp_peri as wp
+from examples.figures import curves, panels
+from examples.studies.atlas_entry import Entry, entry
 from warp_peri.ranks.multigrid import bartlett, cut, folded, hann, short_inverse, smallest
 from warp_peri.statics.conjugate_gradients import Inner, definite
 
@@ -32,7 +29,7 @@ ARRAYS = Inner(
 
 def filters() -> Entry:
     """The smallest eigenvalue of cut filters, and iterations by the number of blocks."""
-    law = warp_peri.micromodulus.tensors_of(warp_peri.load(MODEL), 5.0)
+    law = wp.micromodulus.tensors_of(wp.load(MODEL), 5.0)
     tensors = law.tensors * law.spacing**2
     windows: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         "none": lambda away: 0 * away + 1,
@@ -47,15 +44,20 @@ def filters() -> Entry:
             least[name].append(smallest(folded(cut(kernel, window), torus)) / largest)
     counts = [in_blocks(law, blocks) for blocks in BLOCKS]
     worst = int(np.argmin(least["none"]))
-    return Entry(
-        *written(
-            "ranks", least=least["none"][worst], width=WIDTHS[worst], hann=min(least["Hann"]),
-            counts=" → ".join(map(str, counts)), blocks=", ".join(map(str, BLOCKS)),
-        ),
-        [words(lambda: cut_off(law, WIDTHS[worst]))],
-        draw(least, counts),
-        {"width": WIDTHS, "smallest": least, "blocks": BLOCKS, "iterations": counts},
-    )  # fmt: skip
+    figure, (left, right) = panels(8, 3.6, count=2)
+    axes = {"xlabel": "reach of the filter [nodes]", "ylabel": "smallest eigenvalue over largest"}
+    rows = {f"window: {name}": row for name, row in least.items()}
+    curves(left, "plot", WIDTHS, rows, "o-", **axes)
+    left.axhline(0, color="0.6", linewidth=0.8)
+    left.set_yscale("symlog", linthresh=1e-3)
+    right.plot(BLOCKS, counts, "o-")
+    right.set(xlabel="blocks that are inverted alone", ylabel="iterations", ylim=(0, None))
+    numbers = {
+        "least": least["none"][worst], "width": WIDTHS[worst], "hann": min(least["Hann"]),
+        "counts": " → ".join(map(str, counts)), "blocks": ", ".join(map(str, BLOCKS)),
+    }  # fmt: skip
+    values = {"width": WIDTHS, "smallest": least, "blocks": BLOCKS, "iterations": counts}
+    return entry("ranks", numbers, (lambda: cut_off(law, WIDTHS[worst]),), figure, values)
 
 
 def in_blocks(law, blocks: int) -> int:
@@ -76,7 +78,7 @@ def plate(law) -> sp.csr_array:
     collar = int(np.abs(law.steps).max())
     x = np.argwhere(np.ones((SIDE + 2 * collar,) * 2)) - collar
     inside = ((x >= 0) & (x < SIDE)).all(axis=1)
-    points = warp_peri.Points(law.spacing * x, np.asarray(inside), law.spacing)
+    points = wp.Points(law.spacing * x, np.asarray(inside), law.spacing)
     columns = np.flatnonzero(np.repeat(inside, 2))
     return sp.csr_array(law.on(points).matrix().tocsc()[:, columns])
 
@@ -96,17 +98,3 @@ def cut_off(law, width: int) -> None:
 
     load = np.random.default_rng(0).normal(size=matrix.shape[0])
     definite(lambda p: matrix @ p, precondition, load, 1e-8, inner=ARRAYS)
-
-
-def draw(least: dict[str, list[float]], counts: list[int]) -> Figure:
-    """Both measurements."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(8, 3.6), layout="constrained")
-    for name, values in least.items():
-        left.plot(WIDTHS, values, "o-", label=f"window: {name}")
-    left.axhline(0, color="0.6", linewidth=0.8)
-    left.set_yscale("symlog", linthresh=1e-3)
-    left.set(xlabel="reach of the filter [nodes]", ylabel="smallest eigenvalue over largest")
-    left.legend(frameon=False)
-    right.plot(BLOCKS, counts, "o-")
-    right.set(xlabel="blocks that are inverted alone", ylabel="iterations", ylim=(0, None))
-    return figure

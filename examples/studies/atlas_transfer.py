@@ -1,18 +1,18 @@
-"""Stability atlas: what a transfer to other lattices and to scattered points cannot give."""
-
-from __future__ import annotations
+"""Stability atlas: what a transfer, a family, and a supercell cannot give."""
 
 import warnings
-from collections.abc import Mapping
 
-import matplotlib.pyplot as plt
+import ase.build
 import numpy as np
-from matplotlib.figure import Figure
+from ase.calculators.emt import EMT
 
-import warp_peri
-from examples.studies.atlas_entry import Entry, words, written
-from warp_peri.lps.model import Model
-from warp_peri.points.points import Points
+import warp_peri as wp
+from examples.figures import curves, panels
+from examples.studies.atlas_entry import Entry, entry
+from warp_peri import Model, Points
+from warp_peri.core.elastic import voigt
+from warp_peri.points.samples import part
+from warp_peri.prediction import Family
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.lattice import dispersion, home_of, new_lattice, rings, wave_errors
 
@@ -25,6 +25,9 @@ LONG, SHORT = 100.0, 25.0
 """Waves [Å] whose errors are named."""
 NODES, SHIFT = 5.0, 0.3
 """Spacing [Å] of the scattered nodes, and how far they are shifted, in spacings."""
+LEARNED = 45.0
+"""Waves that the family learns from are longer [Å]."""
+REPEATS = (2, 3, 4, 5, 6, 7)
 
 
 def transfers(model: Model) -> Entry:
@@ -38,40 +41,38 @@ def transfers(model: Model) -> Entry:
         worst = wave_errors(dispersion(other, spacing, rings(k)), target).max(axis=1)
         return np.where(k < np.pi / spacing, worst, np.nan)
 
-    curves = {f"{CARRIED:g} Å, K as it is": errors(model, CARRIED)}
+    table = {f"{CARRIED:g} Å, K as it is": errors(model, CARRIED)}
     for spacing in SPACINGS:
         there = new_lattice(model, spacing=spacing)
-        curves[f"{spacing:g} Å, δ = {there.horizon:.3g} Å"] = errors(there, spacing)
-    named = {
-        label: [_near(curve, length) for length in (LONG, SHORT)] for label, curve in curves.items()
-    }
-    carried, *_, coarse = named.values()
-    return Entry(
-        *written(
-            "transfer",
-            shortest=2 * np.pi / home.largest,
-            long=LONG,
-            short=SHORT,
-            carried=100 * carried[0],
-            transferred=100 * list(named.values())[SPACINGS.index(CARRIED) + 1][0],
-            coarse_long=100 * coarse[0],
-            coarse_short=100 * coarse[1],
-            smallest=warp_peri.certify(model, spacing=CARRIED).symbol_min,
-        ),
-        [
-            words(lambda: new_lattice(model, spacing=SPACINGS[0], shortest_wave=10.0)),
-            words(lambda: new_lattice(model, spacing=SPACINGS[-1], tolerance=1e-3)),
-            words(lambda: through(model, 8)),
-            words(lambda: model.on(nodes(20), allow_uncertified=True)),
-        ],
-        draw(curves, 2 * np.pi / home.largest),
-        {"wavelength": WAVELENGTHS, "error": curves},
+        table[f"{spacing:g} Å, δ = {there.horizon:.3g} Å"] = errors(there, spacing)
+    named = [
+        [100 * float(np.interp(1 / length, 1 / WAVELENGTHS, curve)) for length in (LONG, SHORT)]
+        for curve in table.values()
+    ]
+    shortest = 2 * np.pi / home.largest
+    numbers = {
+        "shortest": shortest, "long": LONG, "short": SHORT, "carried": named[0][0],
+        "transferred": named[SPACINGS.index(CARRIED) + 1][0],
+        "coarse_long": named[-1][0], "coarse_short": named[-1][1],
+        "smallest": wp.certify(model, spacing=CARRIED).symbol_min,
+    }  # fmt: skip
+    seen = (
+        lambda: new_lattice(model, spacing=SPACINGS[0], shortest_wave=10.0),
+        lambda: new_lattice(model, spacing=SPACINGS[-1], tolerance=1e-3),
+        lambda: through(model, 8),
+        lambda: model.on(nodes(20), allow_uncertified=True),
     )
-
-
-def _near(curve: np.ndarray, wavelength: float) -> float:
-    """A curve's value at a wavelength."""
-    return float(np.interp(1 / wavelength, 1 / WAVELENGTHS, curve))
+    figure, ax = panels(6.8, 4.2)
+    axes = {"xlabel": "wavelength [Å]", "ylabel": "displacement against home [%]"}
+    styles = ["k--"] + ["-"] * len(SPACINGS)
+    curves(ax, "loglog", WAVELENGTHS, table, *styles, scale=100, ylim=(0.1, 3000), **axes)
+    ax.axvspan(WAVELENGTHS.min(), shortest, color="0.9", label="beyond the data")
+    ticks = (12, 20, 30, 50, 100, 200)
+    ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
+    ax.minorticks_off()
+    ax.legend(frameon=False, fontsize=8)
+    values = {"wavelength": WAVELENGTHS, "error": table}
+    return entry("transfer", numbers, seen, figure, values)
 
 
 def nodes(half: int, interior: float = 20.0) -> Points:
@@ -84,20 +85,68 @@ def nodes(half: int, interior: float = 20.0) -> Points:
 
 def through(model: Model, half: int) -> ThroughLattice:
     """The operator on scattered nodes whose collar is as wide as `half` leaves."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the transfer says so
+    with warnings.catch_warnings(action="ignore"):  # the transfer says so
         return ThroughLattice(model, nodes(half))
 
 
-def draw(curves: Mapping[str, np.ndarray], shortest: float) -> Figure:
-    """Errors by wavelength, with the shortest wave of the data."""
-    figure, ax = plt.subplots(figsize=(6.8, 4.2), layout="constrained")
-    for number, (label, curve) in enumerate(curves.items()):
-        ax.loglog(WAVELENGTHS, 100 * curve, "k--" if number == 0 else "-", label=label)
-    ax.axvspan(WAVELENGTHS.min(), shortest, color="0.9", label="beyond the data")
-    ticks = (12, 20, 30, 50, 100, 200)
-    ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
-    ax.minorticks_off()
-    ax.set(xlabel="wavelength [Å]", ylabel="displacement against home [%]", ylim=(0.1, 3000))
-    ax.legend(frameon=False, fontsize=8)
-    return figure
+def short_waves(data: wp.Dataset) -> Entry:
+    """Likely and true errors of waves that are shorter than all that a family learned from."""
+    train = data["train"]
+    problem = wp.Dirichlet(train.points, train.loads, train.u)
+    length = 2 * np.pi / np.asarray(train.arrays["wave_number"])
+    seen = np.flatnonzero(length >= LEARNED)
+    law = wp.Micromodulus(15.0, "4mm", moduli="long waves")
+    family = wp.fit(part(train, seen), Family(law), progress=False).material
+    answers = wp.predict(family, problem, None)
+    assert isinstance(answers, tuple)
+    inside = train.interior
+    true = np.array(
+        [
+            np.linalg.norm((a.u - u)[inside]) / np.linalg.norm(u[inside])
+            for a, u in zip(answers, train.u)
+        ]
+    )
+    told = np.array([answer.error for answer in answers])
+    named = np.array([len(answer.uncovered) > 0 for answer in answers])
+    ratio, short = told / true, length < LEARNED
+    figure, ax = panels()
+    for some, style, label in (
+        (short & named, "C3o", "named as not covered"),
+        (short & ~named, "C1o", "shorter, not named"),
+        (~short, "C0o", "learned from"),
+    ):
+        ax.semilogy(length[some], ratio[some], style, label=label)
+    ax.axhline(1.0, color="k", lw=0.8)
+    ax.set(xlabel="wavelength [Å]", ylabel="likely error / true error")
+    ax.legend(frameon=False)
+    lowest = int(np.argmin(np.where(short, ratio, np.inf)))
+    numbers = {
+        "long": LEARNED, "loads": len(seen), "covered": 100 * float(np.mean(ratio[~short] >= 1)),
+        "least": float(ratio[~short].min()), "worst": float(ratio[lowest]),
+        "low": int(np.count_nonzero(short & (ratio < 1))),
+        "named": int(np.count_nonzero(short & (ratio < 1) & named)),
+    }  # fmt: skip
+    # The second is a law that is no family.
+    told_of = (answers[lowest].why, lambda: wp.predict(family.rich, problem))
+    values = {"wavelength": length.tolist(), "ratio": ratio.tolist(), **numbers}
+    return entry("predictions", numbers, told_of, figure, values)
+
+
+def narrow_supercells() -> Entry:
+    """Moduli of copper from supercells of several widths; simple cubic copper is no minimum."""
+    off = {}
+    for n in REPEATS:
+        found = wp.from_atoms(ase.build.bulk("Cu"), EMT(), supercell=(n, n, n))
+        assert found.strained is not None
+        law, true = voigt(found.tensor), voigt(found.strained)
+        off[n**3] = float(100 * np.abs(law - true).max() / np.abs(true).max())
+    figure, axes = panels(4.8, 3.4)
+    axes.loglog(list(off), list(off.values()), "o-")
+    axes.set(xlabel="atoms of the supercell", ylabel="moduli off finite strains [%]")
+    least, middle, most = min(off), REPEATS[2] ** 3, max(off)
+    numbers = {"worst": off[least], "half": off[middle], "good": off[most]}
+    numbers |= {"least": least, "middle": middle, "most": most}
+    cubic = ase.build.bulk("Cu", "sc", a=2.4)
+    seen = (lambda: wp.from_atoms(cubic, EMT(), supercell=(4, 4, 4)),)
+    values = {"atoms": list(off), "off": list(off.values())}
+    return entry("supercell", numbers, seen, figure, values)

@@ -5,37 +5,30 @@ either choice of conditions, with held or isotropic moduli, with two influence f
 training on two grids at once, solved on both and on a third that no fit saw.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import time
 import warnings
 from pathlib import Path
 from typing import Any
 
-from warp_peri import Bernstein
-from warp_peri.methods import Optimum, TwoStage
-
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-import warp_peri
+import warp_peri as wp
 from examples.train_graphene import DATA, make_data
 from tools.make_graphene import SMOOTHING_RADIUS, point_set, read_samples
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import Bernstein, Dataset, InputError, Model, Samples
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json, write_text
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.result import Fit
 from warp_peri.learning.two_stage import DenseMargins
-from warp_peri.lps.model import Model
-from warp_peri.points.dataset import Dataset
+from warp_peri.methods import Optimum, TwoStage
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
 
 UNSEEN_SPACING = 4.0
 """[Å]"""
@@ -52,7 +45,7 @@ def one_grid(data: Dataset) -> list[dict[str, Any]]:
         "Algorithm 1, ReLU in the loss": {"method": TwoStage(parametrisation="relu")},
         "Algorithm 1, projected bounds": {"method": TwoStage()},
         "constrained, direct": {},
-        "constrained, paper's (i), (iii)": {"conditions": warp_peri.methods.Conditions("paper")},
+        "constrained, paper's (i), (iii)": {"conditions": wp.methods.Conditions("paper")},
         "constrained, isotropic": {"method": Optimum(moduli="isotropic")},
         "constrained, true moduli held": {"method": Optimum(moduli=moduli)},
         "two functions": {"kernel": Bernstein(10, two_functions=True)},
@@ -80,7 +73,7 @@ def two_grids(data: Dataset, unseen: Samples) -> list[dict[str, Any]]:
         learned = fit(both, horizon=horizon, kernel=Bernstein(10))
         row = {"fit": f"δ = {horizon:g} Å", "seconds": time.perf_counter() - begin}
         row |= _numbers(learned)
-        third = warp_peri.certify(learned.material, spacing=unseen.spacing)
+        third = wp.certify(learned.material, spacing=unseen.spacing)
         row["c on the unseen grid"] = third.symbol_bound
         sets = {"h = 5 Å": data["test"], "h = 2.5 Å": data["test_fine"], "h = 4 Å": unseen}
         rows.append(row | _errors(learned.material, sets))
@@ -103,11 +96,10 @@ def _numbers(learned: Fit) -> dict[str, Any]:
 def _errors(model: Model, sets: dict[str, Samples]) -> dict[str, float | None]:
     """E_res and E_u of each set; None where the operator is indefinite and nothing is solved."""
     out: dict[str, float | None] = {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # an uncertified grid is what some rows are about
+    with warnings.catch_warnings(action="ignore"):  # some rows are about uncertified grids
         for name, points in sets.items():
             try:
-                table = warp_peri.evaluate(model, points, allow_uncertified=True)
+                table = wp.evaluate(model, points, allow_uncertified=True)
             except InputError:
                 table = {"E_res": None, "E_u": None}
             out |= {f"E_res {name}": table["E_res"], f"E_u {name}": table["E_u"]}
@@ -169,14 +161,10 @@ def report(single: list[dict[str, Any]], double: list[dict[str, Any]], dense: fl
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "compare_fits")
+    parser = Options(__doc__, "compare_fits")
+    parser.add("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     given = parser.parse_args(arguments)
-    data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
+    data = wp.load(make_data(given.jobs, SMOOTHING_RADIUS))
     body, loads, samples = read_samples(DATA.with_suffix(".cache"), "test")
     unseen = point_set(body, loads, samples, spacing=UNSEEN_SPACING)
     single, double = one_grid(data), two_grids(data, unseen)

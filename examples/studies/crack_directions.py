@@ -8,9 +8,6 @@ without a crack, pulled along either axis. For comparison, armchair cracks with 
 own, fitted on one of them.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from collections.abc import Callable
@@ -21,13 +18,14 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
 from examples.cracked_graphene import Continuum, fitted
+from examples.figures import panels
 from tools.cracked_sheet import cracked_sheet, critical_strain, finished, ideal_strength, opened
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 
@@ -72,11 +70,8 @@ def crack(turned: float, count: int, step: float) -> np.ndarray:
 class Sheets:
     """What sheets without a crack say: E and strength, and the continuum's release.
 
-    Attributes:
-        E: Young's modulus [TPa].
-        strengths: across zigzag rows and along them [TPa].
-        step: width of a hexagon [Å].
-        release: G at unit strain by half length in hexagons [TPa Å], of each sheet.
+    `E`: Young's modulus [TPa]; `strengths`: across zigzag rows and along them [TPa]; `step`: width
+    of a hexagon [Å]; `release`: G at unit strain by half length in hexagons [TPa Å], of each sheet.
     """
 
     E: float
@@ -138,13 +133,9 @@ def atoms(cases: tuple, step: float, kept: Path) -> dict[str, dict]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", type=int, default=len(CASES), help="how many of them")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "crack_directions")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "crack_directions", json=True)
+    parser.add("--cases", type=int, default=len(CASES), help="how many of them")
     args = parser.parse_args(argv)
-    args.out.mkdir(parents=True, exist_ok=True)
     step = float(np.sqrt(3) * bond_length())
     if args.cases < 1:
         parser.error(f"--cases: expected a number ≥ 1, got {args.cases}")
@@ -181,8 +172,7 @@ def main(argv: list[str] | None = None) -> int:
 
 def draw(path: Path, table: dict) -> None:
     """Predicted over atoms' critical strains."""
-    figure = Figure(figsize=(5, 3.6), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(5, 3.6)
     names = [name for name in table if "error" in table[name]]
     for word, mark in (("error", "o"), ("error if sliding counted", "x")):
         ax.plot([100 * table[name][word] for name in names], range(len(names)), mark, label=word)

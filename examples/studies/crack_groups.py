@@ -5,9 +5,6 @@ row between two halves of a sheet (theory.md, C20–C23); both come from sheets 
 are as strong as the factor says.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
@@ -16,11 +13,12 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 import numpy as np
-from matplotlib.figure import Figure
 from tqdm import tqdm
 
+from examples.figures import panels
 from tools.cracked_sheet import critical_strain, finished
 from tools.graphene import bond_length
+from tools.options import Options
 from tools.row_separation import whole
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
@@ -91,18 +89,14 @@ def atoms(cases: list[str], kept: Path) -> dict[str, float]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cases", nargs="+", type=int, help="numbers, from 1; 0 is always there")
-    parser.add_argument("--linear", action="store_true", help="the sheet around is linear")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "crack_groups")
-    parser.add_argument("--json", action="store_true", help="print the numbers as one object")
+    parser = Options(__doc__, "crack_groups", json=True)
+    parser.add("--cases", nargs="+", type=int, help="numbers, from 1; 0 is always there")
+    parser.add("--linear", action="store_true", help="the sheet around is linear")
     args = parser.parse_args(argv)
     names, wanted = list(CASES), args.cases or range(1, len(CASES))
     if not all(0 < number < len(names) for number in wanted):
         parser.error(f"--cases: expected numbers from 1 to {len(names) - 1}, got {args.cases}")
     cases = [FITTED, *(names[number] for number in wanted)]
-    args.out.mkdir(parents=True, exist_ok=True)
     measured = atoms(cases, args.out / "atoms.json")
     known = whole(linear=args.linear)
     base, single = measured[FITTED], known.held(ends(FITTED), CASES[FITTED][1])
@@ -115,8 +109,7 @@ def main(argv: list[str] | None = None) -> int:
         error = predicted / strain - 1
         table[case] = {"atoms": strain, "predicted": predicted, "error": error}
     numbers = {"factor": factor, "strength": float(known.law.traction.max()), "cracks": table}
-    figure = Figure(figsize=(6, 4.2), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(6, 4.2)
     ax.plot([100 * table[case]["error"] for case in cases[1:]], range(1, len(cases)), "o")
     ax.axvspan(-3, 3, color="0.9")
     ax.set(yticks=range(1, len(cases)), yticklabels=cases[1:])

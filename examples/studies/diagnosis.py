@@ -9,9 +9,6 @@ The last five were chosen before any was looked at, and took no part in setting 
 the six before them were such once, and have been looked at since.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -27,9 +24,10 @@ import numpy as np
 
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
+from tools.options import Options
 from tools.statics import Statics
 from warp_peri import LPS, Bernstein, Points, Samples, diagnose, fit
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.structures.calculators import potential_file
 
 CELLS = (24, 14)
@@ -48,17 +46,11 @@ STEPS, SKIPPED, QUIET = 40, 20, 8
 class Sheet:
     """A sheet and what is wrong with it.
 
-    Attributes:
-        name: of the sheet.
-        causes: put in; names of `Diagnosis.shares`.
-        elements: of the matrix, in turn.
-        stretch: of the box along x and y.
-        turn: angle of the nodes' axes against the box.
-        missing: share of the atoms that are taken out, in pairs.
-        phase: where boron nitride replaces graphene: "band", "disk" or nowhere.
-        strain: largest change of a bond's length by a load.
-        shortest: wave of the loads [Å].
-        temperature: [K]; 0 for statics.
+    `name`: of the sheet; `causes`: put in; names of `Diagnosis.shares`; `elements`: of the matrix,
+    in turn; `stretch`: of the box along x and y; `turn`: angle of the nodes' axes against the box;
+    `missing`: share of the atoms that are taken out, in pairs; `phase`: where boron nitride
+    replaces graphene: "band", "disk" or nowhere; `strain`: largest change of a bond's length by a
+    load; `shortest`: wave of the loads [Å]; `temperature`: [K]; 0 for statics.
     """
 
     name: str
@@ -248,8 +240,7 @@ def study(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:
         begin = time.perf_counter()
         samples, quiet = make(asked)
         made = time.perf_counter() - begin
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             found = fit(samples, LPS(HORIZON, Bernstein(DEGREE)), noise=quiet, progress=False)
             diagnosis = diagnose(found.material, samples, quiet)
         named = diagnosis.causes[: len(asked.causes)]
@@ -270,9 +261,8 @@ def study(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:
 
 def main() -> None:
     """Print the table, or JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--only", nargs="+", help="names of sheets")
+    parser = Options(__doc__, json=True)
+    parser.add("--only", nargs="+", help="names of sheets")
     given = parser.parse_args()
     wanted = [s for s in (*SHEETS, *UNSEEN) if not given.only or s.name in given.only]
     rows = study(wanted)

@@ -3,32 +3,87 @@
 python examples/studies/dressed_bodies.py    the hole, the strip and the crack
 """
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 import warp_peri as wp
 from examples.hole_against_atoms import INSIDE, held_sides, mesh_of
-from tools.cracked_fields import opened_sheet
+from tools.cracked_sheet import CutSession, Pulled, cracked_sheet, longer_cutoff
 from tools.crystal_ball import Ball
 from tools.crystals import force_constants
 from tools.graphene import THICKNESS, bond_length
 from tools.graphene_phonons import force_constants as graphene
 from tools.holed_sheet import STRIP, Plate, held_samples, loads_of
 from tools.make_graphene import SMOOTHING_RADIUS, ZIGZAG
+from tools.statics import ColouredHessian
+from warp_peri.atoms import force_on_mesh, smoothing_matrix
 from warp_peri.dressed import DressedSolid, from_phonons, torn
 from warp_peri.edges.body import solve_body
-from warp_peri.sources.coarse_graining import force_on_mesh, smoothing_matrix
+from warp_peri.stability.inertia import symmetric_factors
 from warp_peri.structures.phonons import CONE, EV_IN_TPA, relative, smoothing
+
+AROUND = 5.0
+"""Radius within which atoms of a node's own side tell its displacement [Å]."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A sheet with a crack along y = 0.
+
+    `x`: atoms at rest, their faces relaxed [Å], shape [A, 2]; `u`: displacement over the strain of
+    the rim along y [Å], shape [A, 2]; `length`: half of the crack [Å]; `step`: width of a hexagon
+    along the crack [Å]; `half`: half sides of the part that moves [Å].
+    """
+
+    x: np.ndarray
+    u: np.ndarray
+    length: float
+    step: float
+    half: float
+
+    def seen(self, nodes: np.ndarray) -> np.ndarray:
+        """u at nodes [n, 2], quadratic fits to atoms around; across the crack none are asked."""
+        tree, found = cKDTree(self.x), np.empty_like(nodes)
+        for i, near in enumerate(tree.query_ball_point(nodes, AROUND)):
+            near = np.array(near)
+            if abs(nodes[i, 0]) < self.length + AROUND:
+                near = near[self.x[near, 1] * nodes[i, 1] > 0]
+            dx, dy = (self.x[near] - nodes[i]).T
+            weight = np.sqrt(np.maximum(AROUND - np.hypot(dx, dy), 0))[:, None]
+            terms = np.column_stack([np.ones(len(near)), dx, dy, dx**2, dx * dy, dy**2])
+            found[i] = np.linalg.lstsq(weight * terms, weight * self.u[near])[0][0]
+        return found
+
+
+def opened_sheet(steps: int = 10, half: float = 70.0) -> Opened:
+    """The linear answer of a square with a crack of 2 · steps cut bonds, at 0 K."""
+    step = cracked_sheet([], half=10.0).step
+    ends = np.array([[-steps * step, 0.0], [steps * step, 0.0]])
+    body = cracked_sheet([ends], half=half)
+    with tempfile.TemporaryDirectory() as folder:
+        potential = longer_cutoff(Path(folder))
+        with CutSession(body, potential) as session:
+            x, found = Pulled(body, session).rest(body.positions)
+            if not found:
+                raise RuntimeError("the cracked sheet found no rest")
+            H = ColouredHessian(body.bonds, len(x))(session.forces, x)
+    held = np.repeat(body.held, 2)
+    u = x * (0.0, 1.0)
+    flat = u.ravel()
+    right = -(H[~held][:, held] @ flat[held])
+    flat[~held] = symmetric_factors(H[~held][:, ~held]).solve(right)
+    return Opened(x, flat.reshape(-1, 2), steps * step, step, half)
+
 
 HOLED = Plate((120.0, 120.0), 30.0)
 TENSION = 3e-4
@@ -132,10 +187,7 @@ def squeezed_law(name: str, seen: Ball) -> DressedSolid:
 def free_ball(law: DressedSolid, seen: Ball, per_node: float) -> dict[str, Any]:
     """E_u [%] of a whole free ball, less its rigid motion, two cones of nodes off its surface.
 
-    Args:
-        law: of the squeezed crystal.
-        seen: atoms and loads.
-        per_node: atoms of a cell.
+    `law`: of the squeezed crystal; `seen`: atoms and loads; `per_node`: atoms of a cell.
     """
     h = law.spacing
     R = float((len(seen.atoms) / per_node * 3 / (4 * np.pi)) ** (1 / 3)) * h

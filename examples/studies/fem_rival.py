@@ -1,7 +1,5 @@
 """Plane linear elasticity by finite elements of scikit-fem, on the nodes of a lattice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

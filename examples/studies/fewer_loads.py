@@ -8,8 +8,6 @@ held. Designed loads hold every wave down to 20 Å at once and are strained to 2
 each and its reverse.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -27,18 +25,18 @@ import torch
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples.figures import save_figure
 from examples.predict import tell
 from examples.train_graphene import DATA, make_data
 from examples.train_graphene import main as train_main
 from tools import make_graphene as making
 from tools.loads import DESIGNED as TWO
 from tools.loads import TRAINING, both_ways
+from tools.options import Options
 from tools.samples import _statics, solve_samples
-from warp_peri.core.elastic import from_voigt
 from warp_peri.errors import exit_status
-from warp_peri.files.atomic import whole_file
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus.waves import fit_symbol
+from warp_peri.micromodulus import fit_symbol, from_voigt
 from warp_peri.points.samples import part
 from warp_peri.prediction import next_load
 from warp_peri.transfer.lattice import dispersion
@@ -190,8 +188,7 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
         ax.set(xlabel="loads", title=law)
     figure.axes[0].set_ylabel("displacement error [%]")
     figure.axes[0].legend(fontsize=8)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=150, format="png")
+    save_figure(figure, path, dpi=150, bbox_inches=None)
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
@@ -249,14 +246,10 @@ def ratios(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for the results")
-    parser.add_argument("--seconds", action="store_true", help="of the main job, and nothing else")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
+    parser.add("--data", type=Path, help="the main job's data (made if not there)")
+    parser.add("--out", type=Path, default=OUT, help="folder for the results")
+    parser.add("--seconds", action="store_true", help="of the main job, and nothing else")
     tell(parser.parse_args(arguments), run)
     return 0
 

@@ -4,31 +4,27 @@ Positive shapes of one parameter, a damped wave of three, a table and the Bernst
 fitted by the same path under the same conditions. Writes table.md, metrics.json and shapes.png.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
-import matplotlib.pyplot as plt
 import numpy as np
 from tqdm import tqdm
 
-import warp_peri
+import warp_peri as wp
+from examples.figures import panels
 from examples.train_graphene import make_data
 from tools.make_graphene import SMOOTHING_RADIUS
+from tools.options import Options
+from warp_peri import Dataset, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file, write_json, write_text
 from warp_peri.learning.result import Fit
-from warp_peri.lps.shapes import InfluenceFunction, damped_wave, named, table
 from warp_peri.plots import kernel_values
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
+from warp_peri.shapes import InfluenceFunction, damped_wave, named, table
 
 HORIZON, DEGREE = 20.0, 10
 KNOTS = np.linspace(4.0, HORIZON, 9)
@@ -54,9 +50,9 @@ def fits(train: Samples) -> dict[str, tuple[int, Fit]]:
     # The scale of a kernel has no effect: one value or coefficient less than there are.
     values = table(KNOTS, 1 / KNOTS, learned=True)
     cases["table, 9 knots"] = (len(KNOTS) - 1, values)
-    cases["Bernstein, M = 10"] = (DEGREE + 1, warp_peri.Bernstein(DEGREE))
+    cases["Bernstein, M = 10"] = (DEGREE + 1, wp.Bernstein(DEGREE))
     return {
-        name: (count, warp_peri.fit(train, warp_peri.LPS(HORIZON, kernel)))
+        name: (count, wp.fit(train, wp.LPS(HORIZON, kernel)))
         for name, (count, kernel) in tqdm(cases.items(), desc="fits")
     }
 
@@ -65,7 +61,7 @@ def row(name: str, count: int, fit: Fit, data: Dataset) -> dict[str, Any]:
     """Errors [%] and constants of one fit."""
     out: dict[str, Any] = {"shape": name, "parameters": count}
     for role in SETS:
-        errors = warp_peri.evaluate(fit.material, data[role])
+        errors = wp.evaluate(fit.material, data[role])
         out |= {f"{key} {role}": 100 * errors[key] for key in ("E_res", "E_u")}
     out |= {"mu": fit.material.mu, "E": fit.material.E, "c": fit.certificate.symbol_bound}
     if fit.influence is not None:
@@ -90,7 +86,7 @@ def text(rows: list[dict[str, Any]]) -> str:
 
 def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], path: Path) -> None:
     """The kernels, and what each extra parameter buys on the disks."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+    figure, (left, right) = panels(11, 4.2, count=2)
     classes = bond_classes(5.0, HORIZON)
     r = np.linspace(classes.r[0], HORIZON, 500)
     left.axhline(0, color="0.7", linewidth=0.8)
@@ -102,8 +98,7 @@ def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], pat
         else:
             left.plot(r, r**2 * kernel_values(model, classes, r), color=color, label=name)
             left.plot(classes.r, bonds, "o", color=color, markersize=4)
-    left.set_xlabel("bond length r [Å]")
-    left.set_ylabel("K r² / m  [Å⁻²]")
+    left.set(xlabel="bond length r [Å]", ylabel="K r² / m  [Å⁻²]")
     left.set_ylim(-0.015, 0.017)
     left.legend(frameon=False, loc="upper right")
     for label, key, marker in (("disks", "E_u test", "o"), ("validation", "E_u val", "s")):
@@ -123,23 +118,17 @@ def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], pat
     right.set_xlim(0, 15)
     right.set_ylim(0.4, 40)
     right.yaxis.set_major_formatter("{x:g}")
-    right.set_xlabel("parameters of the influence function")
-    right.set_ylabel("error of displacement E_u [%]")
+    right.set(xlabel="parameters of the influence function", ylabel="error of displacement E_u [%]")
     right.legend(frameon=False)
     with whole_file(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110)
-    plt.close(figure)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "influence_shapes")
+    parser = Options(__doc__, "influence_shapes")
+    parser.add("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     given = parser.parse_args(arguments)
-    data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
+    data = wp.load(make_data(given.jobs, SMOOTHING_RADIUS))
     learned = fits(data["train"])
     rows = [row(name, count, fit, data) for name, (count, fit) in learned.items()]
     write_json(given.out / "metrics.json", {"fits": rows})

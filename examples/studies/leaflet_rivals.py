@@ -4,8 +4,6 @@ Each energy is fitted like the learned solid: least squares of the solved displa
 training frames. Its elements take displacement on one ring of nodes around the interior.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,8 +14,7 @@ from scipy.sparse.linalg import spsolve
 
 from tools.hyperelastic_elements import Elements, NotSolved, finite_elements
 from tools.hyperelastic_energies import Energy, Family, Fung, Invariants, ensemble, plane_stress_hgo
-from warp_peri.errors import InputError
-from warp_peri.points.samples import Samples
+from warp_peri import InputError, Samples
 
 
 @dataclass(frozen=True)

@@ -13,21 +13,12 @@ every grid takes the highest degree that its families carry. --quintic keeps deg
 Writes manufactured.json, fixed_alpha.png (figure 2) and learned_alpha.png (figure 3).
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
 from scipy.integrate import quad
@@ -35,12 +26,12 @@ from scipy.optimize import least_squares
 from scipy.special import j0, j1
 from tqdm import tqdm
 
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
+from tools.options import Options
+from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.lps.model import bernstein_basis
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
 from warp_peri.regression.losses import ReducedLoss, class_weights, reduce, sample_weights
 
 LAM, MU = 0.1010, 0.4545
@@ -192,7 +183,7 @@ def run(out: Path, seed: int, *, quintic: bool, adam: bool = False) -> dict[str,
     result["degrees"] = degrees
     for name, learn_alpha in (("fixed_alpha", False), ("learned_alpha", True)):
         losses, errors, alphas = [], [], []
-        figure, (left, right) = plt.subplots(1, 2, figsize=(10.5, 4.2), layout="constrained")
+        figure, (left, right) = panels(10.5, 4.2, count=2)
         for number, h in enumerate(SPACINGS):
             fits = [
                 (adam_fit if adam else positive_fit)(
@@ -211,12 +202,16 @@ def run(out: Path, seed: int, *, quintic: bool, adam: bool = False) -> dict[str,
             left.axhline(true, color=f"C{number}", linestyle="--", linewidth=1)
             right.plot(r, K, color=f"C{number}", label=label)
         right.plot(r, 1 / r, "k:", label="1/r")
-        left.set_xlabel("degree M")
-        left.set_ylabel("‖L u − b‖ / ‖b‖")
-        left.set_title("loss; dashed: K = 1/r on the same grid")
-        right.set_xlabel("r [Å]")
-        right.set_ylabel("K, scaled to the weighted volume of 1/r")
-        right.set_title(f"kernels, M = {KERNEL_DEGREE}")
+        left.set(
+            xlabel="degree M",
+            ylabel="‖L u − b‖ / ‖b‖",
+            title="loss; dashed: K = 1/r on the same grid",
+        )
+        right.set(
+            xlabel="r [Å]",
+            ylabel="K, scaled to the weighted volume of 1/r",
+            title=f"kernels, M = {KERNEL_DEGREE}",
+        )
         left.legend(frameon=False)
         right.legend(frameon=False)
         save_figure(figure, out / f"{name}.png")
@@ -231,14 +226,10 @@ def run(out: Path, seed: int, *, quintic: bool, adam: bool = False) -> dict[str,
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "manufactured")
-    parser.add_argument("--seed", type=int, default=0, help="of the initial D")
-    parser.add_argument("--quintic", action="store_true", help="quadrature degree 5 on every grid")
-    parser.add_argument("--adam", action="store_true", help="Adam instead of least squares")
+    parser = Options(__doc__, "manufactured")
+    parser.add("--seed", type=int, default=0, help="of the initial D")
+    parser.add("--quintic", action="store_true", help="quadrature degree 5 on every grid")
+    parser.add("--adam", action="store_true", help="Adam instead of least squares")
     given = parser.parse_args(arguments)
     result = run(given.out, given.seed, quintic=given.quintic, adam=given.adam)
     write_json(given.out / "manufactured.json", result)

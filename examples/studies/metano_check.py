@@ -7,16 +7,12 @@ on the same nodes give the published numbers back; what quadratic elements and f
 compression would change is measured beside it.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 
@@ -28,7 +24,9 @@ from tools.hyperelastic_elements import (
     triangles,
 )
 from tools.hyperelastic_energies import Family, Matrix, hgo
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain
 
 DATA = "data/Example1_HGO/Neumann_indis_sensitive_analysis_balance_range_grf_alpha_2"
@@ -97,12 +95,10 @@ def check(repository: Path, tasks: list[int], samples: list[int]) -> dict[str, d
 
 
 def main() -> None:
-    """Run and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("repository", type=Path, help="a clone of MetaNO")
-    parser.add_argument("--tasks", type=int, nargs="+", default=[0, 1])
-    parser.add_argument("--samples", type=int, nargs="+", default=[0, 1, 5])
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
+    parser.add("repository", type=Path, help="a clone of MetaNO")
+    parser.add("--tasks", type=int, nargs="+", default=[0, 1])
+    parser.add("--samples", type=int, nargs="+", default=[0, 1, 5])
     given = parser.parse_args()
     differences = check(given.repository, given.tasks, given.samples)
     if given.json:

@@ -6,9 +6,6 @@ sheet whose edge is stretched and bent. Seconds are of one processor; memory is 
 the way back, and for the adjoint the factors of the tangent too.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -23,9 +20,10 @@ import torch
 from torch.autograd.graph import saved_tensors_hooks
 
 import warp_peri as wp
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
-from warp_peri.neural.placed import NeuralEquilibrium
+from warp_peri.neural import NeuralEquilibrium
 from warp_peri.statics.descent import Descent, polak_ribiere
 
 WEIGHTS = ROOT / "examples" / "neural_weights" / "leaflet.json"
@@ -119,8 +117,7 @@ def measured() -> dict[str, Any]:
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
     given = parser.parse_args()
     set_threads(1)
     torch.set_num_threads(1)

@@ -7,8 +7,6 @@ short trainings, by the error of training and validation loads. The best setting
 anew. Leaves monotone.json.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import sys
@@ -16,17 +14,17 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-import warp_peri
+import warp_peri as wp
 from examples.nonlinear import OUT, STRAINED
 from examples.prose import table
 from examples.train_graphene import DATA
+from tools.options import Options
 from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
@@ -233,11 +231,11 @@ def solved(net: Any, bonds: BondTable, model: NonlinearModel, every: int = 1) ->
 def run(given: argparse.Namespace) -> dict[str, Any]:
     """What was tried, and the errors of the best, trained anew, on every set."""
     torch.set_num_threads(1)
-    data, larger = warp_peri.load(DATA), warp_peri.load(STRAINED)
+    data, larger = wp.load(DATA), wp.load(STRAINED)
     named = {name: data[name] for name in ("train", "val", "test")}
     named |= {name: larger[name] for name in larger}
     sets = {name: BondTable(samples) for name, samples in named.items()}
-    model = warp_peri.load(given.models / "energy.json")
+    model = wp.load(given.models / "energy.json")
     tried = []
     for setting in TRIED[: given.settings]:
         tried.append(trained(sets, setting, given.try_minutes, given)[1])
@@ -281,16 +279,12 @@ def page(report: dict[str, Any]) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    parser.add_argument("--minutes", type=float, default=2.0, help="processor time of the best one")
-    parser.add_argument("--try-minutes", type=float, default=0.15, help="of each setting tried")
-    parser.add_argument("--settings", type=int, default=len(TRIED), help="how many are tried")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--models", type=Path, default=OUT, help="folder of examples/nonlinear.py")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True, defaults=True)
+    parser.add("--minutes", type=float, default=2.0, help="processor time of the best one")
+    parser.add("--try-minutes", type=float, default=0.15, help="of each setting tried")
+    parser.add("--settings", type=int, default=len(TRIED), help="how many are tried")
+    parser.add("--seed", type=int, default=0)
+    parser.add("--models", type=Path, default=OUT, help="folder of examples/nonlinear.py")
     given = parser.parse_args(arguments)
     report = run(given)
     print(json.dumps(report) if given.json else page(report))

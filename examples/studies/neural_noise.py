@@ -6,8 +6,6 @@ stability at rest. The network is smaller than printed, (2, 32, 64, 1) and
 (4, 64, 64, 1), so that four trainings take minutes. What is done is kept in --out.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from collections.abc import Mapping
@@ -28,13 +26,12 @@ from examples.neural_sets import Sets
 from examples.prose import table
 from examples.studies.papers import keeper
 from tools.make_hgo import SPACING
+from tools.options import Options
+from warp_peri import Samples
 from warp_peri.errors import exit_status
-from warp_peri.neural.material import NeuralOperator
-from warp_peri.neural.placed import evaluate
-from warp_peri.neural.training import Training, train
-from warp_peri.points.samples import Samples
+from warp_peri.neural import NeuralOperator, Training, evaluate, train
+from warp_peri.tissue import hyperelastic_errors
 from warp_peri.tissue.energy_fit import fit_energy
-from warp_peri.tissue.placed import hyperelastic_errors
 
 REACH = 3
 LEVELS = (0.0, 0.01, 0.02, 0.05)
@@ -88,14 +85,10 @@ def terms(sets: Sets, level: float, guaranteed: bool) -> dict[str, float | None]
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--epochs", type=int, default=25, help="of each network")
-    parser.add_argument("--jobs", type=int, default=-1, help="processes that make data")
-    parser.add_argument("--data", type=Path, default=ROOT / "data")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "neural_noise")
+    parser = Options(__doc__, "neural_noise")
+    parser.add("--epochs", type=int, default=25, help="of each network")
+    parser.add("--jobs", type=int, default=-1, help="processes that make data")
+    parser.add("--data", type=Path, default=ROOT / "data")
     given = parser.parse_args(arguments)
     torch.set_num_threads(1)
     sets = neural_sets.hgo(given.data / "hgo", REACH, mirror=False, jobs=given.jobs, progress=True)

@@ -4,9 +4,6 @@ The plain version evaluates the network for both ends of every directed bond of 
 first implementation does. Seconds are of the processor, the least of some repeats in turn.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -20,10 +17,12 @@ sys.path.insert(0, str(ROOT))
 import torch
 
 from examples import neural_sets
+from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
+from warp_peri.neural import NeuralOperator
 from warp_peri.neural.bonds import Gather
-from warp_peri.neural.material import CHUNK, NeuralOperator, load, units
+from warp_peri.neural.material import CHUNK, load, units
 from warp_peri.neural.placed import Placed, interpolated_force
 from warp_peri.neural.training import relative
 
@@ -82,11 +81,11 @@ def least(ways: dict[str, Callable[[], object]], repeats: int) -> dict[str, floa
 
 def main() -> int:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--samples", type=int, default=2)
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--fresh", action="store_true", help="untrained numbers")
+    parser = Options(__doc__)
+    parser.add("--samples", type=int, default=2)
+    parser.add("--repeats", type=int, default=3)
+    parser.add("--threads", type=int, default=1)
+    parser.add("--fresh", action="store_true", help="untrained numbers")
     given = parser.parse_args()
     torch.set_num_threads(given.threads)
     set_threads(given.threads)

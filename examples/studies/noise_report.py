@@ -1,29 +1,18 @@
 """Tables and figures of the noise study."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from examples.prose import fill, rows_of
-from warp_peri import plots
+from warp_peri import Dirichlet, Model, Samples, plots, solve
 from warp_peri.learning.result import Fit
-from warp_peri.learning.uncertainty import Uncertainty
-from warp_peri.lps.model import Model
+from warp_peri.methods import Uncertainty
 from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
-from warp_peri.problems import Dirichlet
-from warp_peri.solving import solve
 
 Row = dict[str, Any]
 
@@ -136,7 +125,7 @@ def _errors(row: Row) -> list[str]:
 
 def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
     """Figure 6, right: errors by degree at 300 K, here and printed."""
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4.6), layout="constrained")
+    figure, axes = panels(10, 4.6, count=2)
     degrees = [row["degree"] for row in rows]
     known = [M for M in degrees if M in PRINTED_TABLE_3]
     names = (("E_res_train", "E_res_val"), ("E_u_train", "E_u_val"))
@@ -147,8 +136,7 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
             printed = [PRINTED_TABLE_3[M][first + 2 * number] for M in known]
             ax.semilogy(degrees, ours, "o-", color=color, label=f"{name}, here")
             ax.semilogy(known, printed, "s--", color=color, label=f"{name}, printed")
-        ax.set_xlabel("degree M, each at its δ*")
-        ax.set_ylabel("error [%]")
+        ax.set(xlabel="degree M, each at its δ*", ylabel="error [%]")
     ours = [100 * row["E_u_val_shared"] for row in rows]
     axes[1].semilogy(degrees, ours, "^-", color="C2", label="E_u_val, shared-seed reference")
     for ax in axes:
@@ -162,7 +150,7 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
 
 def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertainty]) -> None:
     """Figure 7, right: K at the bonds for each factor on the loads, with its 90 % band."""
-    figure, ax = plt.subplots(figsize=(7, 4.4), layout="constrained")
+    figure, ax = panels(7, 4.4)
     ax.axhline(0, color="0.7", linewidth=0.8)
     for number, (factor, fit) in enumerate(fits.items()):
         model = fit.material
@@ -182,8 +170,7 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
             color=f"C{number}",
             label=f"loads × {factor:g}",
         )
-    ax.set_xlabel("bond length r [Å] (points moved apart by 0.15 Å)")
-    ax.set_ylabel("K / m  [Å⁻⁴]")
+    ax.set(xlabel="bond length r [Å] (points moved apart by 0.15 Å)", ylabel="K / m  [Å⁻⁴]")
     ax.legend(frameon=False, title="time smoothing, 90 % band")
     ax.set_title("Influence function at 300 K by noise (figure 7, right)")
     save_figure(figure, path)
@@ -202,7 +189,7 @@ def draw_disk(path: Path, model: Model, sure: Uncertainty, disk: Samples) -> Non
             return solve(m, problem, allow_uncertified=True).u[0, line, 0]
 
     lower, upper = sure.band(model, along, 0.9)
-    figure, axes = plt.subplots(2, 1, figsize=(7, 5.5), layout="constrained", sharex=True)
+    figure, axes = panels(7, 5.5, rows=2, sharex=True)
     x = disk.x[line, 0]
     axes[0].plot(x, along(model), color="C0", label="model learned at a tenth of the loads")
     axes[0].plot(x, disk.u[0, line, 0], "k.", label="molecular data, 0 K")
@@ -214,8 +201,7 @@ def draw_disk(path: Path, model: Model, sure: Uncertainty, disk: Samples) -> Non
         x, 1000 * (lower - truth), 1000 * (upper - truth), alpha=0.3, label="90 % band by noise"
     )
     axes[1].plot(x, 1000 * (along(model) - truth), color="C0", label="model − molecular data")
-    axes[1].set_ylabel("error of u₁ [mÅ]")
-    axes[1].set_xlabel("x₁ [Å] on the axis of the disk")
+    axes[1].set(ylabel="error of u₁ [mÅ]", xlabel="x₁ [Å] on the axis of the disk")
     axes[1].legend(frameon=False)
     figure.suptitle("A disk the fit never saw, and what noise leaves unsure")
     save_figure(figure, path)

@@ -6,8 +6,6 @@ shared-seed reference of the same loads, and to 0 K. Runs LAMMPS for an hour on 
 its runs are there.
 """
 
-from __future__ import annotations
-
 import argparse
 import operator
 import shlex
@@ -16,24 +14,22 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 from tqdm import tqdm
 
-import warp_peri
+import warp_peri as wp
 from examples.studies import noise_report
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from tools.make_thermal import make_thermal
-from tools.reductions import REDUCTIONS
+from tools.options import Options
+from tools.thermal import REDUCTIONS
+from warp_peri import Dataset, Samples, load
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json, write_text
 from warp_peri.learning.result import Fit
-from warp_peri.learning.sweep import sweep
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
-from warp_peri.storage import load
+from warp_peri.methods import sweep
 
 FACTORS = (1.0, 0.25, 0.1)
 HORIZON, DEGREE = 20.0, 10
@@ -57,14 +53,9 @@ def fits(data: Data, cold: Dataset) -> tuple[list[dict[str, Any]], dict[tuple[st
                 default = chosen.get((reduction, factor))
                 if default and loss == default.loss.name:
                     continue
-                fit = warp_peri.fit(
+                fit = wp.fit(
                     own["train"],
-                    warp_peri.LPS(
-                        horizon=HORIZON,
-                        kernel=warp_peri.Bernstein(DEGREE),
-                        normalise=True,
-                        loss=loss,
-                    ),
+                    wp.LPS(horizon=HORIZON, kernel=wp.Bernstein(DEGREE), normalise=True, loss=loss),
                     noise=own["noise"],
                 )
                 chosen.setdefault((reduction, factor), fit)
@@ -80,12 +71,12 @@ def fits(data: Data, cold: Dataset) -> tuple[list[dict[str, Any]], dict[tuple[st
     return rows, chosen
 
 
-def deviations(fit: Fit, own: Dataset) -> warp_peri.methods.Uncertainty:
+def deviations(fit: Fit, own: Dataset) -> wp.methods.Uncertainty:
     """What the noise of its data makes of a fit."""
-    return warp_peri.methods.fit_uncertainty(fit, own["train"], own["noise"])
+    return wp.methods.fit_uncertainty(fit, own["train"], own["noise"])
 
 
-def constants(model: warp_peri.Model, sure: warp_peri.methods.Uncertainty) -> dict[str, float]:
+def constants(model: wp.Model, sure: wp.methods.Uncertainty) -> dict[str, float]:
     """α, λ, μ, E, ν, and the standard deviations that noise gives them."""
     row = {}
     for key in ("alpha", "lam", "mu", "E", "nu"):
@@ -95,7 +86,7 @@ def constants(model: warp_peri.Model, sure: warp_peri.methods.Uncertainty) -> di
 
 
 def against(
-    model: warp_peri.Model, own: Dataset, shared: Dataset, cold: Dataset
+    model: wp.Model, own: Dataset, shared: Dataset, cold: Dataset
 ) -> dict[str, float | None]:
     """Errors on the model's own data, and E_u against the less noisy references."""
     row: dict[str, float | None] = {}
@@ -103,12 +94,12 @@ def against(
         # A model of small loads is meant to be held to large ones here.
         warnings.filterwarnings("ignore", message="strain:")
         for name in ("train", *ROLES):
-            table = warp_peri.evaluate(model, own[name])
+            table = wp.evaluate(model, own[name])
             row |= {f"E_res_{name}": table["E_res"], f"E_u_{name}": table["E_u"]}
             row[f"E_res_abs_{name}"] = table["E_res_abs"]
         for reference, sets in (("shared", shared), ("cold", cold)):
             for name in ROLES:
-                row[f"E_u_{name}_{reference}"] = warp_peri.evaluate(model, sets[name])["E_u"]
+                row[f"E_u_{name}_{reference}"] = wp.evaluate(model, sets[name])["E_u"]
     return row
 
 
@@ -154,10 +145,10 @@ def swept(folder: Path, data: Data, cold: Dataset, jobs: int) -> dict[str, Any]:
 
 def run(given: argparse.Namespace) -> str:
     """Data, fits, sweep, tables and figures; returns the tables."""
-    cold = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
+    cold = wp.load(make_data(given.jobs, SMOOTHING_RADIUS))
     paths = make_thermal(DATA.parent, factors=FACTORS, jobs=given.jobs)
     data = {
-        (reduction, factor): warp_peri.load(paths[reduction, factor])
+        (reduction, factor): wp.load(paths[reduction, factor])
         for reduction in REDUCTIONS
         for factor in FACTORS
     }
@@ -180,12 +171,8 @@ def run(given: argparse.Namespace) -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line; returns the exit status: 0, 1 after a failure, 2 for bad input."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--jobs", type=int, default=-1, help="processes; -1: all cores")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "noise_study")
+    parser = Options(__doc__, "noise_study")
+    parser.add("--jobs", type=int, default=-1, help="processes; -1: all cores")
     given = parser.parse_args(arguments)
     words = sys.argv[1:] if arguments is None else arguments
     given.command = shlex.join(["python", "examples/studies/noise_study.py", *words])

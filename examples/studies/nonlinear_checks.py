@@ -3,9 +3,6 @@
 Takes the models that examples/nonlinear.py left, prints numbers, and leaves them as JSON.
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import json
 import statistics
@@ -16,17 +13,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 import torch
 
-import warp_peri
+import warp_peri as wp
 from examples.any_lattice import SmoothedAtoms, lattice
 from examples.nonlinear import OUT
 from examples.train_graphene import DATA
 from tools.make_graphene import REACH, SMOOTHING_RADIUS, graphene_bodies, on_nodes, read_samples
+from tools.options import Options
 from tools.samples import Sample
 from warp_peri import Points, Samples
 from warp_peri.errors import exit_status
@@ -76,17 +73,23 @@ def turned_crystal(model: NonlinearModel, cache: Path, role: str) -> dict[str, f
     """
     body, _, samples = read_samples(cache, role)
     reference, displacement, force = images(body.box, samples)
-    turn, out = rotation(CRYSTAL), {}
-    for name, by in (("straight", np.eye(2)), ("turned", turn)):
-        nodes = on_nodes(
-            graphene_bodies()[1], reference @ by.T, displacement @ by.T, force @ by.T, spacing=5.0
-        )
-        stated = at_angle(nodes, CRYSTAL if name == "turned" else 0.0)
+    out = {}
+    for name, degrees in (("straight", 0.0), ("turned", CRYSTAL)):
+        nodes = turned_nodes(reference, displacement, force, degrees)
         if name == "turned":
-            out["axis_forgotten"] = warp_peri.evaluate(model, at_angle(nodes, 0.0))["E_u"]
-        out[name] = warp_peri.evaluate(model, stated)["E_u"]
-        out[f"{name}_linear"] = warp_peri.evaluate(model.linear, nodes)["E_u"]
+            out["axis_forgotten"] = wp.evaluate(model, at_angle(nodes, 0.0))["E_u"]
+        out[name] = wp.evaluate(model, nodes)["E_u"]
+        out[f"{name}_linear"] = wp.evaluate(model.linear, at_angle(nodes, 0.0))["E_u"]
     return out
+
+
+def turned_nodes(
+    reference: np.ndarray, displacement: np.ndarray, force: np.ndarray, degrees: float
+) -> Samples:
+    """Atoms of a disk and their loads, turned together against nodes 5 Å apart."""
+    turn, disk = rotation(degrees).T, graphene_bodies()[1]
+    nodes = on_nodes(disk, reference @ turn, displacement @ turn, force @ turn, spacing=5.0)
+    return at_angle(nodes, degrees)
 
 
 def at_angle(samples: Samples, degrees: float) -> Samples:
@@ -121,8 +124,8 @@ def other_lattices(model: NonlinearModel, atoms: SmoothedAtoms) -> dict[str, Any
         row: dict[str, float] = {}
         for kind, role in (("patches", "val"), ("disks", "test")):
             samples = atoms.on(points, role)
-            row[kind] = warp_peri.evaluate(model, samples)["E_u"]
-            row[f"{kind}_linear"] = warp_peri.evaluate(model.linear, samples)["E_u"]
+            row[kind] = wp.evaluate(model, samples)["E_u"]
+            row[f"{kind}_linear"] = wp.evaluate(model.linear, samples)["E_u"]
             row["proven"] = model.on(samples).model.proven_strain(spacing)
         table[name] = row
     return table
@@ -178,19 +181,16 @@ def costs(model: NonlinearModel) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--models", type=Path, default=OUT, help="folder of the models")
-    parser.add_argument("--data", type=Path, default=DATA)
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
+    parser.add("--models", type=Path, default=OUT, help="folder of the models")
+    parser.add("--data", type=Path, default=DATA)
     given = parser.parse_args(arguments)
     numbers: dict[str, Any] = {}
-    data, cache = warp_peri.load(given.data), given.data.with_suffix(".cache")
+    data, cache = wp.load(given.data), given.data.with_suffix(".cache")
     atoms = SmoothedAtoms(cache)
     for name in ("energy", "filtered"):
-        model = warp_peri.load(given.models / f"{name}.json")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
+        model = wp.load(given.models / f"{name}.json")
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
             numbers[name] = {
                 "turned_body": turned_body(model, data["val"]),
                 "turned_disks": turned_crystal(model, cache, "test"),

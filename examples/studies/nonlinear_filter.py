@@ -4,8 +4,6 @@ Prints for each ρ the residual on fifths of the training loads that a fit did n
 of a wave vector stay together), the one on all of them, and the proven strain; leaves them as JSON.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import json
@@ -13,15 +11,15 @@ import sys
 import warnings
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 from tqdm import tqdm
 
-import warp_peri
+import warp_peri as wp
 from examples.nonlinear import OUT
 from examples.train_graphene import make_data
+from tools.options import Options
 from warp_peri import Bernstein, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
@@ -50,10 +48,10 @@ def parts_of(samples: Samples, seed: int) -> np.ndarray:
 
 def learn(samples: Samples, horizon: float, ridge: float) -> NonlinearFit:
     """The filtered form as examples/nonlinear.py learns it."""
-    return warp_peri.fit(
+    return wp.fit(
         samples,
-        warp_peri.ThirdOrder(
-            warp_peri.LPS(
+        wp.ThirdOrder(
+            wp.LPS(
                 horizon,
                 Bernstein(10, two_functions=True),
                 method=Optimum(moduli="isotropic"),
@@ -77,7 +75,7 @@ def residuals(fit: NonlinearFit, samples: Samples) -> list[float]:
 
 def run(given: argparse.Namespace) -> dict[str, dict[str, float]]:
     """By ρ: residual on held-out and on all training loads, and the proven strain."""
-    train = warp_peri.load(given.data or make_data(-1, 10.0))["train"]
+    train = wp.load(given.data or make_data(-1, 10.0))["train"]
     part = parts_of(train, given.seed)
     rows = {}
     for ridge in tqdm(RIDGES, disable=given.json or None, leave=False):
@@ -95,18 +93,13 @@ def run(given: argparse.Namespace) -> dict[str, dict[str, float]]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
-    parser.add_argument("--data", type=Path, help="the main job's data (made if not there)")
-    parser.add_argument("--seed", type=int, default=0, help="of the parts")
-    parser.add_argument("--out", type=Path, default=OUT, help="folder for filter.json")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True, defaults=True)
+    parser.add("--horizon", type=float, default=20.0, help="δ [Å]")
+    parser.add("--data", type=Path, help="the main job's data (made if not there)")
+    parser.add("--seed", type=int, default=0, help="of the parts")
+    parser.add("--out", type=Path, default=OUT, help="folder for filter.json")
     given = parser.parse_args(arguments)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+    with warnings.catch_warnings(action="ignore", category=UserWarning):
         rows = run(given)
     write_json(given.out / "filter.json", rows)
     if given.json:

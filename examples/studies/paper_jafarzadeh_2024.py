@@ -1,7 +1,5 @@
 """What the page on Jafarzadeh et al. (2024) shows: see papers.py."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -16,9 +14,9 @@ from examples.neural_rivals import dictionary
 from examples.prose import rows_of
 from examples.studies import paper_jafarzadeh_pictures as pictures
 from tools.make_hgo import SPACING, make_hgo
+from warp_peri import Samples
+from warp_peri.neural import NeuralEquilibrium
 from warp_peri.neural.material import load
-from warp_peri.neural.placed import NeuralEquilibrium
-from warp_peri.points.samples import Samples
 from warp_peri.tissue import rose_of
 
 GRAPHENE = "data/graphene_0K.h5"

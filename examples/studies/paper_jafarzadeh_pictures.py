@@ -1,7 +1,5 @@
 """Pictures of the page on Jafarzadeh et al. (2024), from this library's own data."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -12,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from tools.make_hgo import NODES
 from tools.make_leaflet import PROTOCOLS, SIDE, TINE, TINES_AT
-from warp_peri.points.samples import Samples
+from warp_peri import Samples
 
 BINS = 60
 
@@ -57,8 +55,7 @@ def prediction(path: Path, field: Mapping[str, Any], length: str, load: str) -> 
 
 def square(path: Path, samples: Samples, number: int) -> None:
     """Figure 6: the mesh, its held edge, and a displacement."""
-    figure = Figure(figsize=(9.5, 4), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(9.5, 4, count=2)
     x = samples.x
     cells = np.arange(NODES**2).reshape(NODES, NODES)
     first = np.stack([cells[:-1, :-1], cells[1:, :-1], cells[1:, 1:]], axis=-1).reshape(-1, 3)
@@ -77,8 +74,7 @@ def square(path: Path, samples: Samples, number: int) -> None:
 
 def gradients(path: Path, sizes: np.ndarray) -> None:
     """Figure 7: how many nodes have which |∇u|."""
-    figure = Figure(figsize=(6, 3.6), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(6, 3.6)
     ax.hist(sizes, bins=BINS, weights=np.full(len(sizes), 100 / len(sizes)), color="C0")
     ax.set(xlabel="size of the gradient of u", ylabel="nodes of all samples [%]", yscale="log")
     save_figure(figure, path)
@@ -86,8 +82,7 @@ def gradients(path: Path, sizes: np.ndarray) -> None:
 
 def mirror(path: Path, wide: Samples) -> None:
     """Figure 8: a sample continued by the mirror rule."""
-    figure = Figure(figsize=(5.4, 4.4), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(5.4, 4.4)
     u = wide.u[0, :, 0]
     shown(figure, ax, wide.x, u, "u₁ [mm]", np.abs(u).max())
     ax.plot([0, 1, 1, 0, 0], [0, 0, 1, 1, 0], color="k", linewidth=1.2)
@@ -149,8 +144,7 @@ def roses(path: Path, laws: Mapping[int, Any], roses: Mapping[int, Mapping[str, 
 
 def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
     """Figure 12: the sheet and its tines, a stretched frame, the protocols."""
-    figure = Figure(figsize=(12, 3.8), layout="constrained")
-    sheet, stretched, ratios = figure.subplots(1, 3)
+    figure, (sheet, stretched, ratios) = panels(12, 3.8, count=3)
     samples = sets["train"]
     half = SIDE / 2
     sheet.plot(half * np.array([-1, 1, 1, -1, -1]), half * np.array([-1, -1, 1, 1, -1]), color="k")
@@ -179,8 +173,7 @@ def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
 
 def frames(path: Path, errors: Mapping[str, Sequence[float]], samples: Samples) -> None:
     """Figure 14: the error of every held-out frame, in the order of the protocols."""
-    figure = Figure(figsize=(9.5, 4.2), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(9.5, 4.2)
     order = np.lexsort((samples.arrays["level"], samples.arrays["protocol"]))
     protocols = samples.arrays["protocol"][order]
     for name, values in errors.items():

@@ -1,7 +1,5 @@
 """What the page on polymer flow by Gaussian processes shows: see papers.py."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -22,29 +20,28 @@ from examples.studies.paper_polymer_pictures import COUNTS, HEIGHTS, LAWS, RECIP
 from examples.studies.polymer_tables import MAXWELL, printed_shear
 from warp_peri.flow import (
     ChannelFlow,
+    ChannelRecord,
+    Closure,
+    CoupledDumbbells,
     Dumbbells,
+    Ensembles,
     PlaneFlow,
     RateLaw,
+    ShearLaw,
+    elongation,
     held,
     homogeneous,
     learn_rate,
+    learn_shear,
+    shear,
     simulate,
     start_pairs,
 )
-from warp_peri.flow.channel import ChannelRecord, Particles, run_channel
-from warp_peri.flow.closure import (
-    Closure,
-    CoupledDumbbells,
-    Stress,
-    exact_pairs,
-    reached,
-    window_pairs,
-)
-from warp_peri.flow.dumbbells import Ensembles
+from warp_peri.flow.channel import Particles, run_channel
+from warp_peri.flow.closure import Stress, exact_pairs, reached, window_pairs
 from warp_peri.flow.gaussian_process import JITTER
-from warp_peri.flow.laws import IDENTITY, elongation, shear
+from warp_peri.flow.laws import IDENTITY
 from warp_peri.flow.plane import run_plane
-from warp_peri.flow.rates import ShearLaw, learn_shear
 
 NEEDED: dict[str, str] = {}
 TEMPLATE = Path(__file__).with_suffix(".md")

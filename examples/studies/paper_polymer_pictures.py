@@ -1,15 +1,12 @@
 """Figures of the page on polymer flow by Gaussian processes: see paper_polymer_gp.py."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 
 COUNTS = (1000, 10_000, 100_000)
 """Dumbbells of an ensemble, as printed."""
@@ -28,8 +25,7 @@ RECIPES = (
 
 def draw_law(path: Path, law: Mapping[str, Any]) -> None:
     """Figure 4."""
-    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
-    axes = figure.subplots(1, 3, sharey=True)
+    figure, axes = panels(10.5, 3.4, count=3, sharey=True)
     exact = np.array(law["exact"])
     size = np.sqrt(np.mean(exact**2))
     drawn = axes[0].contourf(law["K"], law["s"], exact / 1e3, levels=21, cmap="RdBu_r")
@@ -50,9 +46,9 @@ def draw_law(path: Path, law: Mapping[str, Any]) -> None:
 
 def draw_plates(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]]) -> None:
     """Figure 5."""
-    figure = Figure(figsize=(10, 6), layout="constrained")
+    figure, axes = panels(10, 6, count=2, rows=2)
     for column, De in enumerate(sorted({De for De, *_ in plates})):
-        above, below = (figure.add_subplot(2, 2, row * 2 + column + 1) for row in (0, 1))
+        above, below = axes[:, column]
         run = plates[De, LAWS[1], 10_000]
         coupled = plates[De, "coupled", 10_000]
         for i in range(5):
@@ -78,8 +74,7 @@ def draw_plates(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
 
 def draw_training(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
     """Figures 6 and 9."""
-    figure = Figure(figsize=(10.5, 4.4), layout="constrained")
-    left, middle, right = figure.subplots(1, 3)
+    figure, (left, middle, right) = panels(10.5, 4.4, count=3)
     for color, (n, fit) in enumerate(fits.items()):
         truth, rate = np.array(fit["truth"]), np.array(fit["printed pairing"]["rate"])
         for ax, place in ((left, 0), (middle, 1)):
@@ -100,18 +95,11 @@ def draw_training(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
 
 def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> None:
     """Figure 7."""
-    figure = Figure(figsize=(8, 3.8), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(8, 3.8)
     for color, (De, found) in enumerate(channels.items()):
         ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}, exact law")
-        ax.plot(
-            found["t"],
-            found["centre"]["learned"],
-            f"C{color}o",
-            markersize=4,
-            fillstyle="none",
-            label="learned",
-        )
+        open_marks = {"markersize": 4, "fillstyle": "none", "label": "learned"}
+        ax.plot(found["t"], found["centre"]["learned"], f"C{color}o", **open_marks)
     ax.plot(found["t"], found["newton"], "k--", label="Newtonian")
     ax.set(xlabel="t / t0", ylabel="u / U in the middle")
     ax.legend(frameon=False, fontsize=8, ncols=2)
@@ -120,14 +108,10 @@ def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> Non
 
 def draw_forces(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
     """Figure 8."""
-    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
-    shown = (
-        "exact law",
-        "learned, exact rates",
-        "learned, 100000 dumbbells",
-        "coupled, 100000 dumbbells",
-    )
-    for i, (ax, height) in enumerate(zip(figure.subplots(1, 3, sharey=True), HEIGHTS)):
+    figure, axes = panels(10.5, 3.4, count=3, sharey=True)
+    learned = "learned, exact rates", "learned, 100000 dumbbells"
+    shown = ("exact law", *learned, "coupled, 100000 dumbbells")
+    for i, (ax, height) in enumerate(zip(axes, HEIGHTS)):
         for name, style in zip(shown, ("k-", "C0--", "C1:", "C2-.")):
             ax.plot(costs[name]["t"], np.array(costs[name]["force"])[:, i], style, label=name)
         ax.set(title=f"y = {height:g}", xlabel="t / t0")
@@ -138,8 +122,7 @@ def draw_forces(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
 
 def draw_costs(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
     """Error against the time of a whole run."""
-    figure = Figure(figsize=(7, 3.6), layout="constrained")
-    ax = figure.subplots()
+    figure, ax = panels(7, 3.6)
     for color, (name, run) in enumerate(costs.items()):
         if run["error"] > 0:
             ax.loglog(run["seconds"], run["error"], f"C{color}o", label=name)

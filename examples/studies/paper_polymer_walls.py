@@ -1,7 +1,5 @@
 """Walls of the channel by MSPH as the paper prints them (Appendix A), and by images."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 

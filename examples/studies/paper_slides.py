@@ -1,7 +1,5 @@
 """What the page on the slides of Trask shows: see papers.py."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from itertools import product
 from pathlib import Path
@@ -10,9 +8,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from examples import diffusion, pressurised_crack
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from examples.prose import rows_of
-from examples.studies import atlas_points
+from examples.studies import atlas_solves
 from examples.studies import paper_slides_incompressible as stiff
 from examples.studies import paper_slides_rates as study
 
@@ -92,7 +90,7 @@ def edges() -> list[list[str]]:
         if ratio == 1 and not corrected:
             continue  # no dilatation in it
         found = [
-            atlas_points.free_edge(n, ratio * atlas_points.MU, corrected=corrected)
+            atlas_solves.free_edge(n, ratio * atlas_solves.MU, corrected=corrected)
             for n in study.CELLS
         ]
         end = "" if ratio == 1 else ", renormalised" if corrected else ", not renormalised"
@@ -158,8 +156,7 @@ def draw_rates(path: Path, rates: Sequence[Mapping[str, Any]]) -> None:
 
 def draw_limits(path: Path, far: Mapping[str, Any], near: Mapping[str, Any]) -> None:
     """Both limits over the spacing."""
-    figure = Figure(figsize=(9.5, 3.8), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    figure, (left, right) = panels(9.5, 3.8, count=2)
     shown = (
         (left, far, study.PERIOD, study.PARTS, "at a fixed horizon, δ = 12.5 Å", " [Å]"),
         (right, near, study.LENGTH, study.CELLS, "at a fixed ratio, δ = 3h", ", side 2"),

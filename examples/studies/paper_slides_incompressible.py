@@ -1,7 +1,5 @@
 """Nearly incompressible solids on scattered points, for the page on the slides: see papers.py."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from itertools import product
 from typing import Any
@@ -10,11 +8,11 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import ConvexHull, Voronoi
 
-import warp_peri
+import warp_peri as wp
 from examples.studies.paper_slides_rates import LENGTH, MU, lattice
 from examples.studies.staggered import derivatives, least_squares, staggered, tensors, thinned
+from warp_peri import Points
 from warp_peri.lps.matrices import Matrices, matrices
-from warp_peri.points.points import Points
 from warp_peri.statics.direct import MatrixProblem
 
 STIFFER, CELLS, SEEDS = (3.0, 1e2, 1e4, 1e6), (8, 16, 32), range(5)
@@ -47,7 +45,7 @@ def curl_and_pressure(x: np.ndarray, ratio: float) -> tuple[np.ndarray, np.ndarr
     return u, 5 * MU * (u + (1 + 1 / ratio) * slope)
 
 
-def forms(model: warp_peri.Model, points: Points) -> dict[str, Callable[[], MatrixProblem]]:
+def forms(model: wp.Model, points: Points) -> dict[str, Callable[[], MatrixProblem]]:
     """Ways to write the dilatational part; the deviatoric one is the same in all."""
     inside = points.interior
 
@@ -93,7 +91,7 @@ def incompressible() -> list[dict[str, Any]]:
         errors: dict[str, list[float]] = {}
         for seed in SEEDS:
             points, horizon = scattered(number, seed)
-            model = warp_peri.Model(ratio * MU, MU, 1.0, np.ones(1), horizon)
+            model = wp.Model(ratio * MU, MU, 1.0, np.ones(1), horizon)
             u, b = curl_and_pressure(points.x, ratio)
             for name, problem in forms(model, points).items():
                 solved = problem().solve(b[None], u[None])[0]
@@ -123,7 +121,7 @@ def edge_error(number: int, ratio: float, seed: int, form: str) -> float:
     points, horizon = scattered(number, seed)
     outside = points.x[:, 1] > LENGTH
     body = Points(points.x, points.interior & ~outside, 0.0, outside=outside)
-    model = warp_peri.Model(ratio * MU, MU, 1.0, np.ones(1), horizon)
+    model = wp.Model(ratio * MU, MU, 1.0, np.ones(1), horizon)
     exact = bending(points, ratio)
     given = np.where(outside[:, None], 0.0, exact)
     if form == "as written (9)":
@@ -169,7 +167,7 @@ def inclusion_error(number: int, case: str, seed: int) -> float:
     x, nodes = points.x, np.flatnonzero(points.interior)
     r = np.linalg.norm(x, axis=1)
     core = r < RADIUS
-    parts = matrices(warp_peri.Model(1.0, 1.0, 1.0, np.ones(1), 3 * h), points)
+    parts = matrices(wp.Model(1.0, 1.0, 1.0, np.ones(1), 3 * h), points)
     few = thinned(x, nodes, 1.3 * h)
     D: list[Any] = [0, 0]
     G: list[Any] = [0, 0]

@@ -1,7 +1,5 @@
 """Rates of the page on the slides: functionals, quadrature, both limits, edges (see papers.py)."""
 
-from __future__ import annotations
-
 from itertools import product
 from math import factorial, pi
 from typing import Any
@@ -10,15 +8,14 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-import warp_peri
+import warp_peri as wp
 from examples.studies.manufactured import HORIZON, continuum_symbol
 from examples.studies.manufactured import MU as MANUFACTURED_MU
 from examples.studies.staggered import least_squares
+from warp_peri import InputError, Points
+from warp_peri.damage import continuum_stretch
 from warp_peri.damage.operator import unit_toughness
-from warp_peri.damage.solid import continuum_stretch
-from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
-from warp_peri.points.points import Points
 from warp_peri.points.quadrature import ball_integral
 from warp_peri.statics.direct import MatrixProblem
 
@@ -143,14 +140,14 @@ def lattice(cells: int, horizon: float, length: float) -> Points:
     return Points(h * (steps + 0.5), inside, h)
 
 
-def plain(lam: float, mu: float, horizon: float, spacing: float) -> warp_peri.Model:
+def plain(lam: float, mu: float, horizon: float, spacing: float) -> wp.Model:
     """The solid with K = 1/r, whose positive kernel needs no certificate."""
-    return warp_peri.Model(lam, mu, 1.0, np.ones(1), horizon, certified_on=(spacing,))
+    return wp.Model(lam, mu, 1.0, np.ones(1), horizon, certified_on=(spacing,))
 
 
 def error_of(material: Any, points: Points, u: np.ndarray, b: np.ndarray) -> float:
     """Relative ℓ2 error of the solution inside, u given on the collar."""
-    return float(warp_peri.evaluate(material, warp_peri.Samples(points, u[None], b[None]))["E_u"])
+    return float(wp.evaluate(material, wp.Samples(points, u[None], b[None]))["E_u"])
 
 
 def by_cells(points: Points, horizon: float, mu: float) -> MatrixProblem:
@@ -252,7 +249,7 @@ def stretches() -> list[list[str]]:
     for d, ratio in product((2, 3), (0.5, 1.0, 2.0)):
         cells = []
         for reach in (2, 3, 4, 6):
-            solid = warp_peri.Model(ratio, 1.0, 1.0, np.ones(1), float(reach), dimension=d)
+            solid = wp.Model(ratio, 1.0, 1.0, np.ones(1), float(reach), dimension=d)
             own = 1 / unit_toughness(solid, bond_classes(1.0, float(reach), dimension=d)) ** 0.5
             cells.append(f"{own / continuum_stretch(solid, 1.0):.3f}")
         rows.append([f"{d}", f"{ratio:g}", *cells])

@@ -1,7 +1,5 @@
 """What the page on You et al. (2021) shows: see papers.py."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -12,19 +10,17 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
-import warp_peri
+import warp_peri as wp
 from examples.prose import rows_of
 from examples.studies import paper_you_pictures as pictures
 from examples.studies import paper_you_thermal as thermal
 from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_4
-from warp_peri import Bernstein
+from warp_peri import Bernstein, Dataset, Samples
 from warp_peri.files.atomic import whole_file
 from warp_peri.learning.fit import learn
 from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Stage
 from warp_peri.methods import TwoStage
-from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples
 
 DATA, CACHE = "data/graphene_0K.h5", "data/graphene_0K.cache"
 NEEDED = {
@@ -60,7 +56,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
 
     @cache
     def data() -> Dataset:
-        read: Dataset = warp_peri.load(runs.parent / DATA)
+        read: Dataset = wp.load(runs.parent / DATA)
         return read
 
     @cache
@@ -104,7 +100,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         return name
 
     def kernels(path: Path) -> None:
-        cold = warp_peri.load(runs / "graphene_0K" / "model.json")
+        cold = wp.load(runs / "graphene_0K" / "model.json")
         thermal.draw_kernels(path, cold, warm()["kernels"])
 
     def noise(rows: Callable[[Any], Any]) -> str:
@@ -235,8 +231,8 @@ def errors_of(model: Any, sets: Mapping[str, Samples]) -> dict[str, float | None
     row: dict[str, float | None] = {}
     for name, samples in sets.items():
         try:
-            table = warp_peri.evaluate(model, samples, allow_uncertified=True, transfer=False)
-        except warp_peri.InputError:  # indefinite: nothing is solved
+            table = wp.evaluate(model, samples, allow_uncertified=True, transfer=False)
+        except wp.InputError:  # indefinite: nothing is solved
             table = {}
         for key in ("E_res", "E_u", "E_res_rms", "E_u_rms"):
             row[f"{key} {name}"] = table.get(key)
@@ -283,8 +279,8 @@ def metric(runs: Path, data: Dataset) -> list[list[str]]:
     names = {"linear solid": "model", "three more numbers": "nonlinear", "tensors": "micromodulus"}
     rows = []
     for name, file in names.items():
-        material = warp_peri.load(runs / "graphene_0K" / f"{file}.json")
-        tables = {role: warp_peri.evaluate(material, data[role]) for role in SETS}
+        material = wp.load(runs / "graphene_0K" / f"{file}.json")
+        tables = {role: wp.evaluate(material, data[role]) for role in SETS}
         for kind, roles in (("E_res", SETS[:2]), ("E_u", SETS)):
             pairs = [(tables[role][kind], tables[role][f"{kind}_rms"]) for role in roles]
             cells = [f"{100 * value:.2f}, {100 * rms**2:.4f}" for value, rms in pairs]
@@ -298,7 +294,7 @@ def both_metrics(
     """Every fit of the sweep with its errors in ℓ2 and as squares."""
     rows = []
     for trial in tqdm(trials, desc="both metrics"):
-        model = warp_peri.load(runs / "graphene_0K_sweep" / trial["model"])
+        model = wp.load(runs / "graphene_0K_sweep" / trial["model"])
         found = errors_of(model, {key: data[key] for key in SETS})
         rows.append({"horizon": trial["horizon"], "degree": trial["degree"], **found})
     return rows
@@ -346,8 +342,8 @@ def pairs(trials: Sequence[Mapping[str, Any]]) -> list[list[str]]:
 def table_4(runs: Path, trials: Mapping[str, Any], data: Dataset) -> list[list[str]]:
     """Constants and errors of the choice, of the printed model and of the potential."""
     trial = trials["printed_choice"]
-    model = warp_peri.load(runs / "graphene_0K_sweep" / trial["model"])
-    table = warp_peri.evaluate(model, data["test"], transfer=False)
+    model = wp.load(runs / "graphene_0K_sweep" / trial["model"])
+    table = wp.evaluate(model, data["test"], transfer=False)
     constants = [model.alpha, model.lam, model.mu, model.E, model.nu]
     truth = data.provenance["truth"]
     own = [f"{truth[key]:.4f}" for key in ("lambda", "mu", "E", "nu")]
@@ -366,9 +362,7 @@ def two_grids(data: Dataset) -> dict[str, Any]:
     both = [data["train"], data["train_fine"]]
     model = learn(both, horizon=12.5, kernel=Bernstein(10)).material
     names = ("val", "test", "val_fine", "test_fine")
-    absolute = {
-        name: warp_peri.evaluate(model, data[name])["E_res_abs"] for name in ("test", "test_fine")
-    }
+    absolute = {name: wp.evaluate(model, data[name])["E_res_abs"] for name in ("test", "test_fine")}
     return {**errors_of(model, {name: data[name] for name in names}), "absolute": absolute}
 
 

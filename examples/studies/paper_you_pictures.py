@@ -1,7 +1,5 @@
 """Figures 1, 4 and 5 of the page on You et al. (2021): see paper_you_2021.py."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +8,9 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from tools.make_graphene import SMOOTHING_RADIUS, read_samples
-from warp_peri.points.dataset import Dataset
+from warp_peri import Dataset
 
 HORIZON = 20.0
 """Of the family that is drawn [Å]."""
@@ -27,8 +25,7 @@ def family(path: Path) -> None:
     r = np.linalg.norm(x, axis=1)
     near, body = (r > 0) & (r <= HORIZON), r < 1.7 * HORIZON
     other = int(np.flatnonzero(near)[np.argmax(((x - x[node]) @ (2, 1))[near])])
-    figure = Figure(figsize=(8, 3.8), layout="constrained")
-    left, bond = figure.subplots(1, 2)
+    figure, (left, bond) = panels(8, 3.8, count=2)
     left.plot(*x[body].T, "o", color="0.75", markersize=4)
     left.plot(*x[near].T, "o", color="C0", markersize=5)
     turn = np.linspace(0, 2 * np.pi, 200)
@@ -52,8 +49,7 @@ def atoms(data: Dataset, cache: Path, path: Path) -> None:
     loaded, x = read_samples(cache, "train")[2][SHOWN["train"]], data["train"].x
     places = loaded.reference
     r = np.linalg.norm(places, axis=1)
-    figure = Figure(figsize=(11.5, 3.6), layout="constrained")
-    near, whole, nodes = figure.subplots(1, 3)
+    figure, (near, whole, nodes) = panels(11.5, 3.6, count=3)
     close = np.abs(places).max(axis=1) < 13
     cone = np.clip(1 - r / SMOOTHING_RADIUS, 0, None)[close]
     drawn = near.scatter(*places[close].T, c=cone, s=16, cmap="Blues", edgecolors="0.6", lw=0.4)

@@ -1,26 +1,21 @@
 """What the page on You et al. (2021) shows at 300 K: Tables 3 to 6, noise, Figure 7."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
-import warp_peri
-from examples.graphene_report import save_figure
+import warp_peri as wp
+from examples.figures import panels, save_figure
 from examples.studies.noise_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_5
 from tools.lammps_session import LammpsSession
 from tools.make_graphene import solve_all
 from tools.make_thermal import data_set, run_all
-from tools.plans import Plan, graphene_plans
-from tools.thermal import Bath, Task, ThermalRun
-from warp_peri import Bernstein
+from tools.thermal import Bath, Plan, Task, ThermalRun, graphene_plans
+from warp_peri import Bernstein, Dataset
 from warp_peri.learning.fit import learn
-from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 
 BATH = Bath(steps=1500, transient=800)
@@ -133,13 +128,13 @@ def errors(model: Any, sets: Mapping[str, Any], against: str) -> dict[str, float
     """E_res, E_u and the absolute residual [GPa/Å] of each set."""
     row: dict[str, float] = {}
     for name, samples in sets.items():
-        table = warp_peri.evaluate(model, samples, transfer=False)
+        table = wp.evaluate(model, samples, transfer=False)
         row |= {f"{key} {name} {against}": table[key] for key in ("E_res", "E_u")}
         row[f"absolute {name} {against}"] = 1e3 * table["E_res_abs"]
     return row
 
 
-def curve(model: warp_peri.Model) -> dict[str, list[float]]:
+def curve(model: wp.Model) -> dict[str, list[float]]:
     """K over its weighted volume on the lattice, by distance; and at the bonds."""
     classes = bond_classes(5.0, model.horizon)
     r = np.linspace(4.0, model.horizon, 300)
@@ -275,13 +270,12 @@ def longer(found: Mapping[str, Mapping[str, float]]) -> dict[str, str]:
     return {**texts, "noise_printed": f"{printed:.0f}", "steps": f"{round(steps, -3):.0f}"}
 
 
-def draw_kernels(path: Path, cold: warp_peri.Model, kernels: Mapping[str, Any]) -> None:
+def draw_kernels(path: Path, cold: wp.Model, kernels: Mapping[str, Any]) -> None:
     """Figure 7: K at 0 and 300 K, and at 300 K under three sizes of load.
 
     Between bonds K is hundreds of times what it is at them, so that the axis is theirs.
     """
-    figure = Figure(figsize=(10.5, 3.8), layout="constrained")
-    both, noises = figure.subplots(1, 2, sharey=True)
+    figure, (both, noises) = panels(10.5, 3.8, count=2, sharey=True)
     zero = curve(cold)
     names = {
         "shared 1": "300 K, shared seed", "iota 1": "300 K, ι = 0.01",

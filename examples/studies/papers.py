@@ -8,9 +8,6 @@ kept in runs/papers/, so that a run that is stopped goes on. Writes docs/papers/
 --section only those whose titles begin so. The foot of a page says which commit made what.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import os
 import platform
@@ -26,7 +23,9 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
 from examples.studies import paper_jafarzadeh_2024, paper_polymer_gp, paper_slides, paper_you_2021
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import InputError
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json, write_text
 
 SOURCES = {
@@ -120,14 +119,11 @@ def where() -> str:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("source", choices=SOURCES)
-    parser.add_argument("--section", nargs="+", default=[], metavar="TITLE", help="only these")
-    parser.add_argument("--runs", type=Path, default=ROOT / "runs", help="results of the commands")
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "papers")
+    parser = Options(__doc__)
+    parser.add("source", choices=SOURCES)
+    parser.add("--section", nargs="+", default=[], metavar="TITLE", help="only these")
+    parser.add("--runs", type=Path, default=ROOT / "runs", help="results of the commands")
+    parser.add("--out", type=Path, default=ROOT / "docs" / "papers")
     given = parser.parse_args(arguments)
     source, path = SOURCES[given.source], given.out / f"{given.source}.md"
     template, now = source.TEMPLATE.read_text(encoding="utf-8"), where()

@@ -8,9 +8,6 @@ unseen    twelve protocols that no fit saw: the larger relative error of s_xy an
 Five sets of data of 4000 dumbbells an ensemble, shear up to 8 and elongation up to 2.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import warnings
@@ -24,12 +21,11 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 from examples.polymer_flow import B, fene_law, relative
+from tools.options import Options
 from warp_peri import InputError
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.flow.closure import homogeneous
-from warp_peri.flow.dumbbells import Dumbbells, held, mixed, simulate
-from warp_peri.flow.laws import FENEP, elongation, shear
+from warp_peri.flow import FENEP, Dumbbells, elongation, held, homogeneous, mixed, shear, simulate
 from warp_peri.flow.learned import OutsideWarning
 
 RATES = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 20.0)
@@ -138,13 +134,10 @@ STUDIES = {f.__name__: f for f in (steady, unseen)}
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("studies", nargs="*", choices=[*STUDIES, []], help="both, if none is named")
-    parser.add_argument("--dumbbells", type=int, default=4000, help="in each ensemble of the data")
-    parser.add_argument("--sets", type=int, default=5, help="of data")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
+    parser.add("studies", nargs="*", choices=[*STUDIES, []], help="both, if none is named")
+    parser.add("--dumbbells", type=int, default=4000, help="in each ensemble of the data")
+    parser.add("--sets", type=int, default=5, help="of data")
     options = parser.parse_args(arguments)
     folder = ROOT / "runs" / "polymer_protocols"
     for name in options.studies or STUDIES:

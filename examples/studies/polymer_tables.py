@@ -12,9 +12,6 @@ twins     what Hookean twins take off the variance of FENE stress
 bands     what bands of start-up between plates hold, twelve sets of data
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -28,19 +25,38 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 from examples.exact import poiseuille
-from examples.flows.closure_error import corrected_run, missing_stress
+from examples.flows.active import corrected_run, missing_stress
 from examples.flows.paths import band
 from examples.polymer_flow import fene_law, fene_study, hookean_law, relative
+from tools.options import Options
 from warp_peri import InputError
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.flow.channel import ChannelFlow, ChannelRecord, Particles, run_channel
-from warp_peri.flow.closure import Closure, CoupledDumbbells, Stress, start_pairs, window_pairs
-from warp_peri.flow.dumbbells import Dumbbells, Ensembles, Twins, held, simulate
+from warp_peri.flow import (
+    FENEP,
+    ChannelFlow,
+    ChannelRecord,
+    Closure,
+    CoupledDumbbells,
+    Dumbbells,
+    Ensembles,
+    PlaneFlow,
+    Profiles,
+    ShearLaw,
+    Twins,
+    UpperConvectedMaxwell,
+    elongation,
+    held,
+    learn_rate,
+    learn_shear,
+    shear,
+    simulate,
+    start_pairs,
+)
+from warp_peri.flow.channel import Particles, run_channel
+from warp_peri.flow.closure import Stress, window_pairs
 from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.laws import FENEP, UpperConvectedMaxwell, elongation, shear
-from warp_peri.flow.plane import PlaneFlow, Profiles, run_plane
-from warp_peri.flow.rates import ShearLaw, learn_rate, learn_shear
+from warp_peri.flow.plane import run_plane
 from warp_peri.launch import set_threads, threads
 
 MAXWELL = UpperConvectedMaxwell()
@@ -231,8 +247,7 @@ def fene(reference: int = 4000, count: int = 5000) -> dict[str, Any]:
         name = (
             "learned spring, table" if rival is not law and hasattr(rival, "shape") else rival.name
         )
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             try:
                 rows[name] = relative(run(Closure(rival, 1.0, 64)).u, truth)
             except InputError as error:
@@ -314,11 +329,8 @@ STUDIES = {f.__name__: f for f in (couette, channel, recipes, speed, fene, held_
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("studies", nargs="*", choices=[*STUDIES, []], help="all, if none is named")
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser = Options(__doc__, json=True)
+    parser.add("studies", nargs="*", choices=[*STUDIES, []], help="all, if none is named")
     options = parser.parse_args(arguments)
     folder = ROOT / "runs" / "polymer_tables"
     for name in options.studies or STUDIES:

@@ -5,30 +5,24 @@ set of nodes, or each on its own. Scattered points have no symbol and no reduced
 is minimised by the two stages of Algorithm 1, the conditions kept on the lattice of the disks.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import time
 from pathlib import Path
 
-from warp_peri import Bernstein
-from warp_peri.methods import TwoStage
-
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 
-import warp_peri
+import warp_peri as wp
 from examples.train_graphene import DATA, make_data
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
+from tools.options import Options
+from warp_peri import Bernstein, Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.learning.fit import learn as fit
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples
+from warp_peri.methods import TwoStage
 
 SPACING = 5.0
 
@@ -36,10 +30,8 @@ SPACING = 5.0
 def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[Samples]:
     """The 70 training samples on perturbed nodes.
 
-    Args:
-        perturbation: largest shift of a node along each axis, in spacings.
-        seed: of the shifts.
-        own_nodes: give every sample nodes of its own.
+    `perturbation`: largest shift of a node along each axis, in spacings; `seed`: of the shifts;
+    `own_nodes`: give every sample nodes of its own.
     """
     body, _, samples = read_samples(DATA.with_suffix(".cache"), "train")
     random = np.random.default_rng(seed)
@@ -49,10 +41,10 @@ def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[S
     sets = []
     for some in [[sample] for sample in samples] if own_nodes else [samples]:
         x = lattice + SPACING * perturbation * random.uniform(-1, 1, size=lattice.shape)
-        omega = warp_peri.atoms.smoothing_matrix(
+        omega = wp.atoms.smoothing_matrix(
             some[0].reference, x, radius=SMOOTHING_RADIUS, box=body.box, density=True
         )
-        u, b = warp_peri.atoms.coarse_grain(
+        u, b = wp.atoms.coarse_grain(
             omega,
             displacement=np.stack([sample.displacement for sample in some]),
             force=np.stack([sample.force for sample in some]),
@@ -64,19 +56,15 @@ def scattered_sets(perturbation: float, seed: int, *, own_nodes: bool) -> list[S
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--horizon", type=float, default=20.0, help="δ [Å]")
-    parser.add_argument("--degree", type=int, default=10, help="M")
-    parser.add_argument("--perturbation", type=float, default=0.2, help="in spacings")
-    parser.add_argument("--own-nodes", action="store_true", help="each sample on its own nodes")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "scattered")
+    parser = Options(__doc__, "scattered")
+    parser.add("--horizon", type=float, default=20.0, help="δ [Å]")
+    parser.add("--degree", type=int, default=10, help="M")
+    parser.add("--perturbation", type=float, default=0.2, help="in spacings")
+    parser.add("--own-nodes", action="store_true", help="each sample on its own nodes")
+    parser.add("--seed", type=int, default=0)
+    parser.add("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
     given = parser.parse_args(arguments)
-    data = warp_peri.load(make_data(given.jobs, SMOOTHING_RADIUS))
+    data = wp.load(make_data(given.jobs, SMOOTHING_RADIUS))
     sets = scattered_sets(given.perturbation, given.seed, own_nodes=given.own_nodes)
     begin = time.perf_counter()
     learned = fit(
@@ -90,7 +78,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     seconds = time.perf_counter() - begin
     errors = {
-        name: warp_peri.evaluate(learned.material, data[name], allow_uncertified=True)["E_u"]
+        name: wp.evaluate(learned.material, data[name], allow_uncertified=True)["E_u"]
         for name in ("train", "val", "test")
     }
     learned.material.save(given.out / "model.json")

@@ -11,9 +11,6 @@ from the samples that the data set was made from. Needs the extras `compare` for
 and `bench` for Numba.
 """
 
-from __future__ import annotations
-
-import argparse
 import functools
 import importlib.util
 import json
@@ -27,8 +24,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from warp_peri import LPS, Bernstein
-
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
@@ -36,16 +31,26 @@ import torch
 
 from examples.studies import speed_laws
 from examples.studies.fem_rival import elastic_solver
-from examples.studies.operator_rivals import Solver, by_numba, by_scipy, positive_model
 from examples.studies.speed_chart import chart, markdown, training_chart
-from examples.studies.speed_timing import MANY, by_cg, by_lu, hundred, smooth_error, timed
+from examples.studies.speed_laws import (
+    MANY,
+    Solver,
+    by_cg,
+    by_lu,
+    by_numba,
+    by_scipy,
+    hundred,
+    positive_model,
+    smooth_error,
+    timed,
+)
 from tools import make_graphene as making
 from tools import samples
-from warp_peri import Model, Samples, fit, load
-from warp_peri.errors import InputError, exit_status
+from tools.options import Options
+from warp_peri import LPS, Bernstein, InputError, Model, Points, Samples, fit, load
+from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file, write_json
 from warp_peri.methods import Optimum
-from warp_peri.points.points import Points
 from warp_peri.transfer.lattice import agrees_to
 from warp_peri.transfers import on_lattice
 
@@ -338,13 +343,10 @@ def seconds_per_node(model: Model, side: int = 500) -> dict[str, float]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--data", type=Path, default=Path("data/graphene_0K.h5"))
-    parser.add_argument("--out", type=Path, default=Path("runs/speed_accuracy"))
-    parser.add_argument("--again", action="store_true", help="draw what is there once more")
+    parser = Options(__doc__)
+    parser.add("--data", type=Path, default=Path("data/graphene_0K.h5"))
+    parser.add("--out", type=Path, default=Path("runs/speed_accuracy"))
+    parser.add("--again", action="store_true", help="draw what is there once more")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     table = given.out / "speed_accuracy.json"

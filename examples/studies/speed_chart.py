@@ -1,18 +1,14 @@
 """The chart and the table of speed_accuracy.py."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
-
-matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
-from warp_peri.files.atomic import whole_file
+from examples.figures import panels, save_figure
+from examples.prose import table
 
 Row = dict[str, Any]
 PANELS: dict[str, tuple[str, Callable[[Row], float | None]]] = {
@@ -38,7 +34,7 @@ def front(rows: list[Row], name: str, seconds: Callable[[Row], float | None]) ->
 
 def chart(rows: list[Row], file: Path) -> None:
     """Error against time, for one load and for a hundred, the Pareto fronts drawn and labelled."""
-    figure, axes = plt.subplots(2, 2, figsize=(8, 12), layout="constrained")
+    figure, axes = panels(8, 12, count=2, rows=2)
     kinds = list(dict.fromkeys(row["kind"] for row in rows))
     floor = min(row["disks_error"] for row in rows if row["disks_error"] > 0) / 4
     for ax, (title, (name, seconds)) in zip(axes.flat, PANELS.items()):
@@ -63,15 +59,13 @@ def chart(rows: list[Row], file: Path) -> None:
         ax.set_ylabel("displacement error [%]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, fontsize=8)
-    with whole_file(file) as path:
-        figure.savefig(path, dpi=110, format="png")
-    plt.close(figure)
+    save_figure(figure, file, dpi=110, bbox_inches=None)
 
 
 def training_chart(rows: list[Row], file: Path) -> None:
     """Error on the disks against what a law cost: seconds of atoms, and of its fit."""
     atoms = next(row for row in rows if row["kind"] == "atoms")
-    figure, ax = plt.subplots(figsize=(9, 5.5), layout="constrained")
+    figure, ax = panels(9, 5.5)
     some = [row for row in rows if row.get("fit_seconds", 0) > 0]
     some = [row for row in some if row["kind"] != "predict" or row["label"].endswith(" 1 %")]
     for number, row in enumerate(sorted(some, key=lambda row: row["disks_error"]), start=1):
@@ -83,14 +77,12 @@ def training_chart(rows: list[Row], file: Path) -> None:
         ax.annotate(str(number), where, (4, 4), textcoords="offset points", size=9)
     ax.set(xlabel="seconds of atoms and fit", ylabel="displacement error on disks [%]")
     figure.legend(loc="outside right center", fontsize=8, handlelength=1)
-    with whole_file(file) as path:
-        figure.savefig(path, dpi=110, format="png")
-    plt.close(figure)
+    save_figure(figure, file, dpi=110, bbox_inches=None)
 
 
 def error_chart(rows: list[Row], file: Path, error: str) -> None:
     """Error [%] against seconds of rows with label, kind, seconds and error; 0 is drawn below."""
-    figure, ax = plt.subplots(figsize=(8.5, 4), layout="constrained")
+    figure, ax = panels(8.5, 4)
     floor = min(row["error"] for row in rows if row["error"] > 0) / 3
     for kind, mark in zip(dict.fromkeys(row["kind"] for row in rows), "osD^vP*X"):
         some = [(n, row) for n, row in enumerate(rows, start=1) if row["kind"] == kind]
@@ -103,9 +95,7 @@ def error_chart(rows: list[Row], file: Path, error: str) -> None:
     ax.grid(alpha=0.3)
     ax.margins(0.1)
     figure.legend(loc="outside right center", fontsize=8)
-    with whole_file(file) as path:
-        figure.savefig(path, dpi=110, format="png")
-    plt.close(figure)
+    save_figure(figure, file, dpi=110, bbox_inches=None)
 
 
 NAMES = ("disks", "smooth", "waves")
@@ -113,47 +103,39 @@ WAYS = ("learned", "two functions", "from δ = 25", "from two functions")
 """Of coming to a model on nodes 5 Å apart."""
 
 
-def equal_cost(rows: list[dict[str, Any]]) -> list[str]:
+def equal_cost(rows: list[dict[str, Any]]) -> str:
     """Errors of models with the same bonds: fitted to data, or to a model that is richer."""
-    lines = [
-        "| 5 Å: disks, smooth, short waves % | " + " | ".join(WAYS) + " |",
-        "|---" * (len(WAYS) + 1) + "|",
-    ]
     some = {
         (row["kind"], row["horizon"]): row
         for row in rows
         if row["spacing"] == 5 and row["method"] == "lu"
     }
-    for horizon in (12.5, 15.0, 20.0):
-        cells = [
-            ", ".join(f"{100 * some[way, horizon][f'{name}_error']:.2f}" for name in NAMES)
-            for way in WAYS
-        ]
-        lines.append(f"| δ = {horizon:g} Å | " + " | ".join(cells) + " |")
-    return lines
+
+    def cell(way: str, horizon: float) -> str:
+        return ", ".join(f"{100 * some[way, horizon][f'{name}_error']:.2f}" for name in NAMES)
+
+    lines = ([f"δ = {d:g} Å", *(cell(way, d) for way in WAYS)] for d in (12.5, 15.0, 20.0))
+    return table(["5 Å: disks, smooth, short waves %", *WAYS], lines)
 
 
 def markdown(rows: list[dict[str, Any]]) -> str:
     """The table and what it says."""
-    lines = [
-        "| model | disks % | at 10 % strain | smooth % | short waves % | set-up ms | solve ms "
-        "| hundred s | fit s |",
-        "|---" * 9 + "|",
-    ]
+    head = "model", "disks %", "at 10 % strain", "smooth %", "short waves %"
+    cells = []
     for row in rows:
         strained = row.get("strained", [[0, None]])[-1][1]
         numbers = [row["disks_error"], strained, row.get("smooth_error"), row["waves_error"]]
         numbers = [None if n is None else 100 * n for n in numbers]
         numbers += [1e3 * row["disks_setup"], 1e3 * row["disks_solve"]]
         numbers += [row.get("hundred"), row.get("fit_seconds")]
-        cells = ("" if n is None else f"{n:.3g}" for n in numbers)
-        lines.append(f"| {row['label']} | " + " | ".join(cells) + " |")
-    lines += ["", *equal_cost(rows)]
+        cells.append([row["label"], *("" if n is None else f"{n:.3g}" for n in numbers)])
+    lines = [table([*head, "set-up ms", "solve ms", "hundred s", "fit s"], cells)]
     by = {(row["kind"], row["spacing"], row["horizon"], row["method"]): row for row in rows}
     learned, Q1 = by["learned", 5.0, 20.0, "lu"], by["FEM Q1", 5.0, 0.0, "Q1"]
-    lines += ["", "| on the same nodes, h = 5 Å | disks | short waves |", "|---|---|---|"]
     ratios = [Q1[f"{name}_error"] / learned[f"{name}_error"] for name in ("disks", "waves")]
-    lines.append(f"| error of Q1 over that of δ = 20 Å | {ratios[0]:.2f} | {ratios[1]:.2f} |")
+    cells = [["error of Q1 over that of δ = 20 Å", *(f"{ratio:.2f}" for ratio in ratios)]]
+    lines += ["", equal_cost(rows), ""]
+    lines.append(table(["on the same nodes, h = 5 Å", "disks", "short waves"], cells))
     for title, (name, seconds) in PANELS.items():
         best = ", ".join(row["label"] for row in front(rows, name, seconds))
         lines += ["", f"Pareto front, {title}, fastest first: {best}."]

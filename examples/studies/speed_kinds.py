@@ -8,9 +8,6 @@ rows of a chart are of one run, on the machine that its file names. Tissue needs
 hgo_square.py, which are made where they are not there; cracks need LAMMPS.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import time
@@ -31,12 +28,13 @@ from examples.studies.speed_chart import error_chart
 from tools.cracked_sheet import critical_strain, ideal_strength
 from tools.graphene import bond_length
 from tools.make_hgo import make_hgo
+from tools.options import Options
 from tools.row_separation import whole
+from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
 from warp_peri.flow import FENEP, ChannelFlow, Dumbbells, UpperConvectedMaxwell
 from warp_peri.flow.channel import Particles
-from warp_peri.points.samples import Samples
 from warp_peri.tissue import hyperelastic_errors
 
 Row = dict[str, Any]
@@ -151,13 +149,10 @@ CHARTS: dict[str, tuple[Callable[[], Iterator[Row]], str]] = {
 
 
 def main() -> None:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("what", choices=CHARTS)
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "speed_kinds")
-    parser.add_argument("--again", action="store_true", help="draw what is there once more")
+    parser = Options(__doc__, "speed_kinds")
+    parser.add("what", choices=CHARTS)
+    parser.add("--again", action="store_true", help="draw what is there once more")
     given = parser.parse_args()
-    given.out.mkdir(parents=True, exist_ok=True)
     table = given.out / f"{given.what}.json"
     measured, error = CHARTS[given.what]
     if not given.again:

@@ -1,7 +1,5 @@
 """Nearly incompressible solids on scattered points: θ at fewer nodes (theory.md, 48a–48c)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import product
 from math import factorial, prod
@@ -10,9 +8,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError
+from warp_peri import InputError, Model
 from warp_peri.lps.matrices import Matrices, matrices
-from warp_peri.lps.model import Model
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.interpolation import mean_spacing
 from warp_peri.points.samples import PointsLike, nodes_of

@@ -1,24 +1,17 @@
 """Tables 3 and 4 and figures 6 and 7 (left) of You et al. (2021), made again from a sweep."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import matplotlib.pyplot as plt
 
-from examples.graphene_report import save_figure
+from examples.figures import panels, save_figure
 from examples.prose import fill, rows_of
-from warp_peri import plots
+from warp_peri import Model, load, plots
 from warp_peri.files.atomic import write_json, write_text
-from warp_peri.learning.sweep import COST_TOLERANCE, Sweep, Trial
-from warp_peri.lps.model import Model
-from warp_peri.storage import load
+from warp_peri.learning.sweep import COST_TOLERANCE, Trial
+from warp_peri.methods import Sweep
 
 PRINTED_TABLE_3 = {
     0: (12.5, 13.91, 17.54, 16.31, 14.49, 1.0),
@@ -59,7 +52,7 @@ def write_sweep(
 
 def draw_errors(path: Path, trials: Sequence[Trial]) -> None:
     """Figure 6: errors by degree, here and printed."""
-    figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    figure, axes = panels(10, 4, count=2)
     degrees = [trial.degree for trial in trials]
     known = [M for M in degrees if M in PRINTED_TABLE_3]
     for ax, names in zip(axes, (("E_res_train", "E_res_val"), ("E_u_train", "E_u_val"))):
@@ -69,8 +62,7 @@ def draw_errors(path: Path, trials: Sequence[Trial]) -> None:
             printed = [PRINTED_TABLE_3[M][column] for M in known]
             ax.semilogy(degrees, ours, "o-", color=f"C{number}", label=f"{name}, here")
             ax.semilogy(known, printed, "s--", color=f"C{number}", label=f"{name}, printed")
-        ax.set_xlabel("degree M, each at its δ*")
-        ax.set_ylabel("error [%]")
+        ax.set(xlabel="degree M, each at its δ*", ylabel="error [%]")
         ax.legend(frameon=False)
     figure.suptitle("Errors by degree (figure 6, 0 K)")
     save_figure(figure, path)

@@ -7,10 +7,7 @@ of the nodes, so that one direction alone says more about the load than about th
 models that examples/nonlinear.py left.
 """
 
-from __future__ import annotations
-
 import argparse
-import dataclasses
 import json
 import sys
 import warnings
@@ -19,18 +16,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
 import numpy as np
 from tqdm import tqdm
 
-import warp_peri
+import warp_peri as wp
 from examples.nonlinear import OUT
+from examples.studies.nonlinear_checks import rotation, turned_nodes
 from examples.train_graphene import DATA
 from tools.loads import TEST, RandomRim, RimLoad
-from tools.make_graphene import graphene_bodies, on_nodes
+from tools.make_graphene import graphene_bodies
 from tools.make_strained import solve_strained, strained_file
+from tools.options import Options
 from tools.samples import Sample, read_sample
 from warp_peri import Model
 from warp_peri.errors import exit_status
@@ -61,14 +59,8 @@ class TurnedRim:
 
     def shape(self, positions: np.ndarray, box: tuple[float, float] | None = None) -> np.ndarray:
         """At positions [Å] of a disk centred on the origin; shapes [A, 2]."""
-        turn = turning(self.degrees)
+        turn = rotation(self.degrees).T
         return RimLoad(self.case).shape(positions @ turn.T) @ turn
-
-
-def turning(degrees: float) -> np.ndarray:
-    """Turns rows of vectors to the left when multiplied from the right."""
-    angle = np.deg2rad(degrees)
-    return np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
 def disks(cache: Path, loads: Sequence[Any]) -> list[Sample]:
@@ -90,19 +82,11 @@ def errors(
 ) -> dict[str, dict[str, list[float]]]:
     """E_u of each sample by model and angle, crystal and loads turned against the nodes."""
     table: dict[str, dict[str, list[float]]] = {name: {} for name in models}
+    u, f = (np.stack([getattr(s, name) for s in samples]) for name in ("displacement", "force"))
     for degrees in angles:
-        turn = turning(degrees)
-        nodes = on_nodes(
-            graphene_bodies()[1],
-            samples[0].reference @ turn,
-            np.stack([sample.displacement for sample in samples]) @ turn,
-            np.stack([sample.force for sample in samples]) @ turn,
-            spacing=5.0,
-        )
-        points = dataclasses.replace(nodes.points, axis=degrees)
-        nodes = dataclasses.replace(nodes, points=points)
+        nodes = turned_nodes(samples[0].reference, u, f, degrees)
         for name, model in models.items():
-            table[name][f"{degrees:g}"] = warp_peri.evaluate(model, nodes)["E_u_samples"]
+            table[name][f"{degrees:g}"] = wp.evaluate(model, nodes)["E_u_samples"]
     return table
 
 
@@ -120,8 +104,8 @@ def summary(table: Mapping[str, Sequence[float]]) -> dict[str, dict[str, float]]
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
     """Random loads, then the printed ones in several directions; what is printed and kept."""
-    energy = warp_peri.load(given.models / "energy.json")
-    filtered = warp_peri.load(given.models / "filtered.json")
+    energy = wp.load(given.models / "energy.json")
+    filtered = wp.load(given.models / "filtered.json")
     models: dict[str, Model | NonlinearModel] = {
         "linear": energy.linear,
         "energy": energy,
@@ -142,16 +126,12 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
-    parser.add_argument("--models", type=Path, default=OUT, help="folder of the models")
-    parser.add_argument("--loads", type=int, default=24, help="random loads, at least 2")
-    parser.add_argument(
+    parser = Options(__doc__, json=True, defaults=True)
+    parser.add("--models", type=Path, default=OUT, help="folder of the models")
+    parser.add("--loads", type=int, default=24, help="random loads, at least 2")
+    parser.add(
         "--cache", type=Path, default=DATA.with_name("turned_disks.cache"), help="finished disks"
     )
-    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
     given = parser.parse_args(arguments)
     if given.loads < 2:
         parser.error(f"--loads: expected a number ≥ 2, got {given.loads}")

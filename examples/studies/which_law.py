@@ -4,9 +4,6 @@ python examples/studies/which_law.py           a table, and a picture in runs/wh
 python examples/studies/which_law.py --json    one object on stdout
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 import warnings
@@ -16,13 +13,14 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
-import matplotlib.pyplot as plt
 import numpy as np
 
 import warp_peri as wp
+from examples.figures import panels
 from examples.nonlinear import add_files, errors, strained_file
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools.benchmark_crystals import least
+from tools.options import Options
 from warp_peri.dressed import FiniteStrain
 from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum, Smoothing
@@ -84,7 +82,7 @@ def proven(material: Any) -> str:
 
 def picture(table: dict[str, Any], path: Path) -> None:
     """Errors over strain."""
-    figure, axes = plt.subplots(1, 2, figsize=(9.5, 4), layout="constrained", sharey=True)
+    figure, axes = panels(9.5, 4, count=2, sharey=True)
     for ax, (role, title) in zip(axes, (("val", "patches"), ("test", "disks"))):
         for number, (name, row) in enumerate(table.items()):
             values = [row["E_u"][key] for key in (role, f"{role}_4", f"{role}_6")]
@@ -96,39 +94,33 @@ def picture(table: dict[str, Any], path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+def main(arguments: list[str] | None = None) -> None:
+    parser = Options(__doc__)
     add_files(parser, ROOT / "runs" / "which_law")
     given = parser.parse_args(arguments)
-
-    def work() -> None:
-        wp.launch.set_threads(1)
-        data = wp.load(given.data or make_data(-1, SMOOTHING_RADIUS))
-        larger = wp.load(strained_file(given))
-        table: dict[str, Any] = {}
-        for name, law in laws(larger.provenance["truth"]).items():
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)
-                material = wp.fit(data["train"], law).material
-                found = errors(material, data, larger)["E_u"]
-                table[name] = {
-                    "E_u": {key: 100 * value for key, value in found.items()},
-                    "proven": proven(material),
-                    "turned": turned(material, data["val"]),
-                    "nanoseconds": nanoseconds(material),
-                }
-        if given.json:
-            print(json.dumps(table))
-        else:
-            for name, row in table.items():
-                cells = "".join(f"{value:7.2f}" for value in row["E_u"].values())
-                print(f"{name:30}{cells}{row['turned']:9.2f}{row['nanoseconds']:7.0f}  "
-                      f"{row['proven']}")  # fmt: skip
-        picture(table, given.out / "which_law.png")
-
-    return exit_status(work)
+    wp.launch.set_threads(1)
+    data = wp.load(given.data or make_data(-1, SMOOTHING_RADIUS))
+    larger = wp.load(strained_file(given))
+    table: dict[str, Any] = {}
+    for name, law in laws(larger.provenance["truth"]).items():
+        with warnings.catch_warnings(action="ignore", category=UserWarning):
+            material = wp.fit(data["train"], law).material
+            found = errors(material, data, larger)["E_u"]
+            table[name] = {
+                "E_u": {key: 100 * value for key, value in found.items()},
+                "proven": proven(material),
+                "turned": turned(material, data["val"]),
+                "nanoseconds": nanoseconds(material),
+            }
+    if given.json:
+        print(json.dumps(table))
+    else:
+        for name, row in table.items():
+            cells = "".join(f"{value:7.2f}" for value in row["E_u"].values())
+            print(f"{name:30}{cells}{row['turned']:9.2f}{row['nanoseconds']:7.0f}  "
+                  f"{row['proven']}")  # fmt: skip
+    picture(table, given.out / "which_law.png")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(exit_status(main))

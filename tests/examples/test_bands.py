@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from examples.flows.closure_error import corrected_run, missing_stress
+from examples.flows.active import corrected_run, missing_stress
 from examples.flows.paths import Band, band, curvature_of, draw, varied
 from warp_peri import InputError
 from warp_peri.flow.closure import Closure, homogeneous

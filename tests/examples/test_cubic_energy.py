@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from examples.cracks.cohesive_zone import HeldCracks, RowLaw
-from examples.cracks.cubic_energy import CubicEnergy, squares
+from examples.cracks.cohesive_zone import CubicEnergy, HeldCracks, RowLaw, squares
 from examples.cracks.straight_cracks import CrackedRectangle
 from warp_peri import InputError
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from examples import train_graphene, validate_disks
+from examples import train_graphene
 from warp_peri import LPS, Bernstein, fit, save
 from warp_peri.cli.main import main as command
 from warp_peri.lps.model import Model
@@ -95,14 +95,6 @@ def test_two_stage_method_stops_before_the_optimum(graphene, tmp_path):
     assert not {"nonlinear", "micromodulus"} & set(numbers)
 
 
-def test_validate_disks(main_run, graphene, tmp_path, capsys):
-    arguments = [str(main_run / "model.json"), "--data", str(graphene), "--out", str(tmp_path)]
-    assert validate_disks.main(arguments) == 0
-    assert "table2-4" in capsys.readouterr().out
-    expected = json.loads((main_run / "metrics.json").read_text())["E_u"]["test"]
-    assert json.loads((tmp_path / "test.json").read_text())["E_u"] == pytest.approx(expected)
-
-
 def test_evaluate_prints_one_object_with_every_set(main_run, graphene, capsys):
     model = str(main_run / "model.json")
     assert command(["evaluate", model, str(graphene), "--json"]) == 0
@@ -115,6 +107,8 @@ def test_evaluate_prints_one_object_with_every_set(main_run, graphene, capsys):
         assert tables[f"{name}_fine"]["E_u"] <= tables[name]["E_u"] + 0.001
     table = tables["test"]
     assert table["E_u"] == pytest.approx(np.mean(table["E_u_samples"]))
+    main_job = json.loads((main_run / "metrics.json").read_text())
+    assert table["E_u"] == pytest.approx(main_job["E_u"]["test"])
     assert table["E_res_abs"] == pytest.approx(np.mean(table["E_res_abs_samples"]))
 
 
@@ -197,8 +191,8 @@ def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
 
 
 def test_bad_input_of_an_example_is_one_line_and_status_2(tmp_path):
-    missing = [str(tmp_path / "model.json")]
-    words = [sys.executable, str(ROOT / "examples" / "validate_disks.py"), *missing]
+    missing = ["--model", str(tmp_path / "model.json"), "--out", str(tmp_path)]
+    words = [sys.executable, str(ROOT / "examples" / "plate_with_hole.py"), *missing]
     ended = subprocess.run(words, capture_output=True, text=True, check=False)
     assert ended.returncode == 2
     assert ended.stderr.startswith("error: ")

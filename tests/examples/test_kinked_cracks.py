@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from examples.cracks.cohesive_zone import HeldCracks, RowLaw
-from examples.cracks.cubic_energy import CubicEnergy
+from examples.cracks.cohesive_zone import CubicEnergy, HeldCracks, RowLaw
 from examples.cracks.kinked_cracks import KinkedCracks
 from warp_peri import InputError
 

@@ -7,14 +7,15 @@ import matplotlib.pyplot as plt
 import pytest
 
 from examples.studies import (
-    atlas_crystals,
+    atlas_bodies,
+    atlas_cracks,
     atlas_kernels,
-    atlas_points,
     atlas_solves,
     stability_atlas,
 )
 from examples.studies.atlas_entry import words
 from tests.micromodulus.crystals import learned
+from tests.support.problems import kernel
 from warp_peri.errors import InputError
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
@@ -64,7 +65,7 @@ def test_float32_loses_forces_under_a_rigid_shift():
 @pytest.mark.parametrize("ratio", [-0.27, 3.0])
 def test_the_corrected_edge_is_better(ratio):
     lam = ratio * atlas_solves.MU
-    corrected, plain = (atlas_points.free_edge(16, lam, corrected=kind) for kind in (True, False))
+    corrected, plain = (atlas_solves.free_edge(16, lam, corrected=kind) for kind in (True, False))
     assert corrected < 0.7 * plain
 
 
@@ -75,16 +76,60 @@ def test_an_unprovoked_failure_is_not_taken_for_one():
 
 def test_an_unknown_entry_is_named(monkeypatch, tmp_path):
     monkeypatch.setattr(stability_atlas, "make_data", lambda *_: tmp_path)
-    monkeypatch.setattr(stability_atlas.warp_peri, "load", lambda _: {})
+    monkeypatch.setattr(stability_atlas.wp, "load", lambda _: {})
     with pytest.raises(InputError, match="--only: expected some of sign-changing"):
         stability_atlas.main(["--only", "nothing", "--out", str(tmp_path)])
 
 
 def test_crystals_feel_their_turn_on_cut_faces_and_a_direction_that_is_not_stated():
     law = learned(3)
-    traction = atlas_crystals.turned_face(law)
+    traction = atlas_bodies.turned_face(law)
     assert traction == pytest.approx((0.122 - 0.076) / 2, rel=1e-8)
     assert traction == pytest.approx(law.surface_traction(), rel=1e-8)
-    seen = atlas_crystals.refusals(learned(2))
+    seen = atlas_bodies.refusals(learned(2))
     assert "not objective" in seen[0]
     assert "stands at 20°" in seen[1]
+
+
+def test_a_broken_learned_kernel_is_indefinite_and_a_positive_one_is_not():
+    entry = atlas_cracks.broken_kernels(kernel("sign-changing", 3.0), spacing=1.0, cells=20)
+    assert max(entry.values["negative"]["K = 1/r"]) == 0
+    assert entry.values["negative"]["learned"][0] == 0
+    assert entry.values["negative"]["learned"][-1] > 0
+    assert "changes sign" in entry.seen[0]
+    plt.close(entry.figure)
+
+
+def test_kernels_that_change_sign_break_in_space_too():
+    entry = atlas_cracks.in_space(cells=10)
+    counts = entry.values["negative"]
+    assert max(counts["K = 1/r"]) == counts["changes sign"][0] == 0 < counts["changes sign"][-1]
+    assert "changes sign" in entry.seen[0]
+    for cuts in entry.values["cuts"].values():
+        assert cuts[-1] == pytest.approx(1.0, abs=0.02)
+    plt.close(entry.figure)
+
+
+def test_steps_beyond_the_bound_grow():
+    entry = atlas_cracks.long_steps(60)
+    assert entry.values["growth"]["1.1"] > 1e3 > 10 > entry.values["growth"]["0.98"]
+    plt.close(entry.figure)
+
+
+@pytest.mark.slow
+def test_a_shifted_tip_is_nearer_at_three_spacings():
+    entry = atlas_cracks.edge_tips((6, 13), (2.0, 3.0, 4.0))
+    errors = entry.values["errors"]
+    for ratio in ("3h", "4h"):
+        both = zip(errors[f"{ratio}, as cut"], errors[f"{ratio}, shifted"])
+        assert all(0 < shifted < 0.7 * plain for plain, shifted in both)
+    assert "three lengths or more" in entry.seen[0]
+    plt.close(entry.figure)
+
+
+@pytest.mark.slow
+def test_stretches_are_misjudged():
+    entry = atlas_cracks.misjudged_stretch(cells=8, length=1)
+    assert entry.values["ratios"]["1.0"] > 1.1
+    assert "at rest" in entry.seen[0]
+    plt.close(entry.figure)

@@ -11,8 +11,7 @@ import pytest
 pytest.importorskip("skfem")
 
 
-from examples.leaflet import arguments, blank, measured
-from examples.leaflet_pictures import draw
+from examples.leaflet import arguments, blank, draw, measured
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
 from tests.support.sheets import hgo_dictionary, square
 from tools.hyperelastic_energies import plane_stress_hgo

@@ -3,9 +3,8 @@
 from tools.graphene import bond_length
 from tools.lammps_session import POTENTIAL
 from tools.loads import PatchLoad, RimLoad, WaveLoad
-from tools.plans import Plan
 from tools.samples import Piece
-from tools.thermal import Bath
+from tools.thermal import Bath, Plan
 from warp_peri.structures.calculators import potential_file
 
 BATH = Bath(steps=90, transient=30)

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tools.crystals import RECIPES, at_rest, force_constants, session, spacing_of
-from tools.isotropic_rival import isotropic_lps
+from tools.crystals import RECIPES, at_rest, force_constants, isotropic_lps, session, spacing_of
 from warp_peri.core.elastic import allowed_tensors
 from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.waves import from_phonons

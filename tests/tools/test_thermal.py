@@ -11,9 +11,8 @@ from tests.support.thermal import BATH, small_plans, small_sheet
 from tools.graphene import THICKNESS, area_per_atom
 from tools.lammps_session import CARBON_MASS, LammpsSession
 from tools.loads import PatchLoad, WaveLoad, atom_force
-from tools.long_wave import long_wave_constants
-from tools.reductions import REDUCTIONS, settled
-from tools.thermal import Task, read_run, run_file
+from tools.make_thermal import long_wave_constants
+from tools.thermal import REDUCTIONS, Task, read_run, run_file, settled
 from warp_peri.points.dataset import load_dataset
 
 BOLTZMANN = 8.617333262e-5  # eV/K

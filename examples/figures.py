@@ -1,0 +1,55 @@
+"""Figures: panels, curves of a table's rows over one axis, and files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from warp_peri.files.atomic import whole_file
+
+matplotlib.use("Agg")
+
+ABOVE = {"ncols": 2, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+"""A legend above the axes."""
+
+
+def panels(*size: float, count: int = 1, rows: int = 1, **how: Any) -> tuple[Figure, Any]:
+    """A figure of this size, 6.4 × 4.2 by default, and its axes, one or several in rows."""
+    width, height = size or (6.4, 4.2)
+    figure = Figure(figsize=(width, height), layout="constrained")
+    return figure, figure.subplots(rows, count, **how)
+
+
+def curves(
+    ax: Axes,
+    kind: str,
+    x: Any,
+    rows: Mapping[Any, Any],
+    *styles: str,
+    scale: Any = 1.0,
+    legend: Any = None,
+    **labels: Any,
+) -> None:
+    """Draw rows by name over x with a method of the axes, such as "loglog", in turns of styles.
+
+    Rows are multiplied by `scale`; `legend` has more options of it, `labels` those of the axes.
+    """
+    for number, (name, row) in enumerate(rows.items()):
+        style = styles[number % len(styles)] if styles else "-"
+        getattr(ax, kind)(x, scale * np.asarray(row, float), style, label=name)
+    ax.legend(**{"frameon": False} | (legend or {}))
+    ax.set(**labels)
+
+
+def save_figure(
+    figure: Figure, path: Path, dpi: float = 150, bbox_inches: str | None = "tight"
+) -> None:
+    """Write a figure whole or not at all, and close it."""
+    with whole_file(path) as temporary:
+        figure.savefig(temporary, dpi=dpi, bbox_inches=bbox_inches)
+    plt.close(figure)
