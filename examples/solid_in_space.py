@@ -2,10 +2,12 @@
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).parent.parent))
 import warp_peri
 from examples.figures import panels
 from warp_peri.micromodulus import tensors_of

@@ -199,7 +199,7 @@ def next_load(
 
     Raises InputError for another law, and samples that do not carry its horizon.
     """
-    tensors = hasattr(material, "group")
+    tensors = hasattr(material, "tensors")
     if not tensors:
         offered(material, "influence_dilatation", "next_load", KINDS)
     slopes, prior, information = (_of_tensors if tensors else of_solid)(material, quantity)
