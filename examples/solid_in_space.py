@@ -24,12 +24,10 @@ def swollen(h):
     r = np.linalg.norm(x, axis=1)
     points = warp_peri.Points(x, (r > BALL) & (np.abs(x).max(axis=1) < 1 - h / 2), h)
     # K = 1/r, δ = 2h. As tensors of range 2δ the solid is proven, and solved at any size.
-    model = warp_peri.Model(LAM, MU, 1.0, np.ones(1), horizon=2 * h, dimension=3)
-    law = tensors_of(model, h)
+    law = tensors_of(warp_peri.Model(LAM, MU, 1.0, np.ones(1), horizon=2 * h, dimension=3), h)
     exact = 0.1 * x * (BALL / np.maximum(r, BALL / 5))[:, None] ** 3  # without load, div u = 0
     u = warp_peri.solve(law, warp_peri.Dirichlet(points, np.zeros_like(x), exact)).u
-    body = points.interior
-    error = np.linalg.norm((u - exact)[body]) / np.linalg.norm(exact[body])
+    error = np.linalg.norm((u - exact)[points.interior]) / np.linalg.norm(exact[points.interior])
     return points, u, float(error), law.certificate.proven if law.certificate else 0.0
 
 
