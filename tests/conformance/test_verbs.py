@@ -9,7 +9,7 @@ from tests.support.plates import plate
 from warp_peri.choice import Scene
 from warp_peri.lps import bonds
 from warp_peri.third_order import material as third_order
-from warp_peri.third_order import sweeps as gradient_sweeps
+from warp_peri.third_order import sweeps
 from warp_peri.tissue import operator as tissue
 from warp_peri.transfer import operator as transferred
 
@@ -58,7 +58,7 @@ def test_no_samples_have_no_answers(name):
         (
             "third order, energy",
             (third_order, "model_for"),
-            ((gradient_sweeps, "families_of"), (bonds, "families_of")),
+            ((sweeps, "families_of"), (bonds, "families_of")),
         ),
         ("hyperelastic", None, ((tissue, "lattice_bonds"),)),
     ],

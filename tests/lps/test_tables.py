@@ -10,9 +10,8 @@ import warp as wp
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, ROUNDING, kernel, noise
 from warp_peri import InputError
-from warp_peri.lps import operator as lps
 from warp_peri.lps.bonds import Bonds, Tabulated
-from warp_peri.lps.operator import lps_force
+from warp_peri.lps.operator import NodeOperator, lps_force
 from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
@@ -43,7 +42,7 @@ def relative(value, expected):
 @pytest.mark.parametrize("name", KERNELS)
 def test_is_the_force_to_rounding(kind, name):
     points = SETS[kind]()
-    operator = lps.NodeOperator(kernel(name, HORIZON), points, allow_uncertified=True)
+    operator = NodeOperator(kernel(name, HORIZON), points, allow_uncertified=True)
     u = noise(points, 2)
     assert relative(operator(u), anew(operator, u)) < ROUNDING
     np.testing.assert_array_equal(operator(u[1]), operator(u)[1])
@@ -55,7 +54,7 @@ def test_is_the_force_to_rounding(kind, name):
 def test_is_the_force_without_a_dilatation():
     points = cloud(5, HORIZON / 2)
     bond_based = kernel("sign-changing", HORIZON, lam=0.8, mu=0.8)
-    operator = lps.NodeOperator(bond_based, points, allow_uncertified=True)
+    operator = NodeOperator(bond_based, points, allow_uncertified=True)
     assert operator.bonds.bond_based
     assert relative(operator(noise(points)), anew(operator, noise(points))) < ROUNDING
 
@@ -66,7 +65,7 @@ def test_a_bond_that_one_of_two_functions_does_not_see(D, D_dilatation):
     x = cloud(5, HORIZON).x
     points = replace(cloud(5, HORIZON), x=np.round(x * 4) / 4)
     model = replace(kernel("two functions", HORIZON), D=D, D_dilatation=D_dilatation)
-    operator = lps.NodeOperator(model, points, allow_uncertified=True)
+    operator = NodeOperator(model, points, allow_uncertified=True)
     u = noise(points)
     assert (operator.bonds.families.r == HORIZON).any()
     assert relative(operator(u), anew(operator, u)) < ROUNDING
@@ -75,7 +74,7 @@ def test_a_bond_that_one_of_two_functions_does_not_see(D, D_dilatation):
 def test_no_table_is_stale():
     points = cloud(5, HORIZON)
     u = noise(points)
-    operator = lps.NodeOperator(kernel("positive", HORIZON), points, allow_uncertified=True)
+    operator = NodeOperator(kernel("positive", HORIZON), points, allow_uncertified=True)
     before = operator(u)
     for change in (
         {"lam": -0.1},

@@ -6,8 +6,7 @@ import pytest
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.launch import Recorded, launch_slices
-from warp_peri.lps import bonds as launches
-from warp_peri.lps import rows
+from warp_peri.lps import bonds, rows
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
@@ -33,7 +32,7 @@ def launched(monkeypatch):
             names.append(self.name)
             super().__call__()
 
-    for module in (launches, rows):
+    for module in (bonds, rows):
         monkeypatch.setattr(module, "launch_slices", note)
     monkeypatch.setattr(rows, "Recorded", Noted)
     return names

@@ -12,7 +12,7 @@ from tests.support.sheets import hgo_dictionary, square
 from tests.third_order.test_equilibria import problem, proven
 from warp_peri import Dataset, InputError, Points, Samples, evaluate
 from warp_peri.cli.main import main
-from warp_peri.points import samples as axis
+from warp_peri.points import samples as points_samples
 from warp_peri.points.dataset import load_dataset, save_dataset
 from warp_peri.third_order.material import NonlinearModel
 from warp_peri.tissue.operator import HyperelasticOperator
@@ -42,12 +42,12 @@ def test_a_crystal_is_answered_by_the_axis_that_is_stated(known):
 @pytest.mark.filterwarnings("ignore:strain")
 def test_where_none_is_stated_it_is_x_and_said_once(known):
     model, samples = known
-    axis._said.clear()
+    points_samples._said.clear()
     untold, along_x = stated(samples, None), stated(samples, 0.0)
     with pytest.warns(UserWarning, match="axis: the law depends on direction"):
         found = evaluate(model, untold)
     assert evaluate(model, untold) == found == evaluate(model, along_x)  # no second warning
-    axis._said.clear()
+    points_samples._said.clear()
     evaluate(model.linear, untold)
     evaluate(dataclasses.replace(model, q3=0.0), untold)  # isotropic
 

@@ -13,7 +13,7 @@ from tests.micromodulus.test_learning import waves
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
-from warp_peri.points import samples as axis
+from warp_peri.points import samples as points_samples
 from warp_peri.points.samples import largest_strain
 from warp_peri.points.unit_names import factors
 from warp_peri.prediction import (
@@ -193,7 +193,7 @@ def test_a_linear_family_is_bounded_without_a_contraction(family):
 def test_what_is_not_known_is_named(family):
     points, u, b = problem(family, 0.01)
     unstated = replace(points, axis=None)
-    axis._said.clear()
+    points_samples._said.clear()
     with pytest.warns(UserWarning, match="axis"):
         answer = wp.predict(family, wp.Dirichlet(unstated, b, u), 0.01)
     assert any("axis" in one for one in answer.uncovered)

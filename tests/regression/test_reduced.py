@@ -17,7 +17,7 @@ from tests.support.problems import (
     noise,
 )
 from warp_peri import InputError
-from warp_peri.regression import losses as reduced
+from warp_peri.regression import losses
 from warp_peri.regression.losses import FullLoss, sample_weights
 from warp_peri.transfer.operator import LPSOperator
 
@@ -37,7 +37,7 @@ SETS = {"one lattice": [samples()], "two lattices": [samples(), samples(0.5, see
 
 def both(sets, normalise):
     weights = sample_weights(sets, normalise=normalise)
-    grids = [reduced.reduce(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
+    grids = [losses.reduce(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
     return grids, [FullLoss(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
 
 
@@ -52,13 +52,13 @@ def reduced_loss(grids, lam, mu, alpha, *kernels):
 
 
 def compare(grids, full, parameters):
-    """Relative difference of the losses, the difference of the gradients, and their size."""
-    losses = [reduced_loss(grids, *parameters), sum(part.loss(*parameters) for part in full)]
+    """Relative difference of the values, the difference of the gradients, and their size."""
+    values = [reduced_loss(grids, *parameters), sum(part.loss(*parameters) for part in full)]
     gradient, expected = (
         torch.cat([part.reshape(-1) for part in torch.autograd.grad(loss, parameters)])
-        for loss in losses
+        for loss in values
     )
-    relative = abs(losses[0].item() / losses[1].item() - 1)
+    relative = abs(values[0].item() / values[1].item() - 1)
     return relative, (gradient - expected).norm(), expected.norm()
 
 
@@ -67,7 +67,7 @@ def compare(grids, full, parameters):
 @pytest.mark.parametrize("sets", SETS.values(), ids=SETS)
 def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch):
     if block:
-        monkeypatch.setattr(reduced, "_BLOCK_BYTES", block)
+        monkeypatch.setattr(losses, "_BLOCK_BYTES", block)
     grids, full = both(sets, normalise)
     start = leaves(0.0, 1.0, alpha=1.0, D=np.random.default_rng(0).uniform(size=4))
     _, _, size = compare(grids, full, start)
@@ -80,14 +80,14 @@ def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch
 def test_blocks_leave_the_loss_as_it_is(monkeypatch):
     (points,) = SETS["one lattice"]
     (weight,) = sample_weights([points], normalise=False)
-    whole = reduced.reduce(points, HORIZON, weight).R
+    whole = losses.reduce(points, HORIZON, weight).R
     launches = []
-    real = reduced.Features.__call__
-    monkeypatch.setattr(reduced, "_BLOCK_BYTES", 1)
+    real = losses.Features.__call__
+    monkeypatch.setattr(losses, "_BLOCK_BYTES", 1)
     monkeypatch.setattr(
-        reduced.Features, "__call__", lambda self, u: launches.append(u) or real(self, u)
+        losses.Features, "__call__", lambda self, u: launches.append(u) or real(self, u)
     )
-    blocks = reduced.reduce(points, HORIZON, weight).R
+    blocks = losses.reduce(points, HORIZON, weight).R
     assert [len(u) for u in launches] == [1, 1, 1, 1]
     assert blocks.shape == whole.shape
     np.testing.assert_allclose(

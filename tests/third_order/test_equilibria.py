@@ -11,8 +11,7 @@ from tests.support.problems import ell, lattice, noise, smooth
 from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
 from warp_peri.proofs import uniqueness
-from warp_peri.statics import conjugate_gradients as newton
-from warp_peri.statics import equilibria, linear
+from warp_peri.statics import conjugate_gradients, equilibria, linear
 from warp_peri.statics.equilibria import NonlinearRecord
 from warp_peri.third_order.operator import PlacedThirdOrder
 
@@ -72,7 +71,7 @@ def test_newton_goes_where_the_fixed_point_does_not(monkeypatch):
         solved = solve_nonlinear(model, points, b, u, records=records)
     assert records[0].method == "newton"
     assert np.abs(solved - u).max() <= 1e-6 * np.abs(u).max()
-    monkeypatch.setattr(newton, "MOST", 1)
+    monkeypatch.setattr(conjugate_gradients, "MOST", 1)
     with pytest.raises(InputError, match="sample 0: no equilibrium was found: residual"):
         solve_nonlinear(model, points, 40 * b, u)
 

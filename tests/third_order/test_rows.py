@@ -7,7 +7,7 @@ import torch
 from tests.lps.test_rows import SETS, numbered
 from tests.support.nonlinear import solid
 from tests.support.problems import ROUNDING, difference, lattice, noise
-from warp_peri.third_order import sweeps as gradient_sweeps
+from warp_peri.third_order import sweeps
 from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.third_order.sweeps import third_order_force
 from warp_peri.transfer.operator import LPSOperator
@@ -94,8 +94,8 @@ def test_samples_one_after_another(monkeypatch):
     tables, bulk, cubic = tensors(op.numbers)
     cubic.requires_grad_()
     found = []
-    for most in (gradient_sweeps.AT_ONCE, 1):
-        monkeypatch.setattr(gradient_sweeps, "AT_ONCE", most)
+    for most in (sweeps.AT_ONCE, 1):
+        monkeypatch.setattr(sweeps, "AT_ONCE", most)
         Lu = third_order_force(op.sweeps, u, tables, bulk, cubic)
         found.append([Lu.detach(), *torch.autograd.grad((Lu**2).sum(), [u, cubic])])
     for one, other in zip(*found):

@@ -164,10 +164,7 @@ def run_train(given: argparse.Namespace) -> Result:
             metrics["residual"] = {"why": diagnosis.sentence, **diagnosis.shares}
             if diagnosis.advice:
                 warnings.warn(diagnosis.advice, stacklevel=1)
-        provenance = {"data_provenance": data.provenance}
-        run.save(given.out, metrics, data=given.data, provenance=provenance)
-        keep(given, given.out / f"{given.command}.toml")
-    return {**metrics, "model": str(given.out / "model.json")}
+        return _kept(given, run, metrics, data)
 
 
 def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
@@ -181,11 +178,11 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
     if own := [f"--{name}" for name, value in usual.items() if getattr(given, name) != value]:
         raise InputError(f"{', '.join(own)}: not of --law {given.law}")
     samples, horizon = data[given.set], given.horizon
-    degree = DEGREE if given.degree is None else given.degree
-    kernel, methods = warp_peri.Bernstein(degree, two_functions=True), warp_peri.methods
-    linear = warp_peri.LPS(horizon, kernel, methods.Optimum(moduli="isotropic"), normalise=True)
     law: Any = warp_peri.Micromodulus(horizon, normalise=given.normalise)
     if given.law == "third-order":
+        degree, methods = DEGREE if given.degree is None else given.degree, warp_peri.methods
+        kernel = warp_peri.Bernstein(degree, two_functions=True)
+        linear = warp_peri.LPS(horizon, kernel, methods.Optimum(moduli="isotropic"), normalise=True)
         law = warp_peri.ThirdOrder(linear, methods.Smoothing(2 * samples.spacing))
     elif given.law == "dressed":  # with the group and the long waves that the data have
         found = warp_peri.fit(samples, law).material
@@ -202,9 +199,14 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
         metrics |= {name: getattr(material, name) for name in CUBIC if hasattr(material, name)}
         metrics |= {"E_res": run.mean("E_res"), "E_u": run.mean("E_u")}
         metrics["not_evaluated"] = run.refused
-        known = {"data_provenance": data.provenance}
-        run.save(given.out, metrics, data=given.data, provenance=known)
-        keep(given, given.out / f"{given.command}.toml")
+        return _kept(given, run, metrics, data)
+
+
+def _kept(given: argparse.Namespace, run: Run, metrics: Result, data: Dataset) -> Result:
+    """Write what was learned and the settings to the folder; what the command prints."""
+    provenance = {"data_provenance": data.provenance}
+    run.save(given.out, metrics, data=given.data, provenance=provenance)
+    keep(given, given.out / f"{given.command}.toml")
     return {**metrics, "model": str(given.out / "model.json")}
 
 

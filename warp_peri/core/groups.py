@@ -182,6 +182,35 @@ def kinds_of(atoms: Any) -> tuple[np.ndarray, np.ndarray]:
     return kinds.reshape(-1), first
 
 
+def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how: bool) -> Any:
+    """What spglib's function `ask` finds of a crystal, None for nothing.
+
+    Args:
+        ask: name of the function.
+        crystal: edges of the cell as rows [Å], atoms in parts of them, and numbers that tell these
+            apart.
+        precision: distance [Å] within which atoms are on their sites.
+        how: what else the function is told.
+
+    Raises InputError where spglib is not installed.
+    """
+    try:
+        import spglib  # an extra; the rest of the package does without
+    except ImportError:
+        raise InputError(
+            "symmetry: auto asks spglib for the group of a structure: pip install "
+            "'warp_peri[crystals]', or name the group"
+        ) from None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of how it will report errors one day
+        return getattr(spglib, ask)(crystal, symprec=precision, **how)
+
+
+def primitive_cell(crystal: tuple[np.ndarray, ...], precision: float) -> Any:
+    """The crystal by its primitive cell, in the axes given; None where spglib finds none."""
+    return by_spglib("standardize_cell", crystal, precision, to_primitive=True, no_idealize=True)
+
+
 def group_of_structure(
     cell: np.ndarray, fractions: np.ndarray, species: np.ndarray, *, precision: float = 1e-4
 ) -> np.ndarray:
@@ -195,21 +224,9 @@ def group_of_structure(
 
     Raises InputError where spglib is not installed or finds nothing.
     """
-    try:
-        import spglib  # an extra; the rest of the package does without
-    except ImportError:
-        raise InputError(
-            "symmetry: auto asks spglib for the group of a structure: pip install "
-            "'warp_peri[crystals]', or name the group"
-        ) from None
-    given: Any = (np.asarray(cell, dtype=float), fractions, species)
     # of the primitive cell: a larger one hides turns that are no whole numbers of its edges
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # of how it will report errors one day
-        small: Any = spglib.standardize_cell(
-            given, to_primitive=True, no_idealize=True, symprec=precision
-        )
-        found = None if small is None else spglib.get_symmetry(small, symprec=precision)
+    small = primitive_cell((np.asarray(cell, dtype=float), fractions, species), precision)
+    found = None if small is None else by_spglib("get_symmetry", small, precision)
     if found is None:
         raise InputError("symmetry: spglib finds none of this structure; name the group")
     edges = np.asarray(small[0], dtype=float).T

@@ -15,9 +15,9 @@ from tqdm import tqdm
 from warp_peri.damage.lattice_body import HAIR, cells, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
 from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed
+from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
-from warp_peri.points.arrays import check_whole, fingerprint
+from warp_peri.points.arrays import check_whole
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""

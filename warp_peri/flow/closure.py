@@ -14,9 +14,10 @@ import numpy as np
 
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import fingerprint
 from warp_peri.flow.dumbbells import Dumbbells, Ensembles, random_planar
 from warp_peri.flow.laws import IDENTITY, FlowLaw
-from warp_peri.points.arrays import check_positive, check_whole, fingerprint
+from warp_peri.points.arrays import check_positive, check_whole
 
 March = Callable[[np.ndarray, np.ndarray, float, int], np.ndarray]
 """C after some steps of Heun's rule: of K [n, 4], C [n, 4], relaxation times a step, steps."""

@@ -18,9 +18,9 @@ from warp_peri.contract import taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import ArrayFile, write_text
+from warp_peri.files.checkpoint import fingerprint
 from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
 from warp_peri.flow.laws import shear
-from warp_peri.points.arrays import fingerprint
 
 
 def still(t: float) -> float:

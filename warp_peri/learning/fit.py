@@ -12,6 +12,7 @@ from importlib.metadata import PackageNotFoundError, version
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.files.checkpoint import fingerprint
 from warp_peri.learning.full_loss_check import ConsistencyCheck
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
 from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit, check_nonlinear, with_constants
@@ -21,7 +22,6 @@ from warp_peri.learning.stages import Stages, choose_loss
 from warp_peri.learning.training_data import Scale, TrainingData, listed, scaled_data
 from warp_peri.lps.shapes import InfluenceFunction, shapes_of
 from warp_peri.lps.symbol import moduli as moduli_of
-from warp_peri.points.arrays import fingerprint
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples, largest_strain, largest_wave_number
 from warp_peri.points.unit_names import symbols

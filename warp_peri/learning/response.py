@@ -17,6 +17,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters
@@ -77,7 +78,7 @@ class WaveResponse:
                 raise InputError(
                     f"{name}: sample {int(np.argmin(size))} is zero at its wave vector"
                 )
-        self.rows = symbol_rows(self.classes, k)
+        self.rows = symbol_rows(symbol(self.classes, k))
 
     def about(self, model: Model) -> ReducedLoss:
         answer, slope = self.answer(model)

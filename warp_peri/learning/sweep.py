@@ -19,13 +19,13 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
+from warp_peri.files.checkpoint import fingerprint
 from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein, Kernel
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.lps.model import Model
-from warp_peri.points.arrays import fingerprint
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols

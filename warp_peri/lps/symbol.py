@@ -43,20 +43,28 @@ class Symbol:
         ratio: np.ndarray = smallest / self.laplacian
         return ratio
 
+    def softest(self, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
+        """Unit vectors e of Λmin D = e·D e, shape [K, 2]."""
+        d11, d22, d12 = self.entries(v, z, kappa)
+        angle = np.arctan2(2 * d12, d11 - d22) / 2  # of the larger eigenvalue's vector
+        return np.stack([-np.sin(angle), np.cos(angle)], axis=1)
+
     def ratio_gradient(
         self, v: np.ndarray, z: np.ndarray, kappa: float
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Derivatives of Λmin D / s to v and z, each of shape [K, C], and to κ, shape [K]."""
-        d11, d22, d12 = self.entries(v, z, kappa)
-        angle = np.arctan2(2 * d12, d11 - d22) / 2  # of the larger eigenvalue's vector
-        e = np.stack([-np.sin(angle), np.cos(angle)], axis=1)
-        quadratic = np.stack([e[:, 0] ** 2, e[:, 1] ** 2, 2 * e[:, 0] * e[:, 1]], axis=1)
+        e = self.softest(v, z, kappa)
         e_phi = np.einsum("ka,kac->kc", e, self.phi)  # e·φ of unit z
         along = e_phi @ z
-        by_v = np.einsum("kg,kgc->kc", quadratic, self.gamma)
+        by_v = np.einsum("kg,kgc->kc", quadratic(e), self.gamma)
         by_z = 2 * kappa * along[:, None] * e_phi
         s = self.laplacian
         return by_v / s[:, None], by_z / s[:, None], along**2 / s
+
+
+def quadratic(e: np.ndarray) -> np.ndarray:
+    """Weights of the entries 11, 22, 12 in e·D e, shape [K, 3], of vectors [K, 2]."""
+    return np.stack([e[:, 0] ** 2, e[:, 1] ** 2, 2 * e[:, 0] * e[:, 1]], axis=1)
 
 
 def symbol(classes: BondClasses, k: np.ndarray) -> Symbol:

@@ -17,6 +17,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import whole_file
+from warp_peri.files.checkpoint import fingerprint
 from warp_peri.neural.placed import (
     CELLS,
     SOLVED,
@@ -25,7 +26,7 @@ from warp_peri.neural.placed import (
     affine,
     interpolated_force,
 )
-from warp_peri.points.arrays import check_positive, check_whole, fingerprint
+from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.samples import Samples
 
 if TYPE_CHECKING:

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import dataclasses
-import hashlib
-import inspect
-import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -122,51 +118,6 @@ def check_whole(name: str, value: Any, least: int) -> None:
 def is_name(name: Any) -> bool:
     """Whether HDF5 takes it as the name of one thing."""
     return isinstance(name, str) and name not in ("", ".") and "/" not in name
-
-
-def fingerprint(*parts: Any) -> str:
-    """SHA-256 of values, by which a file kept beside a run knows what the run depends on.
-
-    Arrays count with kind and shape; data classes (points, samples, settings, problems) with all
-    their fields, so that none is forgotten; materials with what their file holds; functions with
-    their code and what it encloses; numbers alike whatever type they are of. What prints an address
-    counts without it.
-    """
-    digest = hashlib.sha256()
-    for text in _spelled(parts):
-        digest.update(f"{len(text)}:".encode() + text)
-    return digest.hexdigest()
-
-
-def _spelled(part: Any) -> Iterator[bytes]:
-    """What tells a value from others, bit by bit."""
-    if hasattr(part, "numpy") and not isinstance(part, type):  # of torch and Warp
-        part = part.numpy()
-    code = getattr(part, "__code__", None)
-    if isinstance(part, (bool, int, float, np.number, np.bool_)):
-        yield repr(float(part) if isinstance(part, (float, np.floating)) else int(part)).encode()
-    elif isinstance(part, np.ndarray) and part.dtype != object:
-        yield from (part.dtype.str.encode(), repr(part.shape).encode(), part.tobytes())
-    elif isinstance(part, Mapping):
-        yield from _spelled(sorted((str(key), value) for key, value in part.items()))
-    elif isinstance(part, (list, tuple, np.ndarray)):
-        yield str(len(part)).encode()
-        for one in part:
-            yield from _spelled(one)
-    elif code is not None:
-        enclosed = inspect.getclosurevars(part).nonlocals  # of a bound method none
-        yield code.co_code
-        known = [one for one in code.co_consts if not inspect.iscode(one)]
-        yield from _spelled([known, code.co_names, getattr(part, "__defaults__", None)])
-        yield from _spelled({key: one for key, one in enclosed.items() if not callable(one)})
-    elif not isinstance(part, type) and hasattr(part, "content"):
-        yield from _spelled(part.content())
-    elif dataclasses.is_dataclass(part) and not isinstance(part, type):
-        yield type(part).__name__.encode()
-        fields = (field.name for field in dataclasses.fields(part))
-        yield from _spelled([(name, getattr(part, name)) for name in fields])
-    else:
-        yield re.sub(r" at 0x[0-9a-f]+", "", repr(part)).encode()
 
 
 SAMPLES = 32

@@ -22,7 +22,7 @@ from warp_peri.launch import DEVICE
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.model import Solid, bernstein_basis
 from warp_peri.lps.operator import lps_force
-from warp_peri.lps.symbol import symbol
+from warp_peri.lps.symbol import Symbol
 from warp_peri.points.families import BondClasses
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples
@@ -224,10 +224,9 @@ def with_rows(R: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.qr(np.concatenate([R, rows]), mode="r"))
 
 
-def symbol_rows(classes: BondClasses, k: np.ndarray) -> np.ndarray:
-    """D11, D22, D12 at wave vectors by the products (v, κ z z), shape [K, 3, F]."""
-    table = symbol(classes, k)
-    i, j = class_pairs(len(classes.r))
+def symbol_rows(table: Symbol) -> np.ndarray:
+    """D11, D22, D12 at the wave vectors of a table by the products (v, κ z z), shape [K, 3, F]."""
+    i, j = class_pairs(table.phi.shape[2])
     twice = np.where(i == j, 1.0, 2.0)
     p1, p2 = table.phi[:, 0], table.phi[:, 1]
     quadratic = [

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.lps.symbol import Symbol, long_wave_moduli, symbol, zone_wedge
+from warp_peri.lps.symbol import Symbol, long_wave_moduli, quadratic, symbol, zone_wedge
 from warp_peri.points.families import BondClasses
 from warp_peri.regression.coordinates import Coordinates, Parameters, Point, ShapeCoordinates
 from warp_peri.regression.losses import ReducedLoss, symbol_rows
@@ -75,7 +75,7 @@ class LatticeConditions:
         """Names of the conditions, in the order of the margins."""
         return CONDITIONS[self.kind]
 
-    def _forms(self, v: np.ndarray, kappa: float) -> list[tuple[float, np.ndarray, float]]:
+    def forms(self, v: np.ndarray, kappa: float) -> list[tuple[float, np.ndarray, float]]:
         """For each condition: κ of its form Γ + κφφᵗ, its derivative to (κ, v), and the level."""
         sigma = self.classes.count * self.classes.r**2
         mu = sigma @ v  # Σ w r² = 1
@@ -92,13 +92,13 @@ class LatticeConditions:
     def margins(self, table: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
         """Λmin / s minus the level [TPa] of each condition, shape [J, K]; ≥ 0 where it holds."""
         return np.array(
-            [table.ratio(v, z, form) - level for form, _, level in self._forms(v, kappa)]
+            [table.ratio(v, z, form) - level for form, _, level in self.forms(v, kappa)]
         )
 
     def gradients(self, table: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
         """Derivatives of the margins to (κ, v, z), shape [J, K, 1 + 2 C]."""
         out = []
-        for form, chain, _ in self._forms(v, kappa):
+        for form, chain, _ in self.forms(v, kappa):
             by_v, by_z, by_form = table.ratio_gradient(v, z, form)
             gradient = by_form[:, None] * chain
             gradient[:, 1:] += by_v
@@ -326,16 +326,6 @@ class ConstrainedProblem:
         bent = kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
         return np.concatenate([point.dv[number], bent + np.outer(z[i] * z[j], by_kappa)])
 
-    def _forms(self, point: Point, names: Sequence[str]) -> list[tuple[float, np.ndarray, float]]:
-        """Of each condition κ of its form Γ + κ φφᵗ, its derivative to y, and the level."""
-        mu, zeta = point.mu, self.asked[0].zeta
-        forms = {
-            "D": (point.kappa, np.eye(len(point.dmu))[0], zeta),
-            "gamma": (0.0, 0 * point.dmu, zeta),
-            "gamma_minus_2phi": (-2 / mu, 2 / mu**2 * point.dmu, 0.0),
-        }
-        return [forms[name] for name in names]
-
     def look(self, point: Point, *, all_of_them: bool = False) -> float:
         """The smallest margin over the zones [stress]; waves below zero become cuts.
 
@@ -348,17 +338,12 @@ class ConstrainedProblem:
             least, where = search.worst(v, z, point.kappa)
             smallest = min(smallest, float(least.min()))
             waves = where.reshape(len(least), -1, 2)
-            for form, (kappa, _, level) in enumerate(self._forms(point, conditions.names)):
+            for form, (kappa, _, level) in enumerate(conditions.forms(v, point.kappa)):
                 table = symbol(conditions.classes, waves[form])
                 some = (table.ratio(v, z, kappa) < level) | all_of_them
-                if not some.any():
-                    continue
-                d11, d22, d12 = (entry[some] for entry in table.entries(v, z, kappa))
-                angle = np.arctan2(2 * d12, d11 - d22) / 2  # of the larger eigenvalue's vector
-                parts = np.stack([np.sin(angle) ** 2, np.cos(angle) ** 2, -np.sin(2 * angle)])
-                entries = symbol_rows(conditions.classes, waves[form][some])
-                rows = np.einsum("pk,kpf->kf", parts, entries) / table.laplacian[some, None]
-                self.cuts[number][form] = np.concatenate([self.cuts[number][form], rows])
+                parts = quadratic(table.softest(v, z, kappa))
+                rows = np.einsum("kp,kpf->kf", parts, symbol_rows(table)) / table.laplacian[:, None]
+                self.cuts[number][form] = np.concatenate([self.cuts[number][form], rows[some]])
         return smallest
 
     @property
@@ -372,7 +357,7 @@ class ConstrainedProblem:
         # μ and λ + μ = 2μ + κμ²
         values = [np.array([mu, 2 * mu + kappa * mu**2]) - self.asked[0].zeta]
         for number, forms in enumerate(self.cuts):
-            asked = self._forms(point, self.asked[number].names)
+            asked = self.asked[number].forms(point.v[number], point.kappa)
             for rows, (own, _, level) in zip(forms, asked):
                 values.append(rows @ self._products(point, number, own) - level)
         values.append(point.limits)
@@ -381,12 +366,12 @@ class ConstrainedProblem:
     def margin_slopes(self, point: Point) -> np.ndarray:
         """The derivative of the margins to y."""
         kappa, mu, dmu = point.kappa, point.mu, point.dmu
-        dkappa = np.zeros_like(dmu)
-        dkappa[0] = 1.0
+        dkappa = np.eye(len(dmu))[0]  # y₀ is κ
         slopes = [np.array([dmu, (2 + 2 * kappa * mu) * dmu + mu**2 * dkappa])]
         for number, forms in enumerate(self.cuts):
-            asked = self._forms(point, self.asked[number].names)
-            for rows, (own, by_own, _) in zip(forms, asked):
+            asked = self.asked[number].forms(point.v[number], kappa)
+            for rows, (own, by, _) in zip(forms, asked):
+                by_own = by[0] * dkappa + by[1:] @ point.dv[number]
                 slopes.append(rows @ self._slopes(point, number, own, by_own))
         slopes.append(point.dlimits)
         return np.concatenate(slopes)

@@ -10,7 +10,7 @@ import numpy as np
 from ase.neighborlist import neighbor_list
 from scipy.linalg import sqrtm
 
-from warp_peri.core.groups import group_of_structure, kinds_of
+from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
 from warp_peri.errors import InputError
 
 VACUUM = 8.0
@@ -133,12 +133,8 @@ def _joined(atoms: ase.Atoms, axis: int, x: np.ndarray, turn: np.ndarray) -> np.
 
 def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
     """A solid turned to spglib's standard axes, where these share more turns with nodes."""
-    import spglib
-
-    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        found: Any = spglib.get_symmetry_dataset(given, symprec=ON_SITES)
+    given = np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
+    found = by_spglib("get_symmetry_dataset", given, ON_SITES)
     if found is None:
         return atoms
     group = group_of_structure(*given)
@@ -155,12 +151,8 @@ def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
 
 def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
     """The cell without the last digits that break its symmetry, and turns of nodes: 1e-4 Å."""
-    import spglib
-
-    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        found: Any = spglib.get_symmetry(given, symprec=ON_SITES)
+    given = np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
+    found = by_spglib("get_symmetry", given, ON_SITES)
     if found is None:
         return atoms
     W, edges = found["rotations"].astype(float), np.array(atoms.cell).T
@@ -182,15 +174,8 @@ def smallest(atoms: ase.Atoms, flat: bool, calculator: Any) -> ase.Atoms:
     Its atoms keep their moments, charges and tags. Where the calculator has another energy of an
     atom in it, by whatever else it goes, the cell stays as it is, with a warning.
     """
-    import spglib
-
     kinds, first = kinds_of(atoms)
-    given: Any = (np.array(atoms.cell), atoms.get_scaled_positions(), kinds)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        small: Any = spglib.standardize_cell(
-            given, to_primitive=True, no_idealize=True, symprec=ON_SITES
-        )
+    small = primitive_cell((np.array(atoms.cell), atoms.get_scaled_positions(), kinds), ON_SITES)
     if small is None or len(small[2]) >= len(atoms):
         return atoms
     edges = np.array(small[0])

@@ -16,6 +16,7 @@ from ase.filters import FrechetCellFilter
 from ase.optimize import BFGS
 from ase.stress import voigt_6_to_full_3x3_stress
 
+from warp_peri.core.groups import by_spglib
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants, Polar, from_supercell
 from warp_peri.points.unit_names import STRESSES
@@ -207,12 +208,8 @@ def usual_spacing(cell: ase.Atoms, flat: bool) -> float:
 
 def _solid_spacing(cell: ase.Atoms) -> float:
     """Edge of a cube with the volume of the conventional cell, twice that of a hexagonal one."""
-    import spglib
-
-    given: Any = (np.array(cell.cell), cell.get_scaled_positions(), cell.numbers)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)
-        found: Any = spglib.get_symmetry_dataset(given, symprec=ON_SITES)
+    given = np.array(cell.cell), cell.get_scaled_positions(), cell.numbers
+    found = by_spglib("get_symmetry_dataset", given, ON_SITES)
     if found is None:
         return float(abs(cell.get_volume()) ** (1 / 3))
     volume = abs(cell.get_volume()) * len(found.std_types) / len(cell)

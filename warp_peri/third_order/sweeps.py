@@ -126,10 +126,7 @@ class GradientSweeps:
         rate = empty(u.shape[0], len(self.rows), dtype=self.kernels.vec)
         for part in self._parts(u.shape[0]):
             planes, state = self._state(u[part], law)
-            along, change = laid.planes("along", planes.shape[0], PLANES)
-            laid.lay_out(laid.pieces.images, v[part], along)
-            inputs: tuple[Any, ...] = (laid.pieces.needed, *law[:2], P_IN, *law[2:], state, along)
-            laid.launch(self.kernels.curved, inputs, change)
+            along, change = self._curved("along", laid.pieces.images, v[part], law, P_IN, state)
             inputs = (laid.pieces.forces, *law[:2], P_OUT, of.bulk, along, change)
             self._gather(inputs, self.rows, rate[part])
             laid.give_back("forward", planes, state)
@@ -138,9 +135,9 @@ class GradientSweeps:
 
     def gradients(self, u: wp.array[Any], of: Numbers) -> tuple[np.ndarray, np.ndarray]:
         """H and P at the nodes `full`, each of shape [S, F, 2, 2]."""
-        laid, found = self._laid_out, []
+        laid, law, found = self._laid_out, self._law(of), []
         for part in self._parts(u.shape[0]):
-            planes, state = self._state(u[part], self._law(of))
+            planes, state = self._state(u[part], law)
             by_plane = state.numpy().reshape(-1, PLANES, laid.places)
             found.append(by_plane[:, :, laid.home[self.full]])
             laid.give_back("forward", planes, state)
@@ -165,11 +162,9 @@ class GradientSweeps:
         by_numbers = zeros(BLOCKS, gathered.material)
         for part in self._parts(u.shape[0]):
             planes, state = self._state(u[part], law)
-            seeds, back = laid.planes("backward", planes.shape[0], PLANES)
-            laid.lay_out(laid.pieces.row_images, g[part], seeds)
-            inputs: tuple[Any, ...] = (laid.pieces.needed, *law[:2], P_OUT, *law[2:], state, seeds)
-            laid.launch(self.kernels.curved, inputs, back)
-            inputs = (laid.pieces.nodes, *law[:2], P_IN, of.bulk, seeds, back)
+            images = laid.pieces.row_images
+            seeds, back = self._curved("backward", images, g[part], law, P_OUT, state)
+            inputs: tuple[Any, ...] = (laid.pieces.nodes, *law[:2], P_IN, of.bulk, seeds, back)
             self._gather(inputs, slice(None), u_bar[part])
             if parameters:
                 whole = laid.pieces.whole
@@ -207,6 +202,23 @@ class GradientSweeps:
         laid.lay_out(laid.pieces.images, u, planes)
         laid.launch(self.kernels.state, (laid.pieces.needed, *law, planes), state)
         return planes, state
+
+    def _curved(
+        self,
+        held: str,
+        images: Any,
+        field: wp.array[Any],
+        law: tuple[Any, ...],
+        weight: int,
+        state: wp.array[Any],
+    ) -> tuple[wp.array[Any], wp.array[Any]]:
+        """Planes of a field and of Ψ″ by its gradients with a weight, to be given back."""
+        laid = self._laid_out
+        planes, curved = laid.planes(held, field.shape[0], PLANES)
+        laid.lay_out(images, field, planes)
+        inputs = (laid.pieces.needed, *law[:2], weight, *law[2:], state, planes)
+        laid.launch(self.kernels.curved, inputs, curved)
+        return planes, curved
 
     def _gather(
         self, inputs: tuple[Any, ...], nodes: np.ndarray | slice, output: wp.array[Any]
@@ -253,11 +265,11 @@ class _ThirdOrderForce(torch.autograd.Function):
         g = wp.from_torch(upstream[0].detach().contiguous(), dtype=ctx.sweeps.kernels.vec)
         wanted = any(ctx.needs_input_grad[3:])
         by_u, others = ctx.sweeps.adjoint(ctx.field, ctx.of, g, parameters=wanted)
-        parts: tuple[torch.Tensor | None, ...] = (None, None, None)
-        if others is not None:
-            parts = tuple(torch.as_tensor(part, dtype=torch.float64) for part in others)
-            parts = (parts[0], parts[1].reshape(1), parts[2])  # type: ignore[union-attr]
-        return None, None, wp.to_torch(by_u, requires_grad=False), *parts
+        by_u = wp.to_torch(by_u, requires_grad=False)
+        if others is None:
+            return None, None, by_u, None, None, None
+        tables, bulk, cubic = (torch.as_tensor(part, dtype=torch.float64) for part in others)
+        return None, None, by_u, tables, bulk.reshape(1), cubic
 
 
 _force: Callable[..., torch.Tensor] = _ThirdOrderForce.apply

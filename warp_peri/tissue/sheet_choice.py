@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
-from warp_peri.points.arrays import fingerprint
+from warp_peri.files.checkpoint import fingerprint
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, part, seen_of
 from warp_peri.tissue.fibres import rose

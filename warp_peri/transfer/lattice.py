@@ -77,7 +77,7 @@ def wave_loss(
     Mean over waves and polarisations of |D₀⁻¹ D e − e|²: the square of the relative error of
     displacement, to first order. With weights of the waves, shape [K], their sum instead.
     """
-    d11, d22, d12 = symbol_rows(classes, k).transpose(1, 0, 2)
+    d11, d22, d12 = symbol_rows(symbol(classes, k)).transpose(1, 0, 2)
     D = np.stack([d11, d12, d12, d22], axis=1).reshape(len(k), 2, 2, -1)
     answer = np.einsum("kab,kbcf->kacf", np.linalg.inv(target), D)
     wanted = np.broadcast_to(np.eye(2)[..., None], (len(k), 2, 2, 1))

@@ -10,15 +10,15 @@ import torch
 
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
-from warp_peri.lps import operator as lps
 from warp_peri.lps.model import Model
+from warp_peri.lps.operator import NodeOperator
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.transfer.cache import model_for
 from warp_peri.transfer.carrier import Carrier
 
 
-class LPSOperator(lps.NodeOperator):
+class LPSOperator(NodeOperator):
     """The operator of a model's material on points of any kind (theory.md, M2–M7).
 
     On a lattice ``op(u)`` is L u [TPa/Å] of the model there, on interior nodes; in equilibrium it

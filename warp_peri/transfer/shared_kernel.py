@@ -120,10 +120,7 @@ def one_kernel(
 
 
 def _least_squares(losses: list[ReducedLoss], start: Parameters) -> Parameters:
-    """The optimum without conditions, which are not active here: they are proven afterwards.
-
-    Gauss–Newton steps: SLSQP takes thirty times as long for a loss that is 0.3 % lower.
-    """
+    """The optimum without conditions, which are not active here: they are proven afterwards."""
     lattices = [loss.classes for loss in losses]
     coordinates = Coordinates(lattices, start.alpha, len(start.D) - 1)
     problem = ConstrainedProblem(losses, [], coordinates, None, SMOOTHNESS)

@@ -8,7 +8,7 @@ import torch
 
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri.points.arrays import fingerprint
+from warp_peri.files.checkpoint import fingerprint
 from warp_peri.tissue.sheet_choice import KeptFits
 
 
