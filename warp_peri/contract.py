@@ -1,18 +1,23 @@
 """What a material, an operator, a problem and a law are: what one must offer to be taken as such.
 
-Nothing derives from these. A new law is whatever offers the same, and passes the conformance test
-(tests/conformance).
+Nothing need derive from these. A new law is whatever offers the same, and passes the conformance
+test (tests/conformance). `OnPoints` gives an operator its torch tensors.
 """
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from importlib import import_module
 from inspect import signature
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
 from warp_peri.errors import InputError
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 SAME_SPACING = 1e-6
 """Relative, of spacings that are taken as the same."""
@@ -38,6 +43,9 @@ class Operator(Protocol):
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative of the operator at u along v, shape [..., I, d]."""
 
+    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """That derivative transposed: of w on the interior [..., I, d], on all [..., N, d]."""
+
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """What the operator is the derivative of: ∂(energy)/∂u_i = h^d op(u)_i; None without."""
 
@@ -46,6 +54,62 @@ class Operator(Protocol):
 
     def rest(self, b: Any, u: Any, solver: Any) -> Any:
         """The Solution in equilibrium with b on the interior, u given on the collar."""
+
+
+def is_tensor(value: Any) -> bool:
+    """Whether it is of torch, which is not loaded for the question."""
+    return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)
+
+
+class OnPoints:
+    """What operators share: NumPy in, NumPy out; torch in, differentiable torch out.
+
+    ``op(u)`` takes fields on all nodes, [N, d] or [S, N, d], of torch [..., N, d], and gives the
+    force on the interior nodes, [..., I, d]. Tensors of another precision than float64, or on
+    another device, are computed in float64 on the processor, and so is their gradient.
+
+    The first derivative of torch is `product_transpose`, a tangent of forward mode is `product`.
+    The second is right for a linear force; of others it is refused by an InputError.
+    """
+
+    is_linear = False
+    """Whether the force is linear in u, so that derivatives of any order are had."""
+    points: Any
+    force: Callable[[Any], np.ndarray]
+    """The force of fields of NumPy."""
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one field, [N, d]."""
+        return tuple(self.points.x.shape)
+
+    @overload
+    def __call__(self, u: np.ndarray) -> np.ndarray: ...
+    @overload
+    def __call__(self, u: Tensor) -> Tensor: ...
+    def __call__(self, u: Any) -> Any:
+        """Minus the internal force density on the interior; InputError for another shape."""
+        return self.force_in_torch(u) if is_tensor(u) else self.force(u)
+
+    def force_in_torch(self, u: Any) -> Any:
+        """The force of a tensor, differentiable."""
+        return import_module("warp_peri.core.tensors").force_of(self, u)
+
+    def check(self, u: Any, real: bool = True) -> None:
+        """Raise InputError for what is no real fields on the nodes."""
+        one, given = self.shape, tuple(u.shape)
+        if not real or given[-len(one) :] != one or 0 in given:
+            shown = ", ".join(map(str, one))
+            raise InputError(
+                f"u: expected float64 of shape [S, {shown}], S ≥ 1, or [{shown}], got {u.dtype} of "
+                f"shape {list(given)}"
+            )
+
+    def on_all(self, w: np.ndarray) -> np.ndarray:
+        """Fields of the interior nodes [..., I, d] as those of all, zero elsewhere, [..., N, d]."""
+        fields = np.zeros((*np.shape(w)[:-2], *self.shape))
+        fields[..., self.points.interior, :] = w
+        return fields
 
 
 class Material(Protocol):

@@ -181,7 +181,6 @@ def single_precision() -> Entry:
         errors[precision] = [error(u + shift) for shift in shifts]
         rough[precision] = error(u)
     lost = shifts[int(np.argmax(np.array(errors["float32"]) > 0.01))]
-    operator = Model(-0.2, MU, 1.0, np.ones(1), horizon, certified_on=(1.0,)).on(points)
     figure, ax = panels()
     axes = {
         "xlabel": "rigid shift [Å] under displacements of 10⁻³ Å",
@@ -192,7 +191,8 @@ def single_precision() -> Entry:
     ax.axhline(1, color="0.6", linewidth=0.8)
     numbers = {"rough_single": rough["float32"], "rough_double": rough["float64"], "lost": lost}
     values = {"shift": shifts, "error": errors, "unshifted": rough}
-    seen = (lambda: operator(torch.from_numpy(u).float()),)
+    single = Bonds(points, horizon, precision="float32")
+    seen = (lambda: lps_force(single, torch.from_numpy(u), solid),)
     return entry("float32", numbers, seen, figure, values)
 
 

@@ -1,12 +1,10 @@
-"""A second derivative, and a tangent of forward mode, are refused where torch would drop terms."""
+"""A second derivative to numbers is refused where torch would drop terms."""
 
 import numpy as np
 import pytest
 import torch
-from torch.autograd import forward_ad
 
 import warp_peri as wp
-from tests.conformance.test_laws import hyperelastic, linear, third_order, tissue
 from tests.support.problems import lattice
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.operator import lps_force
@@ -14,16 +12,6 @@ from warp_peri.methods import Solid
 from warp_peri.statics.equilibrium import equilibrium
 
 SOLID = {"lam": 0.4, "mu": 0.5, "alpha": 1.0, "D": [1.0, 0.7, 0.4]}
-
-
-def forces():
-    """A force of a displacement by law, on some nodes."""
-    plain, axes = lattice(15, 3.0), tissue(13)
-    return {
-        "linear": (linear("two functions", lam=-0.2)().on(plain), plain),
-        "third order": (third_order(None)().on(plain), plain),
-        "hyperelastic": (hyperelastic().on(axes), axes),
-    }
 
 
 def numbers():
@@ -53,28 +41,6 @@ def of_numbers():
         )
 
     return energy
-
-
-@pytest.mark.parametrize("law", ["linear", "third order", "hyperelastic"])
-def test_of_a_force(law):
-    force, points = forces()[law]
-    x = 0.01 * np.sin(points.x)
-
-    def penalised(u):
-        return force(u).square().sum() + u.pow(4).sum()
-
-    u = torch.from_numpy(x).requires_grad_()
-    (first,) = torch.autograd.grad(penalised(u), u, create_graph=True)
-    (plain,) = torch.autograd.grad(penalised(u), u)
-    assert torch.equal(first, plain)
-    with pytest.raises(wp.InputError, match="second derivative"):
-        torch.autograd.grad(first.square().sum(), u)
-    with pytest.raises(wp.InputError, match="second derivative"):
-        torch.autograd.functional.hvp(penalised, u.detach(), torch.ones_like(u))
-    with pytest.raises(wp.InputError, match="second derivative"):
-        first.square().sum().backward()
-    with forward_ad.dual_level(), pytest.raises((wp.InputError, NotImplementedError)):
-        force(forward_ad.make_dual(u.detach(), torch.ones_like(u)))
 
 
 @pytest.mark.parametrize("energy", [at_rest("lu"), at_rest("sine"), of_numbers()])

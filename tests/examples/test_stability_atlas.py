@@ -58,7 +58,7 @@ def test_float32_loses_forces_under_a_rigid_shift():
     assert error["float32"][0] > 1e-8
     assert error["float32"][-1] > 0.9
     assert error["float64"][-1] < 1e-2
-    assert "u: expected float64" in entry.seen[0]
+    assert "u: expected float32" in entry.seen[0]
     plt.close(entry.figure)
 
 

@@ -164,10 +164,9 @@ def test_samples_are_independent_and_arrays_of_any_layout_serve():
         np.zeros((5, 2)),
         np.zeros((1, 1, 121, 2)),
         np.zeros((0, 169, 2)),
-        torch.zeros(169, 2, dtype=torch.float32),
         torch.zeros(169, 3, dtype=torch.float64),
     ],
-    ids=["few nodes", "too deep", "no sample", "single precision", "in space"],
+    ids=["few nodes", "too deep", "no sample", "in space"],
 )
 def test_displacements_that_do_not_fit_are_refused(u):
     operator = LPSOperator(kernel("1/r", HORIZON), lattice(3, HORIZON))

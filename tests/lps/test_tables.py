@@ -96,7 +96,7 @@ def test_refuses_what_the_force_refuses():
     with pytest.raises(InputError, match="u: expected float64 of shape"):
         operator(np.zeros((3, 2)))
     with pytest.raises(InputError, match="u: expected float64 of shape"):
-        operator(torch.zeros(len(points.x), 2))
+        operator(torch.zeros(len(points.x), 3))
 
 
 def test_single_precision():

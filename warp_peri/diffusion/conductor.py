@@ -12,6 +12,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
+from warp_peri.contract import OnPoints
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.damage.solid import negative_eigenvalues
 from warp_peri.dynamics.motion import Motion
@@ -54,7 +55,7 @@ class DiffusionGradient:
     alpha: float
 
 
-class DiffusionOperator:
+class DiffusionOperator(OnPoints):
     """−∇·κ∇φ, nonlocal, on the interior of a point set (theory.md, D1).
 
     Args:
@@ -70,6 +71,8 @@ class DiffusionOperator:
 
     Raises InputError for a conductivity not > 0, or points that do not carry the horizon.
     """
+
+    is_linear = True
 
     def __init__(
         self, law: Conductor, points: PointsLike, *, kappa: Conductivity | None = None
@@ -102,9 +105,15 @@ class DiffusionOperator:
         row = np.concatenate([[0], np.cumsum(np.bincount(self._owner, minlength=count))])
         self._links = (ints(self.rows), ints(row), ints(self.neighbour), floats(self.v))
 
-    def __call__(self, phi: np.ndarray) -> np.ndarray:
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one field, [N]."""
+        return (len(self.points.x),)
+
+    def force(self, phi: np.ndarray) -> np.ndarray:
+        """L φ on the interior, [N] or [S, N] to [I] or [S, I]; InputError for another shape."""
         if np.ndim(phi) == 2:
-            return np.stack([self(one) for one in phi])
+            return np.stack([self.force(one) for one in phi])
         out = zeros(len(self.rows))
         inputs = (*self._links, floats(self.kappa), self._field(phi))
         launch_slices(kernels.flux, len(self.rows), inputs, (out,))
@@ -149,7 +158,11 @@ class DiffusionOperator:
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative along v, which is L v for every φ."""
-        return self(v)
+        return self.force(v)
+
+    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Lᵗ w on all nodes, [..., N], of w on the interior, [..., I], whatever φ."""
+        return np.asarray(w @ self.matrix())
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""

@@ -11,6 +11,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 
+from warp_peri.contract import OnPoints
 from warp_peri.core.record import Record, Stress
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
@@ -73,7 +74,7 @@ class CoupledSolid(Record, format="warp_peri.coupled_solid"):
         return CoupledOperator(self, points, kappa=kappa)
 
 
-class CoupledOperator:
+class CoupledOperator(OnPoints):
     """A coupled solid on a lattice.
 
     Args:
@@ -88,6 +89,8 @@ class CoupledOperator:
     Raises InputError for kernels that change sign and leave one of the two with eigenvalues below
     zero, and as DiffusionOperator.
     """
+
+    is_linear = True
 
     def __init__(
         self,
@@ -120,8 +123,16 @@ class CoupledOperator:
         self._squeeze = sp.csr_array(-material.coupling * theta[rows])
         self._flux = diffusion.matrix()
 
-    def __call__(self, u: np.ndarray) -> np.ndarray:
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of one field, [N, 3]."""
+        return (len(self.points.x), 3)
+
+    def force(self, u: np.ndarray) -> np.ndarray:
+        """On the interior, shape [N, 3] or [S, N, 3] to [..., I, 3]."""
         u = np.asarray(u, dtype=float)
+        if u.ndim == 3:
+            return np.stack([self.force(one) for one in u])
         force = self._solid @ u[:, :2].ravel() + self._pull @ u[:, 2]
         return np.column_stack([force.reshape(-1, 2), self._flux @ u[:, 2]])
 
@@ -132,7 +143,14 @@ class CoupledOperator:
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative along v, which is that of v for every u."""
-        return self(v)
+        return self.force(v)
+
+    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """That transposed: of w on the interior, [..., I, 3], on all nodes, [..., N, 3]."""
+        flat, source = w[..., :2].reshape(*w.shape[:-2], -1), w[..., 2]
+        pushed = (flat @ self._solid).reshape(*w.shape[:-2], -1, 2)
+        phi = flat @ self._pull + source @ self._flux
+        return np.concatenate([pushed, phi[..., None]], axis=-1)
 
     def energy(self, u: np.ndarray) -> None:
         """None: what diffuses is lost."""

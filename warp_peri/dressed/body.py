@@ -12,6 +12,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import eigsh, splu
 
+from warp_peri.contract import OnPoints
 from warp_peri.core.grid import Grid, grid_of
 from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
 from warp_peri.dressed.sweeps import ByLayers, composed, gauss_shapes, half, spread
@@ -286,7 +287,7 @@ Edges = bool | Callable[[np.ndarray], np.ndarray]
 """Whether a body may end before its bonds do; or which positions [n, d] lie inside, [n] bool."""
 
 
-class DressedBody:
+class DressedBody(OnPoints):
     """L = Σ_a Gᵗ K_a G on the nodes of one body, K of the sites and strains that are there.
 
     Made by DressedSolid.on. No eigenvalue is negative and no rigid motion costs anything,
@@ -302,6 +303,8 @@ class DressedBody:
         factors: modulus of each part over that of the even solid at each site, [A, N].
         grid, sides: steps of the nodes, [N, d], and of the box or the period around them.
     """
+
+    is_linear = True
 
     def __init__(
         self,
@@ -566,15 +569,13 @@ class DressedBody:
         L = sum(dressed[1:], dressed[0])
         return sp.csr_array((L + L.T) / 2)
 
-    def __call__(self, u: ArrayLike) -> np.ndarray:
+    def force(self, u: ArrayLike) -> np.ndarray:
         """L u at the interior nodes [stress/length], shape [..., N, d] to [..., I, d]."""
         if self._sweep is not None:
             nodes, sweep = self._sweep
             found = nodes.gather(sweep(nodes.scatter(self.fields(u), self.dtype)))
             return found.reshape(*np.shape(u)[:-2], *found.shape[1:])
-        flat = self.flat(u)
-        force = (self.L @ flat.T).T.reshape(*np.shape(u)) @ self.axes.T
-        return np.asarray(force[..., self.points.interior, :])
+        return np.asarray(self._through(self.L.dot, u)[..., self.points.interior, :])
 
     def load(self, b: ArrayLike) -> np.ndarray:
         """b [stress/length] on the interior nodes, which the operator equals in equilibrium."""
@@ -582,7 +583,11 @@ class DressedBody:
 
     def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """L v, whatever u, for L is linear, shape [..., I, d]."""
-        return self(v)
+        return self.force(v)
+
+    def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+        """L of w on the interior [..., I, d], zero elsewhere, on all nodes [..., N, d]."""
+        return self._through(self.L.dot, self.on_all(np.asarray(w)))
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """½ h^d uᵗ L u of all nodes, shape [...]; never negative."""

@@ -14,6 +14,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from warp_peri.contract import OnPoints
 from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.record import Length, Record, Stress
 from warp_peri.dressed.law import DressedSolid, third_order_moduli
@@ -348,7 +349,7 @@ def gathered(D: sp.csr_array, P: np.ndarray) -> np.ndarray:
     return np.asarray((WEIGHT * (D.T @ flat)).reshape(-1, 2, count).transpose(2, 0, 1))
 
 
-class FiniteBody:
+class FiniteBody(OnPoints):
     """The operator of a FiniteSolid on nodes, made by its `on`; b in equilibrium.
 
     Attributes:
@@ -373,7 +374,7 @@ class FiniteBody:
         unknown = np.flatnonzero(self.points.interior)
         self.columns = [sp.csr_array(D.tocsc()[:, unknown]) for D, _, _ in self.parts]
 
-    def __call__(self, u: ArrayLike) -> np.ndarray:
+    def force(self, u: ArrayLike) -> np.ndarray:
         """Minus the internal force density [stress/length], [..., N, 2] to [..., I, 2]."""
         return self._force(self._fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
 
@@ -417,6 +418,12 @@ class FiniteBody:
         pairs = zip(self._fields(u), self._fields(v), strict=True)
         rates = [self.tangent(f) @ a.ravel() for f, a in pairs]
         return np.reshape(rates, (*np.shape(u)[:-2], -1, 2))
+
+    def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+        """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
+        fields, w = self._fields(u), np.asarray(w, dtype=float)
+        pairs = zip(fields, w.reshape(len(fields), -1), strict=True)
+        return np.reshape([self.tangent(f).T @ one for f, one in pairs], np.shape(u))
 
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field under G or F at a Gauss point, shape [...]."""

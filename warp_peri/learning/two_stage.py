@@ -21,7 +21,7 @@ import warp as wp
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
-from warp_peri.core.once import differentiable_once
+from warp_peri.core.tensors import differentiable_once
 from warp_peri.files.atomic import ArrayFile, locked
 from warp_peri.learning.methods import TwoStage
 from warp_peri.lps.bonds import Bonds

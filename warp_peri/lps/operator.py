@@ -9,17 +9,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 import torch
 import warp as wp
+from numpy.typing import ArrayLike
 
-from warp_peri.core.once import differentiable_once, refuse_tangents
+from warp_peri.contract import OnPoints
+from warp_peri.core.tensors import differentiable_once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
-from warp_peri.launch import DEVICE, at_once, empty, launch, launch_slices
+from warp_peri.launch import DEVICE, at_once, empty, floats, launch, launch_slices
 from warp_peri.lps.bonds import (
     BLOCKS,
     Bonds,
@@ -231,9 +233,7 @@ class _Force(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, bonds: Bonds, *inputs: torch.Tensor) -> torch.Tensor:
         ctx.bonds = bonds
-        # The gathering adjoint knows no broken bonds, and its few blocks are no work for a GPU,
-        # where the tape's atomic sums are right.
-        ctx.gathers = len(bonds.cut) == 0 and bonds.device == DEVICE
+        ctx.gathers = gathers(bonds)
         ctx.save_for_backward(*inputs)  # the arrays share their memory
         taped = any(ctx.needs_input_grad) and not ctx.gathers
         ctx.arrays = _arrays(bonds, inputs, gradient=taped)
@@ -287,7 +287,7 @@ def _arrays(bonds: Bonds, tensors: Sequence[torch.Tensor], *, gradient: bool = F
     ]
 
 
-class NodeOperator:
+class NodeOperator(OnPoints):
     """Minus the internal force density of a model on a point set; equals b in equilibrium.
 
     Args:
@@ -308,6 +308,7 @@ class NodeOperator:
     out.
     """
 
+    is_linear = True
     at_once = True
     """Whether bonds are built at the start; solves by stencils need none."""
 
@@ -322,6 +323,7 @@ class NodeOperator:
     ) -> None:
         model.check_spacing(points.spacing, allow_uncertified=allow_uncertified)
         self.model, self.nodes = model, on_nominal_lattice(model, points)
+        self.points: Any = self.nodes
         self.quadrature_degree, self.device = quadrature_degree, device
         if self.at_once:
             _ = self.bonds
@@ -344,28 +346,54 @@ class NodeOperator:
         apart = not self.bonds.lattice and self.device == DEVICE
         return Tabulated(self.bonds) if apart else None
 
-    @overload
-    def __call__(self, u: np.ndarray) -> np.ndarray: ...
-    @overload
-    def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
-    def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
-        if isinstance(u, torch.Tensor):
-            tensor = u
+    def force_in_torch(self, u: Any) -> Any:
+        """The force of a tensor, which stays where it is."""
+        if self.device == DEVICE:
+            return super().force_in_torch(u)
+        return lps_force(self.bonds, u, self.model.solid)
+
+    def force(self, u: ArrayLike) -> np.ndarray:
+        """L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
+        field = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
+        if self._tabulated is None:
+            return lps_force(self.bonds, field, self.model.solid).cpu().numpy()
+        check_field(self.bonds, field)
+        vectors: Any = wp.from_torch(field.reshape(-1, *field.shape[-2:]), dtype=self.bonds.vec)
+        Lu = self._tabulated(vectors, self.model.solid).numpy()
+        return np.asarray(Lu.reshape(*field.shape[:-2], -1, field.shape[-1]))
+
+    @cached_property
+    def _evaluated(self) -> tuple[list[Any], Evaluation]:
+        """The numbers as Warp arrays, and what the adjoint reads of bonds, which no u changes."""
+        bonds = self.bonds
+        numbers = [bonds.floats(np.atleast_1d(value)) for value in self.model.solid.values()]
+        return numbers, evaluate(bonds, bonds.zeros(1, bonds.nodes, dtype=bonds.vec), *numbers)
+
+    def product_transpose(self, u: Any, w: ArrayLike) -> np.ndarray:
+        """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
+        w, bonds = np.require(w, float, ["C", "W"]), self.bonds
+        seed = w.reshape(-1, *w.shape[-2:])
+        if gathers(bonds):
+            numbers, tables = self._evaluated
+            field = empty(len(seed), bonds.nodes, dtype=bonds.vec)
+            g = floats(seed, bonds.vec)
+            by_u: Any = gradient(bonds, tables, [field, *numbers], g, parameters=False).u
         else:
-            tensor = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
-        solid = self.model.solid
-        differentiated = torch.is_grad_enabled() and tensor.requires_grad
-        if self._tabulated is None or differentiated:
-            Lu = lps_force(self.bonds, tensor, solid)
-        else:
-            check_field(self.bonds, tensor)
-            refuse_tangents(tensor)
-            fields = tensor.detach().reshape(-1, *tensor.shape[-2:]).contiguous()
-            vectors: Any = wp.from_torch(fields, dtype=self.bonds.vec)
-            made = self._tabulated(vectors, solid)
-            Lu = wp.to_torch(made, requires_grad=False)
-            Lu = Lu.reshape(*tensor.shape[:-2], -1, tensor.shape[-1])
-        return Lu if isinstance(u, torch.Tensor) else Lu.cpu().numpy()
+            shape, at = (len(seed), bonds.nodes, bonds.dimension), bonds.device
+            leaf = torch.zeros(shape, dtype=torch.float64, device=at, requires_grad=True)
+            with torch.enable_grad():
+                Lu = lps_force(bonds, leaf, self.model.solid)
+            by_u = torch.autograd.grad(Lu, leaf, torch.from_numpy(seed).to(at))[0].cpu()
+        return np.asarray(by_u.numpy().reshape(*w.shape[:-2], bonds.nodes, bonds.dimension))
+
+
+def gathers(bonds: Bonds) -> bool:
+    """Whether the gathering adjoint takes these bonds, and no tape is needed.
+
+    It knows no broken bonds, and its few blocks are no work for a GPU, where the tape's atomic sums
+    are right.
+    """
+    return len(bonds.cut) == 0 and bonds.device == DEVICE
 
 
 def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import SAME_SPACING
+from warp_peri.contract import SAME_SPACING, OnPoints
 from warp_peri.core import elastic
 from warp_peri.core.grid import Grid
 from warp_peri.core.groups import (
@@ -45,7 +45,7 @@ from warp_peri.statics.linear import Linear
 from warp_peri.statics.solution import Krylov, Solution, Solver, refuse_solver
 
 
-class TensorOperator:
+class TensorOperator(OnPoints):
     """L of one law on the nodes of one lattice, all bonds whole.
 
     Made by Crystal.on.
@@ -62,6 +62,8 @@ class TensorOperator:
 
     Raises InputError as grid_of does.
     """
+
+    is_linear = True
 
     def __init__(
         self,
@@ -81,7 +83,7 @@ class TensorOperator:
         self.nodes, self.pull, self.dtype = self.linear.grid, self.linear.pull, self.linear.dtype
         self.steps, self.tensors, self.method = stencil.steps, stencil.tensors, self.linear.by
 
-    def __call__(self, u: ArrayLike) -> np.ndarray:
+    def force(self, u: ArrayLike) -> np.ndarray:
         """L u, minus the internal force density [stress/length], at the interior nodes.
 
         u [length], shape [..., N, d]; returns shape [..., I, d]. Raises InputError for another
@@ -134,7 +136,13 @@ class TensorOperator:
 
     def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """The derivative of L u along v, shape [..., I, d]: L v, whatever u, for L is linear."""
-        return self(v)
+        return self.force(v)
+
+    def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+        """Lᵗ w on all nodes, shape [..., N, d], of w on the interior, whatever u."""
+        w, shape = np.asarray(w, dtype=float), self.points.x.shape
+        pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
+        return np.reshape(pushed, (*w.shape[:-2], *shape))
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15).

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from warp_peri.core.once import differentiable_once
+from warp_peri.core.tensors import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.kernels.neural.sweeps import sweeps
 from warp_peri.launch import floats, ints, launch_slices

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 
 from warp_peri.core import record
-from warp_peri.core.once import differentiable_once
 from warp_peri.core.record import Length, Positive
+from warp_peri.core.tensors import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.placed import AtRest

@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, SuperLU, gmres, splu
 from tqdm import tqdm
 
+from warp_peri.contract import OnPoints
+from warp_peri.core.tensors import on_fields, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import Gather, NetworkBonds, Scatter
 from warp_peri.points.arrays import checked_fields
@@ -272,7 +274,7 @@ class NeuralLaw(Protocol):
     def parameters(self) -> Iterator[torch.nn.Parameter]: ...
 
 
-class Placed:
+class Placed(OnPoints):
     """Minus the internal force density of a neural operator on a lattice; equals b in equilibrium.
 
     ``placed(u)`` takes u [length] of shape [N, 2] or [S, N, 2] and gives forces [stress/length] on
@@ -282,14 +284,19 @@ class Placed:
     def __init__(self, material: NeuralLaw, bonds: NetworkBonds) -> None:
         self.material, self.bonds, self.points = material, bonds, bonds.points
 
-    def __call__(self, u: Any) -> Any:
-        """Forces on the interior, (NO6)."""
-        if isinstance(u, torch.Tensor):
-            field = self._checked(u)
-            force = self.force(field)
-            return force if u.dim() == 3 else force[0]
+    def force_in_torch(self, u: torch.Tensor) -> Any:
+        """Forces on the interior, (NO6), differentiable in the networks' numbers too."""
+        if not any(p.requires_grad for p in self.material.parameters()):
+            return super().force_in_torch(u)
+        refuse_tangents(u)
+        return on_fields(self, u, lambda fields: self._force(fields.to(self.dtype)))
+
+    def force(self, u: Any) -> np.ndarray:
+        """Forces on the interior, shape [..., I, 2], (NO6)."""
+        field = self._taken(u)
         with torch.no_grad():
-            return self(self._taken(u)).double().numpy()
+            force = self._force(self._checked(field)).double().numpy()
+        return np.asarray(force.reshape(*field.shape[:-2], -1, 2))
 
     def product(self, u: Any, v: Any) -> Any:
         """Derivative of the force at u along v, both [N, 2] or [S, N, 2], or u [N, 2] alone."""
@@ -300,6 +307,14 @@ class Placed:
             return np.stack([self.product(*pair) for pair in zip(u, v)])
         with torch.no_grad():
             return self.product(self._taken(u), self._taken(v)).double().numpy()
+
+    def product_transpose(self, u: Any, w: Any) -> np.ndarray:
+        """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
+        fields, seeds = (self._taken(f).reshape(-1, *np.shape(f)[-2:]) for f in (u, w))
+        with torch.no_grad():
+            pairs = zip(fields, seeds, strict=True)
+            found = torch.stack([self.tangent(f).transposed(one) for f, one in pairs])
+        return found.double().numpy().reshape(np.shape(u))
 
     def energy(self, u: Any) -> None:
         """None: the forces of a network need not have an energy."""
@@ -324,7 +339,7 @@ class Placed:
         stress: np.ndarray = rows.reshape(*np.shape(u)[:-2], len(bonds.rows), 2, 2)
         return stress
 
-    def force(self, u: torch.Tensor) -> torch.Tensor:
+    def _force(self, u: torch.Tensor) -> torch.Tensor:
         """Forces [S, I, 2] of u [S, N, 2]."""
         force: torch.Tensor = Scatter.apply(u, self.tension(u), self.bonds)  # type: ignore[no-untyped-call]
         return force

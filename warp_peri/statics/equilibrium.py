@@ -15,8 +15,8 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from warp_peri.core.once import differentiable_once
 from warp_peri.core.stencil import Stencil
+from warp_peri.core.tensors import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.lps.bonds import Bonds, influence
 from warp_peri.lps.matrices import assemble

@@ -68,7 +68,7 @@ class PlacedLPS(LPSOperator):
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative along v, which is L v for every u."""
-        return np.asarray(self(np.asarray(v, dtype=float)))
+        return self.force(v)
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""

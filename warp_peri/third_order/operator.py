@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import warnings
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, overload
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from numpy.typing import ArrayLike
 
+from warp_peri.contract import OnPoints
 from warp_peri.launch import floats
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
@@ -19,13 +19,13 @@ from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_e
 from warp_peri.statics.linear import DIRECT, Inverse
 from warp_peri.statics.lps import bonds_within
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
-from warp_peri.third_order.sweeps import GradientSweeps, Numbers, TangentMatrices, third_order_force
+from warp_peri.third_order.sweeps import GradientSweeps, Numbers, TangentMatrices
 
 if TYPE_CHECKING:
     from warp_peri.third_order.material import ThirdOrderSolid
 
 
-class PlacedThirdOrder:
+class PlacedThirdOrder(OnPoints):
     """Minus the internal force density of a solid of third order; b in equilibrium.
 
     Args:
@@ -78,17 +78,10 @@ class PlacedThirdOrder:
     def _matrices(self) -> TangentMatrices:
         return TangentMatrices(self.sweeps, self.numbers)
 
-    @overload
-    def __call__(self, u: np.ndarray) -> np.ndarray: ...
-    @overload
-    def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
-    def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
-        given = u if isinstance(u, torch.Tensor) else torch.from_numpy(_array(u))
-        of = self.numbers
-        tables, cubic = torch.from_numpy(of.tables), torch.from_numpy(of.cubic)
-        bulk = torch.tensor([of.bulk], dtype=torch.float64)
-        Lu = third_order_force(self.sweeps, given, tables, bulk, cubic, radius=of.radius)
-        return Lu if isinstance(u, torch.Tensor) else Lu.numpy()
+    def force(self, u: ArrayLike) -> np.ndarray:
+        """L u [stress/length] on the interior nodes, shape [..., I, 2]."""
+        Lu = self.sweeps.force(self._flat(u), self.numbers).numpy()
+        return np.asarray(Lu.reshape(*np.shape(u)[:-2], -1, 2))
 
     def clipped(self, radius: float) -> PlacedThirdOrder:
         """The same with stresses of gradients clipped to a radius (N10)."""
@@ -208,7 +201,8 @@ class PlacedThirdOrder:
 
     def _flat(self, u: ArrayLike) -> Any:
         """Fields as the kernels read them, shape [S, N] of vectors."""
-        return floats(_array(u).reshape(-1, self.sweeps.nodes, 2), self.sweeps.kernels.vec)
+        self.check(field := _array(u))
+        return floats(field.reshape(-1, *self.shape), self.sweeps.kernels.vec)
 
 
 def _array(u: ArrayLike) -> np.ndarray:

@@ -15,7 +15,7 @@ import scipy.sparse as sp
 import torch
 import warp as wp
 
-from warp_peri.core.once import differentiable_once, refuse_tangents
+from warp_peri.core.tensors import differentiable_once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.nonlinear.rows import P_IN, P_OUT, PLANES, rows
 from warp_peri.kernels.nonlinear.sums import SUMS, sums

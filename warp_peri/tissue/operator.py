@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,7 +13,7 @@ import scipy.sparse as sp
 import torch
 import warp as wp
 
-from warp_peri.core.once import differentiable_once
+from warp_peri.core.tensors import nonlinear
 from warp_peri.errors import InputError
 from warp_peri.kernels.hyperelastic.corner_tangent import corner_tangents
 from warp_peri.kernels.hyperelastic.corners import corners
@@ -348,7 +348,9 @@ class HyperelasticOperator:
         """The force (H8) on the interior nodes [stress / length], shape [..., I, 2]."""
         if isinstance(u, torch.Tensor) or isinstance(c, torch.Tensor):
             u, c = torch.as_tensor(u), torch.as_tensor(c)
-            return _everywhere(self, u, c)[..., self.interior, :]
+            backs = (self.product, lambda u, c, g: self.pairing(u, g))
+            force = nonlinear(self.everywhere, None, backs, u, c)
+            return force[..., self.interior, :].to(u.dtype)
         return self.everywhere(u, c)[..., self.interior, :]
 
     def everywhere(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
@@ -467,36 +469,6 @@ class HyperelasticOperator:
         """Strains, their stresses and curvatures of one field, shapes [N, 6], [N, 6], [N, 6, 6]."""
         _, _, E, G, H = self.curved_states(u, c)
         return E.numpy()[0], G.numpy()[0], H.numpy()[0]
-
-
-class _Everywhere(torch.autograd.Function):
-    """The force on all nodes; backward is the symmetric tangent, and the forces of each energy."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, op: HyperelasticOperator, u: torch.Tensor, c: torch.Tensor
-    ) -> torch.Tensor:
-        ctx.op = op
-        ctx.save_for_backward(u, c)
-        return torch.from_numpy(op.everywhere(u.detach().numpy(), c.detach().numpy())).to(u.dtype)
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        u, c = ctx.saved_tensors
-        seed = upstream[0].detach().numpy()
-        by_u = by_c = None
-        if ctx.needs_input_grad[1]:
-            by_u = torch.from_numpy(
-                ctx.op.product(u.detach().numpy(), c.detach().numpy(), seed)
-            ).to(u.dtype)
-        if ctx.needs_input_grad[2]:
-            sums = ctx.op.pairing(u.detach().numpy(), seed)
-            by_c = torch.from_numpy(sums).to(c.dtype)
-        return None, by_u, by_c
-
-
-_everywhere: Callable[..., torch.Tensor] = _Everywhere.apply
 
 
 def laplacian(op: HyperelasticOperator) -> tuple[sp.csr_matrix, sp.csr_matrix]:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from warp_peri.contract import OnPoints
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same
@@ -176,7 +177,7 @@ def _size(field: np.ndarray) -> np.ndarray:
     return sizes
 
 
-class PlacedSheet:
+class PlacedSheet(OnPoints):
     """A solid on a lattice.
 
     Args:
@@ -199,8 +200,9 @@ class PlacedSheet:
         check_same(model.units, self.points.units)
         self.energies = HyperelasticOperator(model.dictionary, self.points, thickness=thickness)
 
-    def __call__(self, u: Any) -> Any:
-        return self.energies.force(u, self.model.coefficients)
+    def force(self, u: np.ndarray) -> np.ndarray:
+        """Minus the internal force density on interior nodes, shape [..., I, 2]."""
+        return np.asarray(self.energies.force(u, self.model.coefficients))
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """b on the interior nodes, which the operator equals in equilibrium."""
@@ -210,6 +212,10 @@ class PlacedSheet:
         """The derivative at u along v, shape [..., I, 2]."""
         everywhere = self.energies.product(u, self.model.coefficients, v)
         return np.asarray(everywhere[..., self.points.interior, :])
+
+    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """The transposed product, on all nodes [..., N, 2]: that of energies is symmetric."""
+        return self.energies.product(u, self.model.coefficients, self.on_all(w))
 
     def energy(self, u: np.ndarray) -> np.ndarray:
         """Elastic energy [stress · area], shape [...]."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import overload
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
+from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
@@ -60,13 +60,11 @@ class LPSOperator(NodeOperator):
         device: str = DEVICE,
     ) -> None:
         self.carrier: Carrier | None = None
-        self.home, self.points = model, nodes_of(points)
+        self.home, nodes = model, nodes_of(points)
         model.check_dimension(points)
         if points.spacing == 0 and transfer and not allow_uncertified and model.certified_on:
             self.carrier = Carrier(model, points)
             here, points = self.carrier.model, self.carrier.lattice
-            self._onto = _tensor(self.carrier.T, device)
-            self._back = _tensor(sp.csr_array(self.carrier.unknown.T), device)
         else:
             here = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
         super().__init__(
@@ -76,29 +74,22 @@ class LPSOperator(NodeOperator):
             allow_uncertified=allow_uncertified,
             device=device,
         )
+        self.points = nodes
 
-    @overload
-    def __call__(self, u: np.ndarray) -> np.ndarray: ...
-    @overload
-    def __call__(self, u: torch.Tensor) -> torch.Tensor: ...
-    def __call__(self, u: np.ndarray | torch.Tensor) -> np.ndarray | torch.Tensor:
+    def force(self, u: ArrayLike) -> np.ndarray:
+        """L u, or Tᵗ L T u, on the interior nodes, shape [..., I, d]; InputError as `op(u)`."""
         if self.carrier is None:
-            return super().__call__(u)
-        if isinstance(u, torch.Tensor):
-            self._check(u)
-            return _applied(self._back, super().__call__(_applied(self._onto, u)))
-        field = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
-        return self(field).cpu().numpy()
+            return super().force(u)
+        u = np.asarray(u, dtype=float)
+        self.check(u)
+        return _applied(self.carrier.unknown.T, super().force(_applied(self.carrier.T, u)))
 
-    def _check(self, u: torch.Tensor) -> None:
-        """Raises InputError for fields that are not on the nodes."""
-        device, nodes = torch.device(self.bonds.device), self._onto.shape[1]
-        fits = u.dim() in (2, 3) and u.shape[-2:] == (nodes, 2) and len(u) > 0
-        if not fits or u.dtype != torch.float64 or u.device != device:
-            raise InputError(
-                f"u: expected float64 of shape [S, {nodes}, 2], S ≥ 1, or [{nodes}, 2] on "
-                f"{device}, got {u.dtype} of shape {list(u.shape)} on {u.device}"
-            )
+    def product_transpose(self, u: Any, w: ArrayLike) -> np.ndarray:
+        """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
+        if self.carrier is None:
+            return super().product_transpose(u, w)
+        on_lattice = super().product_transpose(u, _applied(self.carrier.unknown, np.asarray(w)))
+        return _applied(self.carrier.T.T, on_lattice)
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """What the operator equals in equilibrium with b [TPa/Å], on the interior nodes.
@@ -120,19 +111,8 @@ class LPSOperator(NodeOperator):
         return carried[0] if b.ndim == 2 else carried
 
 
-def _tensor(matrix: sp.csr_array, device: str) -> torch.Tensor:
-    """A sparse matrix for torch."""
-    entries = sp.coo_array(matrix)
-    place = torch.from_numpy(np.stack(entries.coords).astype(np.int64))
-    values = torch.from_numpy(entries.data)
-    sparse: torch.Tensor = torch.sparse_coo_tensor(
-        place, values, entries.shape, device=device, check_invariants=True
-    )
-    return sparse.coalesce()
-
-
-def _applied(matrix: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
+def _applied(matrix: sp.csr_array, field: np.ndarray) -> np.ndarray:
     """A matrix by the nodes of fields, shape [..., N, 2] to [..., Y, 2]."""
-    columns = field.movedim(-2, 0)
-    product: torch.Tensor = torch.sparse.mm(matrix, columns.reshape(len(columns), -1))
-    return product.reshape(len(product), *columns.shape[1:]).movedim(0, -2).contiguous()
+    columns = np.moveaxis(field, -2, 0)
+    product = np.asarray(matrix @ columns.reshape(len(columns), -1))
+    return np.moveaxis(product.reshape(len(product), *columns.shape[1:]), 0, -2)

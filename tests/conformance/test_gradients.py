@@ -1,0 +1,253 @@
+"""Torch through every material: gradients, second ones, tangents, batches, precisions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch.autograd import forward_ad, functional, gradgradcheck
+
+import warp_peri as wp
+from tests.conformance.test_laws import LAWS, difference, dressed, network
+from tests.points.test_interpolation import cloud
+from tests.support import cubes
+from tests.support.problems import kernel, lattice
+from tests.third_order.test_crystal import crystal
+from warp_peri.micromodulus import tensors_of
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+KINKED = ("neural operator",)
+"""Of which a step of differences is short."""
+NONLINEAR = ("third order", "finite", "neural", "hyperelastic")
+
+
+def varied():
+    """A sheet with maps, a broken bond, and edges."""
+    points = wp.Points(lattice(4, 1.0).x, lattice(4, 1.0).interior, 1.0, axis=0.0)
+    maps = {name: 1 + 0.1 * np.cos(points.x[:, 0]) for name in dressed().parts.names}
+    return dressed().on(points, edges=True, maps=maps, broken=[[27, 28]])
+
+
+def scattered(**options):
+    model = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
+    x = cloud(17, 0.45, seed=3).x
+    return model.on(wp.Points(x, np.abs(x).max(axis=1) <= 2.0, 0.0), **options)
+
+
+def torn():
+    """An LPS whose bonds to nodes outside of the body are broken."""
+    points = lattice(5, 3.0)
+    outside = (points.x[:, 0] > 8.5) & (points.x[:, 1] > 7)
+    model = kernel("two functions", 3.0)
+    return model.on(replace(points, outside=outside, interior=points.interior & ~outside))
+
+
+def conductor():
+    points = lattice(4, 1.5)
+    law = wp.diffusion.Conductor(3.0, 1.3, 0.7, np.array([1.0, 0.4]))
+    return law.on(points, kappa=np.exp(0.3 * np.sin(points.x[:, 0])))
+
+
+def coupled():
+    model = wp.Model(1.0, 0.8, 1.0, [1.0], horizon=3.0)
+    law = wp.diffusion.CoupledSolid(model, wp.diffusion.Conductor(3.0), 0.4, 1.0)
+    return law.on(lattice(4, 3.0))
+
+
+def frozen():
+    """A network of single precision whose numbers ask for no gradient."""
+    return network().requires_grad_(False).on(LAWS["neural operator"].points(4))
+
+
+def in_space(of=lambda model: model):
+    model = replace(cubes.solid(2.0, 0.5, 0.8, D=[1.0, 0.6, 1.4]), certified_on=(1.0,))
+    return of(model).on(cubes.cube(2, 2.0))
+
+
+OPERATORS = {
+    name: lambda law=law: law.material().on(law.points(4)) for name, law in LAWS.items()
+} | {
+    "crystal, periodic": lambda: LAWS["crystal"].material().on(LAWS["crystal"].sheet()),
+    "crystal, third order": lambda: crystal("energy").on(lattice(4, 3.0)),
+    "dressed, varied": varied,
+    "neural operator, frozen": frozen,
+    "scattered": scattered,
+    "scattered, own weights": lambda: scattered(allow_uncertified=True),
+    "LPS, broken bonds": torn,
+    "LPS in space": in_space,
+    "crystal in space": lambda: in_space(lambda model: tensors_of(model, 1.0)),
+    "conductor": conductor,
+    "coupled": coupled,
+}
+LINEAR = [name for name in OPERATORS if not any(word in name for word in NONLINEAR)]
+OTHERS = [name for name in OPERATORS if name not in LINEAR]
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Every operator once."""
+    kept = {}
+    return lambda name: kept.setdefault(name, OPERATORS[name]())
+
+
+def field(op, *lead, seed=0):
+    """Fields with gradients of some percent, rough and smooth."""
+    size = 0.01 * getattr(op.points, "spacing", 0) or 0.01
+    u = size * np.random.default_rng(seed).normal(size=(*lead, *op.shape))
+    return u + 2 * size * np.sin(op.points.x[:, 0]).reshape(-1, *[1] * (len(op.shape) - 1))
+
+
+def loss(op, u):
+    """A number of a force, with a field of seeds so that nothing cancels."""
+    force = op(u)
+    seed = torch.from_numpy(np.random.default_rng(1).normal(size=force.shape))
+    return ((0.3 * force + seed) * force).sum()
+
+
+@pytest.mark.parametrize("name", OPERATORS)
+def test_a_gradient_is_that_of_differences(name, made):
+    op, linear = made(name), name in LINEAR
+    u = torch.from_numpy(field(op)).requires_grad_()
+    value = loss(op, u)
+    assert value.dtype == torch.float64
+    (by_u,) = torch.autograd.grad(value, u)
+    with torch.no_grad():
+        assert float(loss(op, u)) == pytest.approx(float(value), rel=1e-13)
+        for seed in range(3):
+            v = torch.from_numpy(field(op, seed=seed + 1))
+            step = 1e-3 if linear else 1e-5 if name.startswith("neural") else 1e-2
+            slope = difference(lambda t, v=v: float(loss(op, u + t[0] * v)), [0.0], step)[0]
+            size = float(by_u.norm() * v.norm())
+            assert abs(float((by_u * v).sum()) - slope) <= (1e-8 if linear else 1e-6) * size / 10
+
+
+@pytest.mark.parametrize("name", OPERATORS)
+def test_product_and_its_transpose_are_one_matrix(name, made):
+    op = made(name)
+    u, v = field(op, 2), field(op, 2, seed=5)
+    rate = op.product(u, v)
+    w = np.random.default_rng(2).normal(size=rate.shape)
+    back = op.product_transpose(u, w)
+    assert back.shape == v.shape
+    size = np.linalg.norm(rate) * np.linalg.norm(w)
+    assert abs((rate * w).sum() - (v * back).sum()) <= 1e-12 * size
+    assert np.allclose(op.product_transpose(u[0], w[0]), back[0], rtol=1e-10, atol=0)
+
+
+@pytest.mark.parametrize("name", LINEAR)
+def test_second_derivatives_of_a_linear_force(name, made):
+    op = made(name)
+    u, v = (torch.from_numpy(field(op, seed=n)) for n in (0, 1))
+    assert gradgradcheck(op, (u.clone().requires_grad_(),), fast_mode=True)
+
+    def energy(u):
+        return (op(u) ** 2).sum() / 2
+
+    _, along = functional.hvp(energy, u, v)
+    expected = op.product_transpose(u.numpy(), op(v.numpy()))
+    assert np.allclose(along, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+    _, forward = functional.vhp(energy, u, v)
+    assert np.allclose(forward, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_a_hessian_is_the_square_of_the_operator():
+    op = OPERATORS["conductor"]()
+    u = torch.from_numpy(field(op))
+    L = op.matrix().toarray()
+    found = functional.hessian(lambda u: (op(u) ** 2).sum() / 2, u)
+    assert np.allclose(found, L.T @ L, rtol=0, atol=1e-12 * np.abs(L.T @ L).max())
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_second_derivatives_of_others_are_refused(name, made):
+    op = made(name)
+    u = torch.from_numpy(field(op)).requires_grad_()
+    v = torch.ones_like(u)
+
+    def penalised(u):
+        return op(u).square().sum() + u.pow(4).sum()
+
+    (first,) = torch.autograd.grad(penalised(u), u, create_graph=True)
+    (plain,) = torch.autograd.grad(penalised(u), u)
+    assert torch.equal(first, plain)
+    for second in (
+        lambda: torch.autograd.grad(first.square().sum(), u, retain_graph=True),
+        lambda: first.square().sum().backward(),
+        lambda: functional.hvp(penalised, u.detach(), v),
+        lambda: functional.vhp(penalised, u.detach(), v),
+    ):
+        with pytest.raises(wp.InputError, match="second derivative"):
+            second()
+    for mixed in (forward_over_reverse, reverse_over_forward):
+        with pytest.raises(wp.InputError, match=r"second derivative|tangent"):
+            mixed(op, u, v)
+
+
+def forward_over_reverse(op, u, v):
+    with forward_ad.dual_level():
+        dual = forward_ad.make_dual(u, v)
+        torch.autograd.grad(op(dual).square().sum(), dual)
+
+
+def reverse_over_forward(op, u, v):
+    with forward_ad.dual_level():
+        along = forward_ad.unpack_dual(op(forward_ad.make_dual(u, v))).tangent
+        torch.autograd.grad(along.sum(), u)
+
+
+@pytest.mark.parametrize("name", [name for name in OPERATORS if name not in KINKED])
+def test_a_tangent_is_the_product(name, made):
+    op = made(name)
+    u, v = (torch.from_numpy(field(op, seed=n)) for n in (0, 1))
+    expected = op.product(u.numpy(), v.numpy())
+    with forward_ad.dual_level():
+        dual = op(forward_ad.make_dual(u, v))
+        tangent = forward_ad.unpack_dual(dual).tangent
+    assert np.allclose(tangent, expected, rtol=0, atol=1e-13 * np.abs(expected).max())
+    _, again = torch.func.jvp(op, (u,), (v,))
+    assert torch.equal(again, tangent)
+    by_u = torch.func.grad(lambda u: loss(op, u))(u)
+    leaf = u.clone().requires_grad_()
+    assert torch.equal(by_u, torch.autograd.grad(loss(op, leaf), leaf)[0])
+
+
+@pytest.mark.parametrize("name", OPERATORS)
+def test_batches_and_precisions(name, made):
+    op = made(name)
+    u = torch.from_numpy(field(op, 2, 3)).requires_grad_()
+    force = op(u)
+    assert force.shape[:2] == (2, 3)
+    (by_u,) = torch.autograd.grad(force.square().sum(), u)
+    size = force.detach().abs().max()
+    for k in range(2):
+        for n in range(3):
+            one = u[k, n].detach().requires_grad_()
+            alone = op(one)
+            assert torch.allclose(alone, force[k, n], rtol=0, atol=1e-13 * size)
+            (by_one,) = torch.autograd.grad(alone.square().sum(), one)
+            assert torch.allclose(by_one, by_u[k, n], rtol=0, atol=1e-12 * by_u.abs().max())
+    assert np.allclose(op(u[0].detach().numpy()), force[0].detach(), rtol=0, atol=1e-13 * size)
+    single = u.detach().float().requires_grad_()
+    lower = op(single)
+    assert lower.dtype == torch.float32
+    assert torch.equal(lower, op(single.double()).float())
+    (by_single,) = torch.autograd.grad(lower.square().sum(), single)
+    assert by_single.dtype == torch.float32
+    assert torch.allclose(by_single.double(), by_u, rtol=0, atol=1e-3 * by_u.abs().max())
+    strided = u.detach().movedim(0, -1).contiguous().movedim(-1, 0)
+    assert torch.equal(op(strided), force)
+    for wrong in (u[..., :-1, :] if len(op.shape) == 2 else u[..., :-1], u[0, 0, 0], u[:0]):
+        with pytest.raises(wp.InputError, match="u: expected float64 of shape"):
+            op(wrong)
+    with pytest.raises(wp.InputError, match="u: expected float64 of shape"):
+        op(u.detach().long())
+
+
+def test_what_is_changed_before_a_backward_pass_is_told():
+    op = OPERATORS["hyperelastic"]()
+    u = torch.from_numpy(field(op)).requires_grad_()
+    twice = 2 * u
+    value = op(twice).sum()
+    twice.detach().add_(1)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        value.backward()
