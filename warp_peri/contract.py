@@ -1,16 +1,17 @@
 """What a material, an operator, a problem and a law are: what one must offer to be taken as such.
 
 Nothing need derive from these. A new law is whatever offers the same, and passes the conformance
-test (tests/conformance). `OnPoints` gives an operator its torch tensors.
+test (tests/conformance). `OnPoints` gives an operator its torch tensors and copies.
 """
 
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable
 from importlib import import_module
 from inspect import signature
-from typing import TYPE_CHECKING, Any, Protocol, overload
+from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 
 import numpy as np
 
@@ -56,12 +57,32 @@ class Operator(Protocol):
         """The Solution in equilibrium with b on the interior, u given on the collar."""
 
 
+class Remade:
+    """What is copied and pickled by the arguments it was made with, and made anew of them."""
+
+    _made_of: tuple[tuple[Any, ...], dict[str, Any]]
+
+    def __new__(cls, *given: Any, **options: Any) -> Self:
+        made = super().__new__(cls)
+        made._made_of = given, options
+        return made
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _remade, (type(self), *self._made_of)
+
+
+def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # said of the first
+        return kind(*given, **options)
+
+
 def is_tensor(value: Any) -> bool:
     """Whether it is of torch, which is not loaded for the question."""
     return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)
 
 
-class OnPoints:
+class OnPoints(Remade):
     """What operators share: NumPy in, NumPy out; torch in, differentiable torch out.
 
     ``op(u)`` takes fields on all nodes, [N, d] or [S, N, d], of torch [..., N, d], and gives the

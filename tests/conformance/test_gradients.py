@@ -1,5 +1,7 @@
-"""Torch through every material: gradients, second ones, tangents, batches, precisions."""
+"""Torch through every material: gradients, second ones, tangents, batches, precisions, copies."""
 
+import copy
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -241,6 +243,17 @@ def test_batches_and_precisions(name, made):
             op(wrong)
     with pytest.raises(wp.InputError, match="u: expected float64 of shape"):
         op(u.detach().long())
+
+
+@pytest.mark.parametrize("name", OPERATORS)
+def test_copies_are_made_anew(name, made):
+    op = made(name)
+    u = field(op)
+    for other in (copy.copy(op), copy.deepcopy(op), pickle.loads(pickle.dumps(op))):
+        assert type(other) is type(op)
+        assert other is not op
+        assert np.array_equal(other(u), op(u))
+        assert np.array_equal(other.points.x, op.points.x)
 
 
 def test_what_is_changed_before_a_backward_pass_is_told():

@@ -216,19 +216,16 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
                 self, points, edges=edges, maps=maps, broken=broken, grains=grains, dtype=dtype
             )
         law = self.crystal
-
-        def layers(nodes: Grid, dtype: Any) -> ByLayers:
-            return ByLayers(
-                nodes, self.steps, self.tensors[0], self.parts, self.spacing, dtype=dtype
-            )
-
         why = (
             f"; give a collar {law.horizon:g} wide, or edges=True where the body itself ends there"
         )
         return TensorOperator(
             self.fitting(points), law.stencil, self.tensor(), why=why,
-            model=self, dtype=dtype, product=layers if self.layered else None,
+            model=self, dtype=dtype, product=self._layers if self.layered else None,
         )  # fmt: skip
+
+    def _layers(self, nodes: Grid, dtype: Any) -> ByLayers:
+        return ByLayers(nodes, self.steps, self.tensors[0], self.parts, self.spacing, dtype=dtype)
 
 
 def held(tensor: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 import warp as wp
 
+from warp_peri.contract import Remade
 from warp_peri.core.tensors import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.kernels.neural.sweeps import sweeps
@@ -19,7 +20,7 @@ from warp_peri.points.samples import PointsLike, nodes_of
 SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
 
 
-class NetworkBonds:
+class NetworkBonds(Remade):
     """Bonds within two horizons of the interior of a lattice, each once, those by class.
 
     Attributes:
