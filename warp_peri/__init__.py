@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from warp_peri import shapes as shapes
     from warp_peri import tissue as tissue
     from warp_peri import transfers as transfers
+    from warp_peri.core.tensors import Module
     from warp_peri.damage.problems import Cracked
     from warp_peri.dressed.law import Dressed
     from warp_peri.dynamics.motion import Motion
@@ -69,6 +70,7 @@ __all__ = [
     "Mesh",
     "Micromodulus",
     "Model",
+    "Module",
     "Motion",
     "Newton",
     "Periodic",
@@ -89,6 +91,7 @@ __all__ = [
 ]
 
 _NAMES = {
+    "core.tensors": ("Module",),
     "damage.problems": ("Cracked",),
     "dressed.law": ("Dressed",),
     "dynamics.motion": ("Motion",),

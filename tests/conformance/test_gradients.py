@@ -264,3 +264,85 @@ def test_what_is_changed_before_a_backward_pass_is_told():
     twice.detach().add_(1)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         value.backward()
+
+
+MODULES = {
+    "LPS": {"lam", "mu", "alpha", "D"},
+    "LPS, bond-based": {"mu", "alpha", "D"},
+    "LPS, two functions": {"lam", "mu", "alpha", "D", "D_dilatation"},
+    "LPS in space": {"lam", "mu", "alpha", "D"},
+    "scattered": {"lam", "mu", "alpha", "D"},
+    "third order, filtered": {"t3", "tq2", "q3"},
+    "crystal, third order": {"t3", "tq2", "q3"},
+    "crystal": set(),
+    "hyperelastic": set(),
+}
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_a_module_learns_the_numbers_of_its_material(name, made):
+    op = made(name)
+    module = wp.Module(op, op.points)
+    assert {key for key, _ in module.named_parameters()} == MODULES[name]
+    u = torch.from_numpy(field(op, 2)).requires_grad_()
+    size = op(u).detach().abs().max()
+    assert torch.allclose(module(u), op(u), rtol=0, atol=1e-12 * size)
+    leaves = [u, *module.parameters()]
+    gradients = torch.autograd.grad(loss(module, u), leaves)
+    assert torch.allclose(gradients[0], torch.autograd.grad(loss(op, u), u)[0], rtol=1e-10)
+    for leaf, gradient in zip(leaves[1:], gradients[1:]):
+        start = leaf.detach().clone()
+
+        def value(flat, leaf=leaf):
+            with torch.no_grad():
+                leaf.copy_(torch.from_numpy(flat).reshape(leaf.shape))
+                return float(loss(module, u))
+
+        slope = difference(value, start.numpy().ravel(), 1e-3)
+        value(start.numpy().ravel())
+        scale = max(np.abs(slope).max(), 1e-3 * float(loss(module, u)))
+        assert np.abs(gradient.numpy().ravel() - slope).max() <= 1e-6 * scale
+
+
+@pytest.mark.parametrize("name", [*MODULES, "neural operator", "dressed"])
+def test_a_module_is_saved_and_copied(name, made, tmp_path):
+    op = copy.deepcopy(made(name))
+    module = wp.Module(op, op.points)
+    with torch.no_grad():
+        for number in module.parameters():
+            number.mul_(1.01)
+    u = torch.from_numpy(field(op))
+    other = wp.Module(made(name), op.points)
+    other.load_state_dict(module.state_dict())
+    torch.save(module, tmp_path / "m.pt")
+    again = torch.load(tmp_path / "m.pt", weights_only=False)
+    for one in (other, copy.deepcopy(module), again):
+        assert torch.equal(one(u), module(u))
+
+
+@pytest.mark.parametrize("name", ["LPS", "LPS, bond-based", "third order, energy"])
+def test_adam_finds_the_numbers_again(name, made):
+    op = made(name)
+    u = torch.from_numpy(field(op, 2) * (1 if name.startswith("LPS") else 5))
+    truth, module = op(u), wp.Module(op, op.points)
+    with torch.no_grad():
+        for number in module.parameters():
+            number.mul_(1.05)
+    adam = torch.optim.Adam(module.parameters(), lr=2e-3 if name.startswith("LPS") else 3e-2)
+
+    def wrong():
+        return (module(u) - truth).square().mean() / truth.square().mean()
+
+    first = float(wrong())
+    for _ in range(60):
+        adam.zero_grad()
+        wrong().backward()
+        adam.step()
+    assert float(wrong()) < 0.2 * first
+
+
+def test_a_module_refuses_other_points(made):
+    with pytest.raises(wp.InputError, match="expected one on the points of the problem"):
+        wp.Module(made("LPS"), made("conductor").points)
+    with pytest.raises(wp.InputError, match="Module: expected a material"):
+        wp.Module("graphene", made("LPS").points)

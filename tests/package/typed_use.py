@@ -106,6 +106,8 @@ def use(model: warp_peri.Model, test: warp_peri.Samples) -> float:
     tensor = torch.tensor(test.u, requires_grad=True)
     force = assert_type(operator(tensor), torch.Tensor)
     torch.autograd.grad(force.sum(), tensor)
+    module = warp_peri.Module(model, test)
+    assert_type(list(module.parameters()), list[torch.nn.Parameter])
 
     problem = warp_peri.Dirichlet(test, test.b, test.u)
     exact = warp_peri.Krylov(tolerance=1e-10)

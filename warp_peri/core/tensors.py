@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch.autograd import forward_ad
 
+from warp_peri.contract import placed
 from warp_peri.errors import InputError
 
 Backward = Callable[..., tuple[torch.Tensor | None, ...]]
@@ -117,6 +118,44 @@ def on_fields(
     operator.check(u, u.is_floating_point())
     found = force(u.to("cpu", torch.float64).reshape(-1, *operator.shape))
     return found.reshape(*u.shape[: u.dim() - len(operator.shape)], *found.shape[1:]).to(u)
+
+
+class Module(torch.nn.Module):
+    """A material on points as a module of torch: ``module(u)`` is the force, as ``operator(u)``.
+
+    Args:
+        material: any, or its operator on these points.
+        points: the nodes, N of them.
+        options: of the material's `on`.
+
+    Attributes:
+        operator: the material on the points.
+        lam, mu, alpha, D, D_dilatation: parameters of a linear peridynamic solid [stress], [1],
+            [M + 1], as it is used on the points. A λ that is μ and a D_dilatation that is D stay
+            so, and are none of their own.
+        t3, tq2, q3: parameters of a third-order solid [stress]; its linear part is held.
+        networks: of a neural operator, the material itself with its parameters.
+
+    Other materials have no parameters and give the gradient in u alone. Parameters are float64;
+    with them the second derivative is refused. Raises InputError as `on`, and for a u that does
+    not fit.
+    """
+
+    def __init__(self, material: Any, points: Any, **options: Any) -> None:
+        super().__init__()
+        self.operator = placed(material, points, verb="Module", **options)
+        for name, value in getattr(self.operator, "learnable", {}).items():
+            number = torch.tensor(value, dtype=torch.float64)
+            self.register_parameter(name, torch.nn.Parameter(number))
+        if isinstance(self.operator.model, torch.nn.Module):
+            self.networks = self.operator.model
+
+    def forward(self, u: torch.Tensor) -> torch.Tensor:
+        """The force on the interior nodes [stress/length], [..., I, d] of u [..., N, d]."""
+        operator, numbers = self.operator, dict(self.named_parameters(recurse=False))
+        if not numbers:
+            return operator(u)  # type: ignore[no-any-return]
+        return on_fields(operator, u, lambda fields: operator.force_with(fields, numbers))
 
 
 def differentiable_once(backward: Backward) -> Backward:

@@ -386,6 +386,20 @@ class NodeOperator(OnPoints):
             by_u = torch.autograd.grad(Lu, leaf, torch.from_numpy(seed).to(at))[0].cpu()
         return np.asarray(by_u.numpy().reshape(*w.shape[:-2], bonds.nodes, bonds.dimension))
 
+    @property
+    def learnable(self) -> dict[str, Any]:
+        """λ, μ, α, D and D_dilatation by name; neither λ nor D_dilatation where it is μ or D."""
+        numbers, model = dict(vars(self.model.solid)), self.model
+        if model.bond_based:
+            del numbers["lam"]
+        if np.array_equal(model.D, model.dilatation):
+            del numbers["D_dilatation"]
+        return numbers
+
+    def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:
+        """The force of fields [S, N, d] with other numbers, differentiable once in all."""
+        return lps_force(self.bonds, u, Solid(**{"lam": numbers["mu"]} | numbers))
+
 
 def gathers(bonds: Bonds) -> bool:
     """Whether the gathering adjoint takes these bonds, and no tape is needed.

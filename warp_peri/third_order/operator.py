@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import OnPoints
@@ -19,7 +20,7 @@ from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_e
 from warp_peri.statics.linear import DIRECT, Inverse
 from warp_peri.statics.lps import bonds_within
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
-from warp_peri.third_order.sweeps import GradientSweeps, Numbers, TangentMatrices
+from warp_peri.third_order.sweeps import GradientSweeps, Numbers, TangentMatrices, third_order_force
 
 if TYPE_CHECKING:
     from warp_peri.third_order.material import ThirdOrderSolid
@@ -82,6 +83,21 @@ class PlacedThirdOrder(OnPoints):
         """L u [stress/length] on the interior nodes, shape [..., I, 2]."""
         Lu = self.sweeps.force(self._flat(u), self.numbers).numpy()
         return np.asarray(Lu.reshape(*np.shape(u)[:-2], -1, 2))
+
+    @property
+    def learnable(self) -> dict[str, float]:
+        """The constants of third order [stress]."""
+        return {name: getattr(self.model, name) for name in ("t3", "tq2", "q3")}
+
+    def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:
+        """The force of fields [S, N, 2] with other constants, differentiable once in all."""
+        of, turned = self.numbers, np.exp(-6j * axis_of(self.points))
+        t3, tq2, q3 = (numbers[name] for name in self.learnable)
+        lame = torch.from_numpy(of.cubic[:2].copy())
+        constants = torch.stack([t3, tq2, q3 * turned.real, q3 * turned.imag])
+        tables, bulk = torch.from_numpy(of.tables), torch.tensor([of.bulk], dtype=torch.float64)
+        given = (tables, bulk, torch.cat([lame, constants]))
+        return third_order_force(self.sweeps, u, *given, radius=of.radius)
 
     def clipped(self, radius: float) -> PlacedThirdOrder:
         """The same with stresses of gradients clipped to a radius (N10)."""

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
+import torch
 from numpy.typing import ArrayLike
 
+from warp_peri.core.tensors import linear
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.lps.model import Model
@@ -90,6 +93,17 @@ class LPSOperator(NodeOperator):
             return super().product_transpose(u, w)
         on_lattice = super().product_transpose(u, _applied(self.carrier.unknown, np.asarray(w)))
         return _applied(self.carrier.T.T, on_lattice)
+
+    def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:
+        """The force of fields [S, N, d] with other numbers, differentiable once in all."""
+        if self.carrier is None:
+            return super().force_with(u, numbers)
+
+        def through(matrix: sp.csr_array, x: torch.Tensor) -> torch.Tensor:
+            return linear(x, partial(_applied, matrix), partial(_applied, matrix.T))
+
+        force = super().force_with(through(self.carrier.T, u), numbers)
+        return through(self.carrier.unknown.T, force)
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """What the operator equals in equilibrium with b [TPa/Å], on the interior nodes.
