@@ -95,6 +95,8 @@ class OnPoints(Remade):
 
     is_linear = False
     """Whether the force is linear in u, so that derivatives of any order are had."""
+    is_symmetric = False
+    """Whether it is linear, and symmetric on the interior: then a solve has derivatives too."""
     points: Any
     force: Callable[[Any], np.ndarray]
     """The force of fields of NumPy."""
@@ -115,6 +117,10 @@ class OnPoints(Remade):
     def force_in_torch(self, u: Any) -> Any:
         """The force of a tensor, differentiable."""
         return import_module("warp_peri.core.tensors").force_of(self, u)
+
+    def rest_in_torch(self, b: Any, u: Any, solver: Any = None) -> Any:
+        """`rest` of tensors; its u is differentiable in both where `is_symmetric`."""
+        return import_module("warp_peri.core.tensors").at_rest(self, b, u, solver)
 
     def check(self, u: Any, real: bool = True) -> None:
         """Raise InputError for what is no real fields on the nodes."""

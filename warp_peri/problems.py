@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, placed, taken
+from warp_peri.contract import is_tensor, offered, placed, taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
 from warp_peri.edges.body import solve_body
@@ -33,7 +33,8 @@ class Dirichlet:
         points: a lattice or scattered points, or samples on them.
         b: body force density [stress/length], shape [N, d] or [S, N, d]; None for no load. Only
             interior values count; on scattered points also those of the collar beside it, since
-            the load is carried as a density. Of diffusion the source, shape [N].
+            the load is carried as a density. Of diffusion the source, shape [N]. Of tensors the
+            answer is one, differentiable in b and u where the material is linear.
         u: displacement [length], same shape; only collar values count. Of diffusion φ, [N].
     """
 
@@ -49,7 +50,9 @@ class Dirichlet:
             taken(extra, "solve", at_rest)
             return at_rest(operator, self.b, self.u, solver)
         load = np.zeros(np.shape(self.u)) if self.b is None else self.b
-        return operator.rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
+        tensors = is_tensor(self.b) or is_tensor(self.u)
+        rest = getattr(operator, "rest_in_torch", operator.rest) if tensors else operator.rest
+        return rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """The material in motion, from the displacement u.

@@ -346,3 +346,56 @@ def test_a_module_refuses_other_points(made):
         wp.Module(made("LPS"), made("conductor").points)
     with pytest.raises(wp.InputError, match="Module: expected a material"):
         wp.Module("graphene", made("LPS").points)
+
+
+SOLVED = {
+    "LPS": wp.Direct(),
+    "crystal": wp.Krylov(tolerance=1e-13),
+    "own": wp.Krylov(tolerance=1e-13),
+    "dressed": wp.Krylov(tolerance=1e-13),
+    "dressed, bonds": wp.Krylov(tolerance=1e-13),
+    "dressed, varied": wp.Direct(),
+    "crystal in space": wp.Krylov(tolerance=1e-13),
+    "conductor": None,
+}
+
+
+@pytest.mark.parametrize("name", SOLVED)
+def test_a_solve_has_the_gradient_of_differences(name, made):
+    op, solver = made(name), SOLVED[name]
+    b, u = (torch.from_numpy(field(op, 2, seed=n)).requires_grad_() for n in (0, 1))
+    seed = torch.from_numpy(np.random.default_rng(2).normal(size=u.shape))
+
+    def solution(b, u):
+        return wp.solve(op, wp.Dirichlet(op.points, b, u), solver=solver)
+
+    def square(b, u):
+        answer = solution(b, u).u
+        return ((0.1 * answer + seed) * answer).sum()
+
+    told = solution(b, u)
+    plain = solution(b.detach().numpy(), u.detach().numpy())
+    assert np.allclose(told.u.detach(), plain.u, rtol=0, atol=1e-9 * np.abs(plain.u).max())
+    assert told.method == plain.method
+    gradients = torch.autograd.grad(square(b, u), (b, u))
+    for number, gradient in enumerate(gradients):
+        v = torch.from_numpy(field(op, 2, seed=3))
+
+        def value(t, number=number, v=v):
+            moved = [x.detach() + t[0] * v * (n == number) for n, x in enumerate((b, u))]
+            return float(square(*moved))
+
+        slope = difference(value, [0.0], 1.0)[0]
+        size = float(gradient.norm() * v.norm())
+        assert abs(float((gradient * v).sum()) - slope) <= 1e-7 * size
+    one = wp.solve(op, wp.Dirichlet(op.points, b[0].detach().float(), u[0].float()), solver=solver)
+    assert (one.u.dtype, one.u.shape) == (torch.float32, u[0].shape) or name == "LPS"
+
+
+@pytest.mark.parametrize("name", ["third order, energy", "hyperelastic", "coupled"])
+def test_a_solve_without_gradient_says_so(name, made):
+    op = made(name)
+    b, u = 0 * torch.from_numpy(field(op)), torch.from_numpy(0.01 * field(op))
+    wp.solve(op, wp.Dirichlet(op.points, b, u))
+    with pytest.raises(wp.InputError, match="solve: expected tensors without a gradient"):
+        wp.solve(op, wp.Dirichlet(op.points, b, u.requires_grad_()))

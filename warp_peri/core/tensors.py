@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -118,6 +119,44 @@ def on_fields(
     operator.check(u, u.is_floating_point())
     found = force(u.to("cpu", torch.float64).reshape(-1, *operator.shape))
     return found.reshape(*u.shape[: u.dim() - len(operator.shape)], *found.shape[1:]).to(u)
+
+
+def at_rest(operator: Any, b: Any, u: Any, solver: Any) -> Any:
+    """The Solution of a symmetric operator, its u a tensor with every derivative to b and u.
+
+    Args:
+        operator: whose `rest` and `product_transpose` take NumPy fields.
+        b, u: of all nodes, [N, d] or [S, N, d]; b counts on the interior, u on the collar.
+        solver: of `rest`.
+
+    Raises InputError as `rest`, for a shape that does not fit, and for tensors that ask for a
+    gradient of another operator.
+    """
+    b, u = (torch.as_tensor(field) for field in (b, u))
+    if not operator.is_symmetric:
+        if b.requires_grad or u.requires_grad:
+            raise InputError(
+                "solve: expected tensors without a gradient, which the equilibrium of a "
+                f"{type(operator.model).__name__} does not have in torch"
+            )
+        return operator.rest(b.numpy(), u.numpy(), solver)
+    inside, shape = torch.from_numpy(operator.points.interior), operator.shape
+    mask = inside.reshape(-1, *[1] * (len(shape) - 1))
+    found: list[Any] = []
+
+    def there(both: np.ndarray) -> np.ndarray:
+        found.append(operator.rest(both[0], both[1], solver))
+        return np.asarray(found[-1].u)
+
+    def back(g: np.ndarray) -> np.ndarray:
+        w = operator.rest(g, np.zeros_like(g), solver).u
+        rows = np.compress(inside, w, axis=-len(shape))
+        return np.stack([w, (g - operator.product_transpose(None, rows)) * ~mask.numpy()])
+
+    operator.check(b, b.shape == u.shape)
+    pair = torch.stack([b.to("cpu").where(mask, 0.0), u.to("cpu").where(~mask, 0.0)])
+    answer = linear(pair.double(), there, back)
+    return replace(found[0], u=answer.to(u))
 
 
 class Module(torch.nn.Module):

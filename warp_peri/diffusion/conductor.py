@@ -110,6 +110,11 @@ class DiffusionOperator(OnPoints):
         """Of one field, [N]."""
         return (len(self.points.x),)
 
+    @property
+    def is_symmetric(self) -> bool:  # type: ignore[override]
+        """Whether so is L on the interior: on lattices."""
+        return bool(self.points.spacing > 0)
+
     def force(self, phi: np.ndarray) -> np.ndarray:
         """L φ on the interior, [N] or [S, N] to [I] or [S, I]; InputError for another shape."""
         if np.ndim(phi) == 2:

@@ -304,7 +304,7 @@ class DressedBody(OnPoints):
         grid, sides: steps of the nodes, [N, d], and of the box or the period around them.
     """
 
-    is_linear = True
+    is_linear = is_symmetric = True
 
     def __init__(
         self,

@@ -63,7 +63,7 @@ class TensorOperator(OnPoints):
     Raises InputError as grid_of does.
     """
 
-    is_linear = True
+    is_linear = is_symmetric = True
 
     def __init__(
         self,

@@ -122,6 +122,8 @@ class PlacedLPS(LPSOperator):
         warn_beyond(self.model, lambda: largest_strain(nodes, flat))
         return self._told(field, self.load(load), method, records)
 
+    rest_in_torch = rest
+
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period under a load whose mean is removed; u has zero mean.
 
