@@ -231,6 +231,17 @@ class Recorded:
             at_once(self._jobs)
 
 
+@contextmanager
+def unrecorded() -> Iterator[Any]:
+    """Warp's tape, or None where none records; what is launched inside does not go on it."""
+    runtime: Any = wp._src.context.runtime  # Warp has no public name for it
+    tape, runtime.tape = runtime.tape, None
+    try:
+        yield tape
+    finally:
+        runtime.tape = tape
+
+
 def zeros(
     *shape: int, dtype: Any = wp.float64, gradient: bool = False, device: str = DEVICE
 ) -> wp.array[Any]:

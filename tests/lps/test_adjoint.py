@@ -9,7 +9,7 @@ import torch
 import warp as wp
 
 from tests.support.clouds import cloud, periodic_cloud
-from tests.support.problems import KERNELS, LAM, MU, difference, lattice, noise, periodic
+from tests.support.problems import KERNELS, LAM, MU, difference, kernel, lattice, noise, periodic
 from warp_peri import InputError
 from warp_peri.launch import set_threads, threads
 from warp_peri.lps.bonds import Bonds, evaluate
@@ -184,3 +184,65 @@ def test_single_precision_is_double_precision_rounded():
         lps_force(bonds, torch.from_numpy(noise(points)), Solid(LAM, MU, 1.6, [1.0]))
     with pytest.raises(InputError, match="precision: expected one of"):
         Bonds(points, HORIZON, precision="float16")
+
+
+@wp.kernel
+def squared(Lu: wp.array2d[wp.vec2d], seed: wp.array2d[wp.vec2d], loss: wp.array[wp.float64]):
+    s, i = wp.tid()
+    weight = seed[s, i] + Lu[s, i] * wp.float64(0.3)
+    wp.atomic_add(loss, 0, wp.dot(weight, Lu[s, i]))
+
+
+def arrays_of(model, u):
+    own = vars(model.solid).values()
+    given = [np.atleast_1d(value) for value in own if value is not None]
+    return wp.array(u, dtype=wp.vec2d, requires_grad=True), [
+        wp.array(value, dtype=wp.float64, requires_grad=True) for value in given
+    ]
+
+
+@pytest.mark.parametrize("name", ["sign-changing", "two functions"])
+def test_on_a_tape_of_the_user(name):
+    """Loss and gradients are those of torch; a second pass gives them again."""
+    points, model = lattice(5, HORIZON), kernel(name, HORIZON)
+    operator = model.on(points)
+    u, seed = noise(points, 2), noise(points, 2, seed=1)[:, points.interior]
+    field, numbers = arrays_of(model, u)
+    out = wp.zeros((2, len(seed[0])), dtype=wp.vec2d, requires_grad=True)
+    loss, weight = wp.zeros(1, dtype=wp.float64, requires_grad=True), wp.array(seed, dtype=wp.vec2d)
+    with wp.Tape() as tape:
+        operator.launch(field, out, Solid(*numbers))
+        wp.launch(squared, out.shape, inputs=[out, weight], outputs=[loss])
+    tape.backward(loss)
+    leaves = [torch.tensor(u, requires_grad=True)]
+    leaves += [torch.tensor(one.numpy(), requires_grad=True) for one in numbers]
+    Lu = lps_force(operator.bonds, leaves[0], Solid(*leaves[1:]))
+    value = ((torch.from_numpy(seed) + 0.3 * Lu) * Lu).sum()
+    assert float(loss.numpy()[0]) == pytest.approx(float(value.detach()), rel=1e-14)
+    gradients = torch.autograd.grad(value, leaves)
+    for array, expected in zip([field, *numbers], gradients):
+        assert error(array.grad.numpy(), expected.numpy()) <= 1e-14
+    first = field.grad.numpy().copy()
+    tape.zero()
+    assert not field.grad.numpy().any()
+    tape.backward(loss)
+    assert np.array_equal(field.grad.numpy(), first)
+    operator.launch(field, out)  # no tape: the force alone, of the model's own numbers
+    assert np.array_equal(out.numpy(), operator(u))
+
+
+def test_what_a_launch_refuses():
+    points = lattice(5, HORIZON)
+    model = kernel("positive", HORIZON)
+    operator, (field, numbers) = model.on(points), arrays_of(model, noise(points, 2))
+    out = wp.zeros((2, 25), dtype=wp.vec2d)
+    with pytest.raises(InputError, match=r"out: expected shape \[2, 25\] of 2 float64"):
+        operator.launch(field, wp.zeros((2, 24), dtype=wp.vec2d))
+    with pytest.raises(InputError, match=r"u: expected shape \[2, "):
+        operator.launch(field[:, :-1], out)
+    alone = kernel("positive", HORIZON, lam=0.8).on(points)
+    with pytest.raises(InputError, match="expected equal values"):
+        alone.launch(field, out, Solid(*numbers))
+    torn = replace(points, outside=~points.interior & (points.x[:, 0] > 9))
+    with pytest.raises(InputError, match="launch: expected a lattice"):
+        model.on(torn).launch(field, out)

@@ -21,7 +21,7 @@ from warp_peri.core.tensors import differentiable_once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
-from warp_peri.launch import DEVICE, at_once, empty, floats, launch, launch_slices
+from warp_peri.launch import DEVICE, at_once, empty, floats, launch, launch_slices, unrecorded
 from warp_peri.lps.bonds import (
     BLOCKS,
     Bonds,
@@ -385,6 +385,52 @@ class NodeOperator(OnPoints):
                 Lu = lps_force(bonds, leaf, self.model.solid)
             by_u = torch.autograd.grad(Lu, leaf, torch.from_numpy(seed).to(at))[0].cpu()
         return np.asarray(by_u.numpy().reshape(*w.shape[:-2], bonds.nodes, bonds.dimension))
+
+    def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
+        """L u of Warp arrays, on the tape that records, if one does.
+
+        ``tape.backward`` adds to the gradients of those arrays that require one.
+
+        Args:
+            u: displacement [Å], shape [S, N] of vectors of float64.
+            out: takes L u [TPa/Å], shape [S, I] of vectors.
+            parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default.
+
+        Raises InputError for other shapes, broken bonds and scattered points through a lattice.
+        """
+        with unrecorded() as tape:
+            back, arrays = self._launched(u, out, parameters)
+        if tape is not None and len(arrays) > 1:
+            tape.record_func(back, arrays)  # RuntimeError of Warp for an out without a gradient
+
+    def _launched(self, u: Any, out: Any, parameters: Solid | None) -> tuple[Any, list[Any]]:
+        """The pass backwards, and the arrays whose gradients it reads and adds to."""
+        bonds, d = self.bonds, self.bonds.dimension
+        if not gathers(bonds) or self.shape[0] != bonds.nodes:
+            raise InputError("launch: expected a lattice, or own weights, without broken bonds")
+        for name, array, nodes in (("u", u, bonds.nodes), ("out", out, len(bonds.rows))):
+            seen = array.numpy()
+            if seen.dtype != float or seen.shape != (len(u), nodes, d):
+                raise InputError(
+                    f"{name}: expected shape [{len(u)}, {nodes}] of {d} float64 each, got "
+                    f"{list(seen.shape)} of {seen.dtype}"
+                )
+        numbers = self._evaluated[0] if parameters is None else list(parameters.values())
+        if bonds.bond_based and numbers[0].numpy() != numbers[1].numpy():
+            raise InputError("lambda, mu: expected equal values (bond-based)")
+        found = evaluate(bonds, u, *numbers)
+        wp.copy(out, found.Lu)
+
+        def back() -> None:
+            learns = any(array.requires_grad for array in numbers)
+            by = gradient(bonds, found, (u, *numbers), out.grad, parameters=learns)
+            by_u: Any = by.u
+            parts = (by_u.numpy(), by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
+            for array, part in zip((u, *numbers), parts):
+                if array.requires_grad:
+                    array.grad.numpy()[:] += part
+
+        return back, [out, *(array for array in (u, *numbers) if array.requires_grad)]
 
     @property
     def learnable(self) -> dict[str, Any]:
