@@ -114,6 +114,14 @@ class OnPoints(Remade):
         """Minus the internal force density on the interior; InputError for another shape."""
         return self.force_in_torch(u) if is_tensor(u) else self.force(u)
 
+    def product(self, u: Any, v: Any) -> np.ndarray:
+        """The derivative of the force at u along v, [..., I, d]; of a linear one the force of v."""
+        return self.force(v)
+
+    def load(self, b: Any) -> np.ndarray:
+        """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
     def force_in_torch(self, u: Any) -> Any:
         """The force of a tensor, differentiable."""
         return import_module("warp_peri.core.tensors").force_of(self, u)
@@ -132,7 +140,7 @@ class OnPoints(Remade):
                 f"shape {list(given)}"
             )
 
-    def on_all(self, w: np.ndarray) -> np.ndarray:
+    def on_all(self, w: Any) -> np.ndarray:
         """Fields of the interior nodes [..., I, d] as those of all, zero elsewhere, [..., N, d]."""
         fields = np.zeros((*np.shape(w)[:-2], *self.shape))
         fields[..., self.points.interior, :] = w

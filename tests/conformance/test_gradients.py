@@ -39,7 +39,7 @@ def scattered(**options):
 def torn():
     """An LPS whose bonds to nodes outside of the body are broken."""
     points = lattice(5, 3.0)
-    outside = (points.x[:, 0] > 8.5) & (points.x[:, 1] > 7)
+    outside = points.x[:, 0] > 2.5
     model = kernel("two functions", 3.0)
     return model.on(replace(points, outside=outside, interior=points.interior & ~outside))
 
@@ -90,6 +90,14 @@ def made():
     """Every operator once."""
     kept = {}
     return lambda name: kept.setdefault(name, OPERATORS[name]())
+
+
+def test_the_operators_are_what_they_are_called(made):
+    assert len(made("LPS, broken bonds").bonds.cut) > 0
+    assert made("scattered").carrier is not None
+    assert made("scattered, own weights").carrier is None
+    assert not made("dressed, varied")._even
+    assert not made("coupled").is_symmetric
 
 
 def field(op, *lead, seed=0):

@@ -161,10 +161,6 @@ class DiffusionOperator(OnPoints):
         inside = self.points.interior
         return checked("b", b, float, (..., len(inside)), inside)[..., self.rows]
 
-    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The derivative along v, which is L v for every φ."""
-        return self.force(v)
-
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Lᵗ w on all nodes, [..., N], of w on the interior, [..., I], whatever φ."""
         return np.asarray(w @ self.matrix())

@@ -141,10 +141,6 @@ class CoupledOperator(OnPoints):
         loads: np.ndarray = np.asarray(b, dtype=float)[self.rows]
         return loads
 
-    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The derivative along v, which is that of v for every u."""
-        return self.force(v)
-
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """That transposed: of w on the interior, [..., I, 3], on all nodes, [..., N, 3]."""
         flat, source = w[..., :2].reshape(*w.shape[:-2], -1), w[..., 2]

@@ -577,17 +577,9 @@ class DressedBody(OnPoints):
             return found.reshape(*np.shape(u)[:-2], *found.shape[1:])
         return np.asarray(self._through(self.L.dot, u)[..., self.points.interior, :])
 
-    def load(self, b: ArrayLike) -> np.ndarray:
-        """b [stress/length] on the interior nodes, which the operator equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
-
-    def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
-        """L v, whatever u, for L is linear, shape [..., I, d]."""
-        return self.force(v)
-
     def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """L of w on the interior [..., I, d], zero elsewhere, on all nodes [..., N, d]."""
-        return self._through(self.L.dot, self.on_all(np.asarray(w)))
+        return self._through(self.in_turn, self.on_all(w))
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """½ h^d uᵗ L u of all nodes, shape [...]; never negative."""

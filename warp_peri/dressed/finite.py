@@ -381,10 +381,6 @@ class FiniteBody(OnPoints):
     def _force(self, fields: np.ndarray) -> np.ndarray:
         return np.asarray(self._sweep(fields)[:, self.points.interior])
 
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """b on the interior nodes, which the operator equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
-
     def energy(self, u: ArrayLike) -> np.ndarray:
         """[stress · length²] of the elements that interior nodes move, shape [...] (D14)."""
         fields = self._fields(u)

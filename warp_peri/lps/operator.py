@@ -302,10 +302,6 @@ class NodeOperator(OnPoints):
     A model with λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough.
 
     Raises InputError for a point set that does not carry the horizon, or an uncertified spacing.
-
-    ``op(u)`` takes u [Å] of shape [N, d] or [S, N, d] on all nodes and returns L u [TPa/Å] on the
-    interior nodes, shape [I, d] or [S, I, d]: NumPy in, NumPy out; torch in, differentiable torch
-    out.
     """
 
     is_linear = True

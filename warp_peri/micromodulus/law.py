@@ -93,10 +93,6 @@ class TensorOperator(OnPoints):
         force = self.linear(fields)
         return force.reshape(*lead, *force.shape[1:])
 
-    def load(self, b: ArrayLike) -> np.ndarray:
-        """b [stress/length] on the interior nodes, which the operator equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
-
     def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """In equilibrium with b on the interior, u given on the collar, shape [..., N, d].
 
@@ -133,10 +129,6 @@ class TensorOperator(OnPoints):
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """In equilibrium with b on a period, without its mean; as `rest`."""
         return self.rest(b, np.zeros(np.shape(b)), solver)
-
-    def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
-        """The derivative of L u along v, shape [..., I, d]: L v, whatever u, for L is linear."""
-        return self.force(v)
 
     def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior, whatever u."""

@@ -275,11 +275,7 @@ class NeuralLaw(Protocol):
 
 
 class Placed(OnPoints):
-    """Minus the internal force density of a neural operator on a lattice; equals b in equilibrium.
-
-    ``placed(u)`` takes u [length] of shape [N, 2] or [S, N, 2] and gives forces [stress/length] on
-    the interior, shape [I, 2] or [S, I, 2]: NumPy for NumPy, differentiable torch for torch.
-    """
+    """Minus the internal force density of a neural operator on a lattice; b in equilibrium."""
 
     def __init__(self, material: NeuralLaw, bonds: NetworkBonds) -> None:
         self.material, self.bonds, self.points = material, bonds, bonds.points
@@ -526,11 +522,6 @@ class AtRest(Placed):
     def model(self) -> Any:
         """The material."""
         return self.material
-
-    def load(self, b: ArrayLike) -> np.ndarray:
-        """b on the interior nodes, which the operator equals in equilibrium."""
-        loads: np.ndarray = np.asarray(b, dtype=float)[..., self.points.interior, :]
-        return loads
 
     def errors(self, samples: Samples) -> dict[str, Any]:
         """For `evaluate`: samples whose equilibrium is not found are told apart."""

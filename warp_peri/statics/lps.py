@@ -66,10 +66,6 @@ class PlacedLPS(LPSOperator):
         figures = self.model.certificate.get(f"{self.model.nominal_spacing(spacing):g}", {})
         return str(figures["statement"]) if "statement" in figures else None
 
-    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The derivative along v, which is L v for every u."""
-        return self.force(v)
-
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
         if self.carrier is not None or self.points.spacing == 0:

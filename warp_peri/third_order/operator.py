@@ -43,10 +43,6 @@ class PlacedThirdOrder(OnPoints):
         model: the one that is used, its linear part transferred where need be.
         numbers: of the solid on these nodes.
 
-    ``op(u)`` takes u [length] of shape [N, 2] or [S, N, 2] on all nodes and returns L u
-    [stress/length] on the interior nodes, shape [I, 2] or [S, I, 2]: NumPy in, NumPy out; torch in,
-    differentiable torch out.
-
     Raises InputError for scattered points, nodes without the collar, other units, and an
     uncertified spacing.
     """
@@ -138,10 +134,6 @@ class PlacedThirdOrder(OnPoints):
         g = floats(_array(w).reshape(-1, len(self.sweeps.rows), 2), self.sweeps.kernels.vec)
         by_u, _ = self.sweeps.adjoint(self._flat(u), self.numbers, g, parameters=False)
         return np.asarray(by_u.numpy().reshape(np.shape(u)))
-
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """b on the interior nodes, which the operator equals in equilibrium."""
-        return np.compress(self.points.interior, np.asarray(b, dtype=float), axis=-2)
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """Of the linear part, and h² Σ Ψ(H) [stress · length²], shape [...], up to what the collar

@@ -204,10 +204,6 @@ class PlacedSheet(OnPoints):
         """Minus the internal force density on interior nodes, shape [..., I, 2]."""
         return np.asarray(self.energies.force(u, self.model.coefficients))
 
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """b on the interior nodes, which the operator equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
-
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative at u along v, shape [..., I, 2]."""
         everywhere = self.energies.product(u, self.model.coefficients, v)

@@ -47,9 +47,6 @@ class LPSOperator(NodeOperator):
 
     Raises InputError for a point set that does not carry the horizon (on scattered points as
     Carrier does), or an uncertified spacing without a transfer.
-
-    ``op(u)`` takes u [Å] of shape [N, d] or [S, N, d] on all nodes and returns shape [I, d] or
-    [S, I, d]: NumPy in, NumPy out; torch in, differentiable torch out.
     """
 
     def __init__(
