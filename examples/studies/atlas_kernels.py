@@ -16,7 +16,7 @@ from tools.make_graphene import point_set, read_samples
 from warp_peri import Dataset, Model, Samples
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import bernstein_basis
-from warp_peri.methods import Conditions
+from warp_peri.methods import Conditions, Optimum
 from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
 from warp_peri.regression.coordinates import Coordinates, Parameters
@@ -24,6 +24,7 @@ from warp_peri.regression.losses import ReducedLoss, reduce, sample_weights
 from warp_peri.regression.optimum import LatticeConditions, ZoneSearch
 from warp_peri.statics.direct import MatrixProblem
 
+FREE = Optimum(moduli=None)
 RATIOS = (2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0)
 DEGREES = (0, 1, 2, 3, 4, 5, 6, 8, 10, 15, 20)
 SIDES = range(4, 17)
@@ -79,7 +80,7 @@ def sign_changing(data: Dataset) -> Entry:
     # Fits of one horizon and degree, so that nothing but the conditions differs.
     case = next(case for case in sorted(models, key=lambda case: smallest[case]) if unsafe[case])
     free, degree, ratio = models[case], DEGREES[case[0]], RATIOS[case[1]]
-    kept = wp.fit(train, wp.LPS(horizon=free.horizon, kernel=wp.Bernstein(degree))).material
+    kept = wp.fit(train, wp.LPS(free.horizon, wp.Bernstein(degree), FREE)).material
     errors = {
         f"{RATIOS[column]:g}, {DEGREES[row]}": displacement_error(model, test)
         for (row, column), model in models.items()
@@ -195,7 +196,7 @@ def other_spacing(data: Dataset, cache: Path) -> Entry:
     models: list[Model] = []
     for horizon in (12.5, 20.0):
         for name, sets in (("5 Å", both[:1]), ("5 and 2.5 Å", both)):
-            law = wp.LPS(horizon, wp.Bernstein(12), normalise=True)
+            law = wp.LPS(horizon, wp.Bernstein(12), FREE, normalise=True)
             models.append(wp.fit(sets, law).material)
             label = f"δ = {horizon:g} Å, trained on {name}"
             table[label] = [
@@ -315,7 +316,7 @@ def large_degrees(data: Dataset) -> Entry:
     errors, swings = [], []
     r = np.linspace(train.spacing, horizon, 2000)
     for degree in tqdm(tried, desc="high degrees"):
-        fit = wp.fit(train, wp.LPS(horizon, wp.Bernstein(degree)))
+        fit = wp.fit(train, wp.LPS(horizon, wp.Bernstein(degree), FREE))
         errors.append(fit.history[-1].E_res_train)
         at_bonds = np.abs(fit.material.influence(classes.r)).max()
         swings.append(float(np.abs(fit.material.influence(r)).max() / at_bonds))

@@ -134,7 +134,10 @@ def kernels_by_conditions(train: Samples) -> Kernels:
         model = wp.fit(
             train,
             wp.LPS(
-                horizon=HORIZON, kernel=wp.Bernstein(10), conditions=wp.methods.Conditions(kind)
+                HORIZON,
+                wp.Bernstein(10),
+                wp.methods.Optimum(moduli=None),
+                wp.methods.Conditions(kind),
             ),
         ).material
         kernels[f"conditions '{kind}'"] = (model.alpha, model.D)

@@ -28,6 +28,7 @@ from tools.options import Options
 from tools.statics import Statics
 from warp_peri import LPS, Bernstein, Points, Samples, diagnose, fit
 from warp_peri.atoms import coarse_grain, smoothing_matrix
+from warp_peri.methods import Optimum
 from warp_peri.structures.calculators import potential_file
 
 CELLS = (24, 14)
@@ -241,7 +242,12 @@ def study(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:
         samples, quiet = make(asked)
         made = time.perf_counter() - begin
         with warnings.catch_warnings(action="ignore"):
-            found = fit(samples, LPS(HORIZON, Bernstein(DEGREE)), noise=quiet, progress=False)
+            found = fit(
+                samples,
+                LPS(HORIZON, Bernstein(DEGREE), Optimum(moduli=None)),
+                noise=quiet,
+                progress=False,
+            )
             diagnosis = diagnose(found.material, samples, quiet)
         named = diagnosis.causes[: len(asked.causes)]
         rows.append(

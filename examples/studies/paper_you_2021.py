@@ -20,7 +20,7 @@ from warp_peri.files.atomic import whole_file
 from warp_peri.learning.fit import learn
 from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Stage
-from warp_peri.methods import TwoStage
+from warp_peri.methods import Optimum, TwoStage
 
 DATA, CACHE = "data/graphene_0K.h5", "data/graphene_0K.cache"
 NEEDED = {
@@ -360,7 +360,7 @@ def table_4(runs: Path, trials: Mapping[str, Any], data: Dataset) -> list[list[s
 def two_grids(data: Dataset) -> dict[str, Any]:
     """One fit at δ = 12.5 Å to both grids, on either."""
     both = [data["train"], data["train_fine"]]
-    model = learn(both, horizon=12.5, kernel=Bernstein(10)).material
+    model = learn(both, 12.5, Bernstein(10), method=Optimum(moduli=None)).material
     names = ("val", "test", "val_fine", "test_fine")
     absolute = {name: wp.evaluate(model, data[name])["E_res_abs"] for name in ("test", "test_fine")}
     return {**errors_of(model, {name: data[name] for name in names}), "absolute": absolute}

@@ -16,6 +16,7 @@ from tools.make_thermal import data_set, run_all
 from tools.thermal import Bath, Plan, Task, ThermalRun, graphene_plans
 from warp_peri import Bernstein, Dataset
 from warp_peri.learning.fit import learn
+from warp_peri.methods import Optimum
 from warp_peri.points.families import bond_classes
 
 BATH = Bath(steps=1500, transient=800)
@@ -103,7 +104,7 @@ Data = Mapping[tuple[str, float], Dataset]
 def one_grid(data: Data, reduction: str, factor: float) -> dict[str, Any]:
     """A fit as printed: its constants, kernel, and errors against its own and other data."""
     own, low, clean = data[reduction, factor], data["iota", 1.0], data["shared", 1.0]
-    model = learn(own["train"], horizon=20.0, kernel=Bernstein(10)).material
+    model = learn(own["train"], 20.0, Bernstein(10), method=Optimum(moduli=None)).material
     row: dict[str, Any] = {"reduction": reduction, "factor": factor}
     row |= {key: getattr(model, key) for key in ("alpha", "lam", "mu", "E", "nu")}
     row |= errors(model, {name: own[name] for name in ("train", *SETS)}, "own")
@@ -118,7 +119,7 @@ def two_grids(data: Data, reduction: str) -> dict[str, float]:
     """One fit at δ = 12.5 Å to both grids, on either, against its own and the clean data."""
     own, clean = data[reduction, 1.0], data["shared", 1.0]
     both = [own["train"], own["train_fine"]]
-    model = learn(both, horizon=12.5, kernel=Bernstein(10)).material
+    model = learn(both, 12.5, Bernstein(10), method=Optimum(moduli=None)).material
     names = [name + end for end in ("_fine", "") for name in SETS]
     found = errors(model, {name: own[name] for name in names}, "own")
     return found | errors(model, {name: clean[name] for name in names}, "clean")

@@ -294,7 +294,10 @@ def measure(
         more = {"fit_seconds": seconds, "loads": count}
         add(label, kind, (5.0, horizon, DEGREE), method, prepare, **more)
     start = time.perf_counter()
-    two = fit(speed_laws.two_loads(file.with_suffix(".cache")), LPS(20.0, Bernstein(DEGREE)))
+    two = fit(
+        speed_laws.two_loads(file.with_suffix(".cache")),
+        LPS(20.0, Bernstein(DEGREE), Optimum(moduli=None)),
+    )
     more = {"fit_seconds": time.perf_counter() - start, "loads": 2}
     how = functools.partial(by_lu(np.float64), two.material)
     add(

@@ -44,7 +44,9 @@ def entries(data: wp.Dataset, atoms: Path, steps: int) -> dict[str, Callable[[],
 
     @cache
     def model() -> wp.Model:
-        return wp.fit(data["train"], wp.LPS(horizon=20.0, kernel=wp.Bernstein(10))).material
+        return wp.fit(
+            data["train"], wp.LPS(20.0, wp.Bernstein(10), wp.methods.Optimum(moduli=None))
+        ).material
 
     return {
         "sign-changing": lambda: atlas_kernels.sign_changing(data),

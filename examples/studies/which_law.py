@@ -38,7 +38,7 @@ def laws(truth: dict[str, float]) -> dict[str, Any]:
     two = wp.LPS(20.0, wp.Bernstein(10, two_functions=True), method=Optimum(moduli=(lam, mu)),
                  normalise=True)  # fmt: skip
     return {
-        "LPS": wp.LPS(20.0, wp.Bernstein(10)),
+        "LPS": wp.LPS(20.0, wp.Bernstein(10), wp.methods.Optimum(moduli=None)),
         "LPS, two functions": two,
         "tensors, 20 bonds": wp.Micromodulus(12.5, "isotropic", moduli=C),
         "dressed bonds, G 12": wp.Dressed("bonds", 12, moduli=C),

@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 
 from tests.support.problems import kernel, lattice, manufactured
-from warp_peri.learning.full_loss_check import ConsistencyCheck
+from warp_peri.learning.training_data import ConsistencyCheck
 from warp_peri.lps.model import bernstein_basis
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import FullLoss, reduce, sample_weights

@@ -18,15 +18,7 @@ from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.fit import learn_third_order
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.lps.model import Model, stiffnesses
-from warp_peri.methods import (
-    Conditions,
-    Constrained,
-    Optimum,
-    Smoothing,
-    TwoStage,
-    fit_uncertainty,
-    sweep,
-)
+from warp_peri.methods import Conditions, Constrained, Optimum, Smoothing, fit_uncertainty, sweep
 from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
@@ -257,9 +249,7 @@ CASES = {
     "fit": learned(),
     "fit, paper": learned(conditions=Conditions("paper")),
     "fit, normalised": learned(normalise=True),
-    "fit, two stages": learned(
-        method=Constrained(TwoStage(epochs=50, inner_epochs=30, outer_iterations=2))
-    ),
+    "fit, two stages": learned(method=Constrained()),
     "fit, corrected": learned(MADE, QUIET, loss="corrected"),
     "fit, output at waves": learned(noisy(WAVES, 0.02, 5), loss="output"),
     "fit, output": learned(MADE, loss="output"),

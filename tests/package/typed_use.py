@@ -62,7 +62,7 @@ def learn(folder: Path) -> Fit:
         warp_peri.LPS(
             HORIZON,
             warp_peri.Bernstein(1),
-            method=methods.Constrained(methods.TwoStage(epochs=9), methods.Optimum(jobs=1)),
+            method=methods.Constrained(seed=9, optimum=methods.Optimum(jobs=1)),
             conditions=methods.Conditions(zeta=0.01),
         ),
     )

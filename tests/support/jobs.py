@@ -48,14 +48,14 @@ def sweep(folder):
 
 
 def training(folder):
-    """All three stages, with a checkpoint."""
+    """Algorithm 1, with a checkpoint."""
     from warp_peri import Bernstein
     from warp_peri.learning.fit import learn as fit
-    from warp_peri.methods import Constrained, TwoStage
+    from warp_peri.methods import TwoStage
 
     lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
     stages = TwoStage(seed=3, checkpoint=folder / "state.npz", **lengths)
-    learned = fit(problem(), 2.5, Bernstein(4), method=Constrained(stages))
+    learned = fit(problem(), 2.5, Bernstein(4), method=stages)
     learned.material.save(folder / "model.json")
     return ["model.json", "state.npz"]
 

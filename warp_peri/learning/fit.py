@@ -13,13 +13,18 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.learning.full_loss_check import ConsistencyCheck
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
 from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit, check_nonlinear, with_constants
 from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Fit, LossChoice, Settings
 from warp_peri.learning.stages import Stages, choose_loss
-from warp_peri.learning.training_data import Scale, TrainingData, listed, scaled_data
+from warp_peri.learning.training_data import (
+    ConsistencyCheck,
+    Scale,
+    TrainingData,
+    listed,
+    scaled_data,
+)
 from warp_peri.lps.shapes import InfluenceFunction, shapes_of
 from warp_peri.lps.symbol import moduli as moduli_of
 from warp_peri.points.dataset import Dataset
@@ -94,7 +99,7 @@ def learn(
             are learned, from the values it has. Several functions are several starts, and the best
             is kept; a start that leads out of the domain of its function is passed over.
         method: Optimum() starts at the constrained optimum, from plain kernels; TwoStage() is
-            Algorithm 1 of You et al. (2021); Constrained() goes on from it to the optimum.
+            Algorithm 1 of You et al. (2021); Constrained() takes Adam there, and checks it.
         conditions: what must hold on every lattice.
         loss: "residual" is (10); "corrected" takes off what noise adds to it; "output" goes on to
             fit displacement, at the wave vectors of the loads (`wave_vector` of the samples) or,
@@ -132,8 +137,9 @@ def learn_third_order(
     """
     sets, quiet = listed(samples), listed(noise, "noise")
     check_nonlinear(nonlinear, sets, kernel, method, loss, quiet)
+    method = dataclasses.replace(_second(method), moduli=_second(method).held)
     linear = _linear(sets, horizon, kernel, method, conditions, loss, quiet, normalise, progress)
-    return with_constants(linear, sets, _second(method), nonlinear)
+    return with_constants(linear, sets, method, nonlinear)
 
 
 def _linear(
@@ -151,7 +157,7 @@ def _linear(
     shapes = check_choices(kernel, method, conditions)
     given = sets, horizon, conditions, quiet, _carrier(method)
     data, scale = scaled_data(*given, normalise=normalise, lengths=not shapes)
-    held, method = _second(method).moduli, scale.method(method)
+    method = scale.method(method)
     bernstein = kernel if isinstance(kernel, Bernstein) else None
     starts = _shaped(data, shapes) if bernstein is None else _plain(bernstein)
     probe, responds = _probe(starts, bernstein), not isinstance(method, TwoStage)
@@ -160,13 +166,15 @@ def _linear(
     rough = _rough(bernstein, method)
     consistency.check(rough)
     stages = Stages(data, data.losses(choice.name), progress)
+    optimum = stages.hold(_second(method), probe, bernstein)
     depends = (bernstein, conditions, normalise, choice.name)
-    final = _learned(stages, starts, rough, method, depends)
+    final = _learned(stages, starts, rough, method, optimum, depends)
     consistency.check(final)
     check_explained(final, choice.name)
     warn_of_bounds(final, data, scale, method)
     two_functions = bernstein is not None and bernstein.two_functions
     kept = scale.lattice_conditions(data, horizon)
+    held = scale.moduli(optimum.held, back=True)
     settings = Settings(kept, normalise, two_functions, held)
     return _certified(sets, scale.parameters(final), stages.ended(scale), choice, settings, scale)
 
@@ -176,24 +184,23 @@ def _learned(
     starts: dict[str, Parameters],
     rough: Parameters,
     method: Method,
+    optimum: Optimum,
     depends: tuple[Bernstein | None, Conditions, bool, str],
 ) -> Parameters:
-    """The stages of a method, one after the other; `depends` is what a checkpoint depends on."""
+    """The stages of a method, one after the other, its optimum with the moduli that are held.
+
+    `depends` is what a checkpoint depends on.
+    """
     kernel, _, _, loss = depends
-    if kernel is not None and not isinstance(method, Optimum):
-        first = _first(method)
-        data = stages.data
+    if kernel is not None and isinstance(method, TwoStage):
+        first, data = method, stages.data
         asked = (dataclasses.replace(first, checkpoint=None), *depends)
         key = fingerprint(data.horizon, data.spacings, asked, data.sets, data.noise)
-        positive, final = stages.two_stage(rough, first, key)
-        bare = dataclasses.replace(_probe(starts, kernel), alpha=final.alpha)
-        starts = {"stage 2": final, "stage 1": positive, f"r^-{final.alpha:.3g}": bare}
-        if isinstance(method, TwoStage):
-            return final
-    final = stages.optimum(starts, _second(method), kernel)
-    if loss == "output":
-        final = stages.output(final, _second(method), kernel)
-    return final
+        return stages.two_stage(rough, first, key)
+    if kernel is not None and isinstance(method, Constrained):
+        starts = {"Adam": stages.lagrangian(rough, method, optimum, kernel)} | starts
+    final = stages.optimum(starts, optimum, kernel)
+    return stages.output(final, optimum, kernel) if loss == "output" else final
 
 
 def _probe(starts: dict[str, Parameters], kernel: Bernstein | None) -> Parameters:
@@ -224,17 +231,7 @@ def check_choices(
 
 def _carrier(method: Method) -> float | None:
     """Spacing of the lattice that carries the conditions of scattered points, if there is one."""
-    first = _first(method)
-    if isinstance(method, Constrained) and first.lattice_spacing is not None:
-        raise InputError("lattice_spacing: only for scattered points, which TwoStage learns from")
-    return first.lattice_spacing
-
-
-def _first(method: Method) -> TwoStage:
-    """Settings of Algorithm 1; those of a fit without it are the usual ones."""
-    if isinstance(method, TwoStage):
-        return method
-    return method.two_stage if isinstance(method, Constrained) else TwoStage()
+    return method.lattice_spacing if isinstance(method, TwoStage) else None
 
 
 def _second(method: Method) -> Optimum:
@@ -249,12 +246,11 @@ def _rough(kernel: Bernstein | None, method: Method) -> Parameters:
 
     As printed the constants are random too, in the units of the fit.
     """
-    first = _first(method)
-    random = np.random.default_rng(first.seed)
+    random = np.random.default_rng(0 if isinstance(method, Optimum) else method.seed)
     terms = 1 + (CHECKED_DEGREE if kernel is None else kernel.degree)
     D = random.uniform(size=terms)
     own = random.uniform(size=terms) if kernel is not None and kernel.two_functions else None
-    printed = first.parametrisation == "relu"
+    printed = isinstance(method, TwoStage) and method.parametrisation == "relu"
     lam, mu, alpha = random.uniform(size=3) if printed else (0.0, 1.0, 1.0)
     return Parameters(lam, mu, alpha, D, D_dilatation=own)
 

@@ -37,7 +37,7 @@ class LPS:
             are learned, from the values it has. Several functions are several starts, and the best
             is kept.
         method: Optimum() starts at the constrained optimum, from plain kernels; TwoStage() is
-            Algorithm 1 of You et al. (2021); Constrained() goes on from it to the optimum.
+            Algorithm 1 of You et al. (2021); Constrained() takes Adam there, and checks it.
         conditions: what must hold on every lattice.
         loss: "residual" is (10); "corrected" takes off what noise adds to it; "output" goes on to
             fit displacement; "auto" takes the residual where noise does not matter.
@@ -85,7 +85,7 @@ class LPS:
                 "samples: in space expected one set, Bernstein(degree) of one function, Optimum(), "
                 '"direct" conditions, and the residual without noise'
             )
-        how = {"degree": kernel.degree, "moduli": method.moduli}
+        how = {"degree": kernel.degree, "moduli": method.held}
         return how | {"zeta": asked.zeta, "normalise": self.normalise}
 
 

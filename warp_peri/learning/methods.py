@@ -80,25 +80,36 @@ class TwoStage:
 
 @dataclass(frozen=True)
 class Constrained:
-    """Algorithm 1, and from where it ends on to the constrained optimum.
+    """Adam and an augmented Lagrangian to the constrained optimum, which Optimum then checks.
+
+    Unlike Algorithm 1 in coordinates that suit its steps (theory.md, 28b), so that it arrives.
 
     Attributes:
-        two_stage: settings of the first part.
-        optimum: settings of the second.
+        seed: of the initial D.
+        steps: of Adam in a round.
+        rounds: most rounds.
+        optimum: settings of the check, which goes on from there and from plain kernels.
+
+    Raises InputError for a number that is none.
     """
 
-    two_stage: TwoStage = field(default_factory=TwoStage)
+    seed: int = 0
+    steps: int = 100
+    rounds: int = 60
     optimum: Optimum = field(default_factory=Optimum)
+
+    def __post_init__(self) -> None:
+        for name, least in (("seed", 0), ("steps", 1), ("rounds", 1)):
+            check_whole(name, getattr(self, name), least)
 
 
 Method: TypeAlias = TwoStage | Optimum | Constrained
 
 
 def named(name: str, **settings: Any) -> Method:
-    """A method by the name it has on the command line; `seed` is that of Algorithm 1."""
+    """A method by the name it has on the command line; `seed` is of its initial D."""
     if name not in METHODS:
         raise InputError(f"method: expected one of {', '.join(METHODS)}, got {name!r}")
     if name == "optimum":
         return Optimum()
-    first = TwoStage(**settings)
-    return first if name == "two-stage" else Constrained(first)
+    return TwoStage(**settings) if name == "two-stage" else Constrained(**settings)

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.learning.full_loss_check import held
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.response import as_model, products
 from warp_peri.learning.result import Fit
-from warp_peri.learning.training_data import Scale, scale_of
+from warp_peri.learning.training_data import Scale, held, scale_of
 from warp_peri.points.families import BondClasses
 from warp_peri.points.samples import Samples, largest_strain
 from warp_peri.points.unit_names import symbols
@@ -209,7 +208,7 @@ class _Task:
         if self.smoothing is not None:
             radius = self.smoothing.radius / scale.length
             self.smoothing = dataclasses.replace(self.smoothing, radius=radius)
-        self.method = dataclasses.replace(method, moduli=scale.moduli(method.moduli))
+        self.method = dataclasses.replace(method, moduli=scale.moduli(method.held))
         self.settings = scale.inner_settings(linear.settings)
         start = linear.history[-1].parameters
         lam, mu = start.lam / scale.stress, start.mu / scale.stress

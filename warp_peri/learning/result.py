@@ -91,7 +91,8 @@ class Fit(Shown):
         ]
         for constants in self.moduli[:1]:
             numbers = (constants[key] for key in ("C11", "C12", "C44"))
-            lines.append(("C11, C12, C44", shown_moduli(model.units, numbers)))
+            held = "" if self.settings.moduli is None else ", held"
+            lines.append(("C11, C12, C44", shown_moduli(model.units, numbers) + held))
         if last is not None:
             lines.append(("residual", f"{100 * last.E_res_train:.3g} % of the training loads"))
         lines.append(("loss", f"{self.loss.name} ({self.loss.reason})"))

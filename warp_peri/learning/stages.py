@@ -13,7 +13,7 @@ from tqdm.auto import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.learning import LOSSES
-from warp_peri.learning.methods import Bernstein, TwoStage
+from warp_peri.learning.methods import Bernstein, Constrained, TwoStage
 from warp_peri.learning.response import STEPS, output_optimum, products, responses_of
 from warp_peri.learning.result import LossChoice, Stage
 from warp_peri.learning.training_data import Scale, TrainingData
@@ -25,10 +25,14 @@ from warp_peri.learning.two_stage import (
     sign_changing_stage,
 )
 from warp_peri.lps.model import Model
+from warp_peri.micromodulus.learning import POOR
+from warp_peri.micromodulus.regression import moduli_of
 from warp_peri.points.samples import WAVE_VECTOR
 from warp_peri.regression.coordinates import Parameters
+from warp_peri.regression.lagrangian import augmented_lagrangian
 from warp_peri.regression.optimum import Reached, constrained_optimum
-from warp_peri.regression.settings import Optimum
+from warp_peri.regression.settings import LONG_WAVES, Optimum
+from warp_peri.third_order.fit import long_wave_equations
 
 SMALL_SHARE = 0.01
 """A residual loss is taken as it is when noise is less than this of its squares."""
@@ -78,6 +82,8 @@ def noise_share(data: TrainingData, start: Parameters) -> float:
 
 
 SAME_LOSS = 1e-6
+CHEAP = 1.05
+"""Moduli of long waves are held while the loss is no more than this times that without."""
 Tick = Callable[[float], None]
 
 
@@ -125,7 +131,27 @@ class Stages:
         ]
         return self
 
-    def two_stage(self, rough: Parameters, method: TwoStage, key: str) -> list[Parameters]:
+    def hold(self, method: Optimum, start: Parameters, kernel: Bernstein | None) -> Optimum:
+        """The method with the moduli of long waves, where it asks for them and they cost little."""
+        free = dataclasses.replace(method, moduli=method.held)
+        if method.moduli != LONG_WAVES or not self.data.grids or self.data.noise:
+            return free
+        two_functions = kernel is not None and kernel.two_functions
+        try:
+            rows, right = zip(*map(long_wave_equations, self.data.sets))
+            (lam, mu, *_), misfit = moduli_of(np.concatenate(rows), np.concatenate(right))
+            held = dataclasses.replace(method, moduli=(float(lam), float(mu)))
+            losses, conditions = self.losses, self.data.conditions
+            alone, beside = (
+                constrained_optimum(losses, start, conditions, one, two_functions=two_functions)
+                for one in (free, held)
+            )
+        except InputError:  # they do not tell, or a function is not defined where it was led
+            return free
+        cheap = beside.converged and beside.loss <= CHEAP * alone.loss
+        return held if cheap and misfit <= POOR else free
+
+    def two_stage(self, rough: Parameters, method: TwoStage, key: str) -> Parameters:
         """Stages 1 and 2, from a rough start; `key` says what a checkpoint depends on."""
         data, kept_in = self.data, None
         dense = method.constraints == "dense"
@@ -137,14 +163,34 @@ class Stages:
             method.epochs,
             lambda tick: positive_stage(self.losses, rough, method, tick=tick),
         )
-        second = self._run(
+        return self._run(
             "2 sign-changing",
             method.inner_epochs * method.outer_iterations,
             lambda tick: sign_changing_stage(
                 self.losses, first, margins, method, checkpoint=kept_in, tick=tick
             ),
         )
-        return [first, second]
+
+    def lagrangian(
+        self, rough: Parameters, method: Constrained, optimum: Optimum, kernel: Bernstein
+    ) -> Parameters:
+        """Adam and the augmented Lagrangian, from a rough start."""
+        return self._run(
+            "1 Adam",
+            method.steps * method.rounds,
+            lambda tick: (
+                augmented_lagrangian(
+                    self.losses,
+                    rough,
+                    self.data.conditions,
+                    optimum,
+                    steps=method.steps,
+                    rounds=method.rounds,
+                    two_functions=kernel.two_functions,
+                    tick=tick,
+                ).parameters
+            ),
+        )
 
     def optimum(
         self, starts: dict[str, Parameters], method: Optimum, kernel: Bernstein | None

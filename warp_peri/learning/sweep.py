@@ -23,13 +23,14 @@ from warp_peri.files.checkpoint import fingerprint
 from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
-from warp_peri.learning.methods import Bernstein, Kernel
+from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.regression.optimum import Conditions
+from warp_peri.regression.settings import Optimum
 
 ERRORS = ("E_res", "E_u", "E_res_abs")
 """Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""
@@ -201,10 +202,11 @@ def sweep(
     horizons: Sequence[float] = HORIZONS,
     degrees: Sequence[int] = DEGREES,
     conditions: str = "direct",
+    method: Method = Optimum(moduli=None),  # noqa: B008 (a frozen value)
     jobs: int = -1,
     progress: bool = False,
 ) -> Sweep:
-    """Fit every horizon and degree to its constrained optimum and choose.
+    """Fit every horizon and degree and choose.
 
     Finished fits stay in `folder`, so that an interrupted sweep goes on where it was; they are
     known by a hash of the data and the settings. A fit that finds no optimum is warned about and
@@ -218,6 +220,7 @@ def sweep(
         horizons: δ [Å].
         degrees: M.
         conditions: "direct" or "paper", as in Conditions.
+        method: of each fit; Algorithm 2 as printed has TwoStage("relu", "dense").
         jobs: number of processes, −1 for one per core; a joblib.parallel_config around the call
             chooses another backend.
         progress: show a progress bar.
@@ -233,7 +236,7 @@ def sweep(
         )
     sets, grid = (train, val, test, noise), (horizons, degrees)
     with locked(folder):
-        return _sweep(*sets, Path(folder), *grid, conditions, jobs, progress)
+        return _sweep(*sets, Path(folder), *grid, conditions, method, jobs, progress)
 
 
 def _sweep(
@@ -245,10 +248,11 @@ def _sweep(
     horizons: Sequence[float],
     degrees: Sequence[int],
     conditions: str,
+    method: Method,
     jobs: int,
     progress: bool,
 ) -> Sweep:
-    key = fingerprint(conditions, train, val, test, noise)[:12]
+    key = fingerprint(conditions, method, train, val, test, noise)[:12]
     cases = [(horizon, degree) for horizon in horizons for degree in degrees]
     files = [folder / f"d{horizon:g}_M{degree}_{key}.json" for horizon, degree in cases]
     todo = [(case, file) for case, file in zip(cases, files) if _read(file) is None]
@@ -257,7 +261,9 @@ def _sweep(
     ) as bar:
         parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
         work = (
-            joblib.delayed(_trial)(train, val, test, noise, horizon, degree, conditions, file)
+            joblib.delayed(_trial)(
+                train, val, test, noise, horizon, degree, conditions, method, file
+            )
             for (horizon, degree), file in todo
         )
         failed = []
@@ -303,6 +309,7 @@ def _trial(
     horizon: float,
     degree: int,
     conditions: str,
+    method: Method,
     file: Path,
 ) -> str:
     """Fit, evaluate, and leave the record in `file` and the model beside it.
@@ -315,6 +322,7 @@ def _trial(
             train,
             horizon,
             Bernstein(degree),
+            method=method,
             conditions=Conditions(conditions),
             noise=noise,
             progress=False,

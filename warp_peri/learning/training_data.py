@@ -3,11 +3,13 @@
 Nothing in a linear solid has a length or a stress of its own, but starts, steps, bounds and
 tolerances of a search are numbers. They are numbers of Å and TPa, or of units that follow the data
 from there in coarse steps: powers of 64 and of 16, so that going there and back costs no digit.
+During every fit the reduced loss is held to the full one: a departure warns, or ends it.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,13 +20,13 @@ from warp_peri.errors import InputError
 from warp_peri.learning.methods import Constrained, Method, TwoStage
 from warp_peri.learning.result import Settings
 from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.model import Model, Solid
+from warp_peri.lps.model import Model, Solid, bernstein_basis
 from warp_peri.lps.operator import lps_force
 from warp_peri.points.dataset import Dataset, in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, search_length, search_unit
-from warp_peri.regression.coordinates import Parameters
+from warp_peri.regression.coordinates import Parameters, Variables
 from warp_peri.regression.losses import (
     FullLoss,
     ReducedLoss,
@@ -199,8 +201,7 @@ class Scale:
     def method(self, given: Method) -> Method:
         """The method with its lengths and moduli in these units."""
         if isinstance(given, Constrained):
-            first, second = self._two_stage(given.two_stage), self._optimum(given.optimum)
-            return dataclasses.replace(given, two_stage=first, optimum=second)
+            return dataclasses.replace(given, optimum=self._optimum(given.optimum))
         return self._two_stage(given) if isinstance(given, TwoStage) else self._optimum(given)
 
     def _two_stage(self, given: TwoStage) -> TwoStage:
@@ -211,12 +212,14 @@ class Scale:
     def _optimum(self, given: Optimum) -> Optimum:
         return dataclasses.replace(given, moduli=self.moduli(given.moduli))
 
-    def moduli(self, held: tuple[float, float] | str | None) -> tuple[float, float] | str | None:
-        """Moduli to be held, in these units."""
+    def moduli(
+        self, held: tuple[float, float] | str | None, *, back: bool = False
+    ) -> tuple[float, float] | str | None:
+        """Moduli to be held, in these units; `back` from them to those of the data."""
         if held is None or isinstance(held, str):
             return held
-        lam, mu = held
-        return lam / self.stress, mu / self.stress
+        unit = 1 / self.stress if back else self.stress
+        return held[0] / unit, held[1] / unit
 
     def lattice_conditions(self, data: TrainingData, horizon: float) -> list[LatticeConditions]:
         """The conditions of training data in these units, in those of the data."""
@@ -344,3 +347,111 @@ def scaled_data(
     except InputError:
         made(None)  # the same refusal, with the user's own numbers
         raise
+
+
+ROUNDING = 1e-13
+"""Of a residual, relative to the loads: what is left of an exact fit."""
+EPSILON = float(np.finfo(float).eps)
+SAFETY = 100.0
+"""Times what rounding does: a backward error is an estimate, and processors differ in it."""
+MATTERS = 1e-6
+"""Relative departure that no rounding explains and that an answer would show."""
+
+
+class ConsistencyCheck:
+    """Holds the reduced loss to the full one and to its gradients."""
+
+    def __init__(self, grids: Sequence[ReducedLoss], full: Sequence[FullLoss]) -> None:
+        self.grids, self.full = grids, full
+        self.gradient_size: float | None = None
+
+    def check(self, parameters: Parameters) -> None:
+        """Compare at one point, on lattices; the first one sets the size of the gradient.
+
+        Warns where they differ by more than SAFETY times what rounding of every parameter does.
+        Raises RuntimeError where that is more than MATTERS of the loss or of the gradient as well.
+        """
+        if not self.grids:
+            return
+        variables = Variables(parameters, positive=False, parametrisation="projected")
+        sizes = self._sizes(parameters)
+        results = []
+        for loss in (
+            variables.loss(self.grids),
+            torch.stack([term.loss(*variables.leaves) for term in self.full]).sum(),
+        ):
+            parts = torch.autograd.grad(loss, variables.leaves)
+            gradient = torch.cat([part.reshape(-1) for part in parts]) * sizes
+            results.append((loss.item(), gradient))
+        (reduced, gradient), (expected, reference) = results
+        size = self.gradient_size = self.gradient_size or float(reference.norm())
+        by_loss, by_gradient = self._rounding(parameters, reference / sizes, sizes)
+        by_loss += EPSILON * expected + ROUNDING * np.sqrt(expected) + ROUNDING**2
+        held("loss", abs(reduced - expected), by_loss, expected)
+        apart = float((gradient - reference).norm())
+        held("gradient", apart, EPSILON * size + by_gradient, size)
+
+    def _sizes(self, parameters: Parameters) -> torch.Tensor:
+        """Units that derivatives are compared in, one for each parameter.
+
+        λ and μ by μ; D by that of a weighted volume of D = 1, since its scale has no effect.
+        """
+        parts = [torch.tensor([parameters.mu, parameters.mu, 1.0], dtype=torch.float64)]
+        for D in (
+            (parameters.D,)
+            if parameters.D_dilatation is None
+            else (parameters.D, parameters.D_dilatation)
+        ):
+            parts.append(
+                torch.full((len(D),), self._volume(parameters.alpha, D), dtype=torch.float64)
+            )
+        return torch.cat(parts)
+
+    def _rounding(
+        self, parameters: Parameters, gradient: torch.Tensor, sizes: torch.Tensor
+    ) -> tuple[float, float]:
+        """What relative rounding of every parameter does to the loss and to its gradient.
+
+        Terms D_k B_k of either sign cancel in K; the sums lose as much as D itself would.
+        """
+        variables = Variables(parameters, positive=False, parametrisation="projected")
+        numbers = [leaf.detach() for leaf in variables.leaves]
+        flat = torch.cat([number.reshape(-1) for number in numbers])
+
+        def loss(flat: torch.Tensor) -> torch.Tensor:
+            parts = flat.split([number.numel() for number in numbers])
+            shaped = [part.reshape(number.shape) for part, number in zip(parts, numbers)]
+            return torch.stack([grid.loss(*shaped) for grid in self.grids]).sum()
+
+        bend = torch.autograd.functional.hessian(loss, flat)
+        by_gradient = (sizes[:, None] * bend * flat).norm()
+        return EPSILON * float((gradient * flat).norm()), EPSILON * float(by_gradient)
+
+    def _volume(self, alpha: float, D: np.ndarray) -> float:
+        """Weighted volume of a kernel over that of K = r^(−α)."""
+        classes = self.grids[0].classes
+        terms = classes.count * classes.weight * classes.r ** (2 - alpha)
+        basis = bernstein_basis(classes.r, classes.horizon, len(D) - 1)
+        return float(abs(terms @ (basis @ D)) / terms.sum())
+
+
+def held(name: str, departure: float, rounding: float, size: float) -> None:
+    """Warn of what rounding does not explain, and end what an answer would show.
+
+    Args:
+        name: of what was computed twice.
+        departure: of the two.
+        rounding: backward error of the computation.
+        size: of what was computed.
+
+    Raises RuntimeError for a departure beyond SAFETY times the rounding and MATTERS of the size.
+    """
+    if departure <= SAFETY * rounding:
+        return
+    text = (
+        f"the reduced {name} departs from the full one by {departure:.1e} of {size:.1e}; rounding "
+        f"accounts for some {rounding:.1e}"
+    )
+    if not departure <= MATTERS * size:
+        raise RuntimeError(text)
+    warnings.warn(text, stacklevel=2)

@@ -208,24 +208,19 @@ def constrained_optimum(
     coordinates = coordinates_of(
         [grid.classes for grid in grids], start, two_functions=two_functions
     )
-    problem = ConstrainedProblem(grids, conditions, coordinates, method.moduli, method.smoothness)
+    problem = ConstrainedProblem(grids, conditions, coordinates, method.held, method.smoothness)
     zeta = problem.asked[0].zeta if conditions else 0.0
     if start.mu < zeta:  # from where the moduli keep what is asked
         start = replace(start, lam=0.0, mu=2 * zeta)
     y = coordinates.start(start)
     losses: list[float] = []
-    rows = sum(len(grid.R) for grid in grids)
     for _ in range(method.rounds):
         y, state = settle(problem.state, y)
-        loss = float(state.residual[:rows] @ state.residual[:rows])
-        losses.append(loss)
+        losses.append(problem.loss(state))
         margin = problem.look(coordinates.point(y))
-        if kept := margin >= -MET * zeta:
+        if margin >= -MET * zeta:
             break
-    departure = problem.farthest(y)
-    kept = kept and departure <= MODULI_TOLERANCE
-    parameters = coordinates.parameters(y, losses)
-    return Reached(parameters, loss, margin, departure, problem.count, kept)
+    return problem.reached(y, losses, margin, MET)
 
 
 def coordinates_of(
@@ -346,10 +341,22 @@ class ConstrainedProblem:
                 self.cuts[number][form] = np.concatenate([self.cuts[number][form], rows[some]])
         return smallest
 
+    def reached(self, y: np.ndarray, losses: list[float], margin: float, met: float) -> Reached:
+        """The result of a search that ended at y; `met`, of ζ, is how little a margin may miss."""
+        departure, loss = self.farthest(y), self.loss(self.state(y))
+        kept = margin >= -met * self.asked[0].zeta and departure <= MODULI_TOLERANCE
+        parameters = self.coordinates.parameters(y, losses)
+        return Reached(parameters, loss, margin, departure, sum(self.blocks[1:]), kept)
+
+    def loss(self, state: Linearised) -> float:
+        """‖R (v, κ z⊗z, 1)‖² of all grids, without the roughness."""
+        rows = sum(len(grid.R) for grid in self.grids)
+        return float(state.residual[:rows] @ state.residual[:rows])
+
     @property
-    def count(self) -> int:
-        """Of cuts."""
-        return sum(len(rows) for forms in self.cuts for rows in forms)
+    def blocks(self) -> list[int]:
+        """How many margins of moduli there are, then of the waves of each form; bounds follow."""
+        return [2, *(len(rows) for forms in self.cuts for rows in forms)]
 
     def margins(self, point: Point) -> np.ndarray:
         """What must not be negative."""

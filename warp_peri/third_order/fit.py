@@ -19,6 +19,7 @@ from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.regression import Learned
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples, axis_of
 from warp_peri.regression.search import compressed
 from warp_peri.third_order.material import ThirdOrderCrystal
@@ -29,6 +30,8 @@ SETTLED = 1e-9
 """Relative, of moduli that are found."""
 CONSTANTS = 3
 """Columns of t3, tq2 and q3, the first ones."""
+REACH, MODES = 2, 2
+"""Spacings that gradients of long waves reach over, and half waves of the fields that see them."""
 
 
 class NonlinearFeatures:
@@ -60,6 +63,29 @@ class NonlinearFeatures:
         for numbers in self.numbers:
             columns.append(sweeps.force(field, Numbers(self.tables, 0.0, numbers)).numpy())
         return np.stack(columns, axis=2)
+
+
+def long_wave_equations(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
+    """What long waves say of λ, μ and, beside them, t3, tq2 and q3 (theory.md, 28a).
+
+    Returns rows [n, 5] and right sides [n]. Raises InputError for samples that do not carry twice
+    the REACH, or see no long waves.
+    """
+    reach = REACH * samples.spacing
+    classes = bond_classes(samples.spacing, reach)
+    own = classes.weight / classes.r
+    own /= (classes.count * classes.r**2) @ own
+    one = np.eye(2)
+    lame = np.einsum("ij,kl->ijkl", one, one), np.einsum("ik,jl->ijkl", one, one)
+    allowed = np.stack([lame[0], lame[1] + lame[1].transpose(0, 1, 3, 2)])
+    values, kept, moments = regression.long_wave_rows(samples, allowed, MODES)
+    extra = NonlinearFeatures(samples, reach, (own, own))(samples.u)
+    axes = lattice_steps(samples.points)[1]
+    place = (np.cumsum(samples.interior) - 1)[kept]
+    seen = np.einsum("vn,snam,mk->svka", values, extra[:, place], axes, optimize=True)
+    y = np.einsum("vn,snk->svk", values, (samples.loads @ axes)[:, kept], optimize=True)
+    R = np.concatenate([moments + seen[..., CONSTANTS:], seen[..., :CONSTANTS]], axis=-1)
+    return R.reshape(-1, R.shape[-1]), y.ravel()
 
 
 @dataclass(frozen=True)
