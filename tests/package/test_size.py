@@ -2,6 +2,7 @@
 
 import ast
 from collections import Counter
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -32,6 +33,7 @@ def lines(*folders):
     return sum(path.read_bytes().count(b"\n") for path in files(*folders))
 
 
+@cache
 def trees():
     return [ast.parse(path.read_bytes()) for path in files("warp_peri")]
 
