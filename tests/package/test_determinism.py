@@ -16,7 +16,7 @@ from tests.support.solving import solve
 from warp_peri import Bernstein
 from warp_peri.launch import set_threads, threads
 from warp_peri.learning.fit import learn as fit
-from warp_peri.methods import Constrained, TwoStage
+from warp_peri.methods import TwoStage
 from warp_peri.transfer.operator import LPSOperator
 
 ROOT = Path(__file__).parent.parent.parent
@@ -31,7 +31,7 @@ def learned(seed):
     """Hashes of a model and of a solve with it."""
     points = problem()
     stages = TwoStage(seed=seed, epochs=20, inner_epochs=10, outer_iterations=2)
-    model = fit(points, 2.5, Bernstein(4), method=Constrained(stages)).material
+    model = fit(points, 2.5, Bernstein(4), method=stages).material
     u = solve(model, points, points.b, points.u, allow_uncertified=True)
     parts = (model.lam, model.mu, model.alpha, model.D), (u,)
     return [

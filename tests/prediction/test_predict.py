@@ -335,12 +335,11 @@ def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
 
 
 def test_without_a_tolerance_the_best_that_was_computed_comes_back(family):
-    for level in (0.1, 0.15, 0.2):  # beyond what corrections converge for
-        for seed in range(2):
-            one = held_in(family.rich, level, 1, seed, wave_number=0.3)
-            asked = wp.Dirichlet(one.points, one.b[0], np.where(one.interior[:, None], 0, one.u[0]))
-            bars = [wp.predict(family, asked, t).error for t in (0.1, 0.05, 0.02, 0.01, 0.005)]
-            assert wp.predict(family, asked, None).error < 1.1 * min(bars)
+    for seed, level in enumerate((0.1, 0.15, 0.2)):  # beyond what corrections converge for
+        one = held_in(family.rich, level, 1, seed, wave_number=0.3)
+        asked = wp.Dirichlet(one.points, one.b[0], np.where(one.interior[:, None], 0, one.u[0]))
+        bars = [wp.predict(family, asked, t).error for t in (0.1, 0.05, 0.02, 0.01, 0.005)]
+        assert wp.predict(family, asked, None).error < 1.1 * min(bars)
 
 
 def test_a_stated_axis_is_held_against_the_data_and_said_to_be_believed(family):
