@@ -1,6 +1,8 @@
 """Data made once for the whole run, however many processes it is spread over."""
 
 import os
+from hashlib import sha256
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -13,13 +15,21 @@ from tools.make_graphene import make_graphene
 
 
 @pytest.fixture(scope="session")
-def graphene(tmp_path_factory) -> Path:
-    """The full 0 K data set, made by LAMMPS, by the first process that asks for it."""
+def graphene(tmp_path_factory, pytestconfig) -> Path:
+    """The full 0 K data set, made by the first process that asks for it.
+
+    What LAMMPS found stays in pytest's cache until it or a tool is another one.
+    """
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent  # that of all workers
-    path = folder / "data" / "graphene_0K.h5"
-    with FileLock(folder / "graphene.lock"):
+    path, kept = folder / "data" / "graphene_0K.h5", folder
+    if hasattr(pytestconfig, "cache"):
+        made_by = sha256(version("lammps").encode())
+        for file in sorted((Path(__file__).parent.parent / "tools").glob("*.py")):
+            made_by.update(file.read_bytes())
+        kept = pytestconfig.cache.mkdir(f"graphene-{made_by.hexdigest()[:16]}")
+    with FileLock(kept / "graphene.lock"):
         if not path.exists():
-            make_graphene(path, progress=False)
+            make_graphene(path, cache=kept / "samples", progress=False)
     return path

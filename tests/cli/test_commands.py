@@ -113,25 +113,25 @@ def test_people_read_lines(trained, data, capsys):
     assert "E_u [%]" in capsys.readouterr().out
 
 
-def info_to(output, model):
+def info_to(output, data):
     """A command whose output goes to an open file."""
-    command = [sys.executable, "-m", "warp_peri", "info", model]
+    command = [sys.executable, "-m", "warp_peri", "info", data]
     return subprocess.run(
         command, stdout=output, stderr=subprocess.PIPE, text=True, cwd=ROOT, check=False
     )
 
 
-def test_a_reader_who_has_enough_is_no_failure(trained):
+def test_a_reader_who_has_enough_is_no_failure(data):
     read, write = os.pipe()
     os.close(read)
     with os.fdopen(write, "w") as output:
-        process = info_to(output, trained / "model.json")
+        process = info_to(output, data)
     assert (process.returncode, process.stderr) == (0, "")
 
 
-def test_a_full_disk_behind_the_output_is_one_line(trained):
+def test_a_full_disk_behind_the_output_is_one_line(data):
     with open("/dev/full", "w") as output:
-        process = info_to(output, trained / "model.json")
+        process = info_to(output, data)
     assert process.returncode == 1
     assert process.stderr == "error: [Errno 28] No space left on device\n"
 

@@ -7,7 +7,6 @@ from tests.support.bodies import plate, pulled, solid
 from warp_peri import InputError
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, check_step, energy_of_toughness, step
-from warp_peri.damage.solid import BrittleSolid
 
 CRACK = [[(-20, 0), (-4, 0)]]
 KINDS = {
@@ -269,11 +268,7 @@ def test_steps_beyond_the_bound_are_refused():
         check_step(body, 0.0)
 
 
-def test_solids_go_through_their_file(tmp_path):
-    law = solid(0.5, toughness=3.0)
-    law.save(tmp_path / "solid.json")
-    again = BrittleSolid.load(tmp_path / "solid.json")
-    assert (again.toughness, again.density, again.model.lam) == (3.0, 1.0, 0.5)
+def test_one_criterion_is_asked_for():
     with pytest.raises(InputError, match="criterion: expected one of"):
         solid(toughness=1.0, critical_stretch=0.1)
     assert energy_of_toughness(2.0, plate()) > 0

@@ -55,23 +55,6 @@ def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     np.testing.assert_allclose(-force[points.interior], whole(u), atol=1e-11)
 
 
-@pytest.mark.parametrize("sides", [(8, 7), (4, 5, 4)])
-def test_broken_bodies_feel_no_rigid_motion_and_no_net_force(sides):
-    d = len(sides)
-    model, body = solid(2.0, dimension=d).model, plate(*sides)
-    neighbour = random_breaking(body, np.random.default_rng(2), 0.4)
-    operator = CutOperator(model, body)
-    turn = np.tri(d) - np.tri(d).T
-    rigid = np.array([0.3, -0.2, 0.1])[:d] + 0.1 * body.x @ turn
-    assert np.abs(swept(operator, rigid, neighbour)[0]).max() < 1e-12
-    u = np.random.default_rng(3).standard_normal(body.x.shape)
-    force, _ = swept(operator, u, neighbour)
-    size = np.abs(force).max()
-    assert np.abs(force.sum(axis=0)).max() < 1e-11 * size
-    torque = body.x.T @ force
-    assert np.abs(torque - torque.T).max() < 1e-10 * size
-
-
 @pytest.mark.parametrize("lam", [1.0, -0.4, 3.0])
 def test_the_lattices_toughness_has_the_limit_of_the_theory(lam):
     limit = 6 / np.pi + DILATATIONAL * (lam - 1)

@@ -206,13 +206,10 @@ def test_what_cannot_be_pulled_is_refused():
             soft.pull(given, loads=loads, line=across)
 
 
-def test_a_soft_solid_goes_through_its_file_and_is_pulled_the_same(tmp_path):
-    for law in (BondLaw(4.0, 0.05, 0.05), BondLaw(2.0)):
-        soft = SoftSolid(solid(1.0, horizon=10.05).model, law)
-        save(tmp_path / "soft.json", soft)
-        again = load(tmp_path / "soft.json")
-        assert again.law == law
-        assert (again.units, again.horizon) == (soft.units, soft.horizon)
+def test_a_soft_solid_of_a_file_is_pulled_the_same(tmp_path):
+    soft = SoftSolid(solid(1.0, horizon=10.05).model, BondLaw(2.0))
+    save(tmp_path / "soft.json", soft)
+    again = load(tmp_path / "soft.json")
     problem, rim = plate(20, 5.0, 10.05, True)
     line = [(-30, 0.0), (30, 0.0)]
     first, second = (

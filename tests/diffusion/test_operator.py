@@ -10,7 +10,7 @@ from examples.diffusion import coupled, jump, main, order, smooth
 from tests.support.bodies import random_breaking
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import kernel
-from warp_peri import Dirichlet, InputError, Krylov, Model, Points, load, move, save, solve
+from warp_peri import Dirichlet, InputError, Krylov, Model, Points, move, solve
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.diffusion import Conductor, CoupledOperator, CoupledSolid, DiffusionOperator
 
@@ -226,21 +226,6 @@ def test_a_solid_or_a_flux_that_would_grow_is_not_coupled():
     torn = random_breaking(body, np.random.default_rng(0), 0.5)
     with pytest.raises(InputError, match="negative eigenvalues"):
         CoupledOperator(solid, points, neighbour=torn)
-
-
-def test_laws_go_through_their_file(tmp_path):
-    save(tmp_path / "law.json", LAW)
-    again = load(tmp_path / "law.json")
-    assert (again.horizon, again.alpha) == (LAW.horizon, LAW.alpha)
-    np.testing.assert_array_equal(again.D, LAW.D)
-    solid = CoupledSolid(Model(1.5, 1.0, 1.0, np.ones(1), 3.0), LAW, 0.7, 0.3)
-    save(tmp_path / "coupled.json", solid)
-    again = load(tmp_path / "coupled.json")
-    assert (again.coupling, again.storage, again.horizon, again.model.lam) == (0.7, 0.3, 3.2, 1.5)
-    np.testing.assert_array_equal(again.conductor.D, LAW.D)
-    (tmp_path / "coupled.json").write_text('{"format": "warp_peri.coupled_solid", "version": 1}')
-    with pytest.raises(InputError, match="coupled.json: missing keys: conductor, coupling, model"):
-        load(tmp_path / "coupled.json")
 
 
 def test_an_operator_of_diffusion_keeps_the_contract():

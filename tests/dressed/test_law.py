@@ -1,6 +1,5 @@
 """The law itself: parts, learning, proof, files."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -184,22 +183,6 @@ def test_numbers_that_are_no_law_are_refused(change, message):
     fields = {"spacing": SPACING, "base": "elements", "elastic": law.elastic, "steps": law.steps}
     with pytest.raises(InputError, match=message):
         DressedSolid(**(fields | {"tensors": law.tensors} | change))
-
-
-def test_a_file_with_a_fault_is_named(tmp_path):
-    path = tmp_path / "m.json"
-    wp.save(path, solid())
-    content = json.loads(path.read_text())
-    for change, message in (
-        ({"elastic": None}, "m.json: elastic"),
-        ({"dressing": [[1.0]]}, "m.json: tensors: expected shape"),
-    ):
-        path.write_text(json.dumps(content | change))
-        with pytest.raises(InputError, match=message):
-            wp.load(path)
-    samples = waves(solid(), lattice(2, 8, 4, SPACING), 2)
-    with pytest.raises(InputError, match="neighbours: expected one of 4, 8, 12, 20"):
-        wp.fit(samples, wp.Dressed("elements", 9, moduli=solid().elastic))
 
 
 def test_a_poorer_law_has_a_smaller_dressing():

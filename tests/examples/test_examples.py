@@ -2,8 +2,8 @@
 
 import json
 import re
+import runpy
 import shutil
-import subprocess
 import sys
 from pathlib import Path
 
@@ -195,10 +195,12 @@ def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
     assert Model.load("model.json").certified_on == (5.0,)
 
 
-def test_bad_input_of_an_example_is_one_line_and_status_2(tmp_path):
+def test_bad_input_of_an_example_is_one_line_and_status_2(tmp_path, monkeypatch, capsys):
+    script = str(ROOT / "examples" / "plate_with_hole.py")
     missing = ["--model", str(tmp_path / "model.json"), "--out", str(tmp_path)]
-    words = [sys.executable, str(ROOT / "examples" / "plate_with_hole.py"), *missing]
-    ended = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert ended.returncode == 2
-    assert ended.stderr.startswith("error: ")
-    assert ended.stderr.count("\n") == 1
+    monkeypatch.setattr(sys, "argv", [script, *missing])
+    with pytest.raises(SystemExit, match="2"):
+        runpy.run_path(script, run_name="__main__")
+    said = capsys.readouterr().err
+    assert said.startswith("error: ")
+    assert said.count("\n") == 1

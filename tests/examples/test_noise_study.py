@@ -16,15 +16,14 @@ from warp_peri.points.dataset import load_dataset
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    """Thermal data of the small bodies at every factor, and what makes them."""
+    """What makes thermal data of the small bodies, whose runs are made once."""
     folder = tmp_path_factory.mktemp("thermal")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(graphene, "REACH", 70.0)
         make = functools.partial(
             tool.make_thermal, plans=small_plans(small_sheet()), cache=folder / "cache"
         )
-        paths = make(folder, bath=BATH, factors=noise_study.FACTORS, jobs=1, progress=False)
-    return paths
+        yield functools.partial(make, folder, bath=BATH, jobs=1, progress=False)
 
 
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
@@ -34,7 +33,7 @@ def test_main_job_at_a_temperature(small, tmp_path, monkeypatch, capsys):
 
     def made(out, **options):
         asked.update(options)
-        return small
+        return small(factors=[0.25], reductions=["plain"])
 
     monkeypatch.setattr(tool, "make_thermal", made)
     words = ["--temperature", "300", "--reduction", "plain", "--factor", "0.25", "--steps", "90000"]
@@ -63,14 +62,15 @@ def test_steps_without_sense_are_refused(tmp_path, capsys):
 @pytest.mark.filterwarnings("ignore:strain", "ignore:noise. it makes the curvature")
 @pytest.mark.slow
 def test_every_table_and_figure_is_made(small, tmp_path, monkeypatch):
+    paths = small(factors=noise_study.FACTORS)
     few = functools.partial(sweep, horizons=(10.0,), degrees=(0, 1))
     monkeypatch.setattr(noise_study, "sweep", few)
     monkeypatch.setattr(noise_study, "HORIZON", 10.0)
     monkeypatch.setattr(noise_study, "DEGREE", 1)
     monkeypatch.setattr(noise_study, "FACTORS", (1.0, 0.1))
     monkeypatch.setattr(noise_study, "LOSSES", ("corrected", "output"))
-    monkeypatch.setattr(noise_study, "make_thermal", lambda *_, **__: small)
-    monkeypatch.setattr(noise_study, "make_data", lambda *_: small["shared", 1.0])
+    monkeypatch.setattr(noise_study, "make_thermal", lambda *_, **__: paths)
+    monkeypatch.setattr(noise_study, "make_data", lambda *_: paths["shared", 1.0])
     out = tmp_path / "study"
     assert noise_study.main(["--out", str(out), "--jobs", "1"]) == 0
     content = json.loads((out / "noise.json").read_text())
@@ -89,7 +89,7 @@ def test_every_table_and_figure_is_made(small, tmp_path, monkeypatch):
 
 
 def test_noise_fields_hold_no_load(small):
-    for path in small.values():
+    for path in small(factors=[0.25], reductions=["plain"]).values():
         data = load_dataset(path)
         assert not data["noise"].b.any()
         assert not data["noise_test"].b.any()

@@ -6,7 +6,7 @@ import json
 import numpy as np
 import pytest
 
-from tests.support.sheets import hgo_dictionary
+from tests.support.sheets import everything
 from warp_peri import InputError, Model, Points, load, save
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.diffusion.conductor import Conductor
@@ -67,8 +67,9 @@ def brittle(units, **criterion):
 
 
 def hyperelastic(units):
-    c, provenance = np.arange(7.0), {"data": "sheet.h5"}
-    return HyperelasticSolid(hgo_dictionary(), c, 0.1, 1.4, provenance, units)
+    dictionary, provenance = everything(), {"data": "sheet.h5"}
+    c = np.arange(1.0 * len(dictionary))
+    return HyperelasticSolid(dictionary, c, 0.1, 1.4, provenance, units)
 
 
 def dataset(units):

@@ -9,12 +9,23 @@ import torch
 import warp as wp
 
 from tests.support.clouds import cloud, periodic_cloud
-from tests.support.problems import KERNELS, LAM, MU, difference, kernel, lattice, noise, periodic
+from tests.support.problems import (
+    GRADIENT,
+    KERNELS,
+    LAM,
+    MU,
+    difference,
+    kernel,
+    lattice,
+    noise,
+    periodic,
+)
 from warp_peri import InputError
 from warp_peri.launch import set_threads, threads
 from warp_peri.lps.bonds import Bonds, evaluate
 from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Solid
+from warp_peri.transfer.operator import LPSOperator
 
 TAPE = 1e-12
 DIFFERENCES = 1e-8
@@ -44,11 +55,12 @@ def bonds_of(kind):
     return Bonds(points, HORIZON), points
 
 
+RICH = ("sign-changing", "two functions")
 KINDS = ("lattice", "periodic lattice", "cloud", "periodic cloud", "cut lattice", "cut cloud")
 
 
 class Problem:
-    """A scalar of L u as a function of everything."""
+    """A scalar of L u, of first and second order, as a function of everything."""
 
     def __init__(self, name, kind, samples=2):
         self.bonds, points = bonds_of(kind)
@@ -61,8 +73,11 @@ class Problem:
         Lu = lps_force(self.bonds, leaves[0], Solid(*leaves[1:]))
         return (torch.from_numpy(self.seed) * Lu).sum() + (Lu**2).sum() / 100
 
+    def tensors(self):
+        return [torch.tensor(leaf, requires_grad=True) for leaf in self.leaves.values()]
+
     def gathered(self):
-        given = [torch.tensor(leaf, requires_grad=True) for leaf in self.leaves.values()]
+        given = self.tensors()
         gradients = torch.autograd.grad(self.scalar(*given), given)
         return {part: by.numpy() for part, by in zip(self.leaves, gradients)}
 
@@ -89,7 +104,7 @@ def error(value, expected):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["sign-changing", "two functions"])
+@pytest.mark.parametrize("name", RICH)
 def test_is_the_tape(name, kind):
     problem = Problem(name, kind)
     expected = problem.taped()
@@ -97,8 +112,10 @@ def test_is_the_tape(name, kind):
         assert error(by, expected[part]) <= TAPE, part
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", ["sign-changing", "two functions"])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [(name, kind) for name in KERNELS for kind in (KINDS if name in RICH else KINDS[:2])],
+)
 def test_is_the_difference_quotient(name, kind):
     problem = Problem(name, kind, samples=1)
     random = np.random.default_rng(0)
@@ -114,7 +131,13 @@ def test_is_the_difference_quotient(name, kind):
             assert error(ways @ by.ravel(), expected) <= DIFFERENCES
             continue
         expected = difference(partial(problem.value, part), leaf, *STEPS[part])
+        if part == "D" and leaf.size == 1:  # the scale of K has no effect
+            size = abs(problem.value("D", leaf))
+            assert max(np.abs(by), np.abs(expected)) < 1e-9 * size
+            continue
         assert error(by, expected) <= DIFFERENCES, part
+        if part.startswith("D") and name in RICH and kind == "lattice":  # each D_k by itself
+            np.testing.assert_allclose(by, expected, rtol=GRADIENT)
 
 
 @pytest.mark.parametrize("kind", ["lattice", "cloud"])
@@ -246,3 +269,34 @@ def test_what_a_launch_refuses():
     torn = replace(points, outside=~points.interior & (points.x[:, 0] > 9))
     with pytest.raises(InputError, match="launch: expected a lattice"):
         model.on(torn).launch(field, out)
+
+
+def test_gradient_of_a_model_is_the_transposed_operator():
+    points, _ = periodic((7, 8))
+    operator = LPSOperator(kernel("sign-changing", HORIZON), points)
+    u = torch.from_numpy(noise(points)).requires_grad_()
+    v = noise(points, seed=9)
+    gradient = torch.autograd.grad(operator(u), u, torch.from_numpy(v))[0].numpy()
+    np.testing.assert_allclose(gradient, operator(v), rtol=0, atol=1e-12 * np.abs(gradient).max())
+
+
+def test_a_second_backward_pass_through_the_same_graph_is_equal():
+    problem = Problem("positive", "lattice")
+    given = problem.tensors()
+    value = problem.scalar(*given)
+    first, second = (torch.autograd.grad(value, given, retain_graph=True) for _ in range(2))
+    assert all(torch.equal(a, b) for a, b in zip(first, second))
+
+
+def test_what_torch_cannot_know_is_an_error_and_not_a_wrong_number():
+    problem = Problem("positive", "lattice")
+    u, *parameters = problem.tensors()
+    value = problem.scalar(u.detach().clone().requires_grad_(), *parameters)
+    (first,) = torch.autograd.grad(value, parameters[-1], create_graph=True)
+    with pytest.raises(InputError, match="second derivative"):
+        (first**2).sum().backward()
+    changed = u.detach().clone()
+    value = problem.scalar(changed, *parameters)
+    changed.zero_()  # the field that the gradient needs
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        value.backward()

@@ -45,16 +45,6 @@ def test_other_kernels_have_the_moduli_of_their_symbol(name):
         np.testing.assert_allclose(fields.stress[0, 4], expected, atol=1e-11)
 
 
-def test_rigid_motion_and_symmetry():
-    model = kernel("two functions", HORIZON)
-    points = lattice(4, HORIZON)
-    rigid = points.x @ np.array([[0, 0.1], [-0.1, 0]]) + [3.0, -2.0]
-    fields = node_fields(model, points, rigid)
-    assert max(np.abs(part).max() for part in vars(fields).values()) < 1e-12
-    fields = node_fields(model, points, noise(points, 2))
-    np.testing.assert_array_equal(fields.stress, fields.stress.transpose(0, 1, 3, 2))
-
-
 @pytest.mark.parametrize("name", KERNELS)
 def test_energies_add_up_to_half_the_work(name):
     points, _ = periodic((12, 13))

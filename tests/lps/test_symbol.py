@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.support import reference
-from tests.support.problems import KERNELS, kernel, lattice, periodic
+from tests.support.problems import KERNELS, kernel, periodic
 from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import moduli, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
@@ -32,17 +31,6 @@ def test_plane_waves_through_the_operator(name, spacing):
         Lu = operator((wave * a).real) + 1j * operator((wave * a).imag)
         expected = wave * (matrix(model, bond_classes(spacing, model.horizon), k[None])[0] @ a)
         np.testing.assert_allclose(Lu, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
-
-
-@every_kernel
-def test_is_the_slow_sum(name):
-    model = kernel(name, 3.0)
-    points = lattice(1, 3.0)
-    centre = np.flatnonzero(points.interior)[0]
-    _, bonds, w, p = reference.weights(points.x, centre, model)
-    k = np.random.default_rng(0).uniform(-np.pi, np.pi, (5, 2))
-    expected = [reference.symbol(wave, bonds, w, p, model.lam, model.mu) for wave in k]
-    np.testing.assert_allclose(matrix(model, bond_classes(1.0, 3.0), k), expected, atol=1e-12)
 
 
 @every_kernel

@@ -70,6 +70,7 @@ def test_files_that_outgrow_their_limit(tmp_path):
     check(run([sys.executable, "-c", WRITE, str(tmp_path), str(2**20)]))
 
 
+@pytest.mark.slow  # the limit above has the same refusals
 def test_a_small_disk_fills_up(tmp_path):
     """A disk of 1 MB of its own, in a name space of its own; needs no rights where those exist."""
     private = ["unshare", "--user", "--map-root-user", "--mount"]

@@ -1,6 +1,7 @@
 """Data walks one way: a file imports only what stands below it."""
 
 import ast
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -50,8 +51,13 @@ def walked(node):
         yield from walked(child)
 
 
+@cache
 def imported(path):
     """What a file imports of the package, as tuples of names below warp_peri."""
+    return tuple(names_of(path))
+
+
+def names_of(path):
     for node in walked(ast.parse((ROOT / path).read_text())):
         if isinstance(node, ast.Import):
             named = [alias.name for alias in node.names]

@@ -77,13 +77,6 @@ def test_a_file_of_second_order_keeps_the_curve(tmp_path, suffix):
     assert np.count_nonzero(np.abs(radius - 4) < 1e-6) == 16
 
 
-def test_quadrilaterals_are_cut_in_two(tmp_path):
-    meshio.Mesh(SQUARE, [("quad", [[0, 1, 2, 3]])]).write(tmp_path / "one.vtu")
-    reread = load_mesh(tmp_path / "one.vtu")
-    assert len(reread.triangles) == 2
-    assert len(reread.edges) == 4
-
-
 @pytest.mark.parametrize(
     ("triangles", "message"),
     [

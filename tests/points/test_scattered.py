@@ -98,24 +98,6 @@ def test_the_operator_is_the_reference_in_a_periodic_box():
     np.testing.assert_allclose(force, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
-def test_a_lattice_given_as_scattered_points_has_the_same_force():
-    ordered = lattice(5, 3.0)
-    model = kernel("positive", 3.0)
-    u = noise(ordered)
-    expected = LPSOperator(model, ordered)(u)
-    with pytest.warns(UserWarning, match="certified"):
-        force = LPSOperator(model, replace(ordered, spacing=0.0), allow_uncertified=True)(u)
-    np.testing.assert_allclose(force, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
-
-
-def test_an_affine_field_has_no_force_for_the_plain_kernel():
-    points = cloud(6, 3.0)
-    u = points.x @ [[0.3, 0.2], [-0.7, 0.9]]
-    with pytest.warns(UserWarning, match="certified"):
-        operator = LPSOperator(plain(3.0), points, allow_uncertified=True)
-    assert np.abs(operator(u)).max() < 1e-10 * np.abs(operator(noise(points))).max()
-
-
 @pytest.mark.parametrize("method", ["lu", "gmres"])
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 def test_a_solve_gives_the_displacement_back(method):

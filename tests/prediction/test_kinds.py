@@ -94,7 +94,7 @@ def test_what_data_hold_nothing_of_is_named(family):
     answer = wp.predict(strained, asked(points), 1.0)
     assert "strain: the rich member is linear" in answer.uncovered[0]
     assert not answer.kept
-    law = wp.Micromodulus(HORIZON, "4mm")
+    law = wp.LPS(HORIZON, wp.Bernstein(1))
     long = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 6, wave_number=0.25)
     learned = wp.fit(long, Family(law), progress=False).material
     short = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 1, wave_number=2.0)

@@ -316,7 +316,7 @@ def held_in(rich, level, count, seed=0, wave_number=0.5, interior=14):
     return wp.Samples(points, u, b)
 
 
-@pytest.mark.parametrize("law", [wp.Micromodulus(3.0, "4mm"), wp.LPS(3.0, wp.Bernstein(4))])
+@pytest.mark.parametrize("law", [wp.Micromodulus(3.0, "4mm"), wp.LPS(3.0, wp.Bernstein(2))])
 @pytest.mark.parametrize("trained", [0.01, 0.04])
 def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
     """Few loads: the member itself takes up some of it, and the half that saw a sample too."""
@@ -335,19 +335,18 @@ def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
 
 
 def test_without_a_tolerance_the_best_that_was_computed_comes_back(family):
-    for level in (0.1, 0.15, 0.2):  # beyond what corrections converge for
-        for seed in range(2):
-            one = held_in(family.rich, level, 1, seed, wave_number=0.3)
-            asked = wp.Dirichlet(one.points, one.b[0], np.where(one.interior[:, None], 0, one.u[0]))
-            bars = [wp.predict(family, asked, t).error for t in (0.1, 0.05, 0.02, 0.01, 0.005)]
-            assert wp.predict(family, asked, None).error < 1.1 * min(bars)
+    for seed, level in enumerate((0.1, 0.15, 0.2)):  # beyond what corrections converge for
+        one = held_in(family.rich, level, 1, seed, wave_number=0.3)
+        asked = wp.Dirichlet(one.points, one.b[0], np.where(one.interior[:, None], 0, one.u[0]))
+        bars = [wp.predict(family, asked, t).error for t in (0.1, 0.05, 0.02, 0.01, 0.005)]
+        assert wp.predict(family, asked, None).error < 1.1 * min(bars)
 
 
 def test_a_stated_axis_is_held_against_the_data_and_said_to_be_believed(family):
     data = held_in(family.rich, 0.03, 8)
     points = replace(data.points, axis=data.points.axis + 12)
     law = wp.ThirdOrder(
-        wp.LPS(HORIZON, wp.Bernstein(3, two_functions=True), normalise=True,
+        wp.LPS(HORIZON, wp.Bernstein(1, two_functions=True), normalise=True,
                method=wp.methods.Optimum(moduli="isotropic")), wp.methods.Smoothing(2.0)
     )  # fmt: skip
     with pytest.warns(UserWarning, match="is stated, and the data are explained best at 1[78]"):

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from tests.support import clouds
-from tests.support.problems import fitted_order, lattice
+from tests.support.problems import LAM, MU, ORDER, fitted_order, kernel, lattice
 from tests.support.solving import solve
 from warp_peri.proofs import solvability
+from warp_peri.transfer.operator import LPSOperator
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
-LENGTH, MU = 2.0, 0.8
+LENGTH = 2.0
 NUMBERS = np.array([8, 16, 32])
 LATTICE, CLOUD = 1.9, 1.8  # least orders
 
@@ -90,6 +91,21 @@ def test_state_based_on_lattices_however_incompressible(stiffer, ratio):
 @pytest.mark.parametrize("stiffer", [0.4, 10.0, 100.0])
 def test_state_based_on_perturbed_points(stiffer):
     assert min(state_based(scattered, 3.0, stiffer * MU)) >= CLOUD
+
+
+@pytest.mark.parametrize("ratio", [2.0, 3.0])
+def test_forces_converge_and_those_of_other_kernels_to_other_constants(ratio):
+    errors = {"1/r": [], "steep": []}
+    for number in NUMBERS:
+        spacing = LENGTH / number
+        points = ordered(number, ratio * spacing)
+        known = (points.x, LAM, MU)
+        u, b = clouds.state_based_field(*known), clouds.state_based_load(*known)
+        for name, found in errors.items():
+            force = LPSOperator(kernel(name, ratio * spacing, spacing), points)(u)
+            found.append(np.abs(force - b[points.interior]).max())
+    assert fitted_order(1 / NUMBERS, errors["1/r"]) >= ORDER
+    assert fitted_order(1 / NUMBERS, errors["steep"]) < 0.5
 
 
 def test_perturbed_points_lose_order_where_the_material_is_nearly_incompressible():

@@ -128,11 +128,12 @@ def test_what_does_not_carry_a_lattice():
     hole = np.hypot(*(wide.x - (7.0, 0.0)).T) > 2.5
     with pytest.raises(InputError, match="missing from"):
         ThroughLattice(HOME, Points(wide.x[hole], wide.interior[hole], 0.0))
+    carried = ThroughLattice(HOME, wide)
     with pytest.raises(InputError, match="b: expected shape"):
-        ThroughLattice(HOME, wide).load(np.zeros((1, 7, 2)))
+        carried.load(np.zeros((1, 7, 2)))
     for u in (np.zeros((len(wide.x), 2)), np.zeros((1, 7, 2))):
         with pytest.raises(InputError, match="u: expected shape"):
-            ThroughLattice(HOME, wide)(u)
+            carried(u)
     with pytest.raises(InputError, match="broken bonds do not go through a lattice"):
         ThroughLattice(HOME, replace(wide, outside=np.zeros(len(wide.x), bool)))
 

@@ -34,12 +34,6 @@ def test_a_manufactured_solution_is_recovered_whatever_the_collar(name, angle):
     np.testing.assert_allclose(solve(model, points, load[1], collar[1]), points.u[1], atol=1e-11)
 
 
-def test_without_samples_there_is_nothing_to_solve():
-    points = lattice(2, HORIZON)
-    none = np.empty((0, len(points.x), 2))
-    assert solve(kernel("1/r", HORIZON), points, none, none).shape == none.shape
-
-
 @pytest.mark.parametrize("name", SOLVABLE)
 @pytest.mark.parametrize("side", [11, 12])  # twice the reach of 6 spacings but one, and all of it
 def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
@@ -104,30 +98,6 @@ def test_a_singular_operator_is_refused(interior, low, high):
     b = noise(points)
     with pytest.raises(InputError, match="nodes is singular"):
         solve(model, points, b, 0 * b)
-
-
-@pytest.mark.parametrize(
-    ("b", "u", "words"),
-    [
-        (np.zeros((3, 2)), np.zeros((3, 2)), r"u: expected shape \[…, 196, 2\], got \[3, 2\]"),
-        (
-            np.zeros((2, 196, 2)),
-            np.zeros((196, 2)),
-            r"b: expected shape \[196, 2\], got \[2, 196, 2\]",
-        ),
-        (np.full((196, 2), np.nan), np.zeros((196, 2)), "b: expected finite values"),
-        (np.zeros((196, 2)), np.full((196, 2), np.inf), "u: expected finite values"),
-    ],
-)
-def test_arrays_that_do_not_fit_are_refused(b, u, words):
-    with pytest.raises(InputError, match=words):
-        solve(kernel("1/r", HORIZON), lattice(2, HORIZON), b, u)
-
-
-@pytest.mark.parametrize("b", [np.zeros((8, 2)), np.zeros((64, 3)), np.full((64, 2), np.nan)])
-def test_sheets_that_do_not_fit_are_refused(b):
-    with pytest.raises(InputError, match="b: expected"):
-        at_rest(kernel("1/r", HORIZON), Periodic(Points.sheet((8, 8), 1.0), b))
 
 
 @pytest.mark.parametrize("change", [{"box": None}, {"box": (9.0, 8.0)}])

@@ -80,15 +80,6 @@ def operator(x, interior, model, u, box=None):
     return np.array(out)
 
 
-def symbol(k, bonds, w, p, lam, mu):
-    """D(k), (18–20)."""
-    D, phi = np.zeros((2, 2)), np.zeros(2)
-    for xi, w_j, p_j in zip(bonds, w, p):
-        D += 16 * mu * w_j * (1 - np.cos(k @ xi)) * np.outer(xi, xi) / (xi @ xi)
-        phi += 2 * p_j * np.sin(k @ xi) * xi
-    return D + (lam - mu) * np.outer(phi, phi)
-
-
 def smoothing(atoms, nodes, radius, shape, box=None, spacing=None):
     """ω, (1), by a triple loop over nodes, atoms and images."""
 

@@ -190,20 +190,6 @@ def test_moduli_of_long_waves_are_found_beside_the_constants(law):
     assert np.abs(without - (LAM, MU)).max() > 0.02 * MU
 
 
-def test_files_and_units_carry_the_law(law, tmp_path):
-    path = tmp_path / "law.json"
-    law.save(path)
-    again = warp_peri.load(path)
-    points = nodes()
-    u = 0.03 * smooth(points.x, 1)[0]
-    assert np.array_equal(again.on(points)(u), law.on(points)(u))
-    assert again.content()["sha256"] == law.content()["sha256"]
-    other = warp_peri.load(path, units=("nm", "GPa"))
-    moved = replace(points, x=points.x / 10, spacing=0.1, units=("nm", "GPa"))
-    np.testing.assert_allclose(other.on(moved)(u / 10), 1e4 * law.on(points)(u), rtol=1e-9)
-    assert other.proven_strain(0.1) == law.proven_strain(1.0)
-
-
 def test_what_does_not_fit_is_refused(law):
     points = nodes()
     other = cubic_tensor(2)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.support.nonlinear import FORMS, solid
-from tests.support.problems import ell, lattice, noise, smooth
+from tests.support.problems import ell, lattice, smooth
 from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
 from warp_peri.proofs import uniqueness
@@ -83,12 +83,3 @@ def test_iterative_linear_solves_give_the_same_answer(monkeypatch):
     monkeypatch.setattr(linear, "cheapest_method", lambda *points, **options: "lu")
     expected = solve_nonlinear(model, points, b, u)
     assert np.abs(solved - expected).max() <= 1e-6 * np.abs(expected).max()
-
-
-def test_wrong_input_is_refused():
-    model = proven("energy")
-    points = lattice(2, HORIZON)
-    with pytest.raises(InputError, match=r"b: expected shape \[196, 2\], got \[5, 2\]"):
-        solve_nonlinear(model, points, noise(points)[:5], noise(points))
-    with pytest.raises(InputError, match="b: expected finite values"):
-        solve_nonlinear(model, points, np.nan * noise(points), noise(points))

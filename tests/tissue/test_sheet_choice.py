@@ -135,15 +135,14 @@ def test_an_even_sheet_that_stiffens_is_not_called_uneven():
     sheet = powers(0.25, 0.02, 0.03)
     stretches = [1.1, 1.3, 1.5]
     true = uniaxial(sheet, stretches) / uniaxial(sheet, [1.01])[0]
-    for lost in (0.0, 0.03):
-        frames = frames_of(sheet, square(11), noise=0.002, lost=lost)
-        assert frames.interior.sum() == 121
-        choice = wp.tissue.choose_sheet(frames)
-        assert choice.best.name == "Yeoh"
-        middle, low, high = choice.curves(stretches) / uniaxial(choice.material, [1.01])[0]
-        np.testing.assert_allclose(middle, true, rtol=0.04)
-        assert ((low < true) & (true < high)).all()
-        assert (high - low > 2 * choice.best.held_out * middle).all()
+    frames = frames_of(sheet, square(11), noise=0.002, lost=0.03)
+    assert frames.interior.sum() == 121
+    choice = wp.tissue.choose_sheet(frames)
+    assert choice.best.name == "Yeoh"
+    middle, low, high = choice.curves(stretches) / uniaxial(choice.material, [1.01])[0]
+    np.testing.assert_allclose(middle, true, rtol=0.04)
+    assert ((low < true) & (true < high)).all()
+    assert (high - low > 2 * choice.best.held_out * middle).all()
 
 
 def test_a_law_needs_ten_nodes_for_each_number():

@@ -22,17 +22,6 @@ def test_the_seventy_five_numbers():
     assert len(dictionary) == 45
 
 
-def test_a_file_keeps_the_solid(tmp_path):
-    dictionary = everything()
-    c = np.random.default_rng(0).normal(size=len(dictionary))
-    solid = HyperelasticSolid(dictionary, c, 0.05, 1.4, {"element": "linear"})
-    solid.save(tmp_path / "solid.json")
-    loaded = HyperelasticSolid.load(tmp_path / "solid.json")
-    assert loaded.dictionary == dictionary
-    assert np.array_equal(loaded.coefficients, c)
-    assert (loaded.spacing, loaded.stretch, loaded.provenance) == (0.05, 1.4, {"element": "linear"})
-
-
 def test_terms_without_a_coefficient_can_go():
     solid = HyperelasticSolid(hgo_dictionary(), np.array([0, 0, 0, 0.1, 0.07, 0.0, 0.2]), 0.1)
     assert [term.kind for term in solid.sparse.dictionary.terms] == [

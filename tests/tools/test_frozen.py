@@ -1,14 +1,12 @@
 """The record of the library's numbers: what it notices, and that the numbers are still the same."""
 
 import json
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 
 from tools import frozen
+from warp_peri.launch import set_threads, threads
 
 FIELD = np.random.default_rng(0).normal(size=(40, 2))
 
@@ -76,22 +74,16 @@ def test_what_is_missing_or_fails_is_beyond_and_what_is_absent_is_skipped(monkey
     assert found["two: force"] == "skipped: no data"
 
 
-def run(*arguments):
-    command = [sys.executable, "tools/frozen.py", *arguments]
-    environment = os.environ | {"PYTHONPATH": str(frozen.ROOT)}
-    return subprocess.run(
-        command, cwd=frozen.ROOT, env=environment, capture_output=True, text=True, check=False
-    )
-
-
 def test_forces_and_solves_are_those_of_the_record():
     """One material of each kind; all of them, and fits, are in the slow test."""
     some = "lps_bond_based|third_order_filtered|crystal_in_space|dressed|finite_strain|soft|coupled"
-    done = run("check", "--only", f"^({some}): ")
-    assert done.returncode == 0, done.stdout + done.stderr
+    before = threads()
+    try:
+        assert frozen.main(["check", "--only", f"^({some}): "]) == 0
+    finally:
+        set_threads(before)
 
 
 @pytest.mark.slow
 def test_every_number_is_that_of_the_record():
-    done = run("check")
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert frozen.main(["check"]) == 0

@@ -132,7 +132,7 @@ def test_a_killed_tool_goes_on_with_the_run_in_hand(plans, tmp_path, monkeypatch
 
 
 def test_smoothing_and_average_are_those_of_the_trajectory(plans, tmp_path):
-    make(tmp_path, plans)
+    make(tmp_path, plans, reductions=["plain"])
     sheet = plans[1].body
     x = trajectory(sheet, 3, steps=BATH.steps)[:, 0]
     u = x - sheet.positions()

@@ -180,7 +180,8 @@ def _equal(problem: ConstrainedProblem, y: np.ndarray) -> np.ndarray:
     now = problem.state(y)
     width = np.linalg.norm(now.J, axis=0)
     width = 1 / np.maximum(width, FELT * width.max())
-    return y + width * particular(now.A * width, -now.equal)[0]
+    met: np.ndarray = y + width * particular(now.A * width, -now.equal)[0]
+    return met
 
 
 def _adam(lagrangian: _Lagrangian, steps: int, tick: Callable[[float], None]) -> np.ndarray:
