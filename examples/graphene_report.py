@@ -42,7 +42,7 @@ SAME_OPTIMUM = 1e-5
 CERTIFICATE = ("symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
 """Figures of the certificate that are reported."""
 TEMPLATE = Path(__file__).with_suffix(".md")
-CONDITIONS = {"direct": "the same, symbol > 0 alone", "paper": "the same, conditions (i)–(iii)"}
+CONDITIONS = {"direct": "the same, symbol > 0", "paper": "the same, conditions (i)–(iii)"}
 LOCAL = {"true": "true moduli", "learned": "moduli as learned"}
 ROLES = {"train": "training", "val": "validation", "test": "disks"}
 

@@ -381,13 +381,13 @@ def graphene() -> Entries:
     two = wp.LPS(20.0, B(10, two_functions=True), method=optimum, normalise=True)
     printed = {
         "this library": "",
-        "symbol > 0 alone": "",
+        "symbol > 0": "",
         "three more numbers": "",
         "tensors on 20 bonds": "",
     }
     for name, law in (
         ("this library", wp.LPS(20.0, B(10), conditions=wp.methods.Conditions("paper"))),
-        ("symbol > 0 alone", wp.LPS(20.0, B(10))),
+        ("symbol > 0", wp.LPS(20.0, B(10))),
         ("three more numbers", wp.ThirdOrder(two)),
         ("tensors on 20 bonds", wp.Micromodulus(12.5)),
         ("ten lines", wp.LPS(12.5, B(4))),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -68,9 +68,13 @@ class NonlinearFeatures:
 def long_wave_equations(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
     """What long waves say of λ, μ and, beside them, t3, tq2 and q3 (theory.md, 28a).
 
+    An axis that is not stated is taken along x: λ and μ hardly feel it.
+
     Returns rows [n, 5] and right sides [n]. Raises InputError for samples that do not carry twice
     the REACH, or see no long waves.
     """
+    if samples.points.axis is None:
+        samples = replace(samples, points=replace(samples.points, axis=0.0))
     reach = REACH * samples.spacing
     classes = bond_classes(samples.spacing, reach)
     own = classes.weight / classes.r
