@@ -9,10 +9,11 @@ from examples import diffusion
 from examples.diffusion import coupled, jump, main, order, smooth
 from tests.support.bodies import random_breaking
 from tests.support.clouds import cloud, periodic_cloud
-from tests.support.problems import kernel
+from tests.support.problems import kernel, lattice
 from warp_peri import Dirichlet, InputError, Krylov, Model, Points, move, solve
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.diffusion import Conductor, CoupledOperator, CoupledSolid, DiffusionOperator
+from warp_peri.points.unit_names import factors
 
 CELLS = [6, 9, 13]
 LAW = Conductor(horizon=3.2, alpha=1.3, D=np.array([1.0, 0.4, 0.7]))
@@ -272,3 +273,13 @@ def test_the_example_prints(tmp_path, capsys):
     command = ["--cells", "4", "6", "--microstructure", "0", "--json", "--out", str(tmp_path)]
     assert main(command) == 0
     assert '"order"' in capsys.readouterr().out
+
+
+def test_the_conductivity_has_units_of_stress_times_length_squared():
+    law, points = replace(LAW, conductivity=0.7), lattice(5, LAW.horizon)
+    phi = np.cos(points.x @ [0.3, 0.2])
+    length, stress = factors(law.units, ("nm", "MPa"))
+    x, spacing = points.x * length, points.spacing * length
+    there = replace(points, x=x, spacing=spacing, units=("nm", "MPa"))
+    found = law.in_units(("nm", "MPa")).on(there)(phi)
+    np.testing.assert_allclose(found, stress * law.on(points)(phi), rtol=1e-11, atol=1e-6)
