@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable
+from copy import deepcopy
 from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Protocol, Self, overload
@@ -16,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.points.samples import nodes_of
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -64,11 +66,17 @@ class Remade:
 
     def __new__(cls, *given: Any, **options: Any) -> Self:
         made = super().__new__(cls)
-        made._made_of = given, options
+        kept = {name: _kept(value) for name, value in options.items()}
+        made._made_of = tuple(map(_kept, given)), kept
         return made
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _remade, (type(self), *self._made_of)
+
+
+def _kept(value: Any) -> Any:
+    """The nodes alone of samples; of what is often changed afterwards, a copy."""
+    return deepcopy(value) if isinstance(value, np.ndarray | list | dict) else nodes_of(value)
 
 
 def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:

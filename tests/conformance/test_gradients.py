@@ -264,6 +264,19 @@ def test_copies_are_made_anew(name, made):
         assert np.array_equal(other.points.x, op.points.x)
 
 
+def test_a_copy_keeps_neither_samples_nor_what_was_changed_since():
+    law, points = OPERATORS["conductor"]().model, lattice(4, 1.5)
+    kappa = np.ones(len(points.x))
+    op = law.on(points, kappa=kappa)
+    u = field(op)
+    kappa[:] = 2.0
+    assert np.array_equal(copy.deepcopy(op)(u), op(u))
+    points = lattice(4, 3.0)
+    samples = wp.Samples(points, np.zeros((100, *points.x.shape)))
+    plain, of_samples = (pickle.dumps(LAWS["LPS"].material().on(on)) for on in (points, samples))
+    assert len(of_samples) == len(plain)
+
+
 def test_what_is_changed_before_a_backward_pass_is_told():
     op = OPERATORS["hyperelastic"]()
     u = torch.from_numpy(field(op)).requires_grad_()
