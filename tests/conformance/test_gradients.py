@@ -413,10 +413,33 @@ def test_a_solve_has_the_gradient_of_differences(name, made):
     assert (one.u.dtype, one.u.shape) == (torch.float32, u[0].shape) or name == "LPS"
 
 
+@pytest.mark.parametrize("name", ["LPS", "crystal", "conductor"])
+def test_what_a_solve_takes_and_tells(name, made):
+    op = made(name)
+    b, u = (torch.from_numpy(field(op, 2, seed=n)) for n in (0, 1))
+
+    def solution(b, u):
+        return wp.solve(op, wp.Dirichlet(op.points, b, u))
+
+    for wrong in ((b, u[0]), (b[0], u), (b[:, :-1], u[:, :-1]), (b + 0j, u), (b, u + 0j)):
+        with pytest.raises(wp.InputError, match="[bu]: expected"):
+            solution(*wrong)
+    plain, whole = solution(b.numpy(), 0 * u.numpy()), solution(b, torch.zeros(u.shape).long())
+    assert np.allclose(whole.u, plain.u, rtol=0, atol=1e-9 * np.abs(plain.u).max())
+    told = solution(b.requires_grad_(), 0 * u)
+    assert np.allclose(told.energy(), plain.energy(), rtol=1e-7)
+    assert "residual" in repr(told)
+    if name != "conductor":
+        assert np.allclose(told.stress(), plain.stress(), rtol=0, atol=1e-8)
+        assert told.plot().get_title()
+
+
 @pytest.mark.parametrize("name", ["third order, energy", "hyperelastic", "coupled"])
 def test_a_solve_without_gradient_says_so(name, made):
     op = made(name)
     b, u = 0 * torch.from_numpy(field(op)), torch.from_numpy(0.01 * field(op))
     wp.solve(op, wp.Dirichlet(op.points, b, u))
     with pytest.raises(wp.InputError, match="solve: expected tensors without a gradient"):
-        wp.solve(op, wp.Dirichlet(op.points, b, u.requires_grad_()))
+        wp.solve(op, wp.Dirichlet(op.points, b, u.clone().requires_grad_()))
+    with forward_ad.dual_level(), pytest.raises(wp.InputError, match="tangent"):
+        wp.solve(op, wp.Dirichlet(op.points, b, forward_ad.make_dual(u, u)))

@@ -121,6 +121,15 @@ def on_fields(
     return found.reshape(*u.shape[: u.dim() - len(operator.shape)], *found.shape[1:]).to(u)
 
 
+def pair_of(operator: Any, b: Any, u: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    """Load and displacement on all nodes as tensors; InputError for what does not fit."""
+    b, u = (torch.as_tensor(field) for field in (b, u))
+    operator.check(u, not u.is_complex())
+    if b.shape != u.shape or b.is_complex():
+        raise InputError(f"b: expected shape {list(u.shape)}, got {b.dtype} of {list(b.shape)}")
+    return b, u
+
+
 def at_rest(operator: Any, b: Any, u: Any, solver: Any) -> Any:
     """The Solution of a symmetric operator, its u a tensor with every derivative to b and u.
 
@@ -132,16 +141,16 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any) -> Any:
     Raises InputError as `rest`, for a shape that does not fit, and for tensors that ask for a
     gradient of another operator.
     """
-    b, u = (torch.as_tensor(field) for field in (b, u))
+    b, u = pair_of(operator, b, u)
     if not operator.is_symmetric:
+        refuse_tangents(b, u)
         if b.requires_grad or u.requires_grad:
             raise InputError(
                 "solve: expected tensors without a gradient, which the equilibrium of a "
                 f"{type(operator.model).__name__} does not have in torch"
             )
         return operator.rest(b.numpy(), u.numpy(), solver)
-    inside, shape = torch.from_numpy(operator.points.interior), operator.shape
-    mask = inside.reshape(-1, *[1] * (len(shape) - 1))
+    inside, axis = operator.points.interior, -len(operator.shape)
     found: list[Any] = []
 
     def there(both: np.ndarray) -> np.ndarray:
@@ -150,13 +159,11 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any) -> Any:
 
     def back(g: np.ndarray) -> np.ndarray:
         w = operator.rest(g, np.zeros_like(g), solver).u
-        rows = np.compress(inside, w, axis=-len(shape))
-        return np.stack([w, (g - operator.product_transpose(None, rows)) * ~mask.numpy()])
+        pushed = operator.product_transpose(None, np.compress(inside, w, axis))
+        return np.stack([w, (g - pushed) * ~inside.reshape(-1, *[1] * (-axis - 1))])
 
-    operator.check(b, b.shape == u.shape)
-    pair = torch.stack([b.to("cpu").where(mask, 0.0), u.to("cpu").where(~mask, 0.0)])
-    answer = linear(pair.double(), there, back)
-    return replace(found[0], u=answer.to(u))
+    answer = linear(torch.stack([b.cpu(), u.cpu()]).double(), there, back)
+    return replace(found[0], u=answer.to(u if u.is_floating_point() else answer))
 
 
 class Module(torch.nn.Module):

@@ -12,6 +12,7 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
+from warp_peri.core.tensors import pair_of
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.lps.matrices import matrices, node_fields
@@ -252,7 +253,7 @@ class PlacedLPS(LPSOperator):
         """Equilibrium in torch, by the implicit adjoint."""
         if self.carrier is not None:
             raise InputError("points: a differentiable solve is for lattices, got scattered points")
-        b, u = (torch.as_tensor(field) for field in (b, u))
+        b, u = pair_of(self, b, u)
         solid = self.model.solid if parameters is None else parameters
         records: list[SolveRecord] = []
         asked = solver if isinstance(solver, Krylov) else self._unasked()
