@@ -168,6 +168,25 @@ def test_a_hessian_is_the_square_of_the_operator():
     assert np.allclose(found, L.T @ L, rtol=0, atol=1e-12 * np.abs(L.T @ L).max())
 
 
+@pytest.mark.parametrize("name", ["LPS, broken bonds", "crystal", "third order, energy"])
+def test_torch_func_maps_over_fields(name, made):
+    op = made(name)
+    u, many = torch.from_numpy(field(op)), torch.from_numpy(field(op, 3))
+    for dim in (0, 1):
+        assert torch.equal(torch.func.vmap(op, dim)(many.movedim(0, dim)), op(many))
+    unit = torch.eye(u.numel(), dtype=u.dtype).reshape(-1, *u.shape).numpy()
+    J = op.product(np.broadcast_to(u, unit.shape), unit).reshape(len(unit), -1).T
+    for jacobian in (torch.func.jacrev, torch.func.jacfwd):
+        assert np.allclose(jacobian(op)(u).reshape(J.shape), J, rtol=0, atol=1e-13 * abs(J).max())
+    hessian = torch.func.hessian(lambda u: op(u).square().sum() / 2)
+    if name in LINEAR:
+        found, H = hessian(u).reshape(len(unit), -1), J.T @ J
+        assert np.allclose(found, H, rtol=0, atol=1e-12 * abs(H).max())
+    else:
+        with pytest.raises(wp.InputError, match="second derivative"):
+            hessian(u)
+
+
 @pytest.mark.parametrize("name", OTHERS)
 def test_second_derivatives_of_others_are_refused(name, made):
     op = made(name)
@@ -251,6 +270,11 @@ def test_batches_and_precisions(name, made):
             op(wrong)
     with pytest.raises(wp.InputError, match="u: expected float64 of shape"):
         op(u.detach().long())
+    arrays = u.detach().numpy()[0]
+    none = [] if name == "hyperelastic" else [arrays[:0]]  # it gives no forces for no fields
+    for wrong in (arrays[0, :-1], *none):
+        with pytest.raises(wp.InputError, match="expected"):
+            op(wrong)
 
 
 @pytest.mark.parametrize("name", OPERATORS)

@@ -4,6 +4,7 @@ are refused a second time on every path, where torch would leave out terms."""
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -39,6 +40,12 @@ class _Made(torch.autograd.Function):
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         given, wanted = (*ctx.saved_tensors, *upstream), zip(ctx.backs, ctx.needs_input_grad[3:])
         return None, None, None, *(back(*given) if asked else None for back, asked in wanted)
+
+    @staticmethod
+    def vmap(_: Any, in_dims: Any, make: Any, along: Any, backs: Any, *of: Any) -> Any:
+        pairs = [*zip(of, in_dims[3:])]
+        each = zip(*(x.unbind(d) if d is not None else itertools.repeat(x) for x, d in pairs))
+        return torch.stack([_made(make, along, backs, *one) for one in each]), 0
 
     @staticmethod
     def jvp(ctx: Any, *tangents: Any) -> torch.Tensor:
@@ -91,10 +98,6 @@ def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) 
 
 def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
     """The force of an operator on the interior nodes, [..., I, d], differentiable in u [..., N, d].
-
-    Args:
-        operator: whose `force`, `product` and `product_transpose` take NumPy fields [S, N, d].
-        u: float32 or float64; the force has its precision and device.
 
     Raises InputError for another shape or type, and, where `operator.is_linear` is not true, for a
     second derivative.
@@ -201,6 +204,7 @@ class Module(torch.nn.Module):
         operator, numbers = self.operator, dict(self.named_parameters(recurse=False))
         if not numbers:
             return operator(u)  # type: ignore[no-any-return]
+        u = torch.as_tensor(u)
         return on_fields(operator, u, lambda fields: operator.force_with(fields, numbers))
 
 
