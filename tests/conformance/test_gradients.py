@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import warp
 from torch.autograd import forward_ad, functional, gradgradcheck
 
 import warp_peri as wp
@@ -158,6 +159,14 @@ def test_second_derivatives_of_a_linear_force(name, made):
     assert np.allclose(along, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
     _, forward = functional.vhp(energy, u, v)
     assert np.allclose(forward, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_a_gradient_beside_a_tape_of_the_user(made):
+    op = made("LPS, broken bonds")
+    u = torch.from_numpy(field(op)).requires_grad_()
+    expected = torch.autograd.grad(op(u).sum(), u)[0]
+    with warp.Tape():
+        assert torch.equal(torch.autograd.grad(op(u).sum(), u)[0], expected)
 
 
 def test_a_hessian_is_the_square_of_the_operator():
@@ -363,6 +372,7 @@ def test_a_module_is_saved_and_copied(name, made, tmp_path):
     again = torch.load(tmp_path / "m.pt", weights_only=False)
     for one in (other, copy.deepcopy(module), again):
         assert torch.equal(one(u), module(u))
+    assert torch.equal(torch.as_tensor(module(u.numpy())), module(u))
 
 
 @pytest.mark.parametrize("name", ["LPS", "LPS, bond-based", "third order, energy"])

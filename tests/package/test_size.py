@@ -8,11 +8,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 48_157,
+    "lines of warp_peri": 48_153,
     "files of warp_peri": 200,
     "lines of kernels": 5_662,
     "lines of examples and tools": 27_708,
-    "lines of tests": 32_101,
+    "lines of tests": 32_175,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 12,
     "asserts in warp_peri": 0,

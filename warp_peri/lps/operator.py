@@ -238,7 +238,7 @@ class _Force(torch.autograd.Function):
         taped = any(ctx.needs_input_grad) and not ctx.gathers
         ctx.arrays = _arrays(bonds, inputs, gradient=taped)
         if taped:
-            with wp.Tape() as ctx.tape:
+            with unrecorded(), wp.Tape() as ctx.tape:
                 ctx.evaluation = evaluate(bonds, *ctx.arrays, gradient=True)
         else:
             ctx.evaluation = evaluate(bonds, *ctx.arrays)
