@@ -300,8 +300,8 @@ def parser() -> Options:
     parser.add(
         "--conditions",
         choices=("paper", "direct"),
-        default="paper",
-        help="to keep: all that are printed (4.6), or a positive symbol alone",
+        help="to keep: all that are printed (4.6), the default, or a positive symbol alone, that of "
+        "--sweep",
     )
     parser.add(
         "--as-printed",
@@ -350,6 +350,8 @@ def parser() -> Options:
 def main(arguments: list[str] | None = None) -> int:
     """Command line; returns 0, 1 after a failure, 2 for bad input, 130 on Ctrl-C."""
     given = parser().parse_args(arguments)
+    if given.conditions is None:
+        given.conditions = "direct" if given.sweep and not given.as_printed else "paper"
     if given.out is None:
         name = f"graphene_{given.temperature:g}K" + ("_sweep" if given.sweep else "")
         given.out = OUT.with_name(name)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import warnings
 from collections.abc import Callable
+from copy import deepcopy
 from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Protocol, Self, overload
@@ -16,6 +17,8 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
+from warp_peri.points.samples import nodes_of
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -64,11 +67,17 @@ class Remade:
 
     def __new__(cls, *given: Any, **options: Any) -> Self:
         made = super().__new__(cls)
-        made._made_of = given, options
+        kept = {name: _kept(value) for name, value in options.items()}
+        made._made_of = tuple(map(_kept, given)), kept
         return made
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _remade, (type(self), *self._made_of)
+
+
+def _kept(value: Any) -> Any:
+    """The nodes alone of samples; of what is often changed afterwards, a copy."""
+    return deepcopy(value) if isinstance(value, np.ndarray | list | dict) else nodes_of(value)
 
 
 def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:
@@ -122,6 +131,12 @@ class OnPoints(Remade):
         """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
         return np.asarray(b, dtype=float)[..., self.points.interior, :]
 
+    def energy(self, u: Any) -> Any:
+        """Shape [...], as Operator's; None where there is none, as here."""
+
+    def stress(self, u: Any) -> Any:
+        """At the interior nodes, shape [..., I, d, d]; None where there is none, as here."""
+
     def force_in_torch(self, u: Any) -> Any:
         """The force of a tensor, differentiable."""
         return import_module("warp_peri.core.tensors").force_of(self, u)
@@ -139,6 +154,21 @@ class OnPoints(Remade):
                 f"u: expected float64 of shape [S, {shown}], S ≥ 1, or [{shown}], got {u.dtype} of "
                 f"shape {list(given)}"
             )
+
+    def fields(self, u: Any) -> np.ndarray:
+        """u as fields of finite numbers, [S, N, d]."""
+        values = checked("u", u, float, (..., *self.shape))
+        self.check(values)
+        return values.reshape(-1, *self.shape)
+
+    def quadratic(self, u: Any) -> np.ndarray:
+        """h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
+        u, inside, of = np.asarray(u, dtype=float), self.points.interior, self.points
+        axes = tuple(range(-len(self.shape), 0))
+        mask = np.expand_dims(inside, axes[1:])
+        own, collar = (self.force(np.where(one, u, 0.0)) for one in (mask, ~mask))
+        inner = np.compress(inside, u, axes[0])
+        return np.asarray(of.spacing**of.dimension * (inner * (own / 2 + collar)).sum(axis=axes))
 
     def on_all(self, w: Any) -> np.ndarray:
         """Fields of the interior nodes [..., I, d] as those of all, zero elsewhere, [..., N, d]."""

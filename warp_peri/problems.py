@@ -34,7 +34,7 @@ class Dirichlet:
         b: body force density [stress/length], shape [N, d] or [S, N, d]; None for no load. Only
             interior values count; on scattered points also those of the collar beside it, since
             the load is carried as a density. Of diffusion the source, shape [N]. Of tensors the
-            answer is one, differentiable in b and u where the material is linear.
+            answer of a linear material is one, differentiable in b and u where its L is symmetric.
         u: displacement [length], same shape; only collar values count. Of diffusion φ, [N].
     """
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import warp
 from torch.autograd import forward_ad, functional, gradgradcheck
 
 import warp_peri as wp
@@ -160,12 +161,39 @@ def test_second_derivatives_of_a_linear_force(name, made):
     assert np.allclose(forward, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
+def test_a_gradient_beside_a_tape_of_the_user(made):
+    op = made("LPS, broken bonds")
+    u = torch.from_numpy(field(op)).requires_grad_()
+    expected = torch.autograd.grad(op(u).sum(), u)[0]
+    with warp.Tape():
+        assert torch.equal(torch.autograd.grad(op(u).sum(), u)[0], expected)
+
+
 def test_a_hessian_is_the_square_of_the_operator():
     op = OPERATORS["conductor"]()
     u = torch.from_numpy(field(op))
     L = op.matrix().toarray()
     found = functional.hessian(lambda u: (op(u) ** 2).sum() / 2, u)
     assert np.allclose(found, L.T @ L, rtol=0, atol=1e-12 * np.abs(L.T @ L).max())
+
+
+@pytest.mark.parametrize("name", ["LPS, broken bonds", "crystal", "third order, energy"])
+def test_torch_func_maps_over_fields(name, made):
+    op = made(name)
+    u, many = torch.from_numpy(field(op)), torch.from_numpy(field(op, 3))
+    for dim in (0, 1):
+        assert torch.equal(torch.func.vmap(op, dim)(many.movedim(0, dim)), op(many))
+    unit = torch.eye(u.numel(), dtype=u.dtype).reshape(-1, *u.shape).numpy()
+    J = op.product(np.broadcast_to(u, unit.shape), unit).reshape(len(unit), -1).T
+    for jacobian in (torch.func.jacrev, torch.func.jacfwd):
+        assert np.allclose(jacobian(op)(u).reshape(J.shape), J, rtol=0, atol=1e-13 * abs(J).max())
+    hessian = torch.func.hessian(lambda u: op(u).square().sum() / 2)
+    if name in LINEAR:
+        found, H = hessian(u).reshape(len(unit), -1), J.T @ J
+        assert np.allclose(found, H, rtol=0, atol=1e-12 * abs(H).max())
+    else:
+        with pytest.raises(wp.InputError, match="second derivative"):
+            hessian(u)
 
 
 @pytest.mark.parametrize("name", OTHERS)
@@ -251,6 +279,11 @@ def test_batches_and_precisions(name, made):
             op(wrong)
     with pytest.raises(wp.InputError, match="u: expected float64 of shape"):
         op(u.detach().long())
+    arrays = u.detach().numpy()[0]
+    none = [] if name == "hyperelastic" else [arrays[:0]]  # it gives no forces for no fields
+    for wrong in (arrays[0, :-1], *none):
+        with pytest.raises(wp.InputError, match="expected"):
+            op(wrong)
 
 
 @pytest.mark.parametrize("name", OPERATORS)
@@ -262,6 +295,19 @@ def test_copies_are_made_anew(name, made):
         assert other is not op
         assert np.array_equal(other(u), op(u))
         assert np.array_equal(other.points.x, op.points.x)
+
+
+def test_a_copy_keeps_neither_samples_nor_what_was_changed_since():
+    law, points = OPERATORS["conductor"]().model, lattice(4, 1.5)
+    kappa = np.ones(len(points.x))
+    op = law.on(points, kappa=kappa)
+    u = field(op)
+    kappa[:] = 2.0
+    assert np.array_equal(copy.deepcopy(op)(u), op(u))
+    points = lattice(4, 3.0)
+    samples = wp.Samples(points, np.zeros((100, *points.x.shape)))
+    plain, of_samples = (pickle.dumps(LAWS["LPS"].material().on(on)) for on in (points, samples))
+    assert len(of_samples) == len(plain)
 
 
 def test_what_is_changed_before_a_backward_pass_is_told():
@@ -326,6 +372,7 @@ def test_a_module_is_saved_and_copied(name, made, tmp_path):
     again = torch.load(tmp_path / "m.pt", weights_only=False)
     for one in (other, copy.deepcopy(module), again):
         assert torch.equal(one(u), module(u))
+    assert torch.equal(torch.as_tensor(module(u.numpy())), module(u))
 
 
 @pytest.mark.parametrize("name", ["LPS", "LPS, bond-based", "third order, energy"])
@@ -400,10 +447,33 @@ def test_a_solve_has_the_gradient_of_differences(name, made):
     assert (one.u.dtype, one.u.shape) == (torch.float32, u[0].shape) or name == "LPS"
 
 
+@pytest.mark.parametrize("name", ["LPS", "crystal", "conductor"])
+def test_what_a_solve_takes_and_tells(name, made):
+    op = made(name)
+    b, u = (torch.from_numpy(field(op, 2, seed=n)) for n in (0, 1))
+
+    def solution(b, u):
+        return wp.solve(op, wp.Dirichlet(op.points, b, u))
+
+    for wrong in ((b, u[0]), (b[0], u), (b[:, :-1], u[:, :-1]), (b + 0j, u), (b, u + 0j)):
+        with pytest.raises(wp.InputError, match="[bu]: expected"):
+            solution(*wrong)
+    plain, whole = solution(b.numpy(), 0 * u.numpy()), solution(b, torch.zeros(u.shape).long())
+    assert np.allclose(whole.u, plain.u, rtol=0, atol=1e-9 * np.abs(plain.u).max())
+    told = solution(b.requires_grad_(), 0 * u)
+    assert np.allclose(told.energy(), plain.energy(), rtol=1e-7)
+    assert "residual" in repr(told)
+    if name != "conductor":
+        assert np.allclose(told.stress(), plain.stress(), rtol=0, atol=1e-8)
+        assert told.plot().get_title()
+
+
 @pytest.mark.parametrize("name", ["third order, energy", "hyperelastic", "coupled"])
 def test_a_solve_without_gradient_says_so(name, made):
     op = made(name)
     b, u = 0 * torch.from_numpy(field(op)), torch.from_numpy(0.01 * field(op))
     wp.solve(op, wp.Dirichlet(op.points, b, u))
     with pytest.raises(wp.InputError, match="solve: expected tensors without a gradient"):
-        wp.solve(op, wp.Dirichlet(op.points, b, u.requires_grad_()))
+        wp.solve(op, wp.Dirichlet(op.points, b, u.clone().requires_grad_()))
+    with forward_ad.dual_level(), pytest.raises(wp.InputError, match="tangent"):
+        wp.solve(op, wp.Dirichlet(op.points, b, forward_ad.make_dual(u, u)))

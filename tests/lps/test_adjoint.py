@@ -259,10 +259,13 @@ def test_what_a_launch_refuses():
     model = kernel("positive", HORIZON)
     operator, (field, numbers) = model.on(points), arrays_of(model, noise(points, 2))
     out = wp.zeros((2, 25), dtype=wp.vec2d)
-    with pytest.raises(InputError, match=r"out: expected shape \[2, 25\] of 2 float64"):
-        operator.launch(field, wp.zeros((2, 24), dtype=wp.vec2d))
-    with pytest.raises(InputError, match=r"u: expected shape \[2, "):
-        operator.launch(field[:, :-1], out)
+    wide = wp.zeros((4, 25), dtype=wp.vec2d)
+    for wrong in (out[:, :-1], wide[::2], out.numpy(), wp.zeros((2, 25), dtype=wp.vec2f)):
+        with pytest.raises(InputError, match=r"out: expected a contiguous .* \[2, 25\]"):
+            operator.launch(field, wrong)
+    for wrong in (field[:, :-1], field[:0], field[0], field.numpy()):
+        with pytest.raises(InputError, match="u: expected a contiguous array of Warp of shape"):
+            operator.launch(wrong, out)
     alone = kernel("positive", HORIZON, lam=0.8).on(points)
     with pytest.raises(InputError, match="expected equal values"):
         alone.launch(field, out, Solid(*numbers))

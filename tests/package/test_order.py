@@ -10,9 +10,10 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent / "warp_peri"
 FLOORS = (
     ("errors",),
-    ("launch", "files", "cluster", "contract", "shown"),
+    ("launch", "files", "cluster", "shown"),
     ("kernels",),
     ("points",),
+    ("contract",),
     ("core",),
     ("sources", "lps"),
     ("stability",),

@@ -4,6 +4,7 @@ are refused a second time on every path, where torch would leave out terms."""
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -39,6 +40,12 @@ class _Made(torch.autograd.Function):
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         given, wanted = (*ctx.saved_tensors, *upstream), zip(ctx.backs, ctx.needs_input_grad[3:])
         return None, None, None, *(back(*given) if asked else None for back, asked in wanted)
+
+    @staticmethod
+    def vmap(_: Any, in_dims: Any, make: Any, along: Any, backs: Any, *of: Any) -> Any:
+        pairs = [*zip(of, in_dims[3:])]
+        each = zip(*(x.unbind(d) if d is not None else itertools.repeat(x) for x, d in pairs))
+        return torch.stack([_made(make, along, backs, *one) for one in each]), 0
 
     @staticmethod
     def jvp(ctx: Any, *tangents: Any) -> torch.Tensor:
@@ -92,10 +99,6 @@ def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) 
 def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
     """The force of an operator on the interior nodes, [..., I, d], differentiable in u [..., N, d].
 
-    Args:
-        operator: whose `force`, `product` and `product_transpose` take NumPy fields [S, N, d].
-        u: float32 or float64; the force has its precision and device.
-
     Raises InputError for another shape or type, and, where `operator.is_linear` is not true, for a
     second derivative.
     """
@@ -121,6 +124,15 @@ def on_fields(
     return found.reshape(*u.shape[: u.dim() - len(operator.shape)], *found.shape[1:]).to(u)
 
 
+def pair_of(operator: Any, b: Any, u: Any) -> tuple[torch.Tensor, torch.Tensor]:
+    """Load and displacement on all nodes as tensors; InputError for what does not fit."""
+    b, u = (torch.as_tensor(field) for field in (b, u))
+    operator.check(u, not u.is_complex())
+    if b.shape != u.shape or b.is_complex():
+        raise InputError(f"b: expected shape {list(u.shape)}, got {b.dtype} of {list(b.shape)}")
+    return b, u
+
+
 def at_rest(operator: Any, b: Any, u: Any, solver: Any) -> Any:
     """The Solution of a symmetric operator, its u a tensor with every derivative to b and u.
 
@@ -132,16 +144,16 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any) -> Any:
     Raises InputError as `rest`, for a shape that does not fit, and for tensors that ask for a
     gradient of another operator.
     """
-    b, u = (torch.as_tensor(field) for field in (b, u))
+    b, u = pair_of(operator, b, u)
     if not operator.is_symmetric:
+        refuse_tangents(b, u)
         if b.requires_grad or u.requires_grad:
             raise InputError(
                 "solve: expected tensors without a gradient, which the equilibrium of a "
                 f"{type(operator.model).__name__} does not have in torch"
             )
         return operator.rest(b.numpy(), u.numpy(), solver)
-    inside, shape = torch.from_numpy(operator.points.interior), operator.shape
-    mask = inside.reshape(-1, *[1] * (len(shape) - 1))
+    inside, axis = operator.points.interior, -len(operator.shape)
     found: list[Any] = []
 
     def there(both: np.ndarray) -> np.ndarray:
@@ -150,13 +162,11 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any) -> Any:
 
     def back(g: np.ndarray) -> np.ndarray:
         w = operator.rest(g, np.zeros_like(g), solver).u
-        rows = np.compress(inside, w, axis=-len(shape))
-        return np.stack([w, (g - operator.product_transpose(None, rows)) * ~mask.numpy()])
+        pushed = operator.product_transpose(None, np.compress(inside, w, axis))
+        return np.stack([w, (g - pushed) * ~inside.reshape(-1, *[1] * (-axis - 1))])
 
-    operator.check(b, b.shape == u.shape)
-    pair = torch.stack([b.to("cpu").where(mask, 0.0), u.to("cpu").where(~mask, 0.0)])
-    answer = linear(pair.double(), there, back)
-    return replace(found[0], u=answer.to(u))
+    answer = linear(torch.stack([b.cpu(), u.cpu()]).double(), there, back)
+    return replace(found[0], u=answer.to(u if u.is_floating_point() else answer))
 
 
 class Module(torch.nn.Module):
@@ -194,6 +204,7 @@ class Module(torch.nn.Module):
         operator, numbers = self.operator, dict(self.named_parameters(recurse=False))
         if not numbers:
             return operator(u)  # type: ignore[no-any-return]
+        u = torch.as_tensor(u)
         return on_fields(operator, u, lambda fields: operator.force_with(fields, numbers))
 
 

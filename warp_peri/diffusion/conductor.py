@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -117,7 +118,7 @@ class DiffusionOperator(OnPoints):
 
     def force(self, phi: np.ndarray) -> np.ndarray:
         """L φ on the interior, [N] or [S, N] to [I] or [S, I]; InputError for another shape."""
-        if np.ndim(phi) == 2:
+        if np.ndim(phi) == 2 and len(phi):
             return np.stack([self.force(one) for one in phi])
         out = zeros(len(self.rows))
         inputs = (*self._links, floats(self.kappa), self._field(phi))
@@ -163,19 +164,15 @@ class DiffusionOperator(OnPoints):
 
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Lᵗ w on all nodes, [..., N], of w on the interior, [..., I], whatever φ."""
-        return np.asarray(w @ self.matrix())
+        return np.asarray(w @ self._matrix)
+
+    @cached_property
+    def _matrix(self) -> sp.csr_array:
+        return self.matrix()
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ φ_I·L φ_I + φ_I·L φ_C), shape [...]; None on scattered points."""
-        if self.points.spacing == 0:
-            return None
-        u, inside = np.asarray(u, dtype=float), self.points.interior
-        own, collar = (self(np.where(mask, u, 0.0)) for mask in (inside, ~inside))
-        density = u[..., self.rows] * (own / 2 + collar)
-        return np.asarray(self.points.spacing**self.points.dimension * density.sum(axis=-1))
-
-    def stress(self, u: np.ndarray) -> None:
-        """None: there is a flux instead."""
+        return None if self.points.spacing == 0 else self.quadratic(u)
 
     def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """φ with L φ = b on the interior, given on all other nodes.

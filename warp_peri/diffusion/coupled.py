@@ -131,15 +131,11 @@ class CoupledOperator(OnPoints):
     def force(self, u: np.ndarray) -> np.ndarray:
         """On the interior, shape [N, 3] or [S, N, 3] to [..., I, 3]."""
         u = np.asarray(u, dtype=float)
-        if u.ndim == 3:
+        self.check(u)
+        if u.ndim > 2:
             return np.stack([self.force(one) for one in u])
         force = self._solid @ u[:, :2].ravel() + self._pull @ u[:, 2]
         return np.column_stack([force.reshape(-1, 2), self._flux @ u[:, 2]])
-
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """Loads and source on the interior nodes, [I, 3]."""
-        loads: np.ndarray = np.asarray(b, dtype=float)[self.rows]
-        return loads
 
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """That transposed: of w on the interior, [..., I, 3], on all nodes, [..., N, 3]."""
@@ -147,12 +143,6 @@ class CoupledOperator(OnPoints):
         pushed = (flat @ self._solid).reshape(*w.shape[:-2], -1, 2)
         phi = flat @ self._pull + source @ self._flux
         return np.concatenate([pushed, phi[..., None]], axis=-1)
-
-    def energy(self, u: np.ndarray) -> None:
-        """None: what diffuses is lost."""
-
-    def stress(self, u: np.ndarray) -> None:
-        """None."""
 
     def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """The steady state.

@@ -588,18 +588,10 @@ class DressedBody(OnPoints):
         total = 0.5 * volume * np.einsum("sn,sn->s", flat, (self.L @ flat.T).T)
         return float(total[0]) if np.ndim(u) == 2 else total.reshape(np.shape(u)[:-2])
 
-    def stress(self, u: ArrayLike) -> None:
-        """None: strains lie on sites, not on nodes."""
-
     def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """In equilibrium with b on the interior, u given elsewhere, shape [..., N, d]; as in
         rest.at_rest."""
         return at_rest(self, b, u, solver)
-
-    def fields(self, u: ArrayLike) -> np.ndarray:
-        """Fields [S, N, d] of finite numbers."""
-        values = checked("u", u, float, (..., *self.points.x.shape))
-        return values.reshape(-1, *self.points.x.shape)
 
     def flat(self, u: ArrayLike) -> np.ndarray:
         """Fields along the nodes' axes, one a row, [S, d N]."""

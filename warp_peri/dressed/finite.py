@@ -22,7 +22,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.dressed.finite import gather, pull, spread
 from warp_peri.launch import floats, ints, launch_slices
 from warp_peri.micromodulus.learning import one_set
-from warp_peri.points.arrays import checked, checked_fields
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike, Samples, axis_of
@@ -376,21 +376,21 @@ class FiniteBody(OnPoints):
 
     def force(self, u: ArrayLike) -> np.ndarray:
         """Minus the internal force density [stress/length], [..., N, 2] to [..., I, 2]."""
-        return self._force(self._fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
+        return self._force(self.fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
 
     def _force(self, fields: np.ndarray) -> np.ndarray:
         return np.asarray(self._sweep(fields)[:, self.points.interior])
 
     def energy(self, u: ArrayLike) -> np.ndarray:
         """[stress · length²] of the elements that interior nodes move, shape [...] (D14)."""
-        fields = self._fields(u)
+        fields = self.fields(u)
         each = [density(strains(gradients(D, fields))[0], C, T) for D, C, T in self.parts]
         total = WEIGHT * self.points.spacing**2 * np.sum(each, axis=0).sum(axis=-1)
         return np.asarray(total.reshape(np.shape(u)[:-2]))
 
     def stress(self, u: ArrayLike) -> np.ndarray:
         """P [stress] at the interior nodes, the mean of four elements, [..., I, 2, 2]."""
-        fields = self._fields(u)
+        fields = self.fields(u)
         P = sum(stress(gradients(D, fields), C, T) for D, C, T in self.parts)
         mean = np.asarray(P).reshape(len(fields), -1, 4, 4).mean(axis=2)
         found = np.stack([self.slopes.around @ one for one in mean])
@@ -398,7 +398,7 @@ class FiniteBody(OnPoints):
 
     def tangent(self, u: ArrayLike) -> sp.csr_array:
         """∂(op(u))/∂u at a field [N, 2], symmetric on the unknowns: [2 I, 2 N]."""
-        fields = self._fields(u)
+        fields = self.fields(u)
         found = []
         for own, (D, C, T) in zip(self.columns, self.parts):
             A = curvature(gradients(D, fields)[0], C, T)
@@ -411,19 +411,19 @@ class FiniteBody(OnPoints):
 
     def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """The derivative at u along v, shape [..., I, 2]."""
-        pairs = zip(self._fields(u), self._fields(v), strict=True)
+        pairs = zip(self.fields(u), self.fields(v), strict=True)
         rates = [self.tangent(f) @ a.ravel() for f, a in pairs]
         return np.reshape(rates, (*np.shape(u)[:-2], -1, 2))
 
     def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
-        fields, w = self._fields(u), np.asarray(w, dtype=float)
+        fields, w = self.fields(u), np.asarray(w, dtype=float)
         pairs = zip(fields, w.reshape(len(fields), -1), strict=True)
         return np.reshape([self.tangent(f).T @ one for f, one in pairs], np.shape(u))
 
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field under G or F at a Gauss point, shape [...]."""
-        fields = self._fields(u)
+        fields = self.fields(u)
         sizes = [np.linalg.norm(gradients(D, fields), axis=(2, 3)) for D, _, _ in self.parts]
         return np.asarray(np.max(sizes, axis=(0, 2)).reshape(np.shape(u)[:-2]))
 
@@ -433,7 +433,7 @@ class FiniteBody(OnPoints):
 
     def straight(self, u: ArrayLike) -> np.ndarray:
         """The force of the solid at rest, shape [..., I, 2]."""
-        return self._at_rest(self._fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
+        return self._at_rest(self.fields(u)).reshape(*np.shape(u)[:-2], -1, 2)
 
     def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
         """In equilibrium with b on the interior, u given on the collar, shape [..., N, 2].
@@ -479,14 +479,6 @@ class FiniteBody(OnPoints):
         """Smallest eigenvalue of the tangent on the unknowns."""
         free = np.repeat(self.points.interior, 2)
         return smallest_eigenvalue(sp.csc_array(self.tangent(field).tocsc()[:, free]))
-
-    def _fields(self, u: ArrayLike) -> np.ndarray:
-        """Fields [S, N, 2] of finite numbers."""
-        values = checked("u", u, float)
-        if values.ndim < 2 or values.shape[-2:] != self.points.x.shape:
-            expected = ", ".join(map(str, self.points.x.shape))
-            raise InputError(f"u: expected shape [..., {expected}], got {list(values.shape)}")
-        return values.reshape(-1, *self.points.x.shape)
 
 
 def _slope(spacing: float, axes: np.ndarray) -> np.ndarray:

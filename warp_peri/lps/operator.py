@@ -238,7 +238,7 @@ class _Force(torch.autograd.Function):
         taped = any(ctx.needs_input_grad) and not ctx.gathers
         ctx.arrays = _arrays(bonds, inputs, gradient=taped)
         if taped:
-            with wp.Tape() as ctx.tape:
+            with unrecorded(), wp.Tape() as ctx.tape:
                 ctx.evaluation = evaluate(bonds, *ctx.arrays, gradient=True)
         else:
             ctx.evaluation = evaluate(bonds, *ctx.arrays)
@@ -388,11 +388,11 @@ class NodeOperator(OnPoints):
         ``tape.backward`` adds to the gradients of those arrays that require one.
 
         Args:
-            u: displacement [Å], shape [S, N] of vectors of float64.
-            out: takes L u [TPa/Å], shape [S, I] of vectors.
+            u: displacement [Å], shape [S, N] of vectors of float64, contiguous.
+            out: takes L u [TPa/Å], shape [S, I] of such vectors.
             parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default.
 
-        Raises InputError for other shapes, broken bonds and scattered points through a lattice.
+        Raises InputError for other arrays, broken bonds and scattered points through a lattice.
         """
         with unrecorded() as tape:
             back, arrays = self._launched(u, out, parameters)
@@ -405,11 +405,12 @@ class NodeOperator(OnPoints):
         if not gathers(bonds) or self.shape[0] != bonds.nodes:
             raise InputError("launch: expected a lattice, or own weights, without broken bonds")
         for name, array, nodes in (("u", u, bonds.nodes), ("out", out, len(bonds.rows))):
-            seen = array.numpy()
+            fits = isinstance(array, wp.array) and array.is_contiguous and array.ndim == 2
+            seen = array.numpy() if fits and len(u) else np.zeros(0)
             if seen.dtype != float or seen.shape != (len(u), nodes, d):
                 raise InputError(
-                    f"{name}: expected shape [{len(u)}, {nodes}] of {d} float64 each, got "
-                    f"{list(seen.shape)} of {seen.dtype}"
+                    f"{name}: expected a contiguous array of Warp of shape [{len(u)}, {nodes}], "
+                    f"of {d} float64 each, got {type(array).__name__} of {list(np.shape(array))}"
                 )
         numbers = self._evaluated[0] if parameters is None else list(parameters.values())
         if bonds.bond_based and numbers[0].numpy() != numbers[1].numpy():

@@ -28,7 +28,7 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import Product
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, lps_stencil
-from warp_peri.points.arrays import checked, checked_fields
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, nodes_of, unsaid
@@ -89,7 +89,7 @@ class TensorOperator(OnPoints):
         u [length], shape [..., N, d]; returns shape [..., I, d]. Raises InputError for another
         shape or values that are not finite.
         """
-        fields, lead = self.checked(u)
+        fields, lead = self.fields(u), np.shape(u)[:-2]
         force = self.linear(fields)
         return force.reshape(*lead, *force.shape[1:])
 
@@ -141,7 +141,7 @@ class TensorOperator(OnPoints):
 
         Its derivative to the interior displacement is h^d L u. (In the plane for a unit thickness.)
         """
-        fields, lead = self.checked(u)
+        fields, lead = self.fields(u), np.shape(u)[:-2]
         planes = self.nodes.scatter(fields)
         nodes, r = self.nodes, self.nodes.reach
         inside = nodes.unknown
@@ -160,7 +160,7 @@ class TensorOperator(OnPoints):
 
     def gradient(self, u: ArrayLike) -> np.ndarray:
         """∂u_a/∂x_b at the interior nodes by least squares over the family, [..., I, d, d]."""
-        fields, lead = self.checked(u)
+        fields, lead = self.fields(u), np.shape(u)[:-2]
         planes, nodes, r = self.nodes.scatter(fields), self.nodes, self.nodes.reach
         d = nodes.dimension
         xi = self.spacing * self.steps
@@ -210,12 +210,6 @@ class TensorOperator(OnPoints):
         parts = np.broadcast_to(blocks, (len(at), *blocks.shape)).reshape(-1, d, d)
         shape = (d * len(at), d * len(self.points.x))
         return sp.csr_array(sp.bsr_array((parts, ends.ravel(), count), shape=shape))
-
-    def checked(self, u: ArrayLike) -> tuple[np.ndarray, tuple[int, ...]]:
-        """Fields [S, N, d] and the shape of what stands before a field."""
-        shape = self.points.x.shape
-        values = checked("u", u, float, (..., *shape))
-        return values.reshape(-1, *shape), values.shape[:-2]
 
 
 SAME_AXIS = 1e-3

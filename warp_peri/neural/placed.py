@@ -312,9 +312,6 @@ class Placed(OnPoints):
             found = torch.stack([self.tangent(f).transposed(one) for f, one in pairs])
         return found.double().numpy().reshape(np.shape(u))
 
-    def energy(self, u: Any) -> None:
-        """None: the forces of a network need not have an energy."""
-
     def stress(self, u: Any) -> np.ndarray:
         """First Piola–Kirchhoff stress [stress] at the interior nodes, shape [..., I, 2, 2].
 

@@ -12,13 +12,13 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
+from warp_peri.core.tensors import pair_of
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.lps.matrices import matrices, node_fields
 from warp_peri.lps.model import Solid, lps_stencil
 from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.lattice import lattice_steps
-from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, largest_strain
 from warp_peri.statics.conjugate_gradients import SolveRecord
@@ -70,7 +70,7 @@ class PlacedLPS(LPSOperator):
         """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
         if self.carrier is not None or self.points.spacing == 0:
             return None
-        return linear_energy(self, self.points, u)
+        return self.quadratic(u)
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """σ [TPa] at the interior nodes, [..., I, d, d]; None on scattered points."""
@@ -252,7 +252,7 @@ class PlacedLPS(LPSOperator):
         """Equilibrium in torch, by the implicit adjoint."""
         if self.carrier is not None:
             raise InputError("points: a differentiable solve is for lattices, got scattered points")
-        b, u = (torch.as_tensor(field) for field in (b, u))
+        b, u = pair_of(self, b, u)
         solid = self.model.solid if parameters is None else parameters
         records: list[SolveRecord] = []
         asked = solver if isinstance(solver, Krylov) else self._unasked()
@@ -267,17 +267,6 @@ class PlacedLPS(LPSOperator):
         inside = torch.from_numpy(self.points.interior).to(b.device)
         told = self._told(answer, b[..., inside, :].detach().cpu().numpy(), method, records)
         return told if parameters is None else replace(told, proven=None)
-
-
-def linear_energy(operator: Any, points: Points, u: np.ndarray) -> np.ndarray:
-    """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d] of a linear operator, shape [...]."""
-    u = np.asarray(u, dtype=float)
-    inside = points.interior[:, None]
-    own, collar = (operator(np.where(mask, u, 0.0)) for mask in (inside, ~inside))
-    inner = u[..., points.interior, :]
-    return np.asarray(
-        points.spacing**points.dimension * (inner * (own / 2 + collar)).sum(axis=(-2, -1))
-    )
 
 
 def bonds_within(horizon: float, spacing: float) -> float:

@@ -199,7 +199,7 @@ class Solution(Shown):
             return self.measured
         if self.points is None:
             raise InputError("residual: expected points, whose residual is asked for")
-        u = np.asarray(self.u, dtype=float)
+        u = self._values.astype(float)
         held = np.where(_spread(self.points.interior, u), 0.0, u)
         left, right = (_sizes(self.load - self.operator(f), len(self.load)) for f in (u, held))
         return float(np.max(np.divide(left, right, out=np.zeros_like(left), where=right > 0)))
@@ -211,14 +211,14 @@ class Solution(Shown):
         """
         if self.points is None:
             return np.asarray(self.details.on_corners()[1])
-        stress = self.operator.stress(self.u)
+        stress = self.operator.stress(self._values)
         if stress is None:
             raise InputError("stress: this law has none")
         return np.asarray(stress)
 
     def energy(self) -> np.ndarray:
         """Elastic energy, as the operator's `energy`; InputError for a law without one."""
-        energy = self.operator.energy(self.u)
+        energy = self.operator.energy(self._values)
         if energy is None:
             raise InputError("energy: this law has none")
         return np.asarray(energy)
@@ -239,7 +239,7 @@ class Solution(Shown):
         import matplotlib.pyplot as plt
 
         x, u = self._nodes(sample)
-        several = np.size(self.u) // u.size
+        several = self._values.size // u.size
         if x.shape[1] == 3:
             near = np.abs(x[:, 2] - np.median(x[:, 2])).min() + 1e-9 * np.ptp(x)
             kept = np.abs(x[:, 2] - np.median(x[:, 2])) <= near
@@ -269,10 +269,15 @@ class Solution(Shown):
     def _units(self) -> tuple[str, str]:
         return self.points.units if self.points is not None else self.details.model.units
 
+    @property
+    def _values(self) -> np.ndarray:
+        """The displacement without torch."""
+        return np.asarray(self.u.detach().cpu() if hasattr(self.u, "detach") else self.u)
+
     def _nodes(self, sample: int) -> tuple[np.ndarray, np.ndarray]:
         """Positions and displacement of one sample."""
         x = self.details.rim.mesh.x if self.points is None else self.points.x
-        u = np.asarray(self.u.detach() if hasattr(self.u, "detach") else self.u)
+        u = self._values
         several = u.ndim == 3 or (u.ndim == 2 and u.shape != x.shape)
         return x, u[sample] if several else u
 

@@ -188,9 +188,7 @@ class PlacedSheet(OnPoints):
     Attributes:
         energies: the operator of its dictionary, for any coefficients.
 
-    ``op(u)`` takes u [length], shape [N, 2] or [S, N, 2], and returns minus the internal force
-    density on interior nodes. Raises InputError for points that are no lattice, in other units, or
-    whose collar is too narrow.
+    Raises InputError for points that are no lattice, in other units, or whose collar is too narrow.
     """
 
     def __init__(
