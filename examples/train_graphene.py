@@ -300,8 +300,7 @@ def parser() -> Options:
     parser.add(
         "--conditions",
         choices=("paper", "direct"),
-        help="to keep: all that are printed (4.6), the default, or a positive symbol alone, that of "
-        "--sweep",
+        help="to keep: all that are printed (4.6), or a positive symbol alone, as in a sweep",
     )
     parser.add(
         "--as-printed",
