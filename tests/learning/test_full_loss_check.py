@@ -5,10 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.linalg
+import warp as wp
 
 from tests.support.problems import kernel, lattice, manufactured
+from warp_peri import Bernstein
+from warp_peri.learning.fit import learn
 from warp_peri.learning.training_data import ConsistencyCheck
 from warp_peri.lps.model import bernstein_basis
+from warp_peri.methods import Constrained, Optimum
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import FullLoss, reduce, sample_weights
 
@@ -56,3 +60,16 @@ def test_a_departure_that_no_answer_shows_ends_no_fit(losses):
         check.check(cancelling(reduced.classes, 0.0))
     rounded = reduced.R * (1 + 1e-15 * np.sin(np.arange(reduced.R.size)).reshape(reduced.R.shape))
     ConsistencyCheck([replace(reduced, R=rounded)], [full]).check(cancelling(reduced.classes, 0.0))
+
+
+def test_every_fit_holds_its_gradient_to_warps_tape(losses, monkeypatch):
+    counted = []
+    backward = wp.Tape.backward
+    monkeypatch.setattr(
+        wp.Tape, "backward", lambda tape, **how: counted.append(1) or backward(tape, **how)
+    )
+    points = manufactured(kernel("positive", HORIZON), lattice(6, HORIZON), 4)
+    for method in (Optimum(), Constrained()):
+        counted.clear()
+        learn(points, HORIZON, Bernstein(2), method=method, progress=False)
+        assert len(counted) == 2  # at the start and at the end

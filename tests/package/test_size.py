@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 48_432,
+    "lines of warp_peri": 48_434,
     "files of warp_peri": 200,
     "lines of kernels": 5_662,
-    "lines of examples and tools": 27_947,
-    "lines of tests": 31_495,
+    "lines of examples and tools": 27_946,
+    "lines of tests": 31_512,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 12,
     "asserts in warp_peri": 0,

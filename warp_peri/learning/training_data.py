@@ -359,7 +359,7 @@ MATTERS = 1e-6
 
 
 class ConsistencyCheck:
-    """Holds the reduced loss to the full one and to its gradients."""
+    """Holds the reduced loss to the full one, and to its gradients by Warp's tape."""
 
     def __init__(self, grids: Sequence[ReducedLoss], full: Sequence[FullLoss]) -> None:
         self.grids, self.full = grids, full
@@ -378,7 +378,7 @@ class ConsistencyCheck:
         results = []
         for loss in (
             variables.loss(self.grids),
-            torch.stack([term.loss(*variables.leaves) for term in self.full]).sum(),
+            torch.stack([term.loss(*variables.leaves, taped=True) for term in self.full]).sum(),
         ):
             parts = torch.autograd.grad(loss, variables.leaves)
             gradient = torch.cat([part.reshape(-1) for part in parts]) * sizes

@@ -231,9 +231,9 @@ class _Force(torch.autograd.Function):
     """L u as a torch function; its gradient gathers over bonds, or is Warp's tape run backwards."""
 
     @staticmethod
-    def forward(ctx: Any, bonds: Bonds, *inputs: torch.Tensor) -> torch.Tensor:
+    def forward(ctx: Any, bonds: Bonds, taped: bool, *inputs: torch.Tensor) -> torch.Tensor:
         ctx.bonds = bonds
-        ctx.gathers = gathers(bonds)
+        ctx.gathers = gathers(bonds) and not taped
         ctx.save_for_backward(*inputs)  # the arrays share their memory
         taped = any(ctx.needs_input_grad) and not ctx.gathers
         ctx.arrays = _arrays(bonds, inputs, gradient=taped)
@@ -253,8 +253,8 @@ class _Force(torch.autograd.Function):
         if not ctx.gathers:
             ctx.tape.zero()  # a second backward pass through the same graph starts afresh
             ctx.tape.backward(grads={ctx.evaluation.Lu: seed})
-            return None, *(wp.to_torch(array.grad).clone() for array in ctx.arrays)
-        wanted = ctx.needs_input_grad[1:]
+            return None, None, *(wp.to_torch(array.grad).clone() for array in ctx.arrays)
+        wanted = ctx.needs_input_grad[2:]
         by = gradient(
             ctx.bonds,
             ctx.evaluation,
@@ -266,6 +266,7 @@ class _Force(torch.autograd.Function):
         by_u = None if by.u is None else wp.to_torch(by.u, requires_grad=False)
         parts = (by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
         return (
+            None,
             None,
             by_u,
             *(
@@ -453,7 +454,7 @@ def gathers(bonds: Bonds) -> bool:
     return len(bonds.cut) == 0 and bonds.device == DEVICE
 
 
-def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
+def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid, *, taped: bool = False) -> torch.Tensor:
     """L u [TPa/Å] on the interior nodes, shape [..., I, d], differentiable in u and in every value
     of the solid.
 
@@ -461,6 +462,7 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
         bonds: of a point set with N nodes.
         u: displacement [Å], shape [N, d] or [S, N, d], in the precision of the bonds.
         solid: numbers, arrays or tensors; λ = μ for bonds that are bond-based.
+        taped: the gradient by Warp's tape run backwards, the reference of the gathering one.
 
     Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based bonds, whose
     derivative to λ is zero: (42) is a function of μ.
@@ -477,7 +479,7 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid) -> torch.Tensor:
         )
     inputs = (u.reshape(-1, bonds.nodes, bonds.dimension), *numbers)
     if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs):
-        Lu = _force(bonds, *inputs)
+        Lu = _force(bonds, taped, *inputs)
     else:  # autograd's own bookkeeping takes longer than a sweep over a thousand nodes
         made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
         Lu = wp.to_torch(made, requires_grad=False)

@@ -64,13 +64,13 @@ class FullLoss:
         self.b = torch.tensor(points.loads[:, points.interior])
         self.weight = torch.from_numpy(weight)
 
-    def _squares(self, *parameters: Any) -> torch.Tensor:
-        residual = lps_force(self.bonds, self.u, Solid(*parameters)) - self.b
+    def _squares(self, *parameters: Any, taped: bool = False) -> torch.Tensor:
+        residual = lps_force(self.bonds, self.u, Solid(*parameters), taped=taped) - self.b
         return (residual**2).sum(dim=(1, 2))
 
-    def loss(self, *parameters: Any) -> torch.Tensor:
-        """The loss at (λ, μ, α, D), differentiable."""
-        return self.weight @ self._squares(*parameters)
+    def loss(self, *parameters: Any, taped: bool = False) -> torch.Tensor:
+        """The loss at (λ, μ, α, D), differentiable; `taped` by Warp's tape."""
+        return self.weight @ self._squares(*parameters, taped=taped)
 
     def errors(self, *parameters: Any) -> np.ndarray:
         """‖L u − b‖/‖b‖ of each sample that has a load."""
