@@ -56,7 +56,7 @@ def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = 
 
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     plots.loss_by_stage(fit.history, ax=ax)
-    ax.set_title("Training loss by stage")
+    ax.set_title("The training loss falls to the constrained optimum")
     save_figure(figure, folder / "loss.png")
 
 

@@ -72,14 +72,15 @@ def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
     for number, stage in enumerate(history):
         residual = 100 * np.sqrt(stage.loss)
         steps = begin + np.arange(1, len(residual) + 1)
-        name = f"{stage.name} ({len(residual)} steps)"
+        name = f"{stage.name} ({len(residual)})"
         style = "-D" if len(residual) < 100 else "-"
         ax.plot(steps, residual, style, color=f"C{number}", label=name, markersize=5)
         begin = int(steps[-1])
     ax.set_yscale("log")
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))  # "4", not a power of ten
-    ax.set_xlabel("steps (Adam epochs, then rounds of cutting planes)")
+    ax.xaxis.get_major_locator().set_params(integer=True)
+    ax.set_xlabel("epochs of Algorithm 1, or rounds")
     ax.set_ylabel("relative misfit of the training set [%]")
     ax.legend(frameon=False)
     return ax
