@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 48_434,
+    "lines of warp_peri": 48_436,
     "files of warp_peri": 200,
     "lines of kernels": 5_662,
     "lines of examples and tools": 27_946,

@@ -389,7 +389,8 @@ class ConsistencyCheck:
         by_loss += EPSILON * expected + ROUNDING * np.sqrt(expected) + ROUNDING**2
         held("loss", abs(reduced - expected), by_loss, expected)
         apart = float((gradient - reference).norm())
-        held("gradient", apart, EPSILON * size + by_gradient, size)
+        terms = sum(term.u.numel() for term in self.full)  # that the tape adds up one by one
+        held("gradient", apart, EPSILON * np.sqrt(terms) * size + by_gradient, size)
 
     def _sizes(self, parameters: Parameters) -> torch.Tensor:
         """Units that derivatives are compared in, one for each parameter.
