@@ -88,12 +88,16 @@ def draw_disks(
     save_figure(figure, path)
 
 
-def draw_waves(path: Path, points: Samples, table: dict[str, Any]) -> None:
-    """Errors of the training samples against their wave number."""
+def draw_waves(
+    path: Path, points: Samples, table: dict[str, Any], local: np.ndarray | None
+) -> None:
+    """Errors of the training samples against their wave number, E_u of local elasticity beside."""
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     errors = {"E_res": table["E_res_samples"], "E_u": table["E_u_samples"]}
+    if local is not None:
+        errors["E_u, local elasticity"] = local
     plots.errors_by_wave_number(points.arrays["wave_number"], errors, ax=ax)
-    ax.set_title("Errors of the training samples")
+    ax.set_title("Errors of the training samples, and of local elasticity")
     save_figure(figure, path)
 
 
@@ -105,8 +109,14 @@ def deviations(sure: Uncertainty) -> dict[str, float]:
     }
 
 
-def draw(folder: Path, run: Run, sets: Mapping[str, Samples], spacing: float) -> None:
-    """Every figure of the main job."""
+def draw(
+    folder: Path,
+    run: Run,
+    sets: Mapping[str, Samples],
+    spacing: float,
+    local: Mapping[str, Mapping[str, np.ndarray]],
+) -> None:
+    """Every figure of the main job; `local`: errors of local elasticity, if there are any."""
     draw_fit(folder, run.fit, spacing, run.sure)
     if "test" in sets:
         for name, worst in (("disks.png", False), ("disk.png", True)):
@@ -114,7 +124,8 @@ def draw(folder: Path, run: Run, sets: Mapping[str, Samples], spacing: float) ->
                 folder / name, run.fit.material, sets["test"], run.tables["test"], worst=worst
             )
     if "wave_number" in sets["train"].arrays:
-        draw_waves(folder / "waves.png", sets["train"], run.tables["train"])
+        beside = local["true"]["train"] if "true" in local else None
+        draw_waves(folder / "waves.png", sets["train"], run.tables["train"], beside)
 
 
 def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:

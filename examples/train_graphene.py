@@ -14,6 +14,8 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # for tools/, which is not installed
 
+import numpy as np
+
 import warp_peri as wp
 from examples import graphene_report as report
 from examples.local_elasticity import errors_of_local
@@ -62,12 +64,16 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     print(f"loss: {trained.fit.loss.name} ({trained.fit.loss.reason})")
     print_certificate(trained.fit)
     seconds |= trained.seconds
+    truth = data.provenance.get("truth") if given.temperature == 0 else None
+    local = {} if truth is None else local_rows(sets, trained.fit, truth)
     drawing = time.perf_counter()
-    report.draw(given.out, trained, sets, given.spacing)
+    report.draw(given.out, trained, sets, given.spacing, local)
     seconds["figures"] = time.perf_counter() - drawing
     numbers = report.metrics(trained, data.provenance)
-    if given.temperature == 0 and "truth" in data.provenance:
-        numbers["local"] = local_rows(sets, trained.fit, data.provenance["truth"])
+    numbers["local"] = {
+        name: {role: float(errors.mean()) for role, errors in by_role.items()}
+        for name, by_role in local.items()
+    }
     if noise_at(data, given.spacing) is None and not (given.linear or given.as_printed):
         numbers["other"] = other_row(sets, given)
         numbers["nonlinear"], beside = nonlinear_row(sets, given)
@@ -102,8 +108,10 @@ def as_printed(seed: int, checkpoint: Path | None) -> wp.methods.TwoStage:
     )
 
 
-def local_rows(sets: dict[str, Samples], fit: Fit, truth: dict[str, float]) -> dict[str, Any]:
-    """E_u of local elasticity by role: with the potential's moduli, and with those of the fit."""
+def local_rows(
+    sets: dict[str, Samples], fit: Fit, truth: dict[str, float]
+) -> dict[str, dict[str, np.ndarray]]:
+    """E_u of local elasticity by role and sample: with the potential's moduli, with the fit's."""
     learned = fit.moduli[0]
     pairs = {"true": (truth["lambda"], truth["mu"]), "learned": (learned["C12"], learned["C44"])}
     return {
