@@ -13,9 +13,9 @@ LARGEST = {
     "files of warp_peri": 200,
     "lines of kernels": 5_662,
     "lines of examples and tools": 28_002,
-    "lines of tests": 31_512,
+    "lines of tests": 31_514,
     "names of classes that stand twice": 0,
-    "imports of warp_peri inside functions": 12,
+    "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,
 }
 """Whoever lowers one writes the new number here."""
@@ -47,8 +47,10 @@ def twice():
 
 
 def of_library(node):
-    """Whether a node is an import of the library."""
+    """Whether a node is an import of the library, by statement or by importlib."""
     named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+    if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        named = [one.value for one in node.args if isinstance(one, ast.Constant)]
     if isinstance(node, ast.ImportFrom):
         named = ["warp_peri" if node.level else str(node.module)]
     return any(name.split(".")[0] == "warp_peri" for name in named)
