@@ -94,7 +94,7 @@ def train(command: ArgumentParser) -> None:
         "--method",
         choices=METHODS,
         default="optimum",
-        help="Algorithm 1 and its optimum, Algorithm 1 alone, or the optimum alone",
+        help="Adam to the optimum and its check, Algorithm 1, or the optimum alone",
     )
     command.add_argument(
         "--conditions",
