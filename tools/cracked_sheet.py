@@ -24,7 +24,7 @@ from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import CARBON_MASS, POTENTIAL, LammpsSession, potential_file
 from tools.statics import ColouredHessian, find_bonds
 from warp_peri import InputError
-from warp_peri.stability.inertia import symmetric_factors
+from warp_peri.statics.direct import symmetric_factors
 
 SWITCH, WIDTH = 2.65, 0.05
 """Middle and half width of the cut-off [Å]; from 2.7 on atoms across a hexagon, 2.92 Å apart at

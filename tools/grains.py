@@ -18,7 +18,7 @@ from tools.statics import ColouredHessian
 from tools.uneven_sheets import patch, waves
 from warp_peri import Points, Samples
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.stability.inertia import symmetric_factors
+from warp_peri.statics.direct import symmetric_factors
 from warp_peri.structures.phonons import CONE, EV_IN_TPA, smoothing
 
 NAME = "Cu"

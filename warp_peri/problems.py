@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import is_tensor, offered, placed, taken
-from warp_peri.dynamics.motion import Motion
+from warp_peri.dynamics.adjoint import moved
+from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.dynamics.verlet import march
 from warp_peri.edges.body import solve_body
 from warp_peri.edges.rim import Field, Traction
@@ -41,6 +42,7 @@ class Dirichlet:
     points: PointsLike
     b: Any
     u: Any
+    learns = True  # through a motion
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest."""
@@ -58,17 +60,21 @@ class Dirichlet:
         """The material in motion, from the displacement u.
 
         `options` are those of the law's own motion, or of dynamics.verlet.march: `v`, `density`,
-        `step`, `steps`, `every`; and `transfer`, `allow_uncertified`.
+        `step`, `steps`, `every`, `record`; and `transfer`, `allow_uncertified`. Of tensors, or with
+        `parameters`, it is that of dynamics.adjoint.moved.
         """
         on = {"transfer", "allow_uncertified"} & options.keys()
         how = {name: options.pop(name) for name in on}
         operator = placed(material, nodes_of(self.points), **how)
         if hasattr(operator, "march"):
+            refuse_learning(self, options)
             (options,) = taken(options, "move", operator.march)
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
         offered(operator, "product", "move", "a material that moves on points")
-        (options,) = taken(options, "move", march)
-        return march(operator, self.b, self.u, **options)
+        how, learned = taken(options, "move", march, moved)
+        if "parameters" in learned or any(map(is_tensor, (self.b, self.u, how.get("v")))):
+            return moved(operator, self.b, self.u, **how | learned)
+        return march(operator, self.b, self.u, **how)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from warp_peri.contract import offered
-from warp_peri.dynamics.motion import Motion
+from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.statics.solution import Solution, Solver, told
 
 PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
@@ -42,14 +42,17 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
         material: as for `solve`.
         problem: what is given; its displacement is that of the start.
         options: of the law's motion: `step` and `steps`, `density`, `every` (steps between two
-            records), `checkpoint`, `progress`; see the `moved` of the problem.
+            records), `record` (nodes), `checkpoint`, `progress`; see the `moved` of the problem.
 
     Returns:
-        The motion: times, histories by name, the fields at the end.
+        The motion: times, histories by name, the fields at the end. Waves of torch tensors are
+        differentiable, in `parameters` of the material too: see dynamics.adjoint.moved.
 
     Raises InputError for what does not fit, and for a step that is not proven stable.
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
+    if _on_ranks(problem) or not hasattr(problem, "learns"):
+        refuse_learning(problem, options)
     if _on_ranks(problem):
         return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
     return moved(material, options)  # type: ignore[no-any-return]

@@ -29,7 +29,7 @@ from tools.statics import ColouredHessian
 from warp_peri.atoms import force_on_mesh, smoothing_matrix
 from warp_peri.dressed import DressedSolid, from_phonons, torn
 from warp_peri.edges.body import solve_body
-from warp_peri.stability.inertia import symmetric_factors
+from warp_peri.statics.direct import symmetric_factors
 from warp_peri.structures.phonons import CONE, EV_IN_TPA, relative, smoothing
 
 AROUND = 5.0

@@ -330,6 +330,7 @@ MODULES = {
     "crystal, third order": {"t3", "tq2", "q3"},
     "crystal": set(),
     "hyperelastic": set(),
+    "dressed, varied": {"bulk", "shear", "tetragonal"},
 }
 
 

@@ -17,8 +17,7 @@ from warp_peri.damage.solid import check_cut, check_horizon
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked
-from warp_peri.stability import inertia
-from warp_peri.statics.direct import MatrixProblem
+from warp_peri.statics import direct
 from warp_peri.statics.solution import Solution
 
 
@@ -69,7 +68,7 @@ class CutSolid:
         if self.one and (weights < 0).any():
             check_cut(inner)
         rows = sp.csr_array(self.matrix[self.free])
-        self._problem = MatrixProblem(rows, ~held, factorise=symmetric_factors)
+        self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
         factors = self._problem.factors
         if not self.one:
             check_mixed(factors)
@@ -114,14 +113,14 @@ class CutSolid:
 def symmetric_factors(matrix: sp.csc_array) -> Any:
     """Sparse factors of a symmetric matrix, pivots on the diagonal; InputError if singular."""
     try:
-        return inertia.symmetric_factors(matrix)
+        return direct.symmetric_factors(matrix)
     except RuntimeError as error:
         raise InputError(f"operator: parts of the body hang loose ({error})") from None
 
 
 def check_mixed(factors: Any) -> None:
     """Raise InputError where moduli leave a body indefinite, by the factors of its operator."""
-    signed = inertia.pivots(factors)
+    signed = direct.pivots(factors)
     if signed is None or not (signed > 0).all():
         raise InputError(
             "mixed: the operator on the free nodes is not positive definite; hold the body, and "

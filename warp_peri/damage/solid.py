@@ -22,7 +22,7 @@ from warp_peri.damage.operator import bond_weights, stiffness_across
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, stencil_of
 from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.stability.inertia import pivots, symmetric_factors
+from warp_peri.statics.direct import pivots, symmetric_factors
 
 ROUNDING = 1e-12
 """Relative, of weights: below it a bond is without force, whatever its sign."""

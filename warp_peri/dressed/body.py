@@ -14,6 +14,7 @@ from scipy.sparse.linalg import eigsh, splu
 
 from warp_peri.contract import OnPoints
 from warp_peri.core.grid import Grid, grid_of
+from warp_peri.core.tensors import nonlinear
 from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
 from warp_peri.dressed.sweeps import ByLayers, composed, gauss_shapes, half, spread
 from warp_peri.dynamics.motion import Motion
@@ -333,7 +334,8 @@ class DressedBody(OnPoints):
         place = self.points.x, self.axes, solid.spacing
         self.gram = cut_elements(*place, edges) if callable(edges) else None
         self.share = np.ones(count) if self.gram is None else self.gram.sum(axis=(1, 2))
-        self.factors = self._factors(maps or {}) * (self.share > 0)
+        self.maps = dict(maps or {})
+        self.factors = self._factors(self.maps) * (self.share > 0)
         torn = pairs(broken, count)
         self._there, self._linked = self._sites(torn)
         if not edges:
@@ -580,6 +582,45 @@ class DressedBody(OnPoints):
     def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """L of w on the interior [..., I, d], zero elsewhere, on all nodes [..., N, d]."""
         return self._through(self.in_turn, self.on_all(w))
+
+    @property
+    def learnable(self) -> dict[str, np.ndarray]:
+        """Maps of the parts by name, [N] each."""
+        even = dict.fromkeys(self.model.parts.names, np.ones(len(self.points.x)))
+        return even | {name: np.asarray(values) for name, values in self.maps.items()}
+
+    def at(self, numbers: Mapping[str, ArrayLike]) -> DressedBody:
+        """The same body with other maps; InputError where one is not > 0: there links would end."""
+        if not all(np.min(values) > 0 for values in numbers.values()):
+            raise InputError("maps: expected numbers > 0 where they are learned")
+        return DressedBody(*self._made_of[0], **self._made_of[1] | {"maps": dict(numbers)})
+
+    def force_with(self, u: Any, numbers: Mapping[str, Any]) -> Any:
+        """The force of tensors [S, N, d] with other maps, differentiable once in all."""
+        names = self.model.parts.names
+        make: Any = lambda u, *maps: self.at(dict(zip(names, maps))).force(u)  # noqa: E731
+        backs = [lambda u, *given: self.at(dict(zip(names, given))).product_transpose(u, given[-1])]
+        backs += [lambda u, *given, name=n: self.by_numbers(name, u, given[-1]) for n in names]
+        return nonlinear(make, None, tuple(backs), u, *(numbers[name] for name in names))
+
+    def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+        """The derivative of Σ w · force(u) to the map of a part, [N], of fields [K, N, d] and
+        weights of the interior nodes [K, I, d]."""
+        base, count = self.model.parts, len(self.share)
+        number = base.names.index(name)
+        through = self.strains @ self.dressings[min(number, len(self.dressings) - 1)]
+        each = (through @ self.flat(field).T for field in (u, self.on_all(w)))
+        felt, asked = (one.reshape(count, len(base.strains), -1) for one in each)
+        if self.gram is not None:  # as in `part`
+            parts = felt.reshape(count, len(self.gram[0]), -1)
+            felt = (self.gram * len(self.gram[0]) @ parts).reshape(felt.shape)
+        by_site = sum(
+            share * np.einsum("nsk,st,ntk->n", asked, M, felt, optimize=True)
+            for share, M in self.tensors(number)
+        )
+        found = np.zeros(count + 1)
+        np.add.at(found, self._corner, np.multiply.outer(by_site * (self.share > 0), base.middle))
+        return found[:-1]
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """½ h^d uᵗ L u of all nodes, shape [...]; never negative."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_peri.contract import is_tensor
 from warp_peri.errors import InputError
 
 if TYPE_CHECKING:
@@ -74,3 +75,13 @@ class Motion:
         names = ", ".join(self.history) or "none"
         span = f"{self.time[0]:.4g} to {self.time[-1]:.4g}" if len(self.time) else "no time"
         return f"Motion\n  records    {len(self.time)}, {span}\n  histories  {names}"
+
+
+def refuse_learning(problem: Any, options: dict[str, Any]) -> None:
+    """InputError for tensors that ask for a gradient which a motion does not have."""
+    given = filter(is_tensor, (*vars(problem).values(), *options.values()))
+    if any(value.requires_grad for value in given) or "parameters" in options:
+        raise InputError(
+            "move: expected tensors without a gradient, which only waves on a lattice of one "
+            f"process have, without growing cracks; got a {type(problem).__name__}"
+        )

@@ -25,7 +25,6 @@ from warp_peri.launch import shared_by
 from warp_peri.lps.model import lps_stencil
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.arrays import checked as read
-from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.transfer.cache import model_at
 
@@ -160,6 +159,7 @@ def march(
     step: float,
     steps: int,
     every: int = 1,
+    record: ArrayLike | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_every: int = 10,
     series: str | os.PathLike[str] | None = None,
@@ -178,56 +178,105 @@ def march(
         density: ρ [kg/m³].
         step: Δt [ps], at most the critical one.
         steps: number of steps.
-        every: steps from one record of the energy to the next.
+        every: steps from one record to the next.
+        record: nodes whose displacement is recorded, numbers [n] or [N] bool.
         checkpoint: file to go on from; written every `checkpoint_every` records and at the end.
         series: folder for a file of each record, for ParaView.
 
     Returns:
         A motion whose time [ps] is half a step after each `every` steps, and whose energy is what
-        leapfrog conserves (theory.md, 52), a mean over interior nodes [TPa].
+        leapfrog conserves (theory.md, 52), a mean over interior nodes [TPa]. With `record` there
+        is a history "u" too, [R, n, d]: the mean of the displacements around these times.
 
     Raises InputError for scattered points, arrays that do not fit, a step that is too long, which
-    says how long it may be, and the checkpoint of another motion.
+    says how long it may be, the checkpoint of another motion, and one beside a record.
+    """
+    sizes: Any = {"density": density, "step": step, "steps": steps, "every": every}
+    nodes, body, state = started(operator, {"u": u, "v": v, "b": b}, **sizes)
+    with agreed(nodes.comm):
+        check_whole("checkpoint_every", checkpoint_every, 1)
+        if not (checkpoint is None or record is None):
+            raise InputError("record: expected none beside a checkpoint, which does not hold it")
+        seen = recorded_nodes(record, len(body.interior))
+    kept = KeptMotion(nodes, body, step, every, checkpoint, checkpoint_every)
+    if series is not None:
+        kept.series = Series(series, nodes, operator.points.x)
+    return marched(body, state, step, steps, every, kept, seen)
+
+
+def started(
+    operator: Any, fields: dict[str, Any], *, density: float, step: float, steps: int, every: int
+) -> tuple[Any, Inert, State]:
+    """Nodes of this process, what moves and its start, after the checks of `march`.
+
+    `fields` are u, v and b, shape [N, d]; None for zero. The rest, and errors, are as of `march`.
     """
     points: Any = operator.points
     nodes: Any = points if hasattr(points, "comm") else AllNodes(len(points.x))
     with agreed(nodes.comm):
         if points.spacing == 0:
             raise InputError("points: expected a lattice, got scattered points; see onto_lattice")
-        start = checked(points, {"u": u, "v": v, "b": b}, step, steps, every)
-        check_whole("checkpoint_every", checkpoint_every, 1)
-    allowed, own = (getattr(operator, name, None) for name in ("allowed", "stiffest_wave"))
-    with shared_by(nodes.comm):
-        if own is not None:  # stiffer than the even solid
-            refuse_longer(step, 2 * np.sqrt(inertia(density, operator.model.units) / own()))
+        shape = points.x.shape
+        start = {
+            name: np.zeros(shape) if field is None else read(name, field, float, shape).copy()
+            for name, field in fields.items()
+        }
+        check_positive("step", step)
+        check_whole("steps", steps, 1)
+        check_whole("every", every, 1)
+    allowed = bool(getattr(operator, "allowed", False))
+    with shared_by(nodes.comm), warnings.catch_warnings():
+        if allowed:  # the operator says it once
+            warnings.simplefilter("ignore")
+        if own := getattr(operator, "stiffest_wave", None):  # stiffer than the even solid
+            longest = float(2 * np.sqrt(inertia(density, operator.model.units) / own()))
         else:
-            check_step(
-                operator.model, points.spacing, density, step, allow_uncertified=bool(allowed)
-            )
+            how: Any = {"spacing": points.spacing, "allow_uncertified": allowed}
+            longest = critical_time_step(operator.model, density=density, **how)
+    if step > longest:
+        raise InputError(
+            f"step: expected at most {longest:.6g} ps (2/ω of the stiffest wave), got {step:.6g} "
+            "ps, at which waves may grow without bound"
+        )
     free = points.interior
     body = Inert(operator, free, density, start["b"][free])
     if nodes is points:
         body.dot, body.count = points.dot, int(nodes.comm.allreduce(body.count))
-    kept = KeptMotion(nodes, body, step, every, checkpoint, checkpoint_every)
-    if series is not None:
-        kept.series = Series(series, nodes, points.x)
-    return marched(body, body.state(start["u"], start["v"][free]), step, steps, every, kept)
+    return nodes, body, body.state(start["u"], start["v"][free])
+
+
+def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
+    """Numbers of the nodes to record, [n]; InputError for what names none of so many."""
+    try:
+        return None if record is None else np.atleast_1d(np.arange(count)[np.asarray(record)])
+    except IndexError as error:
+        raise InputError(f"record: expected nodes among {count}: {error}") from None
 
 
 def marched(
-    body: Inert, state: State, dt: float, steps: int, every: int, kept: KeptMotion | None = None
+    body: Inert,
+    state: State,
+    dt: float,
+    steps: int,
+    every: int,
+    kept: KeptMotion | None = None,
+    record: np.ndarray | None = None,
+    passed: Callable[[int, State], None] | None = None,
 ) -> Motion:
     """A loop over steps, with the energy (52) halfway in every so many of them.
 
-    `kept` may begin later, and sees each record and the end.
+    `kept` may begin later, and sees each record and the end; `record` are numbers of nodes;
+    `passed` is told each state by the steps before it.
     """
     free, inertia, dot = body.interior, body.inertia, body.dot
     still = np.where(free[:, None], 0.0, state.u)
     constant = body.operator(still) - body.load  # collar and load: g at u = 0
-    begin, energy = 0, list[float]()
+    begin, energy, seen = 0, list[float](), list[np.ndarray]()
     if kept is not None:
         state, begin, energy = kept.begun(state, steps)
     for number in range(begin, steps):
+        if passed is not None:
+            passed(number, state)
         before, state = state, step(body, state, dt)
         recorded = number % every == 0
         if recorded:
@@ -236,10 +285,13 @@ def marched(
             inner = before.u[free]
             potential = (dot(inner, state.g) + dot(constant, state.u[free])) / 2
             energy.append((kinetic + potential) / body.count)
+            if record is not None:
+                seen.append((before.u[record] + state.u[record]) / 2)
         if kept is not None and (recorded or number + 1 == steps):
             kept.reached(number + 1, state, energy, recorded=recorded)
     time = (np.arange(len(energy)) * every + 0.5) * dt
-    return Motion(time, state.u, body.on_all(state.v), {"energy": np.array(energy)})
+    history = {"energy": np.array(energy)} | ({} if record is None else {"u": np.array(seen)})
+    return Motion(time, state.u, body.on_all(state.v), history)
 
 
 class KeptMotion:
@@ -299,43 +351,3 @@ class KeptMotion:
             values = {"mark": self._mark, "steps": done, "energy": energy}
             times = {} if self.series is None else self.series.times
             self.file.write(nodal, values | {"files": times})
-
-
-def checked(
-    points: PointsLike, fields: dict[str, ArrayLike | None], step: float, steps: int, every: int
-) -> dict[str, np.ndarray]:
-    """The fields as arrays of their own, zero where none is given.
-
-    Raises InputError naming what does not fit.
-    """
-    shape = points.x.shape
-    arrays = {
-        name: np.zeros(shape) if field is None else read(name, field, float, shape).copy()
-        for name, field in fields.items()
-    }
-    check_positive("step", step)
-    check_whole("steps", steps, 1)
-    check_whole("every", every, 1)
-    return arrays
-
-
-def check_step(
-    model: Any, spacing: float, density: float, step: float, *, allow_uncertified: bool
-) -> None:
-    """Raise InputError for a step that is longer than the critical one."""
-    with warnings.catch_warnings():
-        if allow_uncertified:  # the operator says it once
-            warnings.simplefilter("ignore")
-        longest = critical_time_step(
-            model, spacing=spacing, density=density, allow_uncertified=allow_uncertified
-        )
-    refuse_longer(step, longest)
-
-
-def refuse_longer(step: float, longest: float) -> None:
-    """Raise InputError for a step that is longer than the longest [ps]."""
-    if step > longest:
-        raise InputError(
-            f"step: expected at most {longest:.6g} ps (2/ω of the stiffest wave), got {step:.6g} "
-            "ps, at which waves may grow without bound"
-        )

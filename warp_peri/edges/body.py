@@ -30,7 +30,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import edge_strain, largest_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.stability.certificate import certify
-from warp_peri.stability.inertia import definite_factors
+from warp_peri.statics.direct import definite_factors
 from warp_peri.statics.scattered import warn_beyond
 from warp_peri.statics.solution import TOLERANCE
 from warp_peri.statics.solution import Coupling as Coupling

@@ -15,7 +15,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.stability.certificate import smallest_eigenvalue
-from warp_peri.stability.inertia import definite_factors
+from warp_peri.statics.direct import definite_factors
 from warp_peri.statics.linear import smallest_ratio
 
 

@@ -19,9 +19,8 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, Product, convolved
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
-from warp_peri.stability.inertia import definite_factors
 from warp_peri.statics.conjugate_gradients import SolveRecord, definite
-from warp_peri.statics.direct import factorised
+from warp_peri.statics.direct import definite_factors, factorised
 from warp_peri.statics.multigrid import Edge, Filter, block, multigrid, sine, torus_inverse
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]

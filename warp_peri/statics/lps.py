@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
@@ -46,6 +47,18 @@ class PlacedLPS(LPSOperator):
     def __init__(self, model: Any, points: PointsLike, **options: Any) -> None:
         super().__init__(model, points, **options)
         self.allowed = bool(options.get("allow_uncertified", False))
+
+    def at(self, numbers: dict[str, Any]) -> PlacedLPS:
+        """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
+        numbers = {"lam": numbers["mu"], "D_dilatation": numbers["D"]} | numbers
+        model = replace(self.model, **numbers, certified_on=(), certificate={})
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # said of this one
+            made = PlacedLPS(model, self.points, allow_uncertified=True, device=self.device)
+        made.__dict__["bonds"] = self.bonds
+        if self.nodes.is_plain_lattice or self.nodes.box is not None:
+            made.linear.check_definite()
+        return made
 
     @cached_property
     def through(self) -> ThroughLattice:

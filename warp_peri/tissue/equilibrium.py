@@ -20,7 +20,7 @@ from warp_peri.kernels.hyperelastic.rows import Window, tangent_rows
 from warp_peri.launch import ints, launch, zeros
 from warp_peri.points.arrays import checked_fields
 from warp_peri.stability.certificate import lanczos_start, smallest_eigenvalue
-from warp_peri.stability.inertia import definite_factors
+from warp_peri.statics.direct import definite_factors
 from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator, laplacian
 from warp_peri.tissue.solid import Term
 

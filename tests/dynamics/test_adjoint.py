@@ -1,0 +1,233 @@
+"""Gradients through waves: differences of the whole motion, few states, and what is refused."""
+
+import weakref
+from functools import partial
+from math import isqrt
+
+import numpy as np
+import pytest
+import torch
+
+import warp_peri as wp
+from tests.conformance.test_gradients import OPERATORS, field
+from tests.conformance.test_laws import difference, dressed
+from tests.support.problems import lattice
+from warp_peri.dynamics import verlet
+from warp_peri.proofs import critical_time_step
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+DENSITY = 2000.0
+STEPS, EVERY = 14, 4
+WAVES = ("LPS", "LPS, bond-based", "LPS, two functions", "LPS in space", "LPS, broken bonds",
+         "crystal", "crystal, periodic", "crystal in space", "dressed", "dressed, bonds",
+         "dressed, varied", "own")  # fmt: skip
+
+
+def outlined():
+    """A sheet with an outline, maps and two grains."""
+    points = wp.Points(lattice(4, 1.0).x, lattice(4, 1.0).interior, 1.0, axis=0.0)
+    law, x = dressed(), points.x
+    maps = {name: 1 + 0.1 * np.cos(n + x[:, 0]) for n, name in enumerate(law.parts.names)}
+    grains = [law, law]
+    return law.on(
+        points,
+        edges=lambda at: np.linalg.norm(at, axis=1) < 4.3,
+        maps=maps,
+        grains=(grains, (x[:, 0] > 0).astype(int)),
+    )
+
+
+MADE = OPERATORS | {"dressed, outlined": outlined}
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Every operator once."""
+    kept = {}
+    return lambda name: kept.setdefault(name, MADE[name]())
+
+
+def longest(op):
+    """The critical step [ps]."""
+    if hasattr(op, "stiffest_wave"):
+        heavy = verlet.inertia(DENSITY, op.model.units)
+        return 2 * np.sqrt(heavy / op.stiffest_wave())
+    return critical_time_step(op.model, spacing=op.points.spacing, density=DENSITY)
+
+
+def given(op, factor=0.5):
+    """Fields, records and sizes of a motion."""
+    b, u, v = (torch.from_numpy(field(op, seed=n)) for n in range(3))
+    nodes = np.flatnonzero(op.points.interior)[::3]
+    step = factor * longest(op)
+    options = {"density": DENSITY, "step": step, "steps": STEPS, "every": EVERY, "record": nodes}
+    heavy = verlet.inertia(DENSITY, op.model.units)
+    return {"b": heavy / step**2 / 50 * b, "u": u, "v": v / step / 10}, options
+
+
+def loss(op, fields, options, parameters=None):
+    """A number of records and ends, in units of the displacement."""
+    extra = {} if parameters is None else {"parameters": parameters}
+    motion = wp.move(op, wp.Dirichlet(op.points, fields["b"], fields["u"]), v=fields["v"],
+                     **extra, **options)  # fmt: skip
+    total, seen = 0.0, np.random.default_rng(1)
+    for part in (motion["u"], motion.u, options["step"] * motion.v):
+        seed = torch.from_numpy(seen.normal(size=part.shape))
+        total = total + ((10 * part + seed) * part).sum()
+    return total
+
+
+def compare(value, leaf, gradient, step, within):
+    """The gradient along two directions is that of central differences."""
+    for seed in range(2):
+        way = torch.from_numpy(np.random.default_rng(seed + 7).normal(size=leaf.shape))
+        slope = difference(lambda t, way=way: float(value(leaf.detach() + t[0] * way)), [0.0], step)
+        size = float(gradient.norm() * way.norm())
+        assert abs(float((gradient * way).sum()) - slope[0]) <= within * size / 10
+
+
+def check_fields(op, within):
+    fields, options = given(op)
+    leaves = {name: value.clone().requires_grad_() for name, value in fields.items()}
+    gradients = torch.autograd.grad(loss(op, leaves, options), list(leaves.values()))
+    for (name, value), gradient in zip(fields.items(), gradients):
+        step = 0.1 * float(value.abs().max())
+        compare(
+            lambda x, name=name: loss(op, fields | {name: x}, options),
+            value, gradient, step, within,
+        )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WAVES)
+def test_a_gradient_to_fields_is_that_of_differences(name, made):
+    check_fields(made(name), 1e-8)
+
+
+@pytest.mark.parametrize("name", ["third order, energy", "third order, filtered"])
+def test_a_nonlinear_force_is_felt_where_the_motion_went(name, made, monkeypatch):
+    op = made(name)
+    step = 0.5 * critical_time_step(op.model.linear, spacing=op.points.spacing, density=DENSITY)
+    with pytest.raises(wp.InputError, match="expected a linear solid or a crystal"):
+        wp.move(op, wp.Dirichlet(op.points, None, torch.zeros(op.shape)), density=DENSITY,
+                step=step, steps=2)  # fmt: skip
+    monkeypatch.setattr(verlet, "critical_time_step", lambda *_, **__: 2 * step)
+    monkeypatch.setitem(globals(), "longest", lambda _: 2 * step)
+    check_fields(op, 1e-6)
+
+
+NUMBERS = ("LPS", "LPS, bond-based", "LPS, two functions", "LPS in space", "LPS, broken bonds",
+           "dressed, varied", "dressed, outlined")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+def test_a_gradient_to_numbers_is_that_of_differences(name, made):
+    op = made(name)
+    fields, options = given(op)
+    start = {key: torch.tensor(1.002 * np.asarray(v)) for key, v in op.learnable.items()}
+    leaves = {key: value.clone().requires_grad_() for key, value in start.items()}
+    value = loss(op, fields, options, leaves)
+    gradients = torch.autograd.grad(value, list(leaves.values()))
+    for (key, number), gradient in zip(start.items(), gradients):
+        assert gradient.shape == number.shape
+        compare(
+            lambda x, key=key: loss(op, fields, options, start | {key: x}),
+            number, gradient, 1e-3, 1e-6,
+        )  # fmt: skip
+    some = dict(list(leaves.items())[:1])
+    own = loss(op, fields, options, {key: value.detach() for key, value in leaves.items()} | some)
+    assert torch.equal(own, value)
+
+
+def test_the_motion_is_that_of_arrays_to_the_bit(made):
+    op = made("LPS")
+    fields, options = given(op)
+    arrays = {name: value.numpy() for name, value in fields.items()}
+    plain = wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"], **options)
+    module = wp.Module(op, op.points)
+    told = wp.move(op, wp.Dirichlet(op.points, fields["b"], fields["u"]), v=fields["v"],
+                   parameters=dict(module.named_parameters()), **options)  # fmt: skip
+    for name in ("u", "energy"):
+        assert np.asarray(told[name].detach() if name == "u" else told[name]).tobytes() == (
+            plain[name].tobytes()
+        )
+    assert told.u.detach().numpy().tobytes() == plain.u.tobytes()
+    assert told.v.detach().numpy().tobytes() == plain.v.tobytes()
+    assert plain["u"].shape == (len(plain.time), len(options["record"]), 2)
+    one, after = ({**options, "steps": n, "every": 1} for n in (1, 2))
+    first, second = (
+        wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]), v=arrays["v"], **sizes)
+        for sizes in (one, after)
+    )
+    mean = (first.u + second.u)[options["record"]] / 2
+    assert np.array_equal(second["u"][1], mean)
+
+
+@pytest.mark.parametrize("steps", [1000, 10_000])
+def test_few_states_are_kept(steps, made, monkeypatch):
+    op, alive, most = made("LPS, bond-based"), {}, [0]
+
+    def forget(key, _):
+        alive.pop(key, None)
+
+    class Counted(verlet.State):
+        """Counts displacements that are there at once."""
+
+        def __init__(self, u, v, g):
+            super().__init__(u, v, g)
+            alive[id(u)] = weakref.ref(u, partial(forget, id(u)))
+            most[0] = max(most[0], len(alive))
+
+    monkeypatch.setattr(verlet, "State", Counted)
+    fields, options = given(op)
+    mu = torch.tensor(op.model.mu, requires_grad=True)
+    problem = wp.Dirichlet(op.points, None, fields["u"].requires_grad_())
+    sizes = options | {"steps": steps, "every": 100}
+    motion = wp.move(op, problem, parameters={"mu": mu}, **sizes)
+    assert most[0] <= isqrt(steps) + 4
+    motion["u"].square().sum().backward()
+    assert isqrt(steps) <= most[0] <= 2 * isqrt(steps) + 4
+    del motion
+    assert len(alive) <= 1
+    most[0] = 0
+    wp.move(op, problem, **options | {"steps": 100})["u"].square().sum().backward()
+    assert most[0] <= 4
+
+
+def test_what_has_no_gradient_says_so(made):
+    op = made("LPS")
+    fields, options = given(op)
+    u = fields["u"].requires_grad_()
+
+    def moved(of=op, u=u, **extra):
+        return wp.move(of, wp.Dirichlet(of.points, None, u), **options | extra)
+
+    (first,) = torch.autograd.grad(moved().u.square().sum(), u, create_graph=True)
+    with pytest.raises(wp.InputError, match="second derivative"):
+        first.sum().backward()
+    for extra, words in (
+        ({"step": 1.0}, "step: expected at most"),
+        ({"record": [10**6]}, "record: expected nodes among"),
+        ({"checkpoint": "run.h5"}, "move: expected no checkpoint of tensors"),
+        ({"parameters": {"kappa": 1.0}}, r"of shape lam \[\], mu .* D \[5\], got kappa \[\]"),
+        ({"parameters": {"mu": [1.0, 2.0]}}, r"parameters: expected finite .* got mu \[2\]"),
+        ({"parameters": {"mu": 1e3 * op.model.mu}}, "step: expected at most"),
+        ({"parameters": {"D": [0.0, 0.0, 0.0, -1.0, 1.0]}}, "is indefinite"),
+    ):
+        with pytest.raises(wp.InputError, match=words):
+            moved(**extra)
+    crystal = made("crystal")
+    with pytest.raises(wp.InputError, match="numbers of shape none, got mu"):
+        moved(crystal, torch.zeros(crystal.shape), parameters={"mu": 1.0}, record=None)
+    varied = made("dressed, varied")
+    maps = {name: 0 * value for name, value in varied.learnable.items()}
+    with pytest.raises(wp.InputError, match="maps: expected numbers > 0"):
+        moved(varied, torch.zeros(varied.shape), parameters=maps, record=None)
+    conductor = made("conductor")
+    phi = torch.zeros(len(conductor.points.x), dtype=torch.float64, requires_grad=True)
+    with pytest.raises(wp.InputError, match="move: expected tensors without a gradient"):
+        wp.move(conductor, wp.Dirichlet(conductor.points, None, phi), until=1.0, dt=0.1)
+    cracked = wp.Cracked(op.points, u=torch.zeros(op.shape, requires_grad=True))
+    with pytest.raises(wp.InputError, match="only waves .* without growing cracks; got a Cracked"):
+        wp.move(op.model, cracked, step=0.1, steps=2)
+    with pytest.raises(wp.InputError, match="record: expected none beside a checkpoint"):
+        wp.move(op, wp.Dirichlet(op.points, None, u.detach().numpy()), checkpoint="r.h5", **options)
