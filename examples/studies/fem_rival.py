@@ -7,13 +7,14 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
-from warp_peri import InputError, Samples
+from warp_peri import InputError
+from warp_peri.points.samples import PointsLike
 
 
 def elastic_solver(
-    points: Samples, *, order: int, lam: float, mu: float
+    points: PointsLike, *, order: int, lam: float, mu: float
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
-    """Assemble and factorise; the result solves for u [Å] on the interior, shape [I, 2].
+    """Assemble and factorise; the result solves for u [Å] on the interior, shape [..., I, 2].
 
     Args:
         points: a lattice. With order 2 the nodes are those of elements two spacings wide, so that
@@ -58,16 +59,16 @@ def elastic_solver(
     collar = K[free][:, ~free]
 
     def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
-        load, given = b[node, component], u[node, component]
+        load, given = b[..., node, component].T, u[..., node, component].T
         solution = factors.solve((M @ load)[free] - collar @ given[~free])
-        inner = np.empty((np.count_nonzero(points.interior), 2))
-        inner[place, component[free]] = solution
+        inner = np.empty((*b.shape[:-2], np.count_nonzero(points.interior), 2))
+        inner[..., place, component[free]] = solution.T
         return inner
 
     return solve
 
 
-def quadrilaterals(points: Samples, width: int) -> tuple[np.ndarray, np.ndarray]:
+def quadrilaterals(points: PointsLike, width: int) -> tuple[np.ndarray, np.ndarray]:
     """Squares of the lattice, so many spacings wide: nodes at their corners, and four each.
 
     Returns the numbers of the nodes, shape [V], and the corners of the squares among them, [4, C].
