@@ -7,6 +7,7 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, noise, with_nodes
 from warp_peri import Bernstein, InputError, certify, evaluate
+from warp_peri.learning import stages
 from warp_peri.learning import training_data as training
 from warp_peri.learning.fit import learn as fit
 from warp_peri.lps.model import Model, stiffnesses
@@ -120,11 +121,16 @@ def test_the_printed_conditions_hold_densely_and_are_active(name):
     assert learned.material.certified_on == (1.0,)
 
 
-def test_two_stage_stops_after_two_stages():
+def test_two_stage_stops_after_two_stages(monkeypatch):
+    def asked(_):
+        raise RuntimeError("Algorithm 1 asks for no moduli of long waves")
+
+    monkeypatch.setattr(stages, "long_wave_equations", asked)
     points, _ = data("sign-changing", 3.0)
     learned = fit(points, horizon=3.0, kernel=Bernstein(5), method=QUICK)
     assert [stage.name[0] for stage in learned.history] == ["1", "2"]
     assert learned.starts == {}
+    assert learned.settings.moduli is None
     first, second = learned.history
     assert (first.parameters.D >= 0).all()
     assert second.E_res_train < first.E_res_train

@@ -72,8 +72,8 @@ CHECKED_DEGREE = 10
 """Of the kernel that reduced and full loss are compared at first, where none was asked for."""
 PLAIN_EXPONENTS = (1.0, 2.0, 2.9)
 """Kernels r^(−α) that an optimum is looked for from."""
-PROBED_EXPONENT = 2.0
-"""Of the one from which the share of noise is found."""
+PROBED = "r^-2"
+"""Of these the one from which the share of noise, and what held moduli cost, are found."""
 
 
 def learn(
@@ -160,19 +160,20 @@ def _linear(
     method = scale.method(method)
     bernstein = kernel if isinstance(kernel, Bernstein) else None
     starts = _shaped(data, shapes) if bernstein is None else _plain(bernstein)
-    probe, responds = _probe(starts, bernstein), not isinstance(method, TwoStage)
-    choice = choose_loss(loss, data, probe, responds=responds)
+    probe = next((name for name in starts if name == PROBED), next(iter(starts)))
+    responds = not isinstance(method, TwoStage)
+    choice = choose_loss(loss, data, starts[probe], responds=responds)
     consistency = ConsistencyCheck(data.grids, data.full)
     rough = _rough(bernstein, method)
     consistency.check(rough)
-    stages = Stages(data, data.losses(choice.name), progress)
-    optimum = stages.hold(_second(method), probe, bernstein)
+    two_functions = bernstein is not None and bernstein.two_functions
+    stages = Stages(data, data.losses(choice.name), two_functions, progress)
+    optimum = stages.hold(_second(method), probe, starts[probe])
     depends = (bernstein, conditions, normalise, choice.name)
     final = _learned(stages, starts, rough, method, optimum, depends)
     consistency.check(final)
     check_explained(final, choice.name)
     warn_of_bounds(final, data, scale, method)
-    two_functions = bernstein is not None and bernstein.two_functions
     kept = scale.lattice_conditions(data, horizon)
     held = scale.moduli(optimum.held, back=True)
     settings = Settings(kept, normalise, two_functions, held)
@@ -198,15 +199,9 @@ def _learned(
         key = fingerprint(data.horizon, data.spacings, asked, data.sets, data.noise)
         return stages.two_stage(rough, first, key)
     if kernel is not None and isinstance(method, Constrained):
-        starts = {"Adam": stages.lagrangian(rough, method, optimum, kernel)} | starts
-    final = stages.optimum(starts, optimum, kernel)
-    return stages.output(final, optimum, kernel) if loss == "output" else final
-
-
-def _probe(starts: dict[str, Parameters], kernel: Bernstein | None) -> Parameters:
-    """The kernel from which the share of noise is found."""
-    first = next(iter(starts.values()))
-    return first if kernel is None else dataclasses.replace(first, alpha=PROBED_EXPONENT)
+        starts = {"Adam": stages.lagrangian(rough, method, optimum)} | starts
+    final = stages.optimum(starts, optimum)
+    return stages.output(final, optimum) if loss == "output" else final
 
 
 def check_choices(
@@ -235,10 +230,10 @@ def _carrier(method: Method) -> float | None:
 
 
 def _second(method: Method) -> Optimum:
-    """Settings of the search for the optimum; those of a fit without it are the usual ones."""
+    """Settings of the search for the optimum; a fit without it holds no moduli."""
     if isinstance(method, Optimum):
         return method
-    return method.optimum if isinstance(method, Constrained) else Optimum()
+    return method.optimum if isinstance(method, Constrained) else Optimum(moduli=None)
 
 
 def _rough(kernel: Bernstein | None, method: Method) -> Parameters:

@@ -13,7 +13,7 @@ from tqdm.auto import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.learning import LOSSES
-from warp_peri.learning.methods import Bernstein, Constrained, TwoStage
+from warp_peri.learning.methods import Constrained, TwoStage
 from warp_peri.learning.response import STEPS, output_optimum, products, responses_of
 from warp_peri.learning.result import LossChoice, Stage
 from warp_peri.learning.training_data import Scale, TrainingData
@@ -93,18 +93,23 @@ class Stages:
     Args:
         data: training data.
         losses: what is minimised.
+        two_functions: whether the dilatation has coefficients of its own.
         progress: show a bar for each stage; None shows it where somebody can see it.
 
     Attributes:
         history: the stages that were run, in order.
         starts: E of stage 3 by start.
+        reached: optima of stage 3 that are known before it, by start.
     """
 
-    def __init__(self, data: TrainingData, losses: Sequence[Any], progress: bool | None) -> None:
-        self.data, self.losses = data, losses
+    def __init__(
+        self, data: TrainingData, losses: Sequence[Any], two_functions: bool, progress: bool | None
+    ) -> None:
+        self.data, self.losses, self.two_functions = data, losses, two_functions
         self.disable = None if progress is None else not progress
         self.history: list[Stage] = []
         self.starts: dict[str, float] = {}
+        self.reached: dict[str, Reached] = {}
 
     def _run(self, name: str, most: int, run: Callable[[Tick], Parameters]) -> Parameters:
         begin = time.perf_counter()
@@ -131,25 +136,31 @@ class Stages:
         ]
         return self
 
-    def hold(self, method: Optimum, start: Parameters, kernel: Bernstein | None) -> Optimum:
-        """The method with the moduli of long waves, where it asks for them and they cost little."""
+    def _reach(self, start: Parameters, method: Optimum) -> Reached:
+        """The constrained optimum from one start; InputError where it was led out of a domain."""
+        return constrained_optimum(
+            self.losses, start, self.data.conditions, method, two_functions=self.two_functions
+        )
+
+    def hold(self, method: Optimum, name: str, start: Parameters) -> Optimum:
+        """The method with the moduli of long waves, where it asks for them and they cost little.
+
+        What they cost is measured from one start, named as in stage 3, which keeps what it reached.
+        """
         free = dataclasses.replace(method, moduli=method.held)
         if method.moduli != LONG_WAVES or not self.data.grids or self.data.noise:
             return free
-        two_functions = kernel is not None and kernel.two_functions
         try:
             rows, right = zip(*map(long_wave_equations, self.data.sets))
             (lam, mu, *_), misfit = moduli_of(np.concatenate(rows), np.concatenate(right))
             held = dataclasses.replace(method, moduli=(float(lam), float(mu)))
-            losses, conditions = self.losses, self.data.conditions
-            alone, beside = (
-                constrained_optimum(losses, start, conditions, one, two_functions=two_functions)
-                for one in (free, held)
-            )
+            alone, beside = (self._reach(start, one) for one in (free, held))
         except InputError:  # they do not tell, or a function is not defined where it was led
             return free
         cheap = beside.converged and beside.loss <= CHEAP * alone.loss
-        return held if cheap and misfit <= POOR else free
+        taken = cheap and misfit <= POOR
+        self.reached[name] = beside if taken else alone
+        return held if taken else free
 
     def two_stage(self, rough: Parameters, method: TwoStage, key: str) -> Parameters:
         """Stages 1 and 2, from a rough start; `key` says what a checkpoint depends on."""
@@ -171,9 +182,7 @@ class Stages:
             ),
         )
 
-    def lagrangian(
-        self, rough: Parameters, method: Constrained, optimum: Optimum, kernel: Bernstein
-    ) -> Parameters:
+    def lagrangian(self, rough: Parameters, method: Constrained, optimum: Optimum) -> Parameters:
         """Adam and the augmented Lagrangian, from a rough start."""
         return self._run(
             "1 Adam",
@@ -186,42 +195,31 @@ class Stages:
                     optimum,
                     steps=method.steps,
                     rounds=method.rounds,
-                    two_functions=kernel.two_functions,
+                    two_functions=self.two_functions,
                     tick=tick,
                 ).parameters
             ),
         )
 
-    def optimum(
-        self, starts: dict[str, Parameters], method: Optimum, kernel: Bernstein | None
-    ) -> Parameters:
+    def optimum(self, starts: dict[str, Parameters], method: Optimum) -> Parameters:
         """Stage 3: the best of the constrained optima reached from all starts.
 
         Raises RuntimeError when no start ends with the conditions and the moduli kept.
         """
-        two_functions = kernel is not None and kernel.two_functions
         return self._run(
-            "3 constrained",
-            len(starts),
-            lambda tick: self._best(starts, method, two_functions, tick),
+            "3 constrained", len(starts), lambda tick: self._best(starts, method, tick)
         )
 
-    def _best(
-        self, starts: dict[str, Parameters], method: Optimum, two_functions: bool, tick: Tick
-    ) -> Parameters:
-        conditions = self.data.conditions
-
-        def attempt(start: Parameters) -> Reached | InputError:
+    def _best(self, starts: dict[str, Parameters], method: Optimum, tick: Tick) -> Parameters:
+        def attempt(name: str) -> Reached | InputError:
             try:
-                return constrained_optimum(
-                    self.losses, start, conditions, method, two_functions=two_functions
-                )
+                return self.reached.get(name) or self._reach(starts[name], method)
             except InputError as error:  # a function that is not defined where it was led
                 return error
 
         run = joblib.Parallel(n_jobs=method.jobs, prefer="threads")
         results = []
-        for name, reached in zip(starts, run(map(joblib.delayed(attempt), starts.values()))):
+        for name, reached in zip(starts, run(map(joblib.delayed(attempt), starts))):
             tick(np.nan if isinstance(reached, InputError) else reached.loss)
             if isinstance(reached, InputError):
                 failed = reached
@@ -244,14 +242,13 @@ class Stages:
         parameters: Parameters = first.parameters
         return parameters
 
-    def output(self, start: Parameters, method: Optimum, kernel: Bernstein | None) -> Parameters:
+    def output(self, start: Parameters, method: Optimum) -> Parameters:
         """Stage 4: on from there to the least misfit of displacement.
 
         Raises RuntimeError when it ends with the conditions or the moduli not kept.
         """
         data = self.data
         responses = responses_of(data.sets, data.horizon, self.losses)
-        two_functions = kernel is not None and kernel.two_functions
 
         def refined(tick: Tick) -> Parameters:
             reached = output_optimum(
@@ -260,7 +257,7 @@ class Stages:
                 data.conditions,
                 data.horizon,
                 method,
-                two_functions=two_functions,
+                two_functions=self.two_functions,
                 tick=tick,
             )
             if not reached.converged:

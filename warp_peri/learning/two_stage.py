@@ -21,6 +21,7 @@ import warp as wp
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
+from warp_peri.core.tensors import differentiable_once
 from warp_peri.files.atomic import ArrayFile, locked
 from warp_peri.learning.methods import TwoStage
 from warp_peri.lps.bonds import Bonds
@@ -29,7 +30,6 @@ from warp_peri.lps.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.regression.coordinates import Parameters, Variables
-from warp_peri.regression.lagrangian import known_values
 from warp_peri.regression.losses import FullLoss, ReducedLoss
 from warp_peri.regression.optimum import LatticeConditions
 
@@ -39,6 +39,29 @@ DENSE_ZETA = 1e-4
 
 Weights = Sequence[tuple[torch.Tensor, torch.Tensor]]
 Blocks = list[tuple[np.ndarray, np.ndarray]]
+
+
+class _Known(torch.autograd.Function):
+    """Values with derivatives that are already known, to each of the inputs."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, evaluate: Callable[..., tuple[np.ndarray, np.ndarray]], *inputs: torch.Tensor
+    ) -> torch.Tensor:
+        values, slopes = evaluate(*(tensor.detach().numpy() for tensor in inputs))
+        ctx.slopes = torch.from_numpy(slopes)
+        ctx.save_for_backward(*inputs)
+        return torch.from_numpy(values)
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        inputs = ctx.saved_tensors
+        parts = torch.split(upstream[0] @ ctx.slopes, [one.numel() for one in inputs])
+        return None, *(part.reshape(one.shape) for part, one in zip(parts, inputs))
+
+
+_known: Callable[..., torch.Tensor] = _Known.apply
 
 
 class SymbolMargins:
@@ -73,7 +96,7 @@ class SymbolMargins:
                     slopes.append(asked.gradients(worst, v, z, float(kappa))[form, 0])
                 return margins.min(axis=1), np.array(slopes)
 
-            parts.append(known_values(evaluate, kappa, mu * w, mu * p))
+            parts.append(_known(evaluate, kappa, mu * w, mu * p))
         return torch.cat(parts)
 
 
@@ -102,7 +125,7 @@ class DenseMargins:
             ) -> tuple[np.ndarray, np.ndarray]:
                 return _dense(blocks, w, p)
 
-            parts.append(known_values(evaluate, torch.zeros((), dtype=torch.float64), w, p))
+            parts.append(_known(evaluate, torch.zeros((), dtype=torch.float64), w, p))
         return torch.cat(parts)
 
 

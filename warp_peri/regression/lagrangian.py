@@ -8,13 +8,11 @@ direction. In λ, μ, α and D it spans twenty orders, and no rate of steps suit
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import numpy as np
 import torch
 from scipy.linalg import block_diag
 
-from warp_peri.core.tensors import differentiable_once
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import ReducedLoss
 from warp_peri.regression.optimum import (
@@ -23,7 +21,7 @@ from warp_peri.regression.optimum import (
     Reached,
     coordinates_of,
 )
-from warp_peri.regression.search import Linearised, particular
+from warp_peri.regression.search import Linearised, felt, particular
 from warp_peri.regression.settings import Optimum
 
 RATE, MOMENTS = 0.05, (0.9, 0.99)
@@ -39,32 +37,6 @@ SLACK, LEAST_SLACK, SHORTENED, NEAR = 2.0, 1e-3, 0.7, 0.05
 changed the loss by no more than NEAR, relative. A small one bends too much for long steps."""
 TOLERANCE = 1e-5
 """Of ζ: conditions are met; and relative: the loss is settled at 0.1 of it."""
-FELT = 1e-6
-"""Of the largest curvature: others count as this much at least."""
-
-
-class _Known(torch.autograd.Function):
-    """Values with derivatives that are already known, to each of the inputs."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, evaluate: Callable[..., tuple[np.ndarray, np.ndarray]], *inputs: torch.Tensor
-    ) -> torch.Tensor:
-        values, slopes = evaluate(*(tensor.detach().numpy() for tensor in inputs))
-        ctx.slopes = torch.from_numpy(slopes)
-        ctx.save_for_backward(*inputs)
-        return torch.from_numpy(values)
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        inputs = ctx.saved_tensors
-        parts = torch.split(upstream[0] @ ctx.slopes, [one.numel() for one in inputs])
-        return None, *(part.reshape(one.shape) for part, one in zip(parts, inputs))
-
-
-known_values: Callable[..., torch.Tensor] = _Known.apply
-"""known_values(evaluate, *inputs): evaluate gives values [V] and slopes [V, all inputs]."""
 
 
 class _Lagrangian:
@@ -98,21 +70,20 @@ class _Lagrangian:
         J = now.J @ free[: len(y)]
         own = free[len(y) :] * np.maximum(-2 * push, 0)[:, None]
         curvature = 2 * J.T @ J + penalty * slopes.T @ slopes + free[len(y) :].T @ own
-        size = np.sqrt(curvature.diagonal())
-        size = np.maximum(size, FELT * size.max())
+        size = felt(np.sqrt(curvature.diagonal()))
         values, axes = np.linalg.eigh(curvature / np.outer(size, size))
         frame = axes / np.sqrt(np.maximum(values, 0) + damping) / size[:, None]
         self.frame = free @ frame
 
-    def __call__(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Its value, shape [1], and derivative, [1, X]."""
+    def __call__(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """Its value and its derivative, shape [X]."""
         y, slacks = np.split(self.start + self.frame @ x, [self.size])
         now = self.state(y)
         missed = now.margins - slacks**2
-        value = now.loss + self.phi @ missed + self.psi / 2 * missed @ missed
+        value = float(now.loss + self.phi @ missed + self.psi / 2 * missed @ missed)
         push = self.phi + self.psi * missed
         slope = np.append(2 * now.residual @ now.J + push @ now.M, -2 * slacks * push)
-        return np.array([value]), (slope @ self.frame)[None]
+        return value, slope @ self.frame
 
     def multiplied(self, now: Linearised) -> tuple[np.ndarray, float]:
         """φ of the next round, slacks at their best, and the most that a condition is missed by."""
@@ -153,8 +124,8 @@ def augmented_lagrangian(
     multipliers, losses = np.zeros(len(now.margins)), [now.loss]
     for _ in range(rounds):
         lagrangian = _Lagrangian(problem.state, y, multipliers, penalty * now.loss, slack, damping)
-        x = _adam(lagrangian, steps, tick)
-        if not lagrangian(x)[0] <= lagrangian(0 * x)[0]:
+        x, gain = _adam(lagrangian, steps, tick)
+        if not gain >= 0:
             damping *= 10
             continue
         y = _equal(problem, (lagrangian.start + lagrangian.frame @ x)[: len(y)])
@@ -178,27 +149,30 @@ def augmented_lagrangian(
 def _equal(problem: ConstrainedProblem, y: np.ndarray) -> np.ndarray:
     """The nearest y that meets the equalities, as they are linear about it."""
     now = problem.state(y)
-    width = np.linalg.norm(now.J, axis=0)
-    width = 1 / np.maximum(width, FELT * width.max())
+    width = 1 / felt(np.linalg.norm(now.J, axis=0))
     met: np.ndarray = y + width * particular(now.A * width, -now.equal)[0]
     return met
 
 
-def _adam(lagrangian: _Lagrangian, steps: int, tick: Callable[[float], None]) -> np.ndarray:
-    """The x that Adam ends at from 0, its rate falling to nothing as a cosine."""
-    zero = np.zeros(lagrangian.frame.shape[1])
-    rate = RATE * float(np.linalg.norm(lagrangian(zero)[1]))
-    x = torch.zeros(len(zero), dtype=torch.float64, requires_grad=True)
-    optimiser = torch.optim.Adam([x], lr=rate, betas=MOMENTS, eps=1e-300)
+def _adam(
+    lagrangian: _Lagrangian, steps: int, tick: Callable[[float], None]
+) -> tuple[np.ndarray, float]:
+    """The x that Adam ends at from 0, its rate falling as a cosine, and what it gains."""
+    x = np.zeros(lagrangian.frame.shape[1])
+    leaf = torch.from_numpy(x).requires_grad_()  # shares the memory of x
+    first, slope = lagrangian(x)
+    optimiser = torch.optim.Adam(
+        [leaf], lr=RATE * float(np.linalg.norm(slope)), betas=MOMENTS, eps=1e-300
+    )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, steps)
+    value = first
     for _ in range(steps):
-        optimiser.zero_grad()
-        value = known_values(lagrangian, x).sum()
-        value.backward()
+        leaf.grad = torch.from_numpy(slope)
         optimiser.step()
         schedule.step()
-        tick(value.item())
-    return np.array(x.detach().numpy())
+        tick(value)
+        value, slope = lagrangian(x)
+    return x, first - value
 
 
 def _padded(multipliers: np.ndarray, before: list[int], after: list[int]) -> np.ndarray:

@@ -96,8 +96,7 @@ def settle(
 
 def _step(now: Linearised, damping: float) -> np.ndarray:
     """min ‖r + J d‖² + damping ‖d / size‖² with e + A d = 0 and m + M d ≥ 0, or near to them."""
-    size = np.linalg.norm(now.J, axis=0)
-    size = 1 / np.maximum(size, FELT * float(size.max(initial=1e-300)))
+    size = 1 / felt(np.linalg.norm(now.J, axis=0))
     J, A, M = now.J * size, now.A * size, now.M * size
     J = np.vstack([J, np.sqrt(damping) * np.eye(J.shape[1])])
     right = np.append(-now.residual, np.zeros(J.shape[1]))
@@ -113,6 +112,11 @@ def _step(now: Linearised, damping: float) -> np.ndarray:
         M = np.column_stack([M, np.ones(len(M))])
         x = least_squares_above(J, np.append(right, 0.0), M, least)[:-1]
     return np.asarray((start + free @ x) * size)
+
+
+def felt(sizes: np.ndarray) -> np.ndarray:
+    """Sizes of columns or curvatures, the small ones taken for FELT of the largest."""
+    return np.asarray(np.maximum(sizes, FELT * float(sizes.max(initial=1e-300))))
 
 
 def compressed(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
