@@ -288,7 +288,8 @@ class StaticProblem:
         """As solve, without the smallest eigenvalue (NaN); None where no equilibrium is found.
 
         The tangent was positive definite in the last step all the same, unless factors of one
-        `near` are given: then conjugate gradients saw no negative curvature in a few directions.
+        `near` the start are given: then Newton's way from there alone is tried, and conjugate
+        gradients saw no negative curvature in a few directions.
         """
         nodes = self.op.points.x.shape
         load, collar = checked_fields(self.op.points, b, u)
@@ -308,6 +309,8 @@ class StaticProblem:
         steps, followed = 1, True
         field, count = self._newton(c, load, first, near=near)
         softened = None
+        if field is None and near is not None:
+            return None
         if field is None:
             softened, factor, used = self._soften(c, load, collar, first)
             field = softened if factor == 1.0 else None
