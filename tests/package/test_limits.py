@@ -62,6 +62,8 @@ def test_strain_of_known_fields():
     stretch = turn @ np.diag([0.02, -0.05]) @ turn.T
     assert largest_strain(points, points.x @ stretch.T) == pytest.approx(0.05)
     assert largest_strain(points, np.stack([0 * points.x, points.x @ stretch.T])) > 0.049
+    shear = (points.x @ turn)[:, 1:] * 0.04 * turn[:, 0]  # of lines: half of it along diagonals
+    assert largest_strain(points, shear) == pytest.approx(0.02)
     assert largest_strain(points, 0 * points.x + 3.0) == 0
     assert largest_strain(cloud(3, 2.5), cloud(3, 2.5).x * 0.1) == pytest.approx(0.1)
     far = points.x[:, 0] > points.x[points.interior, 0].max() + 1
@@ -106,7 +108,7 @@ BEYOND = "strain: the solution reaches .* %, the training data 1 %"
 def test_a_periodic_sheet_strained_beyond_the_training_data_warns():
     model = replace(kernel("1/r", 3.0), trained_strain=0.01)
     y = np.broadcast_to(np.arange(20.0), (24, 20))
-    b = np.sin(2 * np.pi * y / 20)[..., None] * (1.0, 0.5)
+    b = np.sin(2 * np.pi * y / 20)[..., None] * (0.0, 0.5)
     u = solve_periodic(replace(model, trained_strain=None), b, spacing=1.0)
     size = 0.01 / np.abs(np.roll(u, -1, axis=1) - u)[..., 1].max()
     calm = solve_periodic(model, 1.9 * size * b, spacing=1.0)

@@ -182,10 +182,17 @@ def axis_of(points: PointsLike) -> float:
     return float(np.deg2rad(points.axis))
 
 
+DIAGONAL = 1.5
+"""Spacings within which nodes of a lattice are neighbours where strain is told."""
+
+
 def largest_strain(
     points: PointsLike, u: ArrayLike, nodes: np.ndarray | slice = slice(None)
 ) -> float:
     """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
+
+    On a lattice those across the diagonals of a square count too: shear along the axes stretches no
+    other bond.
 
     Args:
         points: a lattice or scattered points; nodes outside the body do not count.
@@ -194,11 +201,12 @@ def largest_strain(
     """
     body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
     x = points.x[body]
-    count = min(2 * x.shape[1] + 1, len(x))
+    d = x.shape[1]
+    count = min(3**d if points.spacing > 0 else 2 * d + 1, len(x))
     r, near = cKDTree(x).query(x[nodes], k=count)
     r, near = r.reshape(-1, count)[:, 1:], near.reshape(-1, count)[:, 1:]
     if points.spacing > 0:
-        near = np.where(r < 1.1 * points.spacing, near, np.arange(len(x))[nodes, None])
+        near = np.where(r < DIAGONAL * points.spacing, near, np.arange(len(x))[nodes, None])
     xi = x[near] - x[nodes, None]
     square = (xi**2).sum(axis=-1)
     unit = xi / np.where(square > 0, square, np.inf)[..., None]
@@ -210,12 +218,6 @@ def largest_strain(
         ),
         default=0.0,
     )
-
-
-def lattice_strain(u: np.ndarray, spacing: float) -> float:
-    """As largest_strain, of a field [Å] on a periodic lattice, shape [..., n₁, n₂, 2]."""
-    pairs = [np.roll(u[..., a], -1, axis=a - 2) - u[..., a] for a in (0, 1)]
-    return max(float(np.abs(pair).max(initial=0.0)) for pair in pairs) / spacing
 
 
 def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:

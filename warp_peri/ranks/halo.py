@@ -12,7 +12,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
-from warp_peri.points.samples import largest_strain
+from warp_peri.points.samples import DIAGONAL, largest_strain
 from warp_peri.ranks.processes import Comm
 
 if TYPE_CHECKING:
@@ -336,7 +336,7 @@ class NodeHalo:
 
 def strain_on_ranks(piece: Subdomain, u: np.ndarray) -> float:
     """As points.strain.largest_strain, of u [n, d] of a piece, over all ranks."""
-    halo = NodeHalo(piece, piece.spacing or NEAREST * piece.carrier)
+    halo = NodeHalo(piece, DIAGONAL * piece.spacing or NEAREST * piece.carrier)
     field = halo.felt(u)
     here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
     return float(max(piece.comm.allgather(largest_strain(here, field, halo.own))))
