@@ -1,4 +1,4 @@
-"""Maps of moduli from fields: linear least squares under a dressing that is known (D13)."""
+"""Maps of moduli from fields: linear least squares under a dressing that is known (Dr13)."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def fit_maps(
         solid: learned on the even sheet, of elements.
         parts: "each" has a map for each part, "one" the same for all.
         coarse: spacings between the values of a map, linear between.
-        smoothness: α of (D13); None takes what predicts left-out loads best.
+        smoothness: α of (Dr13); None takes what predicts left-out loads best.
         smoothing: radius that the fields were smoothed over, if they were.
         grains: laws and the number of each node's own, as of DressedSolid.on: the maps are factors
             on theirs, as soft as boundaries are.
@@ -111,7 +111,7 @@ def fit_maps(
 
 @dataclass(frozen=True, eq=False)
 class DensityLaw:
-    """Moduli as a function of a density ρ (1 for the even solid): 1 + Σ_n c_n (1 − ρ)^n (D21).
+    """Moduli as a function of a density ρ (1 for the even solid): 1 + Σ_n c_n (1 − ρ)^n (Dr21).
 
     Attributes:
         coefficients: c of each part, [degree].
@@ -219,7 +219,7 @@ def _kinds(solid: DressedSolid, parts: str) -> list[list[int]]:
 def _normal_equations(
     body: DressedBody, samples: Samples, basis: sp.csr_array, kinds: list[list[int]], *, known: bool
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, float]:
-    """AᵗA and Aᵗb of each load (D13), sizes of the loads, and Σ bᵗb; b less what the even solid
+    """AᵗA and Aᵗb of each load (Dr13), sizes of the loads, and Σ bᵗb; b less what the even solid
     answers where that is `known`."""
     weight = _Weight(body)
     loads = samples.loads.reshape(len(samples.u), -1).T
