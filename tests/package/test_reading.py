@@ -1,11 +1,15 @@
 """How the pages read: numbers that later changes only better, and equations that links find."""
 
+import contextlib
 import importlib.util
+import io
 import re
 import sys
 from pathlib import Path
 
 import pytest
+
+import warp_peri as wp
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 MOST = {
@@ -109,3 +113,32 @@ def test_sentences_are_found_as_a_reader_finds_them(check):
     ]
     assert check.tables(text) == [1]
     assert check.words(text) < len(text.split())
+
+
+def test_what_a_page_prints_stands_below():
+    """Where a block of code is followed by a block of text, this is what the code prints."""
+    pairs = [
+        (page.name, code, shown)
+        for page in sorted(DOCS.glob("*.md"))
+        for code, shown in re.findall(
+            r"```python\n(.*?)```\n\n```text\n(.*?)```", page.read_text("utf-8"), re.DOTALL
+        )
+    ]
+    assert "peridynamics.md" in {name for name, *_ in pairs}
+    for name, code, shown in pairs:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile(code, name, "exec"), {})
+        assert printed.getvalue() == shown, name
+
+
+def test_names_of_the_glossary_are_in_the_code():
+    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    names = re.findall(r"`wp\.([\w.]+)`", text)
+    assert len(names) > 20
+    for name in names:
+        owner, known = wp, True
+        for part in name.split("."):
+            known = hasattr(owner, part) or part in getattr(owner, "__dataclass_fields__", ())
+            owner = getattr(owner, part, None)
+        assert known, name
