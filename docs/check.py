@@ -68,10 +68,11 @@ def words(text: str) -> int:
 def sentences(text: str) -> list[str]:
     """Sentences of the prose: no code, tables, headings, equations, pictures; items one by one."""
     text = re.sub(r"\$\$.*?\$\$", " formula ", FENCED.sub("\n\n", text), flags=re.DOTALL)
-    text = re.sub(r"^(?:#|\||!\[|:::).*$", "\n", text, flags=re.MULTILINE)
+    text = re.sub(r"(?<=\n\n)(?: {4}.*\n)+", "\n", text)  # what is printed, indented
+    text = re.sub(r"^(?:#|\||!\[|:::|!!!).*$", "\n", text, flags=re.MULTILINE)
     text = re.sub(r"^ *(?:[-*]|\d+\.) ", "\n\n", text, flags=re.MULTILINE)
     text = re.sub(r"\]\([^)]*\)", "", text).replace("[", "")
-    text = re.sub(r"\$[^$]*\$|`[^`]*`", "x", text)
+    text = re.sub(r"\$[^$]*\$|`[^`]*`", "X", text)
     blocks = (" ".join(block.split()) for block in re.split(r"\n\s*\n", text))
     split = (re.split(r"(?<=[.!?])[*_)\"]* (?=[A-Z*_(\"])", block) for block in blocks if block)
     return [sentence for found in split for sentence in found if len(sentence.split()) > 1]

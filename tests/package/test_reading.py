@@ -13,13 +13,13 @@ import warp_peri as wp
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 MOST = {
-    "words": 88488,
+    "words": 88450,
     "words of the median page": 1789,
     "words of the README": 505,
-    "sentences above 30 words [%]": 14,
-    "sentences of how-tos with more than two numbers": 124,
+    "sentences above 30 words [%]": 11.3,
+    "sentences of how-tos with more than two numbers": 123,
     "tables of how-tos above 6 rows": 22,
-    "words to avoid": 493,
+    "words to avoid": 447,
     "figures without a page": 0,
 }
 """Whoever lowers one writes the new number here."""
@@ -107,7 +107,7 @@ def test_sentences_are_found_as_a_reader_finds_them(check):
     )
     assert check.sentences(text) == [
         "One of four words.",
-        "Two, with x in it!",
+        "Two, with X in it!",
         "An item",
         "Another item",
     ]

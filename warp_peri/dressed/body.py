@@ -1,4 +1,4 @@
-"""A dressed solid on nodes that end, vary and break, and at rest (theory.md, Dr1–Dr12, Dr23, Dr24)."""
+"""A dressed solid on nodes that end, vary and break, at rest (theory.md, Dr1–Dr12, Dr23, Dr24)."""
 
 from __future__ import annotations
 
