@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 import warp_peri as wp
 from examples.prose import rows_of
+from examples.studies import paper_you_graining as graining
 from examples.studies import paper_you_pictures as pictures
 from examples.studies import paper_you_thermal as thermal
 from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_4
@@ -33,7 +34,15 @@ NEEDED = {
     "runs/noise_study/noise.json": "python examples/studies/noise_study.py",
 }
 TEMPLATE = Path(__file__).with_suffix(".md")
-SEEDS = range(5)
+SEEDS, DRAWS = range(5), range(20)
+"""Of Algorithm 1: of every change to it, and as printed."""
+QUANTILES = {
+    "least": 0,
+    "lower quartile": 0.25,
+    "median": 0.5,
+    "upper quartile": 0.75,
+    "largest": 1,
+}
 ROUNDS = 100
 """Outer iterations of Algorithm 1, as printed."""
 MOVED = 1e-12
@@ -66,6 +75,9 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
     def sweep() -> Any:
         return told("graphene_0K_sweep/sweep.json")
 
+    def model() -> Any:
+        return wp.load(runs / "graphene_0K" / "model.json")
+
     def manufactured(name: str) -> str:
         return rows_of(consistency(told("manufactured/manufactured.json"), name))
 
@@ -77,12 +89,12 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
                 path.write_bytes(picture)
         return rows_of(three_ways(told("manufactured/manufactured.json"), adam))
 
-    def runs_of(name: str) -> list[Any]:
+    def runs_of(name: str, seeds: Sequence[int] = SEEDS) -> list[Any]:
         bounds, conditions = CHANGES[name]
         file = f"algorithm_1_{bounds}_{conditions}"
         return [
             kept(f"{file}_{seed}", partial(algorithm_1, data(), bounds, conditions, seed))
-            for seed in SEEDS
+            for seed in seeds
         ]
 
     def moved() -> Any:
@@ -100,8 +112,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         return name
 
     def kernels(path: Path) -> None:
-        cold = wp.load(runs / "graphene_0K" / "model.json")
-        thermal.draw_kernels(path, cold, warm()["kernels"])
+        thermal.draw_kernels(path, model(), warm()["kernels"])
 
     def noise(rows: Callable[[Any], Any]) -> str:
         return rows_of(rows(told("noise_study/noise.json")["sweep"]))
@@ -115,12 +126,24 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
             "you_2021_atoms.png", partial(pictures.atoms, data(), runs.parent / CACHE)
         ),
         "fields": lambda: figure("you_2021_fields.png", partial(pictures.fields, data())),
+        "graining": lambda: rows_of(
+            graining.rows(
+                kept("graining", lambda: graining.forces_between_nodes(runs.parent / CACHE)),
+                data().provenance["u_change_cone_to_paraboloid"],
+            )
+        ),
+        "long": lambda: rows_of(
+            thermal.long_rows(
+                kept("long_averages", lambda: thermal.long_averages(runs.parent / CACHE, model()))
+            )
+        ),
         "kernels": lambda: figure("you_2021_kernels.png", kernels),
         "manufactured": lambda: manufactured("fixed_alpha"),
         "learned_alpha": lambda: manufactured("learned_alpha"),
         "adam": by_adam,
         "strains": lambda: rows_of(strains(data())),
         "algorithm": lambda: rows_of(row_of_algorithm(name, runs_of(name)) for name in CHANGES),
+        "draws": lambda: rows_of(quantiles(runs_of("as printed", DRAWS))),
         "stages": lambda: rows_of(steps_of_algorithm([*runs_of("as printed"), moved()])),
         **{name: partial(lambda name: end()[name], name) for name in ("lam", "mu", "E_u")},
         "metric": lambda: rows_of(metric(runs, data())),
@@ -250,6 +273,16 @@ def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
         text = " / ".join(percent([known[0], float(np.median(known)), known[-1]]))
         cells.append(text + ("" if len(known) == len(runs) else f" ({len(known)} of {len(runs)})"))
     return [name, *cells]
+
+
+def quantiles(runs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
+    """Of constants and errors over all draws; of errors only where the model can be solved."""
+    keys = ("lam", "mu", "alpha", *ALL_ERRORS)
+    values = {key: [run[key] for run in runs if run[key] is not None] for key in keys}
+    return [
+        [name, *(f"{(100 if 'E_' in k else 1) * np.quantile(v, q):.2f}" for k, v in values.items())]
+        for name, q in QUANTILES.items()
+    ]
 
 
 def steps_of_algorithm(runs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
