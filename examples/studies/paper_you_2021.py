@@ -34,15 +34,7 @@ NEEDED = {
     "runs/noise_study/noise.json": "python examples/studies/noise_study.py",
 }
 TEMPLATE = Path(__file__).with_suffix(".md")
-SEEDS, DRAWS = range(5), range(20)
-"""Of Algorithm 1: of every change to it, and as printed."""
-QUANTILES = {
-    "least": 0,
-    "lower quartile": 0.25,
-    "median": 0.5,
-    "upper quartile": 0.75,
-    "largest": 1,
-}
+SEEDS = range(5)
 ROUNDS = 100
 """Outer iterations of Algorithm 1, as printed."""
 MOVED = 1e-12
@@ -89,12 +81,12 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
                 path.write_bytes(picture)
         return rows_of(three_ways(told("manufactured/manufactured.json"), adam))
 
-    def runs_of(name: str, seeds: Sequence[int] = SEEDS) -> list[Any]:
+    def runs_of(name: str) -> list[Any]:
         bounds, conditions = CHANGES[name]
         file = f"algorithm_1_{bounds}_{conditions}"
         return [
             kept(f"{file}_{seed}", partial(algorithm_1, data(), bounds, conditions, seed))
-            for seed in seeds
+            for seed in SEEDS
         ]
 
     def moved() -> Any:
@@ -143,7 +135,6 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         "adam": by_adam,
         "strains": lambda: rows_of(strains(data())),
         "algorithm": lambda: rows_of(row_of_algorithm(name, runs_of(name)) for name in CHANGES),
-        "draws": lambda: rows_of(quantiles(runs_of("as printed", DRAWS))),
         "stages": lambda: rows_of(steps_of_algorithm([*runs_of("as printed"), moved()])),
         **{name: partial(lambda name: end()[name], name) for name in ("lam", "mu", "E_u")},
         "metric": lambda: rows_of(metric(runs, data())),
@@ -273,16 +264,6 @@ def row_of_algorithm(name: str, runs: Sequence[Mapping[str, Any]]) -> list[str]:
         text = " / ".join(percent([known[0], float(np.median(known)), known[-1]]))
         cells.append(text + ("" if len(known) == len(runs) else f" ({len(known)} of {len(runs)})"))
     return [name, *cells]
-
-
-def quantiles(runs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
-    """Of constants and errors over all draws; of errors only where the model can be solved."""
-    keys = ("lam", "mu", "alpha", *ALL_ERRORS)
-    values = {key: [run[key] for run in runs if run[key] is not None] for key in keys}
-    return [
-        [name, *(f"{(100 if 'E_' in k else 1) * np.quantile(v, q):.2f}" for k, v in values.items())]
-        for name, q in QUANTILES.items()
-    ]
 
 
 def steps_of_algorithm(runs: Sequence[Mapping[str, Any]]) -> list[list[str]]:
