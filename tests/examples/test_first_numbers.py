@@ -131,7 +131,7 @@ QUICK = {
 }
 """By page, section, table of the section and start of the row; None has a test of its own below."""
 SLOW = {
-    ("you_2021", "Algorithm 1"), 
+    ("you_2021", "Algorithm 1"),
     ("you_2021", "Algorithm 1, step by step"), ("you_2021", "Table 4 at 0 K"),
     ("you_2021", "300 K: Tables 3 and 4"), ("you_2021", "300 K: Table 5"),
     ("you_2021", "300 K: an average of 24 000 steps"), ("you_2021", "The signal-to-noise ratio"),
