@@ -64,7 +64,7 @@ def forces_between_nodes(cache: Path) -> dict[str, Any]:
 def rows(found: Mapping[str, Any], change: Mapping[str, float]) -> list[list[str]]:
     """What is printed of smoothing and its horizon, and what is measured."""
     shares = [
-        [f"part of Σ|f(y, x)| beyond {r:g} Å", "–", f"{100 * share:.2g} %"]
+        [f"part of Σ‖f(y, x)‖ beyond {r:g} Å", "–", f"{100 * share:.2g} %"]
         for r, share in zip(BEYOND, found["share"])
     ]
     reach, bond = 2 * RADIUS + found["atoms"], found["bond"]

@@ -205,7 +205,7 @@ def test_forces_between_nodes(tmp_path):
     told = rows("you_2021", "Coarse graining", "| δ = 2R + d | 21.46 Å, d = 1.46 Å the bond |")[0]
     assert 20 + found["atoms"] == pytest.approx(told[0], abs=0.01)
     assert found["farthest"] <= 20 + found["atoms"]
-    shares = rows("you_2021", "Coarse graining", "| part of Σ|f(y, x)| beyond ")
+    shares = rows("you_2021", "Coarse graining", "| part of Σ‖f(y, x)‖ beyond ")
     held([100 * share for share in found["share"]], [row[-1] for row in shares])
     assert found["left"] < 0.05  # of the loads, by the atoms' nonlinearity
 
