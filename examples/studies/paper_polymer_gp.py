@@ -332,9 +332,8 @@ def range_rows(found: Mapping[tuple[float, float], Mapping[str, Any]]) -> list[l
         for name in RECIPES[:2]:
             ended = [error for error in errors[name] if error is not None]
             lost = len(errors[name]) - len(ended)
-            cells.append(
-                ", ".join([spread(ended)] * bool(ended) + [f"{lost} run away"] * bool(lost))
-            )
+            away = f"{lost} of {len(errors[name])} run away" if lost else ""
+            cells.append(", ".join(filter(None, [spread(ended) if ended else "", away])))
         rows.append([f"{most[0]:g}", f"{most[1]:g}", *cells])
     return rows
 
