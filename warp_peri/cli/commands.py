@@ -15,8 +15,8 @@ import numpy as np
 
 import warp_peri
 from warp_peri import verification
-from warp_peri.cli.dic import run_dic as run_dic
 from warp_peri.cli.inputs import data_for
+from warp_peri.cli.learn import run_dic as run_dic
 from warp_peri.cli.learn import run_learn as run_learn
 from warp_peri.cli.settings_file import keep
 from warp_peri.cli.train import in_percent as in_percent

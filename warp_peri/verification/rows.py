@@ -19,7 +19,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads
-from warp_peri.verification import statics
+from warp_peri.verification import cracks, motion, statics
 from warp_peri.verification.statics import Outcome, UnitScale
 
 Line = dict[str, Any]
@@ -49,11 +49,15 @@ class Row:
         return f"{self.problem}: {self.material}"
 
 
+POSED = vars(statics) | vars(cracks) | vars(motion)
+"""Functions that pose problems, by name."""
+
+
 def _read() -> list[Row]:
     rows = []
     for told in tomllib.loads(Path(__file__).with_name("rows.toml").read_text("utf-8"))["row"]:
         names, without = told.pop("materials"), told.pop("without", {})
-        pose, how = getattr(statics, told.pop("run")), told.pop("with", {})
+        pose, how = POSED[told.pop("run")], told.pop("with", {})
         for name in (*names, *without):
             run = partial(pose, name, **how)
             rows.append(Row(material=name, run=run, why=without.get(name, ""), **told))
