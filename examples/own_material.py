@@ -27,6 +27,7 @@ from warp_peri.files.atomic import locked, write_json
 from warp_peri.structures.calculators import potential_file
 
 ELEMENTS = ("B", "N")
+MASSES = [atomic_masses[atomic_numbers[name]] for name in ELEMENTS]
 CELLS = (39, 23)
 HIGHEST = 3
 """Periods of the waves over the sheet, along each axis."""
@@ -40,6 +41,8 @@ def make_dumps(folder: Path) -> tuple[list[Path], list[Path], Path, tuple[float,
     potential = potential_file("BNC.tersoff")
     bond = bond_length(potential, elements=ELEMENTS)
     positions, box = sheet(bond, cells=CELLS)
+    masses = np.resize(MASSES, len(positions))[:, None]
+    share = masses / masses.mean()  # a load goes over the atoms of a cell by mass
     loads = [
         WaveLoad(axis, (p, q))
         for axis in (0, 1)
@@ -54,7 +57,7 @@ def make_dumps(folder: Path) -> tuple[list[Path], list[Path], Path, tuple[float,
         session.forces(statics.reference)
         session.write_dump(rest)
         for number, load in enumerate(tqdm(loads, desc="loads", unit="load"), start=1):
-            shape = load.shape(statics.reference, box)
+            shape = load.shape(statics.reference, box) * share
             linear = statics.linear_response(shape)
             size = 1e-6 / np.abs(linear).max()
             size *= STRAIN / statics.max_bond_strain(size * linear)
@@ -71,8 +74,7 @@ def run(out: Path) -> dict[str, dict[str, float]]:
     """Dumps, then the command as it would be typed; learned and true constants."""
     dumps, forces, rest, box = make_dumps(out / "dumps")
     data, model = out / "bn.h5", out / "model"
-    masses = [atomic_masses[atomic_numbers[name]] for name in ELEMENTS]
-    atoms = ["--reference", rest, "--box", *box, "--mass", *masses]
+    atoms = ["--reference", rest, "--box", *box, "--mass", *MASSES]
     nodes = ["--reach", 55, "--interior", 30]
     lines = [
         ["coarse-grain", *dumps, "--force", *forces, *atoms, *nodes, "--out", data],

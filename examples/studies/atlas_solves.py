@@ -235,7 +235,7 @@ def scattered_points() -> Entry:
         "rows": rows_of([name, *cells(row)] for name, row in rows.items()),
     }  # fmt: skip
     seen = (
-        lambda: solid().on(base),
+        lambda: solid().on(base, transfer=False),
         lambda: families_of(replace(base, x=twice), REACH),
         lambda: families_of(perturbed(6, 2.0, 0.5, 0), 2.0),
     )

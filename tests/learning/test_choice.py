@@ -182,7 +182,7 @@ def test_strain_loads_and_kinds_of_answers_decide():
         return choose_model(tolerance=tolerance, scene=asked, table=table)
 
     assert answer(0.05).answer == "elements"
-    assert answer(0.05).reason.startswith("h = 5 Å, FEM Q1 with known constants by elements")
+    assert answer(0.05).reason.startswith("Local elements suffice: h = 5 Å, FEM Q1 with")
     assert answer(0.02, strain=0.05).answer == "nonlinear"
     assert answer(0.006, strain=0.005).answer == "elements"
     assert answer(0.0015, strain=0.005).answer == "nonlinear"

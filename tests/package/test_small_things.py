@@ -15,6 +15,7 @@ from tests.support.solving import solve
 from warp_peri import Bernstein, Dataset, InputError, Model, evaluate
 from warp_peri.choice import Scene, choose_model, shipped_table
 from warp_peri.cli.main import main
+from warp_peri.cli.train import in_percent
 from warp_peri.errors import exit_status
 from warp_peri.learning.fit import learn as fit
 from warp_peri.points.dataset import save_dataset
@@ -245,6 +246,9 @@ def test_training_prints_errors_in_percent_as_evaluate_does(samples, tmp_path, c
     start = lines.index("shares of the squared residual [%]:")
     shares = [float(line.split(":")[1]) for line in lines[start + 1 : start + 7]]
     assert sum(shares) == pytest.approx(100.0, abs=0.01)
+    assert not any(line.startswith("note") for line in lines)
+    small = {"units": ("mm", "GPa"), "E_res": {"a": 0.51, "b": 0.05}, "E_u": {"a": 0.02, "b": 0.02}}
+    assert in_percent(small)["note"].startswith("the loads of a are small for their displacement")
 
 
 def test_a_model_that_is_not_in_angstrom_is_not_told_of_angstrom(samples):

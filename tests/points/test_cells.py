@@ -132,26 +132,59 @@ def test_quadrilaterals_are_cut_where_they_are_turned_in(tmp_path, turn, sense):
 
 
 SOLID = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
-SOLID = np.concatenate([SOLID, SOLID + np.eye(3)[2], SOLID + 2 * np.eye(3)[2]])
+SOLID = np.concatenate([SOLID, SOLID + np.eye(3)[2], [[0.5, 0.5, 1.5]]])
 
 
 @pytest.mark.parametrize(
     ("cells", "named"),
     [
-        ([("hexahedron", [list(range(8))])], "hexahedron"),
-        ([("tetra", [[4, 5, 6, 8]]), ("hexahedron", [list(range(8))])], "hexahedron"),
-        ([("tetra", [[4, 5, 6, 8]]), ("wedge", [[0, 1, 2, 4, 5, 6]])], "wedge"),
-        ([("tetra", [[0, 1, 2, 4]]), ("pyramid", [[4, 5, 6, 7, 8]])], "pyramid"),
-        ([("tetra", [[0, 1, 2, 4]]), ("quad", [[4, 5, 6, 7]])], "quad"),
+        ([("tetra", [[0, 1, 2, 4]]), ("polyhedron8", [list(range(8))])], "polyhedron8"),
         ([("triangle", [[0, 1, 2]]), ("polygon", [[0, 2, 3]])], "polygon"),
         ([("triangle", [[0, 1, 2]]), ("polygon", [[0, 1, 2, 3, 4]])], "polygon"),
         ([("vertex", [[0]])], "vertex"),
     ],
 )
-def test_no_kind_of_cell_is_dropped(tmp_path, cells, named):
-    meshio.Mesh(SOLID, cells).write(tmp_path / "some.vtu")
+def test_no_kind_of_cell_is_dropped(tmp_path, monkeypatch, cells, named):
+    monkeypatch.setattr(meshio, "read", lambda path: meshio.Mesh(SOLID, cells))
+    (tmp_path / "some.vtu").write_text("")
     with pytest.raises(InputError, match=f"and no other cells, got {named}"):
         load_mesh(tmp_path / "some.vtu")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_hexahedra_prisms_and_pyramids_are_cut_so_that_their_sides_meet(tmp_path, seed):
+    """Whatever the numbers of the corners: a cube, beside it two prisms, a pyramid on top."""
+    order = np.random.default_rng(seed).permutation(11)
+    x = np.empty((11, 3))
+    x[order] = np.concatenate([SOLID, [[2, 0, 0], [2, 0, 1]]])
+    cells = [
+        ("hexahedron", order[[[0, 1, 2, 3, 4, 5, 6, 7]]]),
+        ("wedge", order[[[1, 9, 2, 5, 10, 6]]]),
+        ("pyramid", order[[[4, 5, 6, 7, 8]]]),
+        ("quad", order[[[0, 3, 7, 4]]]),
+        ("triangle", order[[[1, 9, 2]]]),
+    ]
+    tags = [np.zeros(1, int), *(np.array([0]) for _ in range(2)), np.array([3]), np.array([4])]
+    meshio.Mesh(x, cells, cell_data={"medit:ref": tags}).write(tmp_path / "some.vtu")
+    body = load_mesh(tmp_path / "some.vtu")
+    volume = np.abs(np.linalg.det(body.x[body.cells[:, 1:]] - body.x[body.cells[:, :1]]))
+    assert volume.sum() / 6 == pytest.approx(1 + 0.5 + 1 / 6, rel=1e-14)
+    assert len(body.cells) == 6 + 3 + 2
+    assert {name: len(part) for name, part in body.parts.items()} == {"3": 2, "4": 1, REST: 15}
+    faces = body.x[body.faces]
+    normal = np.cross(faces[:, 1] - faces[:, 0], faces[:, 2] - faces[:, 0])
+    area = np.linalg.norm(normal, axis=1).sum() / 2
+    assert area == pytest.approx(6 + 2 * 2**0.5, rel=1e-14)  # none inside
+
+
+def test_a_hexahedron_with_corners_twice_is_a_prism_and_its_midpoints_are_passed_over(tmp_path):
+    prism = [[0, 1, 2, 2, 4, 5, 6, 6]]
+    meshio.Mesh(SOLID, [("hexahedron", prism)]).write(tmp_path / "prism.vtu")
+    assert len(load_mesh(tmp_path / "prism.vtu").cells) == 3
+    many = np.concatenate([SOLID[:8], SOLID[[0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3]] + 0.25])
+    meshio.Mesh(many, [("hexahedron20", [list(range(20))])]).write(tmp_path / "second.vtu")
+    second = load_mesh(tmp_path / "second.vtu")
+    assert (len(second.x), len(second.cells)) == (8, 6)
 
 
 LINES = {"left": [[0, 1], [1, 2]], "right": [[6, 7], [7, 8]], "low": [[0, 3], [3, 6]]}

@@ -100,7 +100,7 @@ def test_bad_files_and_outlines_are_named(tmp_path):
     with pytest.raises(InputError, match="not a mesh that meshio reads"):
         load_mesh(tmp_path / "text.msh")
     meshio.Mesh(SQUARE, [("line", [[0, 1]])]).write(tmp_path / "line.vtu")
-    with pytest.raises(InputError, match="or tetrahedra, and no other cells, got line"):
+    with pytest.raises(InputError, match="pyramids, and no other cells, got line"):
         load_mesh(tmp_path / "line.vtu")
     with pytest.raises(
         InputError, match="part 'across': expected edges of the outline, 1 of 1 are not"

@@ -13,6 +13,7 @@ from tests.micromodulus.test_learning import waves
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
+from warp_peri.core.elastic import acoustic
 from warp_peri.points import samples as points_samples
 from warp_peri.points.samples import largest_strain
 from warp_peri.points.unit_names import factors
@@ -69,6 +70,26 @@ def problem(family, size, interior=9):
 def far(u, truth, points):
     inside = points.interior
     return np.linalg.norm((u - truth)[inside]) / np.linalg.norm(truth[inside])
+
+
+def test_an_answer_tells_how_far_a_local_solid_would_be_off(family):
+    """Of waves of one length as their symbol says, all directions alike; long waves suffice."""
+    points = lattice(60, HORIZON)
+    stencil = family.rich.linear.stencil(points.spacing)
+    offs = []
+    for length in (8.0, 16.0):
+        wave = np.sin(points.x[:, :1] * 2 * np.pi / length) * [0.0, 1e-4]
+        answer = wp.predict(family, wp.Dirichlet(points, None, wave), 0.5)
+        square = []
+        for angle in np.linspace(0, np.pi, 12, endpoint=False):
+            phase = 2 * np.pi / length * np.array([[np.cos(angle), np.sin(angle)]])
+            there = np.linalg.solve(acoustic(stencil.brackets, phase), stencil.symbol(phase))
+            square.append(((there - np.eye(2)) ** 2).sum() / 2)
+        offs.append(np.sqrt(np.mean(square)))
+        assert replace(answer, u=wave).local == pytest.approx(offs[-1], rel=0.1)
+    assert offs[0] > 2 * offs[1]
+    told = dict(replace(answer, u=wave, error=0.5).rows())
+    assert told["a local solid would be off by"].endswith("by its waves; local elements suffice")
 
 
 def test_corrections_lead_to_the_rich_answer_and_say_how_far_it_is(family):

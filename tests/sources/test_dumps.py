@@ -256,3 +256,22 @@ def test_a_torn_sheet_is_remarked(tmp_path):
     grained("whole.dump", 0.1 * x)
     with pytest.warns(UserWarning, match="torn.dump: 16 of 64 atoms are 50% or more further"):
         grained("torn.dump", np.where(x[:, :1] > 9, 2.0, 0.0) * [1.0, 0.0])
+
+
+def test_loads_that_are_not_shared_by_mass_are_told(tmp_path):
+    """Twice as heavy atoms in turn: equal forces are told of, those by mass are not."""
+    dump = write(tmp_path / "a.dump", [0])
+    points = lattice(2, 1.0, 3.0)
+    omega = smoothing_matrix(REFERENCE, points.x, radius=5.0, box=BOX, spacing=3.0)
+    mass = np.resize([10.0, 20.0], 30)
+    atoms = Atoms(REFERENCE, box=BOX, mass=mass)
+
+    def grained(force):
+        coarse_grain_dumps(
+            [dump], omega, points, atoms, force=force[None], node_area=9.0, thickness=3.35
+        )
+
+    along = np.ones((30, 1)) * [1.0, 0.5]
+    with pytest.warns(UserWarning, match="masses 10, 20 carry loads per mass of 1, 0.5, relative"):
+        grained(along)
+    grained(mass[:, None] * along)

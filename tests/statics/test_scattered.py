@@ -157,3 +157,31 @@ def test_a_load_that_is_no_number_on_the_collar_is_told(operator):
     problem = wp.Dirichlet(operator.points, unknown[0], u[0])
     with pytest.raises(InputError, match="b: expected finite values on the collar too"):
         wp.solve(HOME, problem)
+
+
+def shaken(n, shift=0.45):
+    """Nodes of a square of side 2, n spacings wide, each shifted, with a collar."""
+    steps = np.arange(-16, n + 17)
+    x = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2) * 2 / n - 1
+    inside = (np.abs(x) < 1 + 1e-9).all(axis=1)
+    shifts = np.random.default_rng(0).uniform(-shift, shift, x.shape)
+    return Points(x + 2 / n * shifts, inside, 0.0)
+
+
+def test_a_plain_solid_is_proven_there_and_converges_by_order_two():
+    """To u of local elasticity, sines of λ = 0.3, μ = 1; nothing is certified beforehand."""
+    lam, mu, k, errors = 0.3, 1.0, np.array([2.0, 1.5]), []
+    for n in (10, 20, 40):
+        points = shaken(n)
+        phase = points.x @ k
+        u = np.stack([np.sin(phase), np.cos(phase + 0.5)], axis=1)
+        along = u @ np.outer(k, k)
+        b = mu * (k @ k) * u + (lam + mu) * along
+        solid = wp.Model(lam, mu, 1.0, np.ones(1), horizon=3 * 2 / n)
+        solution = wp.solve(solid, wp.Dirichlet(points, b, u))
+        inside = points.interior
+        errors.append(np.linalg.norm((solution.u - u)[inside]) / np.linalg.norm(u[inside]))
+        assert solution.operator.carrier is not None
+    order = -np.polyfit(np.log([10, 20, 40]), np.log(errors), 1)[0]
+    assert order > 1.9, errors
+    assert errors[-1] < 2e-3

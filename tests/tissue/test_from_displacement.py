@@ -83,7 +83,7 @@ def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
     path = Search(frames, sheet(1.0, 1.5), (0.0, np.inf), True, uneven)
     c = path.scaled(TRUTH)
     path.begin(c)
-    reduced, gap = path._equations()
+    reduced, gap = path.equations[:, :-1], path.equations[:, -1]
     gradient = 2 * reduced.T @ gap
     numbers = path.now
 

@@ -223,6 +223,7 @@ def run_predict(given: argparse.Namespace) -> dict[str, Any]:
     samples = []
     for answer, truth in zip(answers, points.u[:, points.interior]):
         told = {n: getattr(answer, n) for n in ("error", "parts", "kept", "why", "uncovered")}
+        told["local_solid"] = answer.local if answer.operator else None
         if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
             wrong = answer.u[points.interior] - truth
             told["true"] = float(np.linalg.norm(wrong)) / size

@@ -238,6 +238,10 @@ def training_metrics(run: Run) -> Result:
     return metrics
 
 
+FAR = 5.0
+"""Times that E_res is above E_u where a line says why."""
+
+
 def in_percent(metrics: Result) -> Result:
     """What training prints: errors and shares in %, moduli in GPa; JSON keeps plain numbers."""
     shown: Result = {}
@@ -262,6 +266,13 @@ def in_percent(metrics: Result) -> Result:
             }
         else:
             shown[key] = value
+    solved = metrics["E_u"]
+    small = [n for n, e in metrics["E_res"].items() if e and solved.get(n) and e > FAR * solved[n]]
+    if small:
+        shown["note"] = (
+            f"the loads of {', '.join(small)} are small for their displacement, and E_res is "
+            "relative to them; E_u is what a solve is off by"
+        )
     return shown
 
 

@@ -29,7 +29,7 @@ from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
 from warp_peri.points.samples import edge_strain, largest_strain
 from warp_peri.points.unit_names import symbols
-from warp_peri.stability.certificate import certify
+from warp_peri.stability.certificate import with_proof
 from warp_peri.statics.direct import definite_factors
 from warp_peri.statics.scattered import warn_beyond
 from warp_peri.statics.solution import TOLERANCE
@@ -277,24 +277,12 @@ def _on_lattice(
 ) -> tuple[Model, float, tuple[Tried, ...]]:
     """The model on the bulk's lattice, its spacing, and what was tried where none was asked for."""
     if not (model.certified_on or (allowed and coupling.spacing)):
-        model = _proven(model, coupling.spacing)
+        model = with_proof(model, coupling.spacing)
     if coupling.spacing is not None:
         here = model_at(model, coupling.spacing, allow_uncertified=allowed)
         return here, coupling.spacing, ()
     here, tried = bulk_lattice(model, mesh, b, coupling.overlap)
     return here, tried[-1].spacing, tried
-
-
-def _proven(model: Model, spacing: float | None) -> Model:
-    """A model without a certificate with one on a lattice, of a third of its horizon by default;
-    InputError where nothing is proven."""
-    home = spacing or max(model.trained_on, default=model.horizon / 3)
-    proof = certify(model, spacing=home)
-    if not proof.holds:
-        unit = symbols(model.units)[0]
-        raise InputError(f"model: nothing is proven of it on {home:g} {unit}; {proof.statement}")
-    figures = {f"{proof.spacing:g}": proof.figures()}
-    return replace(model, certified_on=(proof.spacing,), certificate=figures)
 
 
 def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str:

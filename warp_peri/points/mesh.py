@@ -308,8 +308,18 @@ def make_tetrahedra(
     return Tetrahedra(corners, t, faces, named, curved, points)
 
 
-CORNERS = {"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4}
-"""Of cells in the plane, by meshio's names."""
+CORNERS = {
+    **{"triangle": 3, "triangle6": 3, "quad": 4, "quad8": 4, "quad9": 4, "tetra": 4, "tetra10": 4},
+    **{"pyramid": 5, "pyramid13": 5, "pyramid14": 5, "wedge": 6, "wedge15": 6, "wedge18": 6},
+    **{"hexahedron": 8, "hexahedron20": 8, "hexahedron27": 8},
+}
+"""Of cells, by meshio's names; they come first, by VTK's order."""
+FACES = {
+    5: ([0, 1, 2, 3], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]),
+    6: ([0, 1, 2], [3, 4, 5], [0, 1, 4, 3], [1, 2, 5, 4], [2, 0, 3, 5]),
+    8: ([0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]),
+}
+"""Of pyramids, prisms and hexahedra, by how many corners they have."""
 GROUPS = (":physical", ":ref", "cell_tags")
 """How data of cells end that are numbers of groups: of Gmsh, of Medit and others, of Salome."""
 
@@ -427,10 +437,11 @@ def make_mesh(
 def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
     """A mesh of any format that meshio reads, positions in Å.
 
-    Tetrahedra, of second order too, of which the corners count; or triangles and quadrilaterals
-    (cut in two), straight or of second order, whose edges' midpoints are kept on the outline. Parts
-    of the outline are the lines' physical names, sets or numbers of groups, of a surface those of
-    the triangles; what is named inside the body is left out with a warning.
+    Tetrahedra, or hexahedra, prisms and pyramids, which are cut into them, of second order too, of
+    which the corners count; or triangles and quadrilaterals (cut in two), straight or of second
+    order, whose edges' midpoints are kept on the outline. Parts of the outline are the lines'
+    physical names, sets or numbers of groups, of a surface those of its triangles and
+    quadrilaterals; what is named inside the body is left out with a warning.
 
     Raises InputError for a file that is not read, without meshio (the extra `bodies`), with cells
     of other kinds or none, for triangles that are not plane, and as `points.cells.outlined`.
@@ -455,19 +466,16 @@ def _body_of(read: Any) -> Mesh | Tetrahedra:
     """The body of a meshio mesh; InputError for one with cells of other kinds."""
     points = np.asarray(read.points, dtype=float)
     kinds = {block.type for block in read.cells if block.dim > 1}
-    solid = any(block.dim == 3 for block in read.cells)
-    known = {"tetra", "tetra10", "triangle", "triangle6"} if solid else set(CORNERS)
-    if not kinds or not kinds <= known:
-        kinds = kinds - known or {block.type for block in read.cells}
+    if not kinds or not kinds <= set(CORNERS):
+        kinds = kinds - set(CORNERS) or {block.type for block in read.cells}
         raise InputError(
-            "expected triangles and quadrilaterals, or tetrahedra, and no other cells, got "
-            + (", ".join(sorted(kinds)) or "nothing")
+            "expected triangles and quadrilaterals, or tetrahedra, hexahedra, prisms and pyramids, "
+            "and no other cells, got " + (", ".join(sorted(kinds)) or "nothing")
         )
-    if solid:
-        solids = [np.asarray(c.data)[:, :4] for c in read.cells if c.dim == 3]
-        return make_tetrahedra(
-            points, _once(read, solids), _named_groups(read, "triangle", 3), inner=True
-        )
+    solids = [np.asarray(c.data)[:, : CORNERS[c.type]] for c in read.cells if c.dim == 3]
+    if solids:
+        cells = _once(read, [_in_tetrahedra(cells) for cells in solids])
+        return make_tetrahedra(points, cells, _named_groups(read, 2), inner=True)
     if points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
         raise InputError(f"expected a plane mesh, z varies by {np.ptp(points[:, 2]):g}")
     x, triangles = points[:, :2], []
@@ -481,7 +489,34 @@ def _body_of(read: Any) -> Mesh | Tetrahedra:
             for k in range(n):
                 ends = np.sort(cells[:, [k, (k + 1) % n]], axis=1)
                 middle |= {tuple(pair): x[m] for pair, m in zip(ends.tolist(), cells[:, n + k])}
-    return make_mesh(x, _once(read, triangles), _named_groups(read, "line", 2), middle, inner=True)
+    return make_mesh(x, _once(read, triangles), _named_groups(read, 1), middle, inner=True)
+
+
+def _in_triangles(faces: np.ndarray) -> np.ndarray:
+    """Triangles [n, 3] of faces with three or four corners, [F, 3] or [F, 4].
+
+    Quadrilaterals are cut from their corner of least number, so that both sides cut alike.
+    """
+    first, count = np.argmin(faces, axis=1)[:, None], faces.shape[1]
+    turned = np.take_along_axis(faces, (first + np.arange(count)) % count, axis=1)
+    return np.concatenate([turned[:, [0, k, k + 1]] for k in range(1, count - 1)])
+
+
+def _in_tetrahedra(cells: np.ndarray) -> np.ndarray:
+    """Tetrahedra [n, 4] of cells: from the corner of least number to the faces without it."""
+    if cells.shape[1] == 4:
+        return cells
+    apex, found = cells.min(axis=1, keepdims=True), []
+    for face in FACES[cells.shape[1]]:
+        away = (cells[:, face] != apex).all(axis=1)
+        across = _in_triangles(cells[away][:, face])
+        found.append(np.hstack([np.tile(apex[away], (len(face) - 2, 1)), across]))
+    return _whole(np.concatenate(found))
+
+
+def _whole(cells: np.ndarray) -> np.ndarray:
+    """Cells that have no corner twice."""
+    return np.asarray(cells[(np.diff(np.sort(cells, axis=1), axis=1) > 0).all(axis=1)])
 
 
 def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
@@ -494,8 +529,7 @@ def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     least = (size * np.sign(size.sum(axis=2, keepdims=True))).min(axis=2)
     second = (least[:, 0] <= 0) & (least[:, 1] > 0)
     halves = np.where(second[:, None, None], cuts[:, 1], cuts[:, 0])
-    halves = np.swapaxes(halves, 0, 1).reshape(-1, 3)
-    return np.asarray(halves[(np.diff(np.sort(halves, axis=1), axis=1) > 0).all(axis=1)])
+    return _whole(np.swapaxes(halves, 0, 1).reshape(-1, 3))
 
 
 def _once(read: Any, cells: list[np.ndarray]) -> np.ndarray:
@@ -506,16 +540,16 @@ def _once(read: Any, cells: list[np.ndarray]) -> np.ndarray:
     return np.asarray(every[np.sort(np.unique(np.sort(every, 1), axis=0, return_index=True)[1])])
 
 
-def _named_groups(read: Any, kind: str, corners: int) -> dict[str, np.ndarray]:
+def _named_groups(read: Any, dim: int) -> dict[str, np.ndarray]:
     """Lines or triangles of a meshio mesh by name: its sets, and its groups by name or number."""
     sets: dict[str, list[np.ndarray]] = {}
-    names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == corners - 1}
+    names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == dim}
     names |= getattr(read, "cell_tags", {})
     groups = [key for key in read.cell_data if key.endswith(GROUPS)]
     for number, block in enumerate(read.cells):
-        if not block.type.startswith(kind):
+        if block.dim != dim:
             continue
-        found = np.asarray(block.data)[:, :corners]
+        found = np.asarray(block.data)[:, : CORNERS.get(block.type, 2)]
         for key in groups:
             tags = np.asarray(read.cell_data[key][number])
             for tag in np.unique(tags[tags != 0]).tolist():
@@ -524,4 +558,5 @@ def _named_groups(read: Any, kind: str, corners: int) -> dict[str, np.ndarray]:
         for name, kept in read.cell_sets.items():
             if not name.startswith("gmsh:") and kept[number] is not None and len(kept[number]):
                 sets.setdefault(name, []).append(found[kept[number]])
-    return {name: np.concatenate(facets) for name, facets in sets.items()}
+    cut = _in_triangles if dim == 2 else np.asarray
+    return {name: _whole(np.concatenate([*map(cut, facets)])) for name, facets in sets.items()}

@@ -34,7 +34,7 @@ from warp_peri.ranks.processes import build, in_turn, inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.multigrid import coarser
 from warp_peri.statics.scattered import ThroughLattice
-from warp_peri.transfer.cache import model_at
+from warp_peri.transfer.cache import carried, model_at
 
 if TYPE_CHECKING:
     from warp_peri.ranks.subdomain import Subdomain
@@ -237,7 +237,7 @@ class ScatteredOperator:
         inside = np.zeros(len(halo.x), bool)
         inside[halo.own] = piece.interior
         self.through: ThroughLattice | None = None  # where no node is unknown
-        self.model = in_turn(comm, lambda: model_at(model, carrier))
+        self.model = in_turn(comm, lambda: carried(model, carrier))
         with agreed(comm):
             if inside.any():
                 here = Points(halo.x, inside, 0.0, units=piece.units, axis=piece.axis)

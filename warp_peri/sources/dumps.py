@@ -157,6 +157,10 @@ class Average:
     iota: float | None = None
 
 
+UNLIKE = 1.1
+"""Times that loads per mass of two species may differ without a word."""
+
+
 def coarse_grain_dumps(
     dumps: Sequence[str | os.PathLike[str]],
     omega: sp.csr_array,
@@ -184,6 +188,7 @@ def coarse_grain_dumps(
         average: of the frames of each dump.
         progress: show a progress bar over the dumps.
 
+    Warns of forces that are not shared among species as their masses are, and of torn sheets.
     Raises InputError as its parts do, and for forces or unloaded dumps that do not fit, or whose
     ids differ.
     """
@@ -191,6 +196,7 @@ def coarse_grain_dumps(
         raise InputError(f"unloaded: expected 0, 1 or {len(dumps)} dumps, got {len(unloaded)}")
     force = checked("force", force, shape=(len(dumps), "A", 2))
     ids = atoms.ids
+    _warn_of_shares(force, np.broadcast_to(np.asarray(atoms.mass, float), force.shape[1]))
     if ids is None and len(dumps):
         ids = next(dump_frames(dumps[0])).ids
 
@@ -214,6 +220,20 @@ def coarse_grain_dumps(
     )
     names = {"load_id": np.array([Path(path).name for path in dumps])}
     return Samples(nodes_of(points), u, b, names)
+
+
+def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
+    """Say where the forces of loads are not shared among species as their masses are."""
+    kinds = np.unique(mass)
+    size = [np.sqrt(np.square(force[:, mass == one]).mean()) / one for one in kinds]
+    if len(force) and max(size) > UNLIKE * min(size):
+        shares = ", ".join(f"{each / max(size):.2g}" for each in size)
+        warnings.warn(
+            f"force: atoms of masses {', '.join(f'{one:g}' for one in kinds)} carry loads per mass "
+            f"of {shares}, relative: what a cell's mean by mass does then is not the answer to its "
+            "load alone; a load is to go over the atoms of a cell by mass",
+            stacklevel=3,
+        )
 
 
 def _warn_of_torn(

@@ -239,3 +239,21 @@ def lanczos_start(size: int) -> np.ndarray:
     It has no symmetry of the body's: ones would be orthogonal to half of a symmetric body's modes.
     """
     return np.random.default_rng(0).standard_normal(size)
+
+
+def with_proof(model: Model, spacing: float | None = None) -> Model:
+    """A model without a certificate with one on a lattice.
+
+    Args:
+        model: that is certified nowhere.
+        spacing: of the lattice [length]; None for that of its data, else a third of its horizon.
+
+    Raises InputError where nothing is proven of it there.
+    """
+    home = spacing or max(model.trained_on, default=model.horizon / 3)
+    proof = certify(model, spacing=home)
+    if not proof.holds:
+        unit = symbols(model.units)[0]
+        raise InputError(f"model: nothing is proven of it on {home:g} {unit}; {proof.statement}")
+    figures = {f"{proof.spacing:g}": proof.figures()}
+    return replace(model, certified_on=(proof.spacing,), certificate=figures)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -78,6 +78,13 @@ def positive_factors(K: sp.csc_matrix) -> Any:
     factor, fault = lapack.dpotrf(K.toarray(order="F"), lower=1, overwrite_a=1, clean=0)
     # LAPACK need not call numbers that are none a fault
     return None if fault or not np.isfinite(factor.diagonal()).all() else FullFactors(factor)
+
+
+def rough(factors: Any) -> Any:
+    """The same in half the memory where that is large: for fields near by."""
+    if isinstance(factors, BandFactors):
+        return BandFactors(factors.factor.astype(np.float32))
+    return factors
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,11 +277,19 @@ class StaticProblem:
         return replace(equilibrium, smallest_eigenvalue=smallest / self.softest)
 
     def find(
-        self, c: np.ndarray, b: np.ndarray | None, u: np.ndarray, *, start: np.ndarray | None = None
+        self,
+        c: np.ndarray,
+        b: np.ndarray | None,
+        u: np.ndarray,
+        *,
+        start: np.ndarray | None = None,
+        near: Any = None,
     ) -> Equilibrium | None:
         """As solve, without the smallest eigenvalue (NaN); None where no equilibrium is found.
 
-        The tangent was positive definite in the last step all the same.
+        The tangent was positive definite in the last step all the same, unless factors of one
+        `near` the start are given: then Newton's way from there alone is tried, and conjugate
+        gradients saw no negative curvature in a few directions.
         """
         nodes = self.op.points.x.shape
         load, collar = checked_fields(self.op.points, b, u)
@@ -292,8 +307,10 @@ class StaticProblem:
             larger = self.find(c, None if b is None else times * b, times * u, start=known)
             return larger and replace(larger, u=larger.u / times)
         steps, followed = 1, True
-        field, count = self._newton(c, load, first)
+        field, count = self._newton(c, load, first, near=near)
         softened = None
+        if field is None and near is not None:
+            return None
         if field is None:
             softened, factor, used = self._soften(c, load, collar, first)
             field = softened if factor == 1.0 else None
@@ -322,7 +339,7 @@ class StaticProblem:
         """
         strain = float(np.ptp(self.lift(collar), axis=0).max()) / self.op.bonds.spacing
         if load.any() and strain < LINEAR / 2:
-            step, _ = self._direction(c, np.zeros_like(collar), load, False)
+            step = self._direction(c, np.zeros_like(collar), load, False)[0]
             strain = max(strain, float(np.abs(step).max()) / self.op.bonds.spacing)
         return LINEAR / strain if 0 < strain < LINEAR / 2 else 1.0
 
@@ -391,25 +408,37 @@ class StaticProblem:
         return now, done, steps, count
 
     def _newton(
-        self, c: np.ndarray, load: np.ndarray, u: np.ndarray, *, shifts: bool = False
+        self,
+        c: np.ndarray,
+        load: np.ndarray,
+        u: np.ndarray,
+        *,
+        shifts: bool = False,
+        near: Any = None,
     ) -> tuple[np.ndarray | None, int]:
         """Minimise the potential from u; None where that does not end in an equilibrium.
 
         Without shifts it also ends where the tangent is not positive definite: the branch of
-        stable equilibria that u lies near has been left.
+        stable equilibria that u lies near has been left. With factors of a tangent near none is
+        factorised. Else, of many unknowns, the first and the last are.
         """
         if self.op.smallest_area(u) <= SMALLEST_AREA:
             return None, 0
+        given, again = near is not None, not shifts and 2 * len(self.op.interior) > DENSE
         for count in range(60 if shifts else 15):
             f = self.op.everywhere(u, c)
             residual = load - f[self.op.interior]
             scale = max(np.abs(load).max(), np.abs(f).max(), 1e-300)
             if not np.isfinite(f).all():  # a bond or the short strain is folded
                 return None, count
-            step, shift = self._direction(c, u, residual, shifts)
+            small = np.abs(residual).max() <= self.tolerance * scale
+            if small and not given:
+                near = None
+            step, shift, factor = self._direction(c, u, residual, shifts, near)
+            near = factor if given or again else None
             if shift > 0 and not shifts:
                 return None, count
-            if np.abs(residual).max() <= self.tolerance * scale and shift == 0.0:
+            if small and shift == 0.0:
                 return (None if self._folded(u) else u), count
             moved = self._search(c, load, u, step, residual, scale)
             if moved is None:
@@ -418,30 +447,39 @@ class StaticProblem:
         return None, count
 
     def _direction(
-        self, c: np.ndarray, u: np.ndarray, residual: np.ndarray, shifts: bool
-    ) -> tuple[np.ndarray, float]:
-        """A direction of descent, and the shift that makes the tangent positive definite."""
+        self, c: np.ndarray, u: np.ndarray, residual: np.ndarray, shifts: bool, near: Any = None
+    ) -> tuple[np.ndarray, float, Any]:
+        """A direction of descent, the shift that makes the tangent positive definite, factors."""
         if self.pattern is None:
-            return self._krylov(c, u, residual)
+            step, shift = self._krylov(c, u, residual, self._laplace.solve)
+            return step, shift, None
+        if near is not None:
+            inverse = lambda r: near.solve(r.ravel()).reshape(r.shape)  # noqa: E731
+            step, shift = self._krylov(c, u, residual, inverse)
+            if shift == 0:
+                return step, shift, near
         K = self.pattern.matrix(u, c)
         shift, size = 0.0, 1e-3 * abs(K.diagonal()).max()
         for _ in range(12):
             factor = positive_factors(K + shift * sp.eye(K.shape[0]) if shift else K)
             if factor is not None:
-                step: np.ndarray = factor.solve(residual.ravel()).reshape(residual.shape)
-                return step, shift
+                return factor.solve(residual.ravel()).reshape(residual.shape), shift, factor
             shift = size if shift == 0 else 4 * shift
             if not shifts:
                 break
-        return residual / size, size
+        return residual / size, size, None
 
     def _krylov(
-        self, c: np.ndarray, u: np.ndarray, residual: np.ndarray
+        self,
+        c: np.ndarray,
+        u: np.ndarray,
+        residual: np.ndarray,
+        inverse: Callable[[np.ndarray], np.ndarray],
     ) -> tuple[np.ndarray, float]:
         """The same by conjugate gradients that stop at negative curvature (Steihaug)."""
         inner = self.op.interior
         x, r = np.zeros_like(residual), residual.copy()
-        z = self._laplace.solve(r)
+        z = inverse(r)
         p, rz, first = z.copy(), float((r * z).sum()), np.linalg.norm(r)
         if first == 0:
             return x, 0.0
@@ -457,7 +495,7 @@ class StaticProblem:
             r -= step * Kp
             if np.linalg.norm(r) < 1e-4 * first:
                 break
-            z = self._laplace.solve(r)
+            z = inverse(r)
             rz, before = float((r * z).sum()), rz
             p = z + rz / before * p
         return x, 0.0

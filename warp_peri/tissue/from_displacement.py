@@ -18,8 +18,8 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number
 from warp_peri.points.samples import Samples, seen_of
 from warp_peri.tissue.energy_fit import lower_bounds
-from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, positive_factors
-from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, positive_factors, rough
+from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.tissue.placed import bond_slopes, largest_stretch, piola_stress
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
 
@@ -267,12 +267,24 @@ class Search:
         if not self.kept:
             raise NoEquilibrium("no frame has an equilibrium with the first coefficients")
         self.c, self.fields, self.squares = c, fields, squares
+        self.linearise()
 
-    def _solve(self, problem: StaticProblem, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Fields of all kept frames, and their squared relative errors; infinite where none."""
+    def _solve(
+        self, problem: StaticProblem, c: np.ndarray, change: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Fields of all kept frames, and their squared relative errors; infinite where none.
+
+        They are looked for from where a change of the unknowns leads, to first order.
+        """
         fields, squares = self.fields.copy(), np.full(len(self.data), np.inf)
         for n in self.kept:
-            equilibrium = problem.find(c, None, self.data[n], start=self.fields[n])
+            start, near = self.fields[n].copy(), None
+            if change is not None and n in self.linear:
+                slopes, near = self.linear[n]
+                start[self.inner] += (slopes @ change).reshape(-1, 2)
+                if problem.op.smallest_area(start) <= SMALLEST_AREA:
+                    start = self.fields[n]
+            equilibrium = problem.find(c, None, self.data[n], start=start, near=near)
             if equilibrium is None:
                 if self.squares[n] < np.inf:
                     return fields, squares
@@ -282,12 +294,16 @@ class Search:
             squares[n] = (gap**2).sum() / self.size[n] ** 2
         return fields, squares
 
-    def _equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """The errors and their derivative by all unknowns in the order of `now`, reduced."""
+    def linearise(self) -> bool:
+        """Derivatives of the fields by all unknowns in the order of `now`; whether all are stable.
+
+        With the reduced equations of their errors.
+        """
         op, K = self.problem.op, len(self.c)
         if (pattern := self.problem.pattern) is None:
             raise InputError("problem: expected one whose tangent is factorised")
         triangle = np.zeros((0, len(self.now) + 1))
+        linear: dict[int, tuple[np.ndarray, Any]] = {}
         for n in self.kept:
             u = self.fields[n]
             factor = positive_factors(pattern.matrix(u, self.c))
@@ -300,16 +316,18 @@ class Search:
             if self.thickness is not None:
                 slopes = op.by_thickness(u, self.c, self.thickness.slopes(self.x))
                 F.append(slopes.reshape(len(F[0]), -1))
-            J = -factor.solve(np.concatenate(F, axis=1)) / self.size[n]
-            gap = (u - self.data[n])[self.inner].reshape(-1, 1) / self.size[n]
-            rows = np.concatenate([J, gap], axis=1) * np.repeat(self.seen[n], 2, axis=0)
-            rows = np.concatenate([triangle, rows])
+            J = -factor.solve(np.concatenate(F, axis=1))
+            linear[n] = J, rough(factor)
+            gap = (u - self.data[n])[self.inner].reshape(-1, 1)
+            rows = np.concatenate([J, gap], axis=1) / self.size[n]
+            rows = np.concatenate([triangle, rows * np.repeat(self.seen[n], 2, axis=0)])
             triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-        return triangle[:, :-1], triangle[:, -1]
+        self.linear, self.equations = linear, triangle
+        return len(linear) == len(self.kept)
 
     def step(self, damping: float) -> float:
         """One step of Gauss, Newton and Levenberg; the next damping."""
-        J, r = self._equations()
+        J, r = self.equations[:, :-1], self.equations[:, -1]
         K, now = len(self.c), self.now
         lower, upper = self._bounds(now)
         free: np.ndarray = np.arange(len(now)) >= (K if self.held else 0)
@@ -326,11 +344,14 @@ class Search:
             moved[free] = lsq_linear(A[:, free], y, bounds, method="bvls").x / length[free]
             problem, thickness = self._moved(moved[K:])
             c = self.scaled(np.maximum(moved[:K], 0.0))
-            fields, squares = self._solve(problem, c)
+            before = vars(self).copy()
+            fields, squares = self._solve(problem, c, np.array([*c, *moved[K:]]) - now)
             if squares[self.kept].sum() < self.loss:
                 self.problem, self.c, self.fields, self.squares = problem, c, fields, squares
                 self.thickness = thickness
-                return max(damping / 10, 1e-9)
+                if self.linearise():
+                    return max(damping / 10, 1e-9)
+                vars(self).update(before)
             damping = max(10 * damping, 1e-6)
         return damping
 

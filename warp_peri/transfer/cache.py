@@ -14,6 +14,7 @@ from warp_peri.points.arrays import is_number
 from warp_peri.points.families import AT_EDGES, carried_horizon
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, symbols
+from warp_peri.stability.certificate import with_proof
 from warp_peri.transfer import LEAST, RECIPE
 
 FOLDER = ".lattices"
@@ -105,6 +106,14 @@ def model_at(
         _said.add(once)
         warnings.warn(f"transferred {record['statement']}", stacklevel=4)
     return transferred
+
+
+def carried(model: Model, spacing: float) -> Model:
+    """As model_at, for a lattice that carries scattered points: one certified nowhere is proven.
+
+    Raises InputError where that is not so.
+    """
+    return model_at(model if model.certified_on else with_proof(model), spacing)
 
 
 def _places(model: Model, home: str, name: str) -> list[Path]:

@@ -23,7 +23,7 @@ from warp_peri.points.interpolation import (
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, symbols
-from warp_peri.transfer.cache import model_at
+from warp_peri.transfer.cache import carried
 
 SMALLEST = 1e-6
 """Singular values of T below this count as zero: then two unknowns are one on the lattice."""
@@ -38,7 +38,8 @@ class Carrier:
     The lattice goes on with whole families 2δ beyond the last place that an unknown node touches.
 
     Args:
-        model: certified on some lattice, from where it is transferred.
+        model: certified on some lattice, from where it is transferred; one that is certified
+            nowhere is proven on the lattice of a third of its horizon first.
         points: scattered nodes (or any others).
         spacing: of the lattice [Å]; None for half that of the nodes, to two digits.
         neighbours: nearest nodes that a place of the lattice is interpolated from.
@@ -74,7 +75,7 @@ class Carrier:
         if spacing is None:
             spacing = fitting_spacing(dense)
         self.points, self.spacing = points, spacing
-        self.model = model_at(model, spacing)
+        self.model = carried(model, spacing)
         self.x, self.loaded = _places(points, self.model, spacing, dense, neighbours)
         self.T = interpolation(points.x, self.x, neighbours=neighbours)
         self.unknown = sp.csr_array(self.T[self.loaded][:, points.interior])

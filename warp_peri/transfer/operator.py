@@ -31,7 +31,8 @@ class LPSOperator(NodeOperator):
     what allow_uncertified gives there: nothing is proven of them.
 
     Args:
-        model: certified on some lattice; on others it is transferred, which is said once.
+        model: certified on some lattice; on others it is transferred, which is said once. One that
+            is certified nowhere is proven there and then for scattered points.
         points: a lattice or scattered points, which a lattice of half their spacing carries.
         quadrature_degree: of the polynomials that the weights are exact for.
         transfer: False refuses what the model itself is not certified on.
@@ -62,7 +63,7 @@ class LPSOperator(NodeOperator):
         self.carrier: Carrier | None = None
         self.home, nodes = model, nodes_of(points)
         model.check_dimension(points)
-        if points.spacing == 0 and transfer and not allow_uncertified and model.certified_on:
+        if points.spacing == 0 and transfer and not allow_uncertified:
             self.carrier = Carrier(model, points)
             here, points = self.carrier.model, self.carrier.lattice
         else:

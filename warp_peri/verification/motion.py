@@ -49,7 +49,7 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
     how: dict[str, Any] = {"density": DENSITY, "step": step, "steps": steps, "record": [node]}
     run = move(law, Dirichlet(points, None, u), **how)
     swing = run["u"][:, 0, 0] / s.length
-    told: dict[str, Any] = {"x": run.time, "shown": swing, "label": "u_x at a crest [m], over time"}
+    told: dict[str, Any] = {"x": run.time, "shown": swing, "label": "u_x at a crest [m]"}
     return Outcome(frequency(run.time, swing) / omega, **told)
 
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads
@@ -194,20 +195,27 @@ def page(lines: Sequence[Line]) -> str:
 
 
 def draw(one: Row, found: Outcome, out: Path) -> None:
-    """A picture of an answer, in the plane of its first two coordinates."""
+    """A picture of an answer: over time, or in the plane, of the nodes nearest to the viewer."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(5, 4), layout="constrained")
     ax, x, shown = figure.add_subplot(), np.asarray(found.x), np.asarray(found.shown)
     if x.ndim == 1:
-        ax.plot(x, shown, lw=1)
-        ax.set(ylabel=found.label)
+        ax.plot(x / x.max(), shown, lw=1)
+        ax.set(xlabel="time over that of the run", ylabel=found.label)
     else:
-        order = np.argsort(x[:, -1]) if x.shape[1] == 3 else slice(None)
-        x, shown = x[order], shown[order]
-        low, high = np.quantile(shown, (0.002, 0.998))
-        drawn = ax.scatter(x[:, 0], x[:, 1], c=shown, s=4e4 / len(x), lw=0, vmin=low, vmax=high)
-        ax.set(aspect="equal", xlabel="x [m]", ylabel="y [m]")
+        low, high = x[:, :2].min(axis=0), x[:, :2].max(axis=0)
+        front = x[:, 2] >= np.quantile(x[:, 2], 0.8) if x.shape[1] == 3 else np.ones(len(x), bool)
+        axes = [np.linspace(a, b, 400) for a, b in zip(low, high)]
+        places = np.stack(np.meshgrid(*axes), axis=-1)
+        tree = cKDTree(x[front, :2])
+        away, at = tree.query(places)
+        apart = tree.query(x[front, :2], 4)[0][:, -1]
+        values = np.where(away < apart[at], shown[front][at], np.nan)
+        limits = dict(zip(("vmin", "vmax"), np.quantile(shown, (0.002, 0.998))))
+        box: Any = (low[0], high[0], low[1], high[1])
+        drawn = ax.imshow(values, origin="lower", extent=box, **limits)
+        ax.set(xlabel="x [m]", ylabel="y [m]")
         figure.colorbar(drawn, ax=ax, label=found.label)
     ax.set_title(one.name, fontsize="medium")
     name = "".join(c if c.isalnum() else "_" for c in one.name.lower())
