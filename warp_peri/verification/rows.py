@@ -55,13 +55,14 @@ POSED = vars(statics) | vars(cracks) | vars(motion)
 
 
 def _read() -> list[Row]:
-    rows = []
-    for told in tomllib.loads(Path(__file__).with_name("rows.toml").read_text("utf-8"))["row"]:
-        names, without = told.pop("materials"), told.pop("without", {})
-        pose, how = POSED[told.pop("run")], told.pop("with", {})
-        for name in (*names, *without):
-            run = partial(pose, name, **how)
-            rows.append(Row(material=name, run=run, why=without.get(name, ""), **told))
+    """Each problem with each material, posed or with the reason why not."""
+    told, rows = tomllib.loads(Path(__file__).with_name("rows.toml").read_text("utf-8")), []
+    for one in told["row"]:
+        posed, why = one.pop("materials"), told["unposed"][one.pop("kind")]
+        why, pose, how = why | one.pop("without", {}), POSED[one.pop("run")], one.pop("with", {})
+        for name in told["materials"]:
+            said = {"material": name, "why": "" if name in posed else why[name]}
+            rows.append(Row(run=partial(pose, name, **how), **said, **one))
     return rows
 
 
@@ -162,7 +163,10 @@ def table(lines: Sequence[Line]) -> str:
         cells += [f"{line['seconds']:.1f}", "yes" if line["holds"] else "**does not hold**"]
         words.append(f"| {' | '.join(cells)} |")
     words += ["", "References:", ""] + [f"{n}. {source}." for source, n in sources.items()]
-    notes = [f"- {line['name']}: {line['note']}." for line in lines if line["note"]]
+    by_note = dict[str, list[str]]()
+    for line in (line for line in lines if line["note"]):
+        by_note.setdefault(line["note"], []).append(line["name"])
+    notes = [f"- {note}: {'; '.join(names)}." for note, names in by_note.items()]
     return "\n".join(words + (["", "Notes:", "", *notes] if notes else []))
 
 

@@ -449,9 +449,7 @@ def cantilever(name: str, s: UnitScale) -> Outcome:
     return Outcome(tip, power, **seen(found, s, 0))
 
 
-def cylinder(
-    name: str, s: UnitScale, nu: float, *, stress: bool = False, once: bool = False
-) -> Outcome:
+def cylinder(name: str, s: UnitScale, nu: float, *, stress: bool = False) -> Outcome:
     """u of the bore under a unit pressure, or its hoop stress; radii 3 and 9, E = 1000."""
     moduli = plane(1000.0, nu, strain=True)
 
@@ -465,7 +463,7 @@ def cylinder(
         mesh = mapped(s, (*patch, ("bore", "", *SIDES)))
         return posed(law, mesh, s, rollers(), {"bore": lambda x, n: -n}, level)
 
-    power, found = (None, pose(0.7)) if once or stress else refined(pose, exact, s)
+    power, found = (None, pose(1.0)) if stress else refined(pose, exact, s)
     u, hoop = near(found, (3, 0), s)
     return Outcome(hoop[1, 1] if stress else u[0], power, **seen(found, s))
 
