@@ -39,7 +39,7 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
     points = points if isinstance(law, Model) else replace(points, axis=0.0)
     k = 2 * np.pi / (length * s.length)
     stencil = lps_stencil(law, s.length) if isinstance(law, Model) else law.stencil
-    D = stencil.symbol(np.array([[k, 0.0]]))[0, 0, 0]
+    D = stencil.symbol(np.array([[k * s.length, 0.0]]))[0, 0, 0]
     D = s.stiffness * THIRD[0, 0, 0, 0] * k**2 if local else D
     omega = float(np.sqrt(D / inertia(DENSITY, s.units)))
     step = SHARE * critical_time_step(law, spacing=s.length, density=DENSITY)
