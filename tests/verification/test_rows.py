@@ -128,8 +128,8 @@ def test_the_references_agree_with_second_forms():
     assert known["edge crack"] == pytest.approx(tada / np.cos(turn), rel=2e-3)
     feddersen = np.sqrt(1 / np.cos(turn))
     assert known["centre crack"] == pytest.approx(feddersen, rel=4e-3)
-    bulk = 1000 / (1.3 * (1 - 0.6)), 1000 / (2 * 1.3)
-    bore = 3 / 16 * (1 / bulk[0] + 9 / bulk[1])
+    bulk, shear = 1000 / (1.3 * 0.4), 1000 / 1.3  # 2(λ + μ) and 2μ
+    bore = (3 / bulk + 27 / shear) / 8
     assert known["thick cylinder"] == pytest.approx(bore, rel=1e-4)
 
 

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 import warp_peri
-from warp_peri import verification
 from warp_peri.cli.inputs import data_for
 from warp_peri.cli.learn import run_dic as run_dic
 from warp_peri.cli.learn import run_learn as run_learn
@@ -252,6 +251,7 @@ def run_plan(given: argparse.Namespace) -> dict[str, Any]:
 
 def run_verify(given: argparse.Namespace) -> Result:
     """Problems that everybody knows, posed to every material that can take them."""
+    verification = warp_peri.verification
     lines = verification.verified(
         given.only, scaled=given.scale, out=given.out, processes=given.processes
     )
