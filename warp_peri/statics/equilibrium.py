@@ -9,13 +9,17 @@ one more solve, and one gradient of the operator.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
+import scipy.fft
+import scipy.sparse as sp
 import torch
 
 from warp_peri.core.stencil import Stencil
+from warp_peri.core.sweeps import torus_symbol
 from warp_peri.core.tensors import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.lps.bonds import Bonds, influence
@@ -23,13 +27,14 @@ from warp_peri.lps.matrices import assemble
 from warp_peri.lps.model import Model, Solid, lps_stencil
 from warp_peri.lps.operator import lps_force
 from warp_peri.points.families import families_of
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.conjugate_gradients import SolveRecord
-from warp_peri.statics.definiteness import refuse_indefinite
-from warp_peri.statics.direct import MatrixProblem
-from warp_peri.statics.linear import METHODS, Linear
+from warp_peri.statics.direct import MatrixProblem, definite_factors
+from warp_peri.statics.linear import METHODS, Linear, smallest_ratio
 from warp_peri.statics.solution import TOLERANCE
 
 
@@ -207,3 +212,58 @@ def solid_stencil(nodes: Points, solid: Solid, horizon: float, degree: int = DEG
     own, d = numbers.dilatation, nodes.dimension
     model = Model(lam, mu, alpha, numbers.D, horizon, D_dilatation=own, dimension=d)
     return lps_stencil(model, nodes.spacing, degree=degree)
+
+
+def refuse_indefinite(
+    points: Points,
+    stiffness: sp.csc_array,
+    stencil: Callable[[], Stencil],
+    *,
+    allowed: bool = False,
+) -> None:
+    """Raise InputError when L_II is not positive definite, on lattices and where bonds are broken.
+
+    On plain lattices by the symbol, and where that proves nothing by the smallest eigenvalue. Where
+    bonds are broken, its symmetric part decides: a kernel that changes sign seldom bears that
+    (theory.md, B9). Elsewhere nothing is asked.
+
+    Args:
+        points: the nodes.
+        stiffness: L_II [stress/length²].
+        stencil: gives that of the operator on a plain lattice.
+        allowed: warn, where bonds are broken, instead.
+    """
+    if points.outside is not None:
+        nodes = int(np.count_nonzero(points.interior))
+        _judge_cut(sp.csc_array((stiffness + stiffness.T) / 2), nodes, allowed)
+        return
+    if not points.is_plain_lattice:
+        return
+    sides = np.ptp(lattice_steps(points)[0], axis=0) + 1
+    torus = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in sides)
+    whole = stencil()
+    if smallest_ratio(torus_symbol(torus, whole.steps, whole.tensors), torus) > 0:
+        return
+    smallest = smallest_eigenvalue(stiffness)
+    if not smallest > 0:
+        raise InputError(
+            f"the operator on these {np.count_nonzero(points.interior)} nodes is indefinite: its "
+            f"smallest eigenvalue is {smallest:.1e}, so that its equilibria are not stable"
+        )
+
+
+def _judge_cut(symmetric: sp.csc_array, nodes: int, allowed: bool) -> None:
+    """Refuse, or warn of, a symmetric part that is not positive definite."""
+    if definite_factors(symmetric) is not None:
+        return
+    smallest = smallest_eigenvalue(symmetric)
+    if smallest > 0:
+        return
+    message = (
+        f"outside: with these bonds broken the operator on {nodes} nodes is not "
+        f"positive definite: the smallest eigenvalue of its symmetric part is "
+        f"{smallest:.2g}, and its solutions may be wrong; Body(mesh, …) does without broken bonds"
+    )
+    if not allowed:
+        raise InputError(message)
+    warnings.warn(message, stacklevel=4)

@@ -23,9 +23,8 @@ from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, largest_strain
 from warp_peri.statics.conjugate_gradients import SolveRecord
-from warp_peri.statics.definiteness import refuse_indefinite
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem
-from warp_peri.statics.equilibrium import equilibrium, lps_linear
+from warp_peri.statics.equilibrium import equilibrium, lps_linear, refuse_indefinite
 from warp_peri.statics.linear import BONDS, DIRECT, STIFF, Inverse, Linear, cheapest_method
 from warp_peri.statics.scattered import ThroughLattice, warn_beyond
 from warp_peri.statics.solution import TOLERANCE, Direct, Krylov, Solution, Solver, refuse_solver
