@@ -105,7 +105,9 @@ class OnPoints(Remade):
     is_linear = False
     """Whether the force is linear in u, so that derivatives of any order are had."""
     is_symmetric = False
-    """Whether it is linear, and symmetric on the interior: then a solve has derivatives too."""
+    """Whether it is linear, and symmetric on the interior: `rest` is then its own adjoint."""
+    networks: tuple[Any, ...] = ()
+    """Parameters of torch that the material itself holds."""
     points: Any
     force: Callable[[Any], np.ndarray]
     """The force of fields of NumPy."""
@@ -141,9 +143,29 @@ class OnPoints(Remade):
         """The force of a tensor, differentiable."""
         return import_module("warp_peri.core.tensors").force_of(self, u)
 
-    def rest_in_torch(self, b: Any, u: Any, solver: Any = None) -> Any:
-        """`rest` of tensors; its u is differentiable in both where `is_symmetric`."""
-        return import_module("warp_peri.core.tensors").at_rest(self, b, u, solver)
+    def force_with(self, u: Any, numbers: Any) -> Any:
+        """The force of tensors [S, N, d] with other numbers of its `learnable`, once differentiable
+        in all; of what offers `at(numbers)` and `by_numbers(name, u, w)`."""
+        return import_module("warp_peri.core.tensors").force_with(self, u, numbers)
+
+    def rest_in_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
+        """`rest` of tensors, differentiable in both and in numbers: core.tensors.at_rest."""
+        return import_module("warp_peri.core.tensors").at_rest(self, b, u, solver, parameters)
+
+    def stiffness_at(self, u: Any) -> Any:
+        """The derivative of the force at a field, between interior nodes, sparse [d I, d I]: of
+        what offers `tangent`, sparse [d I, d N]."""
+        one = int(np.prod(self.shape[1:]))
+        tangent: Any = getattr(self, "tangent")(u)  # noqa: B009
+        return tangent.tocsc()[:, np.repeat(self.points.interior, one)]
+
+    def load_transpose(self, w: Any) -> np.ndarray:
+        """`load` transposed, of w on the interior [..., I, d], on all nodes [..., N, d]."""
+        return self.on_all(w)
+
+    def balanced(self, g: Any) -> np.ndarray:
+        """Of a load on all nodes [..., N, d] what a solve takes."""
+        return np.asarray(g)
 
     def check(self, u: Any, real: bool = True) -> None:
         """Raise InputError for what is no real fields on the nodes."""
@@ -172,8 +194,9 @@ class OnPoints(Remade):
 
     def on_all(self, w: Any) -> np.ndarray:
         """Fields of the interior nodes [..., I, d] as those of all, zero elsewhere, [..., N, d]."""
-        fields = np.zeros((*np.shape(w)[:-2], *self.shape))
-        fields[..., self.points.interior, :] = w
+        rest = len(self.shape)
+        fields = np.zeros((*np.shape(w)[:-rest], *self.shape))
+        fields[(..., self.points.interior, *[slice(None)] * (rest - 1))] = w
         return fields
 
 

@@ -7,6 +7,7 @@ that the result does not depend on how many threads there are.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -393,18 +394,20 @@ class NodeOperator(OnPoints):
             out: takes L u [TPa/Å], shape [S, I] of such vectors.
             parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default.
 
-        Raises InputError for other arrays, broken bonds and scattered points through a lattice.
+        Raises InputError for other arrays, another device, and scattered points through a lattice.
         """
         with unrecorded() as tape:
-            back, arrays = self._launched(u, out, parameters)
+            back, arrays = self._launched(u, out, parameters, recorded=tape is not None)
         if tape is not None and len(arrays) > 1:
             tape.record_func(back, arrays)  # RuntimeError of Warp for an out without a gradient
 
-    def _launched(self, u: Any, out: Any, parameters: Solid | None) -> tuple[Any, list[Any]]:
+    def _launched(
+        self, u: Any, out: Any, parameters: Solid | None, *, recorded: bool
+    ) -> tuple[Any, list[Any]]:
         """The pass backwards, and the arrays whose gradients it reads and adds to."""
         bonds, d = self.bonds, self.bonds.dimension
-        if not gathers(bonds) or self.shape[0] != bonds.nodes:
-            raise InputError("launch: expected a lattice, or own weights, without broken bonds")
+        if bonds.device != DEVICE or self.shape[0] != bonds.nodes:
+            raise InputError(f"launch: expected a lattice, or own weights, on {DEVICE}")
         for name, array, nodes in (("u", u, bonds.nodes), ("out", out, len(bonds.rows))):
             fits = isinstance(array, wp.array) and array.is_contiguous and array.ndim == 2
             seen = array.numpy() if fits and len(u) else np.zeros(0)
@@ -416,14 +419,23 @@ class NodeOperator(OnPoints):
         numbers = self._evaluated[0] if parameters is None else list(parameters.values())
         if bonds.bond_based and numbers[0].numpy() != numbers[1].numpy():
             raise InputError("lambda, mu: expected equal values (bond-based)")
-        found = evaluate(bonds, u, *numbers)
+        taped = recorded and not gathers(bonds)  # broken bonds: a tape of copies, inside
+        of = [wp.clone(one, requires_grad=True) if taped else one for one in (u, *numbers)]
+        with wp.Tape() if taped else nullcontext() as tape:
+            found = evaluate(bonds, *of, gradient=taped)
         wp.copy(out, found.Lu)
 
         def back() -> None:
-            learns = any(array.requires_grad for array in numbers)
-            by = gradient(bonds, found, (u, *numbers), out.grad, parameters=learns)
-            by_u: Any = by.u
-            parts = (by_u.numpy(), by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
+            parts: Any
+            if tape is not None:
+                tape.zero()
+                tape.backward(grads={found.Lu: out.grad})
+                parts = [one.grad.numpy() for one in of]
+            else:
+                learns = any(array.requires_grad for array in numbers)
+                by = gradient(bonds, found, of, out.grad, parameters=learns)
+                by_u: Any = by.u
+                parts = (by_u.numpy(), by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
             for array, part in zip((u, *numbers), parts):
                 if array.requires_grad:
                     array.grad.numpy()[:] += part

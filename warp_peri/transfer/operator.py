@@ -102,6 +102,10 @@ class LPSOperator(NodeOperator):
         force = super().force_with(through(self.carrier.T, u), numbers)
         return through(self.carrier.unknown.T, force)
 
+    def load_transpose(self, w: ArrayLike) -> np.ndarray:
+        """`load` transposed, of w on the interior [..., I, d], on all nodes [..., N, d]."""
+        return self.on_all(w) if self.carrier is None else self.carrier.load_transpose(w)
+
     def load(self, b: np.ndarray) -> np.ndarray:
         """What the operator equals in equilibrium with b [TPa/Å], on the interior nodes.
 
