@@ -73,7 +73,9 @@ class Dirichlet:
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
         offered(operator, "product", "move", "a material that moves on points")
         how, learned = taken(options, "move", march, moved)
-        if "parameters" in learned or any(map(is_tensor, (self.b, self.u, how.get("v"), how.get("signal")))):
+        if "parameters" in learned or any(
+            map(is_tensor, (self.b, self.u, how.get("v"), how.get("signal")))
+        ):
             return moved(operator, self.b, self.u, **how | learned)
         return march(operator, self.b, self.u, **how)
 

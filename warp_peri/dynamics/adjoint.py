@@ -22,16 +22,10 @@ from typing import Any
 import numpy as np
 import torch
 
-from warp_peri.core.tensors import (
-    by_numbers,
-    differentiable_once,
-    refuse_tangents,
-    with_numbers,
-)
+from warp_peri.core.tensors import by_numbers, differentiable_once, refuse_tangents, with_numbers
 from warp_peri.dynamics import verlet
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-
 
 PIECES, BATCH = 8, 16
 """States kept of a motion, and fields whose derivatives to numbers are taken at once."""
@@ -108,6 +102,8 @@ class _Waves:
         """
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
+        felt = _Felt(self.operator) if wanted and getattr(self.operator, "gathers", False) else None
+        self.body.operator = felt or self.operator
         by_signal, batch = np.zeros(last + 1), list[tuple[np.ndarray, np.ndarray]]()
         for number, u in self._undone():
             if number < last:
@@ -117,10 +113,15 @@ class _Waves:
                 q = q + self.dt * (p + upstream / 2)[free]
                 p += upstream
             pull = whole * q / (1 + (number in (0, last)))
-            p -= self.operator.product_transpose(u, pull)
+            if felt is None:
+                p -= self.operator.product_transpose(u, pull)
+            else:
+                pushed, slopes = self.operator.pulls(felt.last, pull, wanted)
+                p -= pushed
+                totals = {name: value - slopes[name] for name, value in totals.items()}
             load += self.body.share(number) * pull
             by_signal[number] = np.vdot(pull, self.body.load)
-            if wanted:
+            if wanted and felt is None:
                 batch.append((u, pull))
             if len(batch) == BATCH or (batch and number == 0):
                 found = by_numbers(self.operator, wanted, *map(np.stack, zip(*batch)))
@@ -149,6 +150,17 @@ class _Waves:
                     )
                 state = true
             yield state.number, state.u
+
+
+class _Felt:
+    """An operator that remembers its last force, of which `pulls` then needs no second."""
+
+    def __init__(self, operator: Any) -> None:
+        self.operator, self.last = operator, None
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        force, self.last = self.operator.felt(u)
+        return np.asarray(force)
 
 
 class _Moved(torch.autograd.Function):

@@ -6,7 +6,7 @@ that the result does not depend on how many threads there are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
@@ -39,6 +39,10 @@ from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
 
+APART = 1e-3
+"""Of λ and μ, over μ: nearer ones leave too few digits of what θ has."""
+
+
 @dataclass(frozen=True)
 class Gradient:
     """Derivatives of a scalar; None where they were not asked for.
@@ -65,6 +69,7 @@ def gradient(
     *,
     displacement: bool = True,
     parameters: bool = True,
+    shapes: bool = True,
 ) -> Gradient:
     """Gradient of a scalar, given its derivative g to L u.
 
@@ -75,6 +80,7 @@ def gradient(
         g: shape [S, I] of vectors.
         displacement: whether to return the derivative to u.
         parameters: whether to return those to λ, μ, α, D.
+        shapes: False for λ and μ alone, on a lattice; no sum over bonds is needed then.
     """
     u, lam, mu, alpha, *coefficients = arrays
     kernels = adjoints(bonds.scalar, bonds.dimension)
@@ -89,13 +95,18 @@ def gradient(
         _by_bonds(bonds, law, (h, hd), tau, u_bar)
     if not parameters:
         return Gradient(u_bar)
+    c1, c2 = bonds.dimension, 2 * bonds.dimension * (bonds.dimension + 2)
+    if not shapes:  # L u is linear in both, and θ has but λ − μ
+        first, second = (float(value.numpy()[0]) for value in (lam, mu))
+        felt = np.vdot(e.theta.numpy(), tau.numpy()) * float(e.md.numpy()[0]) / c1
+        by_lam = felt / (first - second)
+        whole = np.vdot(e.Lu.numpy(), g.numpy())
+        return Gradient(u_bar, float(by_lam), float((whole - first * by_lam) / second))
     fields = filled(kernels.Fields, u, evaluation.theta, h, hd, tau)
     tables = _Tables(bonds, law, fields, alpha, coefficients)
     tables.run()
     shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
     by_D, by_alpha = tables.gradients()
-    d = bonds.dimension
-    c1, c2 = d, 2 * d * (d + 2)
     return Gradient(u_bar, -c1 * bulk, c1 * bulk - c2 * shear, by_alpha, *by_D)
 
 
@@ -383,6 +394,30 @@ class NodeOperator(OnPoints):
                 Lu = lps_force(bonds, leaf, self.model.solid)
             by_u = torch.autograd.grad(Lu, leaf, torch.from_numpy(seed).to(at))[0].cpu()
         return np.asarray(by_u.numpy().reshape(*w.shape[:-2], bonds.nodes, bonds.dimension))
+
+    def felt(self, u: np.ndarray) -> tuple[np.ndarray, Any]:
+        """The force of one field [N, d], and what `pulls` reads of it; where bonds `gather`."""
+        field = floats(np.ascontiguousarray(u)[None], self.bonds.vec)
+        found = evaluate(self.bonds, field, *self._evaluated[0])
+        return np.asarray(found.Lu.numpy()[0]), (found, field)
+
+    def pulls(
+        self, felt: Any, w: np.ndarray, names: Collection[str]
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Lᵗ w on all nodes [N, d] and derivatives of w · force to numbers by name, w [I, d]."""
+        (found, field), bonds, solid = felt, self.bonds, self.model.solid
+        given = field, *self._evaluated[0]
+        apart = abs(solid.lam - solid.mu) > APART * abs(solid.mu)
+        shapes = not (apart and bonds.lattice) or not {"lam", "mu"}.issuperset(names)
+        g = floats(np.ascontiguousarray(w)[None], bonds.vec)
+        by = gradient(bonds, found, given, g, shapes=shapes)
+        by_u: Any = by.u
+        return by_u.numpy()[0], vars(by)
+
+    @property
+    def gathers(self) -> bool:
+        """Whether `felt` and `pulls` are had: of a lattice without broken bonds, and own weights."""
+        return self.shape[0] == self.bonds.nodes and gathers(self.bonds)
 
     def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
         """L u of Warp arrays, on the tape that records, if one does.
