@@ -138,7 +138,9 @@ def gradient(*, quick: bool, long: bool = False) -> None:
     seconds = of_force(side, rounds)
     print(f"gradient of a torch loss on {side}² nodes, one thread, the processor's time")
     for name, value in seconds.items():
-        print(f"  {name:16}{1e3 * value:9.1f} ms, 1/{seconds['torch scatter'] / value:.1f} of torch")
+        print(
+            f"  {name:16}{1e3 * value:9.1f} ms, 1/{seconds['torch scatter'] / value:.1f} of torch"
+        )
     print(f"`move` on {side}² nodes, backward over forward")
     for name, ratio in of_motion(side, 20 if quick else 60, 3).items():
         print(f"  to {name:20}{ratio:6.2f}")

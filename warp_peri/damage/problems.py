@@ -7,16 +7,18 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, refuse_uncut, taken
+from warp_peri.contract import is_tensor, offered, refuse_uncut, taken
+from warp_peri.core.tensors import linear, pair_of
 from warp_peri.damage.cut_solid import CutSolid, crack_area, crack_load, opening_volume
 from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, BreakingState
 from warp_peri.damage.slow_growth import grow
 from warp_peri.damage.softening import SoftBody
-from warp_peri.dynamics.motion import Motion
+from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
@@ -55,6 +57,7 @@ class Cracked:
     cracks: Sequence[ArrayLike] = ()
     free: np.ndarray | None = None
     pressure: ArrayLike | None = None
+    learns = True  # at rest, and pulled
 
     @property
     def held(self) -> np.ndarray:
@@ -89,11 +92,19 @@ class Cracked:
         body = self.body(material, "solve")
         cut = CutSolid(material, body, self.held, cracks=self.cracks)
         x = body.x
-        load = np.zeros_like(x) if self.b is None else checked("b", self.b, float, x.shape)
+        d, tensors = x.shape[1], is_tensor(self.b) or is_tensor(self.u)
+        given = [np.zeros_like(x) if one is None else one for one in (self.b, self.u)]
+        b, u = pair_of(cut, *given) if tensors else given
+        load = checked("b", b.detach() if tensors else b, float, x.shape)
+        extra = np.zeros_like(x)
         if self.pressure is not None:
-            d = x.shape[1]
-            load = load + crack_load(cut, checked("pressure", self.pressure, float, (d, d)))
-        u = cut.solve(load, np.zeros_like(x) if self.u is None else self.u)
+            extra = crack_load(cut, checked("pressure", self.pressure, float, (d, d)))
+        load = load + extra
+        if tensors:
+            both = torch.stack([b + torch.from_numpy(extra), u]).double()
+            u = linear(both, lambda of: cut.solve(*of), cut.solve_transpose)
+        else:
+            u = cut.solve(load, u)
         return Solution(u, self.points, cut, load[cut.inside], "lu", measured=cut.left)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
@@ -111,6 +122,8 @@ class Cracked:
         body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
+        if "loads" not in options:
+            refuse_learning(self, options, "move")
         if "events" in options or "loads" in options:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
@@ -122,11 +135,8 @@ class Cracked:
         return broken(CrackRun(moving, **records), state, run)
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
-        u = (
-            np.zeros_like(body.x)
-            if self.u is None
-            else checked("u", self.u, float, body.x.shape, self.held)
-        )
+        u = np.zeros_like(body.x) if self.u is None else self.u
+        u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
             (how,) = taken(options, "move", grow, given=("cracks",))
             return grow(material.linear, body, self.held, u, cracks=self.cracks, **how)
