@@ -16,7 +16,12 @@ from warp_peri.launch import set_threads
 from warp_peri.lps.bonds import Bonds
 
 SPACING, HORIZON, DENSITY = 1.0, 4.0, 2200.0
-SOLID = {"lam": -0.2, "mu": 0.72, "alpha": 1.0, "D": np.array([1.0, 0.8, 0.5, 0.4, 0.3])}
+SOLID: dict[str, Any] = {
+    "lam": -0.2,
+    "mu": 0.72,
+    "alpha": 1.0,
+    "D": np.array([1.0, 0.8, 0.5, 0.4, 0.3]),
+}
 
 ASKED: dict[str, tuple[str, ...]] = {
     "fields": (),
@@ -61,7 +66,7 @@ def of_force(side: int, rounds: int) -> dict[str, float]:
     module = wp.Module(operator, points)
     u = torch.from_numpy(fields[0]).requires_grad_()
     seed = torch.from_numpy(fields[1])
-    leaves = [u, module.D, module.alpha]
+    leaves: list[Any] = [u, module.D, module.alpha]
 
     def here() -> Any:
         return torch.autograd.grad((module(u) * seed).sum(), leaves)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, plain
 from warp_peri.points.samples import nodes_of
 
 if TYPE_CHECKING:
@@ -131,7 +131,7 @@ class OnPoints(Remade):
 
     def load(self, b: Any) -> np.ndarray:
         """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+        return plain("b", b)[..., self.points.interior, :]
 
     def energy(self, u: Any) -> Any:
         """Shape [...], as Operator's; None where there is none, as here."""
@@ -185,7 +185,7 @@ class OnPoints(Remade):
 
     def quadratic(self, u: Any) -> np.ndarray:
         """h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
-        u, inside, of = np.asarray(u, dtype=float), self.points.interior, self.points
+        u, inside, of = plain("u", u), self.points.interior, self.points
         axes = tuple(range(-len(self.shape), 0))
         mask = np.expand_dims(inside, axes[1:])
         own, collar = (self.force(np.where(one, u, 0.0)) for one in (mask, ~mask))

@@ -61,8 +61,8 @@ class Dirichlet:
         """The material in motion, from the displacement u.
 
         `options` are those of the law's own motion, or of dynamics.verlet.march: `v`, `density`,
-        `step`, `steps`, `every`, `record`, `signal`; and `transfer`, `allow_uncertified`. Of tensors, or with
-        `parameters`, it is that of dynamics.adjoint.moved.
+        `step`, `steps`, `every`, `record`, `signal`; and `transfer`, `allow_uncertified`. Of
+        tensors, or with `parameters`, it is that of dynamics.adjoint.moved.
         """
         on = {"transfer", "allow_uncertified"} & options.keys()
         how = {name: options.pop(name) for name in on}
@@ -73,9 +73,8 @@ class Dirichlet:
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
         offered(operator, "product", "move", "a material that moves on points")
         how, learned = taken(options, "move", march, moved)
-        if "parameters" in learned or any(
-            map(is_tensor, (self.b, self.u, how.get("v"), how.get("signal")))
-        ):
+        fields = self.b, self.u, how.get("v"), how.get("signal")
+        if "parameters" in learned or any(map(is_tensor, fields)):
             return moved(operator, self.b, self.u, **how | learned)
         return march(operator, self.b, self.u, **how)
 

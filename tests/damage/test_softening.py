@@ -13,8 +13,7 @@ from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
 from tests.support.problems import difference
 from warp_peri import InputError, Model, load, move, save
-from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle
-from warp_peri.damage import softening
+from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle, softening
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.softening import SoftBody
 

@@ -290,7 +290,9 @@ class _AtRest(torch.autograd.Function):
             learned = torch.autograd.grad(force, held, torch.from_numpy(w), allow_unused=True)
         each = iter([*found.values(), *(learned if held else ())])
         slopes = (
-            None if not one else torch.as_tensor(next(each)).reshape(number.shape).to(number)
+            None
+            if not one
+            else torch.as_tensor(next(each), dtype=torch.float64).reshape_as(number).to(number)
             for one, number in zip(asked, numbers)
         )
         return None, None, None, None, *map(torch.from_numpy, by), *slopes

@@ -92,9 +92,12 @@ class Cracked:
         body = self.body(material, "solve")
         cut = CutSolid(material, body, self.held, cracks=self.cracks)
         x = body.x
+        b: Any
+        u: Any
         d, tensors = x.shape[1], is_tensor(self.b) or is_tensor(self.u)
-        given = [np.zeros_like(x) if one is None else one for one in (self.b, self.u)]
-        b, u = pair_of(cut, *given) if tensors else given
+        b, u = (np.zeros_like(x) if one is None else one for one in (self.b, self.u))
+        if tensors:
+            b, u = pair_of(cut, b, u)
         load = checked("b", b.detach() if tensors else b, float, x.shape)
         extra = np.zeros_like(x)
         if self.pressure is not None:
@@ -135,7 +138,7 @@ class Cracked:
         return broken(CrackRun(moving, **records), state, run)
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
-        u = np.zeros_like(body.x) if self.u is None else self.u
+        u: Any = np.zeros_like(body.x) if self.u is None else self.u
         u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
             (how,) = taken(options, "move", grow, given=("cracks",))

@@ -367,8 +367,9 @@ class SoftBody:
                 share = torch.minimum(share_of(worst, *law.values()), share)
             across = (area * share * pull_of(s, law["softness"])).sum()
             forces.append(across if force else 0 * across)  # 0 of a body that came apart
-        history = motion.history | {"force": torch.stack(forces)}
-        return replace(motion, u=field.reshape(self.held.shape), history=history)
+        history: Any = motion.history | {"force": torch.stack(forces)}
+        end: Any = field.reshape(self.held.shape)
+        return replace(motion, u=end, history=history)
 
 
 class _Softened(torch.autograd.Function):

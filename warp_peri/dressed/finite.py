@@ -437,8 +437,8 @@ class FiniteBody(OnPoints):
 
     def at(self, numbers: Mapping[str, Any]) -> FiniteBody:
         """The same with other moduli and constants; InputError for no solid's."""
-        own = {name: float(value) for name, value in numbers.items()}
-        return FiniteBody(replace(self.model, **own, provenance={}), self.points)
+        own: dict[str, Any] = {name: float(value) for name, value in numbers.items()}
+        return FiniteBody(replace(self.model, **own | {"provenance": {}}), self.points)
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> float:
         """The derivative of Σ w · force(u) to a number, of fields [K, N, 2], weights [K, I, 2]."""

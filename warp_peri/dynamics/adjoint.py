@@ -103,7 +103,8 @@ class _Waves:
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
         felt = _Felt(self.operator) if wanted and getattr(self.operator, "gathers", False) else None
-        self.body.operator = felt or self.operator
+        body: Any = self.body
+        body.operator = felt or self.operator
         by_signal, batch = np.zeros(last + 1), list[tuple[np.ndarray, np.ndarray]]()
         for number, u in self._undone():
             if number < last:
@@ -182,5 +183,7 @@ class _Moved(torch.autograd.Function):
         wanted = [name for name, asked in zip(numbers, ctx.needs_input_grad[5:]) if asked]
         *by, found = ctx.waves.back(wanted, *(one.detach().clone().numpy() for one in upstream))
         for name in wanted:
-            found[name] = torch.as_tensor(found[name]).reshape(numbers[name].shape)
+            found[name] = torch.as_tensor(found[name], dtype=torch.float64).reshape_as(
+                numbers[name]
+            )
         return None, *map(torch.from_numpy, by), *map(found.get, numbers)

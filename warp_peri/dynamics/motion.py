@@ -82,14 +82,14 @@ def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
     """InputError for tensors that ask for a gradient which a problem does not have."""
     if asks_for_gradient((vars(problem), options)) or "parameters" in options:
         raise InputError(
-            f"{verb}: expected tensors without a gradient, which only {LEARNS[verb]} of one process "
-            f"have; got a {type(problem).__name__}"
+            f"{verb}: expected tensors without a gradient, which only {LEARNS[verb]} have, of one "
+            f"process; got a {type(problem).__name__}"
         )
 
 
 LEARNS = {
-    "solve": "a Dirichlet",
-    "move": "waves on a lattice without growing cracks, or a pull of bonds that soften,",
+    "solve": "a Dirichlet, a Periodic and a Cracked without numbers",
+    "move": "waves on a lattice without growing cracks, and pulls of bonds that soften,",
 }
 
 

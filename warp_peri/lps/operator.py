@@ -35,9 +35,9 @@ from warp_peri.lps.bonds import (
 )
 from warp_peri.lps.model import Model, Solid, on_nominal_lattice
 from warp_peri.lps.rows import Rows
+from warp_peri.points.arrays import plain
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
-
 
 APART = 1e-3
 """Of λ and μ, over μ: nearer ones leave too few digits of what θ has."""
@@ -363,7 +363,7 @@ class NodeOperator(OnPoints):
 
     def force(self, u: ArrayLike) -> np.ndarray:
         """L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
-        field = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
+        field = torch.from_numpy(np.require(plain("u", u), float, ["C", "W"])).to(self.bonds.device)
         if self._tabulated is None:
             return lps_force(self.bonds, field, self.model.solid).cpu().numpy()
         check_field(self.bonds, field)
@@ -412,11 +412,15 @@ class NodeOperator(OnPoints):
         g = floats(np.ascontiguousarray(w)[None], bonds.vec)
         by = gradient(bonds, found, given, g, shapes=shapes)
         by_u: Any = by.u
-        return by_u.numpy()[0], vars(by)
+        slopes, known = dict(vars(by)), self.learnable
+        for name, other in (("lam", "mu"), ("D_dilatation", "D")):
+            if name not in known and slopes[name] is not None:  # one number is both
+                slopes[other] = slopes[other] + slopes[name]
+        return by_u.numpy()[0], slopes
 
     @property
     def gathers(self) -> bool:
-        """Whether `felt` and `pulls` are had: of a lattice without broken bonds, and own weights."""
+        """Whether `felt` and `pulls` are had: without broken bonds, on the processor."""
         return self.shape[0] == self.bonds.nodes and gathers(self.bonds)
 
     def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:

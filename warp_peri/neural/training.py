@@ -74,7 +74,7 @@ class Frames:
                 found = self.search.solve(np.zeros_like(seen), seen, tolerance=SOLVED)
             self.state[n] = found.u if found.converged else seen
             field = torch.as_tensor(self.state[n], dtype=self.u.dtype)
-            self.factors.append(splu(self.placed.stiffness_at(field)))
+            self.factors.append(splu(self.placed.stiffness_at(field.numpy())))
 
     def learn(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
         """The errors, with gradients of their mean added to the material's."""

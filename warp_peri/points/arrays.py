@@ -16,6 +16,14 @@ LARGEST = 1e100
 GRADIENT = "expected values without a gradient, which is not had here, got tensors with one"
 
 
+def plain(name: str, value: Any) -> np.ndarray:
+    """An array of float64, not looked at; InputError for a tensor whose gradient would be lost."""
+    try:
+        return np.asarray(value, dtype=float)
+    except RuntimeError:
+        raise InputError(f"{name}: {GRADIENT}") from None
+
+
 def checked(
     name: str,
     value: Any,

@@ -152,7 +152,8 @@ class PlacedLPS(LPSOperator):
             )
         if isinstance(parameters, Solid):
             parameters = self._own(parameters)
-        return super().rest_in_torch(b, u, solver, parameters)
+        solution: Solution = super().rest_in_torch(b, u, solver, parameters)
+        return solution
 
     def _own(self, solid: Solid) -> dict[str, Any]:
         """Numbers of a solid by name, without those that are others of its own here."""

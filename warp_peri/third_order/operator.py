@@ -100,13 +100,14 @@ class PlacedThirdOrder(OnPoints):
     def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
         """The same with other constants, of which nothing is proven."""
         own = {name: float(value) for name, value in numbers.items()}
-        return self._of(replace(self.model, **own, proven={}))
+        model: Any = self.model
+        return self._of(replace(model, **own, proven={}))
 
     def clipped(self, radius: float) -> PlacedThirdOrder:
         """The same with stresses of gradients clipped to a radius (N10)."""
         return self._of(self.model, radius=radius)
 
-    def _of(self, model: Any, **more: float) -> PlacedThirdOrder:
+    def _of(self, model: Any, **more: Any) -> PlacedThirdOrder:
         """Another model of the same linear part on the same nodes."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # said of this one

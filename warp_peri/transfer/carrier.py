@@ -118,7 +118,7 @@ class Carrier:
         return np.array(carried).reshape(len(b), -1, 2)
 
     def load_transpose(self, w: np.ndarray) -> np.ndarray:
-        """`load` of nodes transposed, of w on the interior [..., I, 2], on all nodes [..., N, 2]."""
+        """`load` of nodes transposed: w on the interior [..., I, 2] to all nodes [..., N, 2]."""
         there = np.zeros((*np.shape(w)[:-2], len(self.x), 2))
         flat = np.reshape(w, (-1, *np.shape(w)[-2:]))
         there[..., self.loaded, :] = np.reshape(
