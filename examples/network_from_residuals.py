@@ -82,7 +82,8 @@ def trained(steps: int, last: int) -> tuple[dict[str, list[float]], dict[str, fl
         adam.step()
         schedule.step()
     numbers = {name: row[-1] for name, row in rows.items()}
-    numbers |= {"E_res at start": rows["E_res"][0], "E_u of residuals alone": rows["E_u"][rows["step"].index(steps)]}
+    numbers["E_res at start"] = rows["E_res"][0]
+    numbers["E_u of residuals alone"] = rows["E_u"][rows["step"].index(steps)]
     return rows, numbers | {"seconds": time.perf_counter() - begin}
 
 

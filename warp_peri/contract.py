@@ -91,6 +91,11 @@ def is_tensor(value: Any) -> bool:
     return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)
 
 
+def _torch() -> Any:
+    """What reads operators in torch, which is loaded when it is asked for."""
+    return import_module("warp_peri.core.tensors")
+
+
 class OnPoints(Remade):
     """What operators share: NumPy in, NumPy out; torch in, differentiable torch out.
 
@@ -141,16 +146,16 @@ class OnPoints(Remade):
 
     def force_in_torch(self, u: Any) -> Any:
         """The force of a tensor, differentiable."""
-        return import_module("warp_peri.core.tensors").force_of(self, u)
+        return _torch().force_of(self, u)
 
     def force_with(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, d] with other numbers of its `learnable`, once differentiable
         in all; of what offers `at(numbers)` and `by_numbers(name, u, w)`."""
-        return import_module("warp_peri.core.tensors").force_with(self, u, numbers)
+        return _torch().force_with(self, u, numbers)
 
     def rest_in_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
         """`rest` of tensors, differentiable in both and in numbers: core.tensors.at_rest."""
-        return import_module("warp_peri.core.tensors").at_rest(self, b, u, solver, parameters)
+        return _torch().at_rest(self, b, u, solver, parameters)
 
     def stiffness_at(self, u: Any) -> Any:
         """The derivative of the force at a field, between interior nodes, sparse [d I, d I]: of

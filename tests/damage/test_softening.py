@@ -163,7 +163,7 @@ def test_a_body_that_has_come_apart_along_the_line_carries_nothing():
     rest = soft.rest
 
     def loose(field, share):
-        if not share[soft._section([(-9, 0.0), (9, 0.0)])[0]].any():
+        if not share[soft.section([(-9, 0.0), (9, 0.0)])[0]].any():
             raise InputError("operator: parts of the body hang loose")
         return rest(field, share)
 

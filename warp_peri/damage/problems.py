@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import is_tensor, offered, refuse_uncut, taken
-from warp_peri.core.tensors import linear, pair_of
 from warp_peri.damage.cut_solid import CutSolid, crack_area, crack_load, opening_volume
 from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny
 from warp_peri.damage.march import CrackRun
@@ -93,22 +92,17 @@ class Cracked:
         cut = CutSolid(material, body, self.held, cracks=self.cracks)
         x = body.x
         b: Any
-        u: Any
-        d, tensors = x.shape[1], is_tensor(self.b) or is_tensor(self.u)
         b, u = (np.zeros_like(x) if one is None else one for one in (self.b, self.u))
-        if tensors:
-            b, u = pair_of(cut, b, u)
-        load = checked("b", b.detach() if tensors else b, float, x.shape)
-        extra = np.zeros_like(x)
+        extra, d = np.zeros_like(x), x.shape[1]
         if self.pressure is not None:
             extra = crack_load(cut, checked("pressure", self.pressure, float, (d, d)))
-        load = load + extra
-        if tensors:
-            both = torch.stack([b + torch.from_numpy(extra), u]).double()
-            u = linear(both, lambda of: cut.solve(*of), cut.solve_transpose)
+        if is_tensor(b) or is_tensor(u):
+            solved: Any = _torch().at_rest(cut, b, u, extra)
+            load = np.asarray(b.detach() if is_tensor(b) else b, dtype=float) + extra
         else:
-            u = cut.solve(load, u)
-        return Solution(u, self.points, cut, load[cut.inside], "lu", measured=cut.left)
+            load = checked("b", b, float, x.shape) + extra
+            solved = cut.solve(load, u)
+        return Solution(solved, self.points, cut, load[cut.inside], "lu", measured=cut.left)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """Bonds that break: in motion, event by event, or under loads that rise slowly.
@@ -120,7 +114,9 @@ class Cracked:
                 histories are the ledger's, and of regions, sections and what is watched by their
                 names; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
-            loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16).
+            loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16). With
+                `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
+                the displacement at the end are differentiable: see damage.adjoint.pulled.
         """
         body = self.body(material, "move")
         if self.pressure is not None:
@@ -144,9 +140,17 @@ class Cracked:
             (how,) = taken(options, "move", grow, given=("cracks",))
             return grow(material.linear, body, self.held, u, cracks=self.cracks, **how)
         law = offered(material, "law", "move", "a SoftSolid for loads=…")
+        numbers = options.pop("parameters", None)
         own, how = taken(options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks",))
         soft = SoftBody(material.linear, body, law, self.held, cracks=self.cracks, **own)
+        if numbers is not None or is_tensor(u):
+            return _torch().pulled(soft, u, dict(numbers or {}), how)  # type: ignore[no-any-return]
         return soft.pull(u, **how)
+
+
+def _torch() -> Any:
+    """Derivatives, which load torch."""
+    return import_module("warp_peri.damage.adjoint")
 
 
 def broken(marching: CrackRun, state: BreakingState, run: dict[str, Any]) -> Motion:

@@ -7,22 +7,18 @@ law of bonds at another horizon that has both.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
-from scipy.sparse.linalg import splu
 from scipy.special import hyp1f1
 from tqdm import tqdm
 
-from warp_peri.contract import is_tensor
 from warp_peri.core.record import OnLinear
-from warp_peri.core.tensors import differentiable_once, linear, refuse_tangents
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
 from warp_peri.damage.lattice_body import LatticeBody, cracked, crossing_bonds, size_and_normal
 from warp_peri.damage.operator import bond_weights, stretch_rows
@@ -66,12 +62,18 @@ class BondLaw:
 
     def pull(self, s: np.ndarray) -> np.ndarray:
         """Pull over k r² of a bond that has not begun to fail."""
-        return pull_of(torch.as_tensor(s), torch.tensor(self.softness, dtype=torch.float64)).numpy()
+        return np.asarray(s * np.exp(-self.softness * np.maximum(s, 0)))
 
     def share(self, worst: np.ndarray) -> np.ndarray:
         """What is left of that pull after a largest stretch, from 1 to 0."""
-        numbers = torch.tensor([self.softness, self.stretch, self.tail], dtype=torch.float64)
-        return share_of(torch.as_tensor(worst), *numbers).numpy()
+        left = (worst <= self.stretch).astype(float)
+        if self.tail == 0 or left.all():
+            return left
+        fall = 1 - (worst - self.stretch) / self.tail
+        beyond = worst > self.stretch
+        whole = self.pull(np.where(beyond, worst, 1.0))
+        ends = self.pull(np.array(self.stretch)) * np.maximum(fall, 0) / whole
+        return np.where(beyond, np.minimum(ends, 1.0), 1.0)
 
     def spent(self) -> float:
         """Energy that a bond takes to break, over k r²; s₀²/2 without softness and tail (C18).
@@ -110,23 +112,6 @@ class BondLaw:
             xtol=1e-14 * self.stretch,
         )
         return BondLaw(self.softness, float(earlier))
-
-
-def pull_of(s: torch.Tensor, softness: torch.Tensor) -> torch.Tensor:
-    """As BondLaw.pull, of tensors."""
-    return s * torch.exp(-softness * s.clamp(min=0))
-
-
-def share_of(
-    worst: torch.Tensor, softness: torch.Tensor, stretch: torch.Tensor, tail: torch.Tensor
-) -> torch.Tensor:
-    """As BondLaw.share, of tensors; a tail of 0 breaks at once, and has no gradient."""
-    beyond = worst > stretch
-    if tail == 0 or not beyond.any():
-        return (~beyond).to(worst)
-    fall = (1 - (worst - stretch) / tail).clamp(min=0)
-    ends = pull_of(stretch, softness) * fall / pull_of(worst.where(beyond, 1.0), softness)
-    return ends.clamp(max=1).where(beyond, 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -236,12 +221,12 @@ class SoftBody:
 
         Raises InputError for another line than two ends.
         """
-        cut, normal = self._section(line)
+        cut, normal = self.section(line)
         pull = self._k * share * self._square * self.law.pull(self.stretch(u))
         rise = np.abs(self.body.xi[self._bond[cut]] @ normal)
         return float(self.body.spacing**self.body.dimension * (pull[cut] * rise).sum())
 
-    def _section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Which bonds cross a straight line or flat polygon, bool, and its unit normal."""
         cut = crossing_bonds(self.body, line)[self._node, self._bond]
         ends = np.asarray(line, dtype=float)
@@ -259,7 +244,6 @@ class SoftBody:
         line: ArrayLike,
         stop: float = 0.7,
         progress: bool = False,
-        parameters: Mapping[str, Any] | None = None,
     ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none fails further.
 
@@ -271,9 +255,6 @@ class SoftBody:
                 in space a flat polygon [P, 3].
             stop: ends when the force has fallen to this share of its largest.
             progress: shows a bar.
-            parameters: softness, stretch or tail as tensors. With them, or u of torch, the force
-                and the displacement at the end are differentiable along the path that was taken:
-                which bonds failed when is felt, how often a load was settled is not.
 
         Returns a motion whose time is the load, with the histories load, force: per thickness at
         right angles to the line [stress · length], and broken: bonds by then.
@@ -282,16 +263,20 @@ class SoftBody:
         while bonds still cross it, the curve ends before, with a warning.
 
         Raises InputError for another shape of u, values that are not finite, loads that do not
-        rise, a line that is not straight or that no bond crosses, a first load without an
-        equilibrium, a gradient of bonds that break at once, and a second derivative.
+        rise, a line that is not straight or that no bond crosses, and a first load without an
+        equilibrium.
         """
-        if parameters or is_tensor(u):
-            how: dict[str, Any] = {"loads": loads, "line": line, "stop": stop, "progress": progress}
-            return self._in_torch(torch.as_tensor(u), dict(parameters or {}), how)
-        return self._pulled(u, loads, line, stop, progress, [])
+        return self.settled(u, [], loads=loads, line=line, stop=stop, progress=progress)
 
-    def _pulled(
-        self, u: Any, loads: Any, line: Any, stop: float, progress: bool, seen: list[Any]
+    def settled(
+        self,
+        u: Any,
+        seen: list[Any],
+        *,
+        loads: Any,
+        line: Any,
+        stop: float = 0.7,
+        progress: bool = False,
     ) -> Motion:
         """As `pull`; `seen` takes the displacements that each load was settled through."""
         loads = np.asarray(loads, dtype=float)
@@ -303,7 +288,7 @@ class SoftBody:
             raise InputError(f"u: expected shape {list(self.held.shape)}, got {list(np.shape(u))}")
         if not np.isfinite(u).all():
             raise InputError("u: expected finite values")
-        cut, _ = self._section(line)
+        cut, _ = self.section(line)
         given = np.where(self.held, u, 0).ravel()
         share, worst = np.ones(len(self._k)), np.zeros(len(self._k))
         field, rows, before = np.zeros_like(given), [], 0.0
@@ -334,69 +319,3 @@ class SoftBody:
                 break
         history = dict(zip(("load", "force", "broken"), np.array(rows).T))
         return Motion(history["load"], field.reshape(self.held.shape), None, history)
-
-    def _in_torch(self, u: torch.Tensor, numbers: dict[str, Any], how: dict[str, Any]) -> Motion:
-        """`pull` once more along the way that it took, of tensors."""
-        law = {
-            name: numbers.pop(name, getattr(self.law, name))
-            for name in ("softness", "stretch", "tail")
-        }
-        if numbers:
-            raise InputError(f"parameters: expected {', '.join(law)}, got {', '.join(numbers)}")
-        law = {n: torch.as_tensor(v, dtype=torch.float64) for n, v in law.items()}
-        refuse_tangents(u, *law.values())
-        self.law = BondLaw(**{name: float(value.detach()) for name, value in law.items()})
-        if self.law.tail == 0:
-            raise InputError(
-                "tail: expected > 0 for a gradient, which bonds that break at once lack"
-            )
-        seen: list[list[np.ndarray]] = []
-        motion = self._pulled(u.detach().numpy(), **how, seen=seen)
-        given = torch.where(torch.from_numpy(self.held), u.double(), 0.0).ravel()
-        cut, normal = self._section(how["line"])
-        rise = np.abs(self.body.xi[self._bond] @ normal) * cut * self._square * self._k
-        area = torch.from_numpy(self.body.spacing**self.body.dimension * rise)
-        square, breakable = torch.from_numpy(self._square), torch.from_numpy(self._breakable)
-        share, worst = torch.ones_like(square), torch.zeros_like(square)
-        forces, field = [], given
-        for load, force, fields in zip(motion.time, motion["force"], seen):
-            for one in fields:
-                field = _softened(self, one, share, law["softness"], float(load) * given)
-                s = linear(field, self._d.dot, self._d.T.dot) / square
-                worst = torch.maximum(worst, s).where(breakable, 0.0)
-                share = torch.minimum(share_of(worst, *law.values()), share)
-            across = (area * share * pull_of(s, law["softness"])).sum()
-            forces.append(across if force else 0 * across)  # 0 of a body that came apart
-        history: Any = motion.history | {"force": torch.stack(forces)}
-        end: Any = field.reshape(self.held.shape)
-        return replace(motion, u=end, history=history)
-
-
-class _Softened(torch.autograd.Function):
-    """What is left of bonds, their softness and held components [d N] to where a body rests."""
-
-    @staticmethod
-    def forward(ctx: Any, body: SoftBody, u: np.ndarray, *of: torch.Tensor) -> torch.Tensor:
-        ctx.body, ctx.u = body, u
-        ctx.save_for_backward(*of)
-        return torch.tensor(u)
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        body, (share, softness, _), g = ctx.body, ctx.saved_tensors, upstream[0].numpy()
-        d, left, beta = body._d @ ctx.u, share.numpy(), float(softness)
-        s = np.maximum(d / body._square, 0)
-        weak = body._k * np.exp(-beta * s)
-        K = sp.csr_array(body._d.T @ (sp.diags_array(left * weak * (1 - beta * s)) @ body._d))
-        free = body._free
-        w = np.zeros_like(g)
-        w[free] = splu(sp.csc_matrix(K[free][:, free])).solve(g[free])
-        pull = body._d @ w
-        by_share, by_softness = -pull * weak * d, float((pull * left * weak * d * s).sum())
-        by_held = np.where(free, 0.0, g - K @ w)
-        found = by_share, np.array(by_softness), by_held
-        return None, None, *map(torch.from_numpy, found)
-
-
-_softened: Callable[..., torch.Tensor] = _Softened.apply
