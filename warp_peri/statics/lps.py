@@ -159,16 +159,14 @@ class PlacedLPS(LPSOperator):
         """Numbers of a solid by name, without those that are others of its own here."""
         named = {name: value for name, value in vars(solid).items() if value is not None}
         for name, other in (("lam", "mu"), ("D_dilatation", "D")):
-            given = named.get(name)
-            if name not in self.learnable and given is not None:
-                if given is not named[other] and (
-                    getattr(given, "requires_grad", False)
-                    or not np.array_equal(np.ravel(given), np.ravel(named[other].detach()))
-                ):
-                    raise InputError(
-                        f"parameters: expected {other} itself for {name}, which it is in this solid"
-                    )
-                del named[name]
+            if name in self.learnable or (given := named.pop(name, None)) is None:
+                continue
+            pair = [np.ravel(v.detach() if is_tensor(v) else v) for v in (given, named[other])]
+            lost = given is not named[other] and getattr(given, "requires_grad", False)
+            if lost or not np.array_equal(*pair):
+                raise InputError(
+                    f"parameters: expected {other} itself for {name}, which it is in this solid"
+                )
         return named
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
