@@ -163,7 +163,7 @@ class PlacedLPS(LPSOperator):
                 continue
             pair = [np.ravel(v.detach() if is_tensor(v) else v) for v in (given, named[other])]
             lost = given is not named[other] and getattr(given, "requires_grad", False)
-            if lost or not np.array_equal(*pair):
+            if lost or not np.array_equal(pair[0], pair[1]):
                 raise InputError(
                     f"parameters: expected {other} itself for {name}, which it is in this solid"
                 )
