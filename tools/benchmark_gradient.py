@@ -156,7 +156,11 @@ def gradient(*, quick: bool, long: bool = False) -> None:
     for name, ratio in of_motion(side, 20 if quick else 60, 3).items():
         print(f"  to {name:20}{ratio:6.2f}")
     print("memory of `move` there and back, to fields, λ and μ")
-    sizes = [(side, 100), (side, 1000)] if quick else [(200, 1000), (200, 4000), (40, 1000), (40, 30_000)]
+    sizes = (
+        [(side, 100), (side, 1000)]
+        if quick
+        else [(200, 1000), (200, 4000), (40, 1000), (40, 30_000)]
+    )
     for one in [*sizes, *([(200, 100_000)] if long else [])]:
         row = memory(*one)
         print(f"  {one[0]}² nodes {one[1]:7d} steps {row['MB']:7.0f} MB {row['seconds']:7.0f} s")
