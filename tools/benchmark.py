@@ -7,6 +7,7 @@
     python tools/benchmark.py crystals [--quick]
     python tools/benchmark.py dressed [--quick]
     python tools/benchmark.py ranks [--quick]
+    python tools/benchmark.py gradient [--quick]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
@@ -35,6 +36,7 @@ import warp as wp
 from tools import (
     benchmark_crystals,
     benchmark_dressed,
+    benchmark_gradient,
     benchmark_ranks,
     launch_costs,
     numba_rival,
@@ -404,6 +406,7 @@ def launches(*, quick: bool, threads: int = 2) -> None:
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
     kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
+    kinds.append("gradient")
     parser.add("what", choices=kinds)
     parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
     parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
@@ -419,6 +422,7 @@ def main(arguments: list[str] | None = None) -> int:
         "crystals": benchmark_crystals.crystals,
         "dressed": benchmark_dressed.dressed,
         "ranks": benchmark_ranks.ranks,
+        "gradient": benchmark_gradient.gradient,
         "choice": partial(solver_choice.solver_choice, **files),
     }
     work[given.what](quick=given.quick)

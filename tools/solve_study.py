@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from tools import numba_rival, rivals
-from warp_peri import InputError, Model, Points, load
+from warp_peri import InputError, Krylov, Model, Points, load
 from warp_peri.core.grid import Grid
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
@@ -23,8 +23,8 @@ from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.model import lps_stencil
 from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Solid
-from warp_peri.statics.equilibrium import equilibrium, lps_linear
 from warp_peri.statics.linear import STIFF, Linear
+from warp_peri.statics.lps import lps_linear
 
 SIDES = (64, 128, 250, 500, 1000, 2000)
 TOLERANCE = 1e-8
@@ -159,8 +159,7 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
 def adjoint_ratio(model: Model, side: int) -> float:
     """Time of the gradient of a solve to load, λ, μ, α and D over that of the solve."""
     points = problem(mask_of("square", side), model.horizon, model.certified_on[0])
-    linear = lps_linear(points, model.solid, model.horizon)
-    options: dict[str, Any] = {"horizon": model.horizon, "method": "sine", "linear": linear}
+    operator = model.on(points)
     noise = torch.from_numpy(np.random.default_rng(0).normal(size=(1, len(points.x), 2)))
     inside = torch.from_numpy(points.interior)[:, None]
     law = model.solid.map(
@@ -170,7 +169,7 @@ def adjoint_ratio(model: Model, side: int) -> float:
     ratios = []
     for _ in range(3):
         start = time.perf_counter()
-        u = equilibrium(points, b, noise * ~inside, law, **options)
+        u = operator.rest(b, noise * ~inside, Krylov("sine"), parameters=law).u
         middle = time.perf_counter()
         torch.autograd.grad((u * u).sum(), [b, *law.values()], allow_unused=True)
         ratios.append((time.perf_counter() - middle) / (middle - start))

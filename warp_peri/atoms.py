@@ -1,6 +1,11 @@
 """From atoms and frames to fields on nodes: `warp_peri.atoms`."""
 
-from warp_peri.sources.coarse_graining import coarse_grain, force_on_mesh, smoothing_matrix
+from warp_peri.sources.coarse_graining import (
+    coarse_grain,
+    force_on_mesh,
+    read_fields,
+    smoothing_matrix,
+)
 from warp_peri.sources.dic import frames_on_lattice, noise_of, read_frame
 from warp_peri.sources.dump_files import Frame, dump_frames
 from warp_peri.sources.dumps import (
@@ -28,6 +33,7 @@ __all__ = [
     "force_on_mesh",
     "frames_on_lattice",
     "noise_of",
+    "read_fields",
     "read_frame",
     "smoothing_matrix",
     "Atoms",

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, plain
 from warp_peri.points.samples import nodes_of
 
 if TYPE_CHECKING:
@@ -91,6 +91,11 @@ def is_tensor(value: Any) -> bool:
     return "torch" in sys.modules and isinstance(value, sys.modules["torch"].Tensor)
 
 
+def _torch() -> Any:
+    """What reads operators in torch, which is loaded when it is asked for."""
+    return import_module("warp_peri.core.tensors")
+
+
 class OnPoints(Remade):
     """What operators share: NumPy in, NumPy out; torch in, differentiable torch out.
 
@@ -105,7 +110,9 @@ class OnPoints(Remade):
     is_linear = False
     """Whether the force is linear in u, so that derivatives of any order are had."""
     is_symmetric = False
-    """Whether it is linear, and symmetric on the interior: then a solve has derivatives too."""
+    """Whether it is linear, and symmetric on the interior: `rest` is then its own adjoint."""
+    networks: tuple[Any, ...] = ()
+    """Parameters of torch that the material itself holds."""
     points: Any
     force: Callable[[Any], np.ndarray]
     """The force of fields of NumPy."""
@@ -129,7 +136,7 @@ class OnPoints(Remade):
 
     def load(self, b: Any) -> np.ndarray:
         """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+        return plain("b", b)[..., self.points.interior, :]
 
     def energy(self, u: Any) -> Any:
         """Shape [...], as Operator's; None where there is none, as here."""
@@ -139,11 +146,31 @@ class OnPoints(Remade):
 
     def force_in_torch(self, u: Any) -> Any:
         """The force of a tensor, differentiable."""
-        return import_module("warp_peri.core.tensors").force_of(self, u)
+        return _torch().force_of(self, u)
 
-    def rest_in_torch(self, b: Any, u: Any, solver: Any = None) -> Any:
-        """`rest` of tensors; its u is differentiable in both where `is_symmetric`."""
-        return import_module("warp_peri.core.tensors").at_rest(self, b, u, solver)
+    def force_with(self, u: Any, numbers: Any) -> Any:
+        """The force of tensors [S, N, d] with other numbers of its `learnable`, once differentiable
+        in all; of what offers `at(numbers)` and `by_numbers(name, u, w)`."""
+        return _torch().force_with(self, u, numbers)
+
+    def rest_in_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
+        """`rest` of tensors, differentiable in both and in numbers: core.tensors.at_rest."""
+        return _torch().at_rest(self, b, u, solver, parameters)
+
+    def stiffness_at(self, u: Any) -> Any:
+        """The derivative of the force at a field, between interior nodes, sparse [d I, d I]: of
+        what offers `tangent`, sparse [d I, d N]."""
+        one = int(np.prod(self.shape[1:]))
+        tangent: Any = getattr(self, "tangent")(u)  # noqa: B009
+        return tangent.tocsc()[:, np.repeat(self.points.interior, one)]
+
+    def load_transpose(self, w: Any) -> np.ndarray:
+        """`load` transposed, of w on the interior [..., I, d], on all nodes [..., N, d]."""
+        return self.on_all(w)
+
+    def balanced(self, g: Any) -> np.ndarray:
+        """Of a load on all nodes [..., N, d] what a solve takes."""
+        return np.asarray(g)
 
     def check(self, u: Any, real: bool = True) -> None:
         """Raise InputError for what is no real fields on the nodes."""
@@ -163,7 +190,7 @@ class OnPoints(Remade):
 
     def quadratic(self, u: Any) -> np.ndarray:
         """h^d (½ u_I·L u_I + u_I·L u_C) of a linear force on a lattice, shape [...]."""
-        u, inside, of = np.asarray(u, dtype=float), self.points.interior, self.points
+        u, inside, of = plain("u", u), self.points.interior, self.points
         axes = tuple(range(-len(self.shape), 0))
         mask = np.expand_dims(inside, axes[1:])
         own, collar = (self.force(np.where(one, u, 0.0)) for one in (mask, ~mask))
@@ -172,8 +199,9 @@ class OnPoints(Remade):
 
     def on_all(self, w: Any) -> np.ndarray:
         """Fields of the interior nodes [..., I, d] as those of all, zero elsewhere, [..., N, d]."""
-        fields = np.zeros((*np.shape(w)[:-2], *self.shape))
-        fields[..., self.points.interior, :] = w
+        rest = len(self.shape)
+        fields = np.zeros((*np.shape(w)[:-rest], *self.shape))
+        fields[(..., self.points.interior, *[slice(None)] * (rest - 1))] = w
         return fields
 
 

@@ -35,14 +35,14 @@ class Dirichlet:
         b: body force density [stress/length], shape [N, d] or [S, N, d]; None for no load. Only
             interior values count; on scattered points also those of the collar beside it, since
             the load is carried as a density. Of diffusion the source, shape [N]. Of tensors the
-            answer of a linear material is one, differentiable in b and u where its L is symmetric.
+            answer is one, differentiable in b, u and `parameters`.
         u: displacement [length], same shape; only collar values count. Of diffusion φ, [N].
     """
 
     points: PointsLike
     b: Any
     u: Any
-    learns = True  # through a motion
+    learns = True  # gradients
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest."""
@@ -52,27 +52,29 @@ class Dirichlet:
             taken(extra, "solve", at_rest)
             return at_rest(operator, self.b, self.u, solver)
         load = np.zeros(np.shape(self.u)) if self.b is None else self.b
-        tensors = is_tensor(self.b) or is_tensor(self.u)
-        rest = getattr(operator, "rest_in_torch", operator.rest) if tensors else operator.rest
-        return rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
+        if extra or is_tensor(self.b) or is_tensor(self.u):
+            rest = getattr(operator, "rest_in_torch", operator.rest)
+            return rest(load, self.u, solver, **extra)  # type: ignore[no-any-return]
+        return operator.rest(load, self.u, solver)  # type: ignore[no-any-return]
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """The material in motion, from the displacement u.
 
         `options` are those of the law's own motion, or of dynamics.verlet.march: `v`, `density`,
-        `step`, `steps`, `every`, `record`; and `transfer`, `allow_uncertified`. Of tensors, or with
-        `parameters`, it is that of dynamics.adjoint.moved.
+        `step`, `steps`, `every`, `record`, `signal`; and `transfer`, `allow_uncertified`. Of
+        tensors, or with `parameters`, it is that of dynamics.adjoint.moved.
         """
         on = {"transfer", "allow_uncertified"} & options.keys()
         how = {name: options.pop(name) for name in on}
         operator = placed(material, nodes_of(self.points), **how)
         if hasattr(operator, "march"):
-            refuse_learning(self, options)
+            refuse_learning(self, options, "move")
             (options,) = taken(options, "move", operator.march)
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
         offered(operator, "product", "move", "a material that moves on points")
         how, learned = taken(options, "move", march, moved)
-        if "parameters" in learned or any(map(is_tensor, (self.b, self.u, how.get("v")))):
+        fields = self.b, self.u, how.get("v"), how.get("signal")
+        if "parameters" in learned or any(map(is_tensor, fields)):
             return moved(operator, self.b, self.u, **how | learned)
         return march(operator, self.b, self.u, **how)
 
@@ -83,16 +85,22 @@ class Periodic:
 
     Attributes:
         points: a lattice with a box, all of its nodes interior; see Points.sheet.
-        b: body force density [stress/length], shape [N, d] or [S, N, d]; its mean is removed.
+        b: body force density [stress/length], shape [N, d] or [S, N, d]; its mean is removed. Of
+            tensors the answer is one, as of a Dirichlet.
     """
 
     points: Points
     b: Any
+    learns = True
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest, with a displacement of zero mean."""
+        extra = {name: options.pop(name) for name in ("parameters",) if name in options}
         operator = placed(material, nodes_of(self.points), **options)
         rest = offered(operator, "rest_periodic", "solve", "a law that solves periodic problems")
+        if extra or is_tensor(self.b):
+            zero = 0 * self.b.detach() if is_tensor(self.b) else np.zeros(np.shape(self.b))
+            return operator.rest_in_torch(self.b, zero, solver, **extra)  # type: ignore[no-any-return]
         load = checked("b", self.b, float, (..., *self.points.x.shape))
         return rest(load, solver)  # type: ignore[no-any-return]
 

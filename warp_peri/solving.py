@@ -21,15 +21,19 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
         solver: Direct(…), Krylov(…) or Newton(…), as the law has them, chosen when not given; or
             methods.PolakRibiere(…), of a Dirichlet problem of any law.
         options: transfer=False refuses points that the material itself holds no certificate for;
-            allow_uncertified=True takes its own numbers there, with a warning; parameters=Solid(…)
-            of tensors, of a linear solid, which the answer is then differentiable in.
+            allow_uncertified=True takes its own numbers there, with a warning; parameters={name:
+            tensor} of the operator's `learnable`, which the answer is then differentiable in.
 
     Returns:
-        The solution, with its residual, what is proven of it, and what was warned of.
+        The solution, with its residual, what is proven of it, and what was warned of. Of tensors
+        in a Dirichlet its u is differentiable, along the branch of equilibria that it lies on.
 
-    Raises InputError for what does not fit, naming what was expected.
+    Raises InputError for what does not fit, naming what was expected, and for a gradient that is
+    asked for and not had.
     """
     solved = offered(problem, "solved", "solve", PROBLEMS)
+    if _on_ranks(problem) or not hasattr(problem, "learns"):
+        refuse_learning(problem, options, "solve")
     if _on_ranks(problem):
         return told(lambda: problem.points.solve(material, problem, solver, options))
     return told(lambda: solved(material, solver, options))
@@ -52,7 +56,7 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
     if _on_ranks(problem) or not hasattr(problem, "learns"):
-        refuse_learning(problem, options)
+        refuse_learning(problem, options, "move")
     if _on_ranks(problem):
         return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
     return moved(material, options)  # type: ignore[no-any-return]

@@ -1,9 +1,9 @@
 """What the page on polymer flow by Gaussian processes shows: see papers.py."""
 
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,8 @@ from examples.prose import rows_of
 from examples.studies import paper_polymer_pictures as pictures
 from examples.studies import paper_polymer_walls as walls
 from examples.studies.paper_polymer_pictures import COUNTS, HEIGHTS, LAWS, RECIPES
-from examples.studies.polymer_tables import MAXWELL, printed_shear
+from examples.studies.polymer_tables import MAXWELL, SEEDS, known_shear, printed_shear, shear_record
+from warp_peri import InputError
 from warp_peri.flow import (
     ChannelFlow,
     ChannelRecord,
@@ -32,7 +33,6 @@ from warp_peri.flow import (
     held,
     homogeneous,
     learn_rate,
-    learn_shear,
     shear,
     simulate,
     start_pairs,
@@ -50,6 +50,11 @@ UNTIL = {1.0: 20.0, 10.0: 60.0}
 """End of the start-up between plates by De."""
 TRAINING = (1000, 3000, 6000)
 """Training points in the channel, as printed."""
+MOST = (150.0, 40.0)
+"""Largest |κ| of the training flows, shear and elongation [1/t0]. Printed is 150 for both, which
+Hookean dumbbells do not bear in elongation at De 1e-2: they stretch without end beyond De ε = ½."""
+RANGES = ((20.0, 20.0), (60.0, 40.0), MOST, (150.0, 150.0))
+"""Of shear and elongation, by which the laws of the channel are compared."""
 END, STEPS = 0.03, 500
 STEP = 1e-6
 """Of time, as printed (Table 1)."""
@@ -62,7 +67,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
     def figure_4() -> str:
         law = kept("law_at_10", law_at_10)
         pictures.draw_law(figures / "polymer_law.png", law)
-        return rows_of([name, *numbers(law[name]["errors"])] for name in LAWS)
+        return rows_of([name, *map(spread, law[name]["errors"])] for name in LAWS)
 
     def figure_5() -> str:
         fluids = product((*LAWS, "coupled"), COUNTS)
@@ -77,12 +82,19 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
 
     def oscillating() -> str:
         found = kept("oscillating", oscillating_plate)
-        return rows_of([name, f"{error:.2f}"] for name, error in found.items())
+        return rows_of([name, spread(errors)] for name, errors in found.items())
 
     def figures_6_and_9() -> str:
         fits = {n: kept(f"training_{n}", partial(training, n)) for n in TRAINING}
         pictures.draw_training(figures / "polymer_training.png", fits)
         return rows_of(training_rows(fits))
+
+    def ranges() -> str:
+        found = {
+            most: kept(f"range_{most[0]:g}_{most[1]:g}", partial(by_range, *most))
+            for most in RANGES
+        }
+        return rows_of(range_rows(found))
 
     def figure_7() -> str:
         found = {De: kept(f"channel_{De:g}", partial(channel_at, De)) for De in (1e-3, 2e-3, 1e-2)}
@@ -100,6 +112,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         "plates": figure_5,
         "oscillating": oscillating,
         "training": figures_6_and_9,
+        "ranges": ranges,
         "channel": figure_7,
         "steps": lambda: rows_of(kept("steps", printed_step)),
         "forces": lambda: runs_of_channel(force_rows),
@@ -117,20 +130,14 @@ def numbers(values: Iterable[float]) -> list[str]:
 # Shear between plates: two inputs
 
 
-def shear_record(De: float, count: int, seed: int = 0) -> Ensembles:
-    """Nine rates up to 150, held for five relaxation times."""
-    rates = held(De * shear(np.linspace(-150, 150, 9)), 500)
-    return simulate(Dumbbells(9, count, seed=seed), rates, 0.01)
-
-
-def shear_laws(De: float, count: int) -> dict[str, ShearLaw]:
-    """Learned as printed, and with what shear does to any stress known."""
-    record = shear_record(De, count)
-    return {LAWS[0]: printed_shear(record, 0), LAWS[1]: learn_shear(record, outside="allow")}
+def shear_law(name: str, De: float, count: int, seed: int) -> ShearLaw:
+    """Learned as printed, or with what shear does to any stress known."""
+    record = shear_record(De, count, seed)
+    return printed_shear(record, seed) if name == LAWS[0] else known_shear(record)
 
 
 def law_at_10() -> dict[str, Any]:
-    """Figure 4: rates of the learned laws where the data are, and their error in % of the rms."""
+    """Figure 4: rates of the first law of each kind, and errors of five in % of the rms rate."""
     K, S = np.meshgrid(np.linspace(-1500, 1500, 41), np.linspace(-1500, 1500, 41))
     C, gradient = np.zeros((K.size, 4)) + IDENTITY, shear(K.ravel())
     C[:, 1] = S.ravel()
@@ -138,17 +145,30 @@ def law_at_10() -> dict[str, Any]:
     found: dict[str, Any] = {"s": S[:, 0], "K": K[0], "exact": exact.reshape(K.shape)}
     inside = np.abs(S.ravel()) <= np.abs(K.ravel())  # what shear from rest passes: 0 … K
     inside &= S.ravel() * K.ravel() >= 0
-    for name, law in shear_laws(10.0, 10_000).items():
-        rate = law.rate(gradient, C)[:, 1]
-        off = rate - exact
-        size = np.sqrt(np.mean(exact**2))
-        errors = [100 * np.sqrt(np.mean(off[part] ** 2)) / size for part in (inside, ~inside)]
-        found[name] = {"rate": rate.reshape(K.shape), "X": law.process.X, "errors": errors}
+    for name in LAWS:
+        laws = [shear_law(name, 10.0, 10_000, seed) for seed in SEEDS]
+        rates = np.array([law.rate(gradient, C)[:, 1] for law in laws])
+        off, size = rates - exact, np.sqrt(np.mean(exact**2))
+        parts = (off[:, part] for part in (inside, ~inside))
+        errors = [100 * np.sqrt(np.mean(part**2, axis=1)) / size for part in parts]
+        first = {"rate": rates[0].reshape(K.shape), "X": laws[0].process.X}
+        found[name] = first | {"errors": np.array(errors)}
     return found
 
 
+def fluids_between_plates(
+    name: str, De: float, count: int, seeds: Sequence[int] = SEEDS
+) -> Iterator[Stress]:
+    """Laws that are learned, or dumbbells in every cell, by seeds."""
+    for seed in seeds:
+        if name == "coupled":
+            yield CoupledDumbbells(Dumbbells(CELLS, count, seed=5 + seed), De)
+        else:
+            yield Closure(shear_law(name, De, count, seed), De, CELLS)
+
+
 def plate(De: float, fluid: str, count: int) -> dict[str, Any]:
-    """Start-up: largest error of u over the gap, and σ_xy at five heights, over time."""
+    """Start-up: largest error of u over the gap by seed and time, σ_xy at five heights of one."""
     flow = PlaneFlow(De, RE, CELLS, top=lambda t: 1.0)
     dt = 0.01 * De**0.5
 
@@ -156,29 +176,35 @@ def plate(De: float, fluid: str, count: int) -> dict[str, Any]:
         return run_plane(flow, stress, until=UNTIL[De], dt=dt, every=20)
 
     exact = run(Closure(MAXWELL, De, CELLS))
-    if fluid == "coupled":
-        now = run(CoupledDumbbells(Dumbbells(CELLS, count, seed=5), De))
-    else:
-        now = run(Closure(shear_laws(De, count)[fluid], De, CELLS))
+    seeds = SEEDS[:1] if fluid == "coupled" and count > COUNTS[0] else SEEDS  # takes minutes
+    runs = [run(each) for each in fluids_between_plates(fluid, De, count, seeds)]
     cells = np.linspace(0, CELLS - 1, 5).astype(int)
     return {
-        "t": now.t,
-        "error": np.abs(now.u - exact.u).max(axis=1),
-        "stress": now.stress[:, cells, 1],
+        "t": exact.t,
+        "error": [np.abs(now.u - exact.u).max(axis=1) for now in runs],
+        "stress": runs[0].stress[:, cells, 1],
         "exact": exact.stress[:, cells, 1],
     }
 
 
 def plate_rows(plates: Mapping[tuple[Any, ...], Mapping[str, Any]]) -> list[list[str]]:
-    """Largest error over time, and at the end, by fluid and number of dumbbells."""
+    """Largest error over time and that at the end, by fluid and number of dumbbells."""
     rows = []
     for De, name in product(UNTIL, (*LAWS, "coupled")):
-        runs = [plates[De, name, n]["error"] for n in COUNTS]
-        rows.append([f"{De:g}", name, *(f"{max(e):.1e}, {e[-1]:.1e}" for e in runs)])
+        runs = [np.array(plates[De, name, n]["error"]) for n in COUNTS]
+        cells = (f"{spread(e.max(axis=1))}, {np.median(e[:, -1]):.1e}" for e in runs)
+        rows.append([f"{De:g}", name, *cells])
     return rows
 
 
-def oscillating_plate() -> dict[str, float]:
+def spread(values: Iterable[float]) -> str:
+    """Median, with the least and the largest where there are several."""
+    some = np.array(list(values))
+    ends = f" ({some.min():.2g} to {some.max():.2g})" if len(some) > 1 else ""
+    return f"{np.median(some):.2g}{ends}"
+
+
+def oscillating_plate() -> dict[str, list[float]]:
     """A wall that swings with the period of six relaxation times, De 1; relative errors of u."""
     flow = PlaneFlow(1.0, RE, CELLS, top=np.sin)
 
@@ -186,36 +212,49 @@ def oscillating_plate() -> dict[str, float]:
         return run_plane(flow, stress, until=20.0, dt=0.01, every=20).u
 
     exact = run(Closure(MAXWELL, 1.0, CELLS))
-    fluids: dict[str, Stress] = {
-        name: Closure(law, 1.0, CELLS) for name, law in shear_laws(1.0, 10_000).items()
+    return {
+        name: [relative(run(fluid), exact) for fluid in fluids_between_plates(name, 1.0, 10_000)]
+        for name in (*LAWS, "coupled")
     }
-    fluids["coupled"] = CoupledDumbbells(Dumbbells(CELLS, 10_000, seed=5), 1.0)
-    return {name: relative(run(fluid), exact) for name, fluid in fluids.items()}
 
 
 # The channel: seven inputs
 
 
-def gradients() -> np.ndarray:
-    """Eleven gradients each along three components, up to 0.2, held for ten relaxation times."""
-    rates = np.linspace(-0.2, 0.2, 11)
-    along = shear(rates)
-    return held(np.concatenate([elongation(rates), along, along[:, [0, 2, 1, 3]]]), 200)
+def gradients(De: float = 1e-2, most: tuple[float, float] = MOST) -> np.ndarray:
+    """Eleven gradients each along three components, held for ten relaxation times.
+
+    `most` is the largest shear and elongation [1/t0]; what comes back is per relaxation time.
+    """
+    rates = De * np.linspace(-1, 1, 11)
+    along = most[0] * shear(rates)
+    return held(np.concatenate([most[1] * elongation(rates), along, along[:, [0, 2, 1, 3]]]), 200)
 
 
-def channel_record(count: int) -> Ensembles:
+@cache
+def channel_record(count: int, seed: int = 0, most: tuple[float, float] = MOST) -> Ensembles:
     """Dumbbells under these gradients."""
-    K = gradients()
-    return simulate(Dumbbells(K.shape[1], count, seed=0), K, 0.05)
+    K = gradients(most=most)
+    return simulate(Dumbbells(K.shape[1], count, seed=seed), K, 0.05)
 
 
-def exact_law(n: int, kinematics: bool = True) -> RateLaw:
+def exact_law(n: int, kinematics: bool = True, De: float = 1e-2) -> RateLaw:
     """Learned from n exact rates of the Maxwell fluid under these gradients (no noise)."""
-    K = gradients()
+    K = gradients(De)
     C = homogeneous(MAXWELL, K, 0.05)[: len(K)]
     pairs = exact_pairs(MAXWELL, K.reshape(-1, 4), C.reshape(-1, 4))
     chosen = pairs.choose(n, np.random.default_rng(0))
     return learn_rate(chosen, kinematics=kinematics, outside="allow")
+
+
+def channel_law(
+    name: str, n: int = 1000, seed: int = 0, most: tuple[float, float] = MOST
+) -> RateLaw:
+    """Learned from n random windows of 10⁵ dumbbells, paired as printed or with the start."""
+    printed = name == RECIPES[0]
+    pairs = (window_pairs if printed else start_pairs)(channel_record(100_000, seed, most), 1)
+    chosen = pairs.choose(n, np.random.default_rng(seed))
+    return learn_rate(chosen, kinematics=not printed, outside="allow")
 
 
 def flow_of(law: Any, De: float = 1e-2, until: float = END, steps: int = STEPS) -> ChannelRecord:
@@ -226,36 +265,34 @@ def flow_of(law: Any, De: float = 1e-2, until: float = END, steps: int = STEPS) 
     return run_channel(flow, fluid, until=until, dt=until / steps, every=max(1, steps // 50))
 
 
+def error_in_channel(law: Any, exact: ChannelRecord) -> tuple[float | None, list[float] | None]:
+    """Relative error of v, and the largest of u/U over time; None where the flow runs away."""
+    try:
+        v = flow_of(law).v
+    except InputError:  # a stress or a velocity that is not finite
+        return None, None
+    return relative(v, exact.v), np.abs(v - exact.v).max(axis=(1, 2)).tolist()
+
+
 def training(n: int) -> dict[str, Any]:
     """Figures 6 and 9: laws of n points, their rates on states of the flow, and errors of u."""
-    record, random = channel_record(100_000), np.random.default_rng(0)
-    K, C = reached(MAXWELL, 400, 0.2, seed=9)  # mixed flows, which no recipe saw
+    K, C = reached(MAXWELL, 400, 1e-2 * MOST[1], seed=9)  # mixed flows, which no recipe saw
     truth, exact = MAXWELL.rate(K, C), flow_of(MAXWELL)
-    pairs = {
-        "printed pairing": window_pairs(record, 1).choose(n, random),
-        "start pairing": start_pairs(record, 1).choose(n, random),
-    }
     learners = {
-        "printed pairing": lambda: learn_rate(
-            pairs["printed pairing"], kinematics=False, outside="allow"
-        ),
-        "kinematics known": lambda: learn_rate(pairs["start pairing"], outside="allow"),
-        "exact rates, printed form": lambda: exact_law(n, kinematics=False),
-        "exact rates, kinematics known": lambda: exact_law(n),
+        **{name: partial(channel_law, name, n) for name in RECIPES[:2]},
+        RECIPES[2]: partial(exact_law, n, kinematics=False),
+        RECIPES[3]: partial(exact_law, n),
     }
+    channel_record(100_000)  # is no part of the seconds of a fit
     found: dict[str, Any] = {"t": exact.t, "truth": truth[:, :2]}
     for name, learner in learners.items():
         start = time.process_time()
         law = learner()
         law.rate(K[:1], C[:1])  # weights are computed when they are asked for
         seconds = time.process_time() - start
-        v = flow_of(law).v
-        found[name] = {
-            "rate": law.rate(K, C)[:, :2],
-            "error": np.abs(v - exact.v).max(axis=(1, 2)),
-            "relative": relative(v, exact.v),
-            "seconds": seconds,
-        }
+        error, over_time = error_in_channel(law, exact)
+        rate = law.rate(K, C)[:, :2]
+        found[name] = {"rate": rate, "error": over_time, "relative": error, "seconds": seconds}
     return found
 
 
@@ -265,9 +302,39 @@ def training_rows(fits: Mapping[int, Mapping[str, Any]]) -> list[list[str]]:
     for name in RECIPES:
         for n, fit in fits.items():
             truth, row = np.array(fit["truth"]), fit[name]
-            rates = [relative(np.array(row["rate"])[:, i], truth[:, i]) for i in (0, 1)]
-            cells = [*numbers(rates), f"{max(row['error']):.2g}", f"{row['relative']:.2g}"]
+            cells = numbers(relative(np.array(row["rate"])[:, i], truth[:, i]) for i in (0, 1))
+            if row["error"] is None:
+                cells += ["runs away", "–"]
+            else:
+                cells += numbers([max(row["error"]), row["relative"]])
             rows.append([name, f"{n}", *cells, f"{row['seconds']:.0f}"])
+    return rows
+
+
+def by_range(shear_most: float, elongation_most: float) -> dict[str, list[float | None]]:
+    """Errors of v by recipe, 1000 points of training flows up to these gradients.
+
+    Three seeds, and one where dumbbells stretch without end.
+    """
+    exact, most = flow_of(MAXWELL), (shear_most, elongation_most)
+    seeds = range(3 if 1e-2 * elongation_most < 0.5 else 1)
+    return {
+        name: [error_in_channel(channel_law(name, 1000, n, most), exact)[0] for n in seeds]
+        for name in RECIPES[:2]
+    }
+
+
+def range_rows(found: Mapping[tuple[float, float], Mapping[str, Any]]) -> list[list[str]]:
+    """Errors of v by range and recipe, and how many runs went away."""
+    rows = []
+    for most, errors in found.items():
+        cells = []
+        for name in RECIPES[:2]:
+            ended = [error for error in errors[name] if error is not None]
+            lost = len(errors[name]) - len(ended)
+            away = f"{lost} of {len(errors[name])} run away" if lost else ""
+            cells.append(", ".join(filter(None, [spread(ended) if ended else "", away])))
+        rows.append([f"{most[0]:g}", f"{most[1]:g}", *cells])
     return rows
 
 
@@ -277,7 +344,7 @@ def channel_at(De: float) -> dict[str, Any]:
     steps = int(np.ceil(until / (0.5 * ChannelFlow(De).longest_step) / 50)) * 50
     runs = {
         "law": flow_of(MAXWELL, De, until, steps),
-        "learned": flow_of(exact_law(1000), De, until, steps),
+        "learned": flow_of(exact_law(1000, De=De), De, until, steps),
     }
     t, flow = runs["law"].t, ChannelFlow(De)
     exact = poiseuille(np.array([0.5]), t, De, flow.Re, flow.force)[:, 0]
@@ -339,8 +406,7 @@ def whole_run(name: str) -> dict[str, Any]:
         if name == "learned, exact rates":
             law = exact_law(1000)
         elif name != "exact law":
-            pairs = start_pairs(channel_record(100_000), 1).choose(1000, np.random.default_rng(0))
-            law = learn_rate(pairs, outside="allow")
+            law = channel_law(RECIPES[1])
         learned = time.process_time() - start
         run = flow_of(law)
     seconds = time.process_time() - start - learned
@@ -388,7 +454,7 @@ def nuts(draws: int = 300) -> dict[str, Any]:
     """Means of the posterior over Γ, l₁, l₂ by the No-U-Turn sampler beside the optimum (De 10)."""
     from pyro.infer.mcmc import MCMC, NUTS
 
-    optimum = printed_shear(shear_record(10.0, 1000), 0)
+    optimum = shear_law(LAWS[0], 10.0, 1000, 0)
     process = optimum.process
     Z = torch.from_numpy((process.X - process.centre) / process.scale)
     f = torch.from_numpy((process.y - process.mean) / process.size)

@@ -59,9 +59,8 @@ def draw_plates(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
         for color, n in enumerate(COUNTS):
             for name, style in zip((*LAWS, "coupled"), ("--", "-", ":")):
                 run = plates[De, name, n]
-                below.semilogy(
-                    run["t"][1:], run["error"][1:], f"C{color}{style}", label=f"{name}, {n}"
-                )
+                error = np.median(run["error"], axis=0)
+                below.semilogy(run["t"][1:], error[1:], f"C{color}{style}", label=f"{name}, {n}")
         below.set(xlabel="t / t0", ylabel="largest error of u / U")
         above.plot([], [], "C7", label="coupled, 10⁴ dumbbells")
         above.plot([], [], "C1", label="learned, kinematics known")
@@ -82,7 +81,10 @@ def draw_training(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
                 truth[:, place], rate[:, place], f"C{color}x", markersize=3, label=f"{n} points"
             )
         for name, style in zip(RECIPES, ("--", "-", "-.", ":")):
-            right.semilogy(fit["t"], fit[name]["error"], f"C{color}{style}", label=f"{n}, {name}")
+            if fit[name]["error"] is not None:  # else the flow ran away
+                right.semilogy(
+                    fit["t"], fit[name]["error"], f"C{color}{style}", label=f"{n}, {name}"
+                )
     for ax, name in ((left, "xx"), (middle, "xy")):
         ax.axline((0, 0), slope=1, color="k", linewidth=0.8)
         ax.set(xlabel=f"exact ds_{name}/dt", ylabel=f"learned ds_{name}/dt, printed pairing")

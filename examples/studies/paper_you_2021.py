@@ -12,6 +12,7 @@ from tqdm import tqdm
 
 import warp_peri as wp
 from examples.prose import rows_of
+from examples.studies import paper_you_graining as graining
 from examples.studies import paper_you_pictures as pictures
 from examples.studies import paper_you_thermal as thermal
 from examples.studies.sweep_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_4
@@ -66,6 +67,9 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
     def sweep() -> Any:
         return told("graphene_0K_sweep/sweep.json")
 
+    def model() -> Any:
+        return wp.load(runs / "graphene_0K" / "model.json")
+
     def manufactured(name: str) -> str:
         return rows_of(consistency(told("manufactured/manufactured.json"), name))
 
@@ -100,8 +104,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         return name
 
     def kernels(path: Path) -> None:
-        cold = wp.load(runs / "graphene_0K" / "model.json")
-        thermal.draw_kernels(path, cold, warm()["kernels"])
+        thermal.draw_kernels(path, model(), warm()["kernels"])
 
     def noise(rows: Callable[[Any], Any]) -> str:
         return rows_of(rows(told("noise_study/noise.json")["sweep"]))
@@ -115,6 +118,17 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
             "you_2021_atoms.png", partial(pictures.atoms, data(), runs.parent / CACHE)
         ),
         "fields": lambda: figure("you_2021_fields.png", partial(pictures.fields, data())),
+        "graining": lambda: rows_of(
+            graining.rows(
+                kept("graining", lambda: graining.forces_between_nodes(runs.parent / CACHE)),
+                data().provenance["u_change_cone_to_paraboloid"],
+            )
+        ),
+        "long": lambda: rows_of(
+            thermal.long_rows(
+                kept("long_averages", lambda: thermal.long_averages(runs.parent / CACHE, model()))
+            )
+        ),
         "kernels": lambda: figure("you_2021_kernels.png", kernels),
         "manufactured": lambda: manufactured("fixed_alpha"),
         "learned_alpha": lambda: manufactured("learned_alpha"),

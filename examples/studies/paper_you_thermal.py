@@ -1,5 +1,6 @@
 """What the page on You et al. (2021) shows at 300 K: Tables 3 to 6, noise, Figure 7."""
 
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,9 +12,20 @@ import warp_peri as wp
 from examples.figures import panels, save_figure
 from examples.studies.noise_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_5
 from tools.lammps_session import LammpsSession
-from tools.make_graphene import solve_all
+from tools.loads import VALIDATION
+from tools.make_graphene import on_nodes, solve_all
 from tools.make_thermal import data_set, run_all
-from tools.thermal import Bath, Plan, Task, ThermalRun, graphene_plans
+from tools.thermal import (
+    Bath,
+    Plan,
+    Task,
+    ThermalRun,
+    graphene_plans,
+    read_run,
+    run,
+    run_file,
+    settled,
+)
 from warp_peri import Bernstein, Dataset
 from warp_peri.learning.fit import learn
 from warp_peri.methods import Optimum
@@ -28,6 +40,8 @@ RUNS, SMOOTHINGS = ((0.02, 1), (0.1, 1), (1.0, 1), (0.1, 5)), (1.0, 0.3, 0.1, 0.
 WATCHED = (7,)
 """Training loads, of those that run, that the signal-to-noise ratio is measured on."""
 SETS, AVERAGES = ("val", "test"), ("iota", "plain")
+LONG, LONG_LOADS = (700, 24_000), (0, 5)
+"""Steps of a plain average, and the validation loads that run so long."""
 
 
 def short_plans() -> list[Plan]:
@@ -99,6 +113,45 @@ def study(cache: Path) -> dict[str, Any]:
 
 
 Data = Mapping[tuple[str, float], Dataset]
+
+
+def long_averages(cache: Path, model: wp.Model) -> dict[str, Any]:
+    """E_res and E_u in % of a model of the sheet at rest against averages of so many steps.
+
+    Both lengths begin behind the same transient; seconds of a processor stand for 1000 steps.
+    """
+    body = next(plan.body for plan in short_plans() if plan.body.cells)
+    loads = [VALIDATION[number] for number in LONG_LOADS]
+    rested = solve_all({body: loads}, cache, 1, False)[body]
+    found: dict[str, Any] = {}
+    for steps in LONG:
+        bath, fields = Bath(steps=BATH.transient + steps, transient=BATH.transient), []
+        start = time.process_time()
+        for seed, (load, sample) in enumerate(zip(loads, rested), start=1):
+            task = Task(body, load, 1.0, seed)
+            run(task, sample, bath, cache)
+            kept = read_run(run_file(cache, task, bath))
+            assert kept is not None
+            fields.append(settled(body, sample.reference, kept.average))
+        seconds = time.process_time() - start
+        force = np.stack([sample.force for sample in rested])
+        samples = on_nodes(body, rested[0].reference, np.stack(fields), force, spacing=5.0)
+        table = wp.evaluate(model, samples)
+        found[f"{steps}"] = {
+            **{key: [100 * value for value in table[f"{key}_samples"]] for key in ("E_res", "E_u")},
+            "seconds": 1e3 * seconds / (len(loads) * bath.steps),
+        }
+    return found
+
+
+def long_rows(found: Mapping[str, Any]) -> list[list[str]]:
+    """Errors of each load by length of the average, and what is printed of the whole set."""
+    cells = [
+        [steps, *(", ".join(f"{value:.1f}" for value in row[key]) for key in ("E_res", "E_u"))]
+        for steps, row in found.items()
+    ]
+    printed = PRINTED_TABLE_5[1.0]
+    return [*cells, ["*printed*, ten loads", f"{printed[8]:g}", f"{printed[9]:g}"]]
 
 
 def one_grid(data: Data, reduction: str, factor: float) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from warp_peri.methods import Optimum, Smoothing
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.prediction import Family
 from warp_peri.regression.losses import class_weights, reduce, sample_weights
-from warp_peri.statics.equilibrium import lps_linear
+from warp_peri.statics.lps import lps_linear
 
 Solver = Callable[[np.ndarray, np.ndarray], np.ndarray]
 

@@ -3,6 +3,7 @@
 import copy
 import pickle
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ import warp_peri as wp
 from tests.conformance.test_laws import LAWS, difference, dressed, network
 from tests.points.test_interpolation import cloud
 from tests.support import cubes
-from tests.support.problems import kernel, lattice
+from tests.support.problems import kernel, lattice, noise
 from tests.third_order.test_crystal import crystal
 from warp_peri.micromodulus import tensors_of
 
@@ -113,23 +114,6 @@ def loss(op, u):
     force = op(u)
     seed = torch.from_numpy(np.random.default_rng(1).normal(size=force.shape))
     return ((0.3 * force + seed) * force).sum()
-
-
-@pytest.mark.parametrize("name", OPERATORS)
-def test_a_gradient_is_that_of_differences(name, made):
-    op, linear = made(name), name in LINEAR
-    u = torch.from_numpy(field(op)).requires_grad_()
-    value = loss(op, u)
-    assert value.dtype == torch.float64
-    (by_u,) = torch.autograd.grad(value, u)
-    with torch.no_grad():
-        assert float(loss(op, u)) == pytest.approx(float(value), rel=1e-13)
-        for seed in range(3):
-            v = torch.from_numpy(field(op, seed=seed + 1))
-            step = 1e-3 if linear else 1e-5 if name.startswith("neural") else 1e-2
-            slope = difference(lambda t, v=v: float(loss(op, u + t[0] * v)), [0.0], step)[0]
-            size = float(by_u.norm() * v.norm())
-            assert abs(float((by_u * v).sum()) - slope) <= (1e-8 if linear else 1e-6) * size / 10
 
 
 @pytest.mark.parametrize("name", OPERATORS)
@@ -329,7 +313,9 @@ MODULES = {
     "third order, filtered": {"t3", "tq2", "q3"},
     "crystal, third order": {"t3", "tq2", "q3"},
     "crystal": set(),
-    "hyperelastic": set(),
+    "hyperelastic": {"coefficients"},
+    "dressed, finite strain": {"lam", "mu", "t3", "tq2", "q3"},
+    "conductor": {"kappa", "alpha", "D"},
     "dressed, varied": {"bulk", "shear", "tetragonal"},
 }
 
@@ -404,50 +390,6 @@ def test_a_module_refuses_other_points(made):
         wp.Module("graphene", made("LPS").points)
 
 
-SOLVED = {
-    "LPS": wp.Direct(),
-    "crystal": wp.Krylov(tolerance=1e-13),
-    "own": wp.Krylov(tolerance=1e-13),
-    "dressed": wp.Krylov(tolerance=1e-13),
-    "dressed, bonds": wp.Krylov(tolerance=1e-13),
-    "dressed, varied": wp.Direct(),
-    "crystal in space": wp.Krylov(tolerance=1e-13),
-    "conductor": None,
-}
-
-
-@pytest.mark.parametrize("name", SOLVED)
-def test_a_solve_has_the_gradient_of_differences(name, made):
-    op, solver = made(name), SOLVED[name]
-    b, u = (torch.from_numpy(field(op, 2, seed=n)).requires_grad_() for n in (0, 1))
-    seed = torch.from_numpy(np.random.default_rng(2).normal(size=u.shape))
-
-    def solution(b, u):
-        return wp.solve(op, wp.Dirichlet(op.points, b, u), solver=solver)
-
-    def square(b, u):
-        answer = solution(b, u).u
-        return ((0.1 * answer + seed) * answer).sum()
-
-    told = solution(b, u)
-    plain = solution(b.detach().numpy(), u.detach().numpy())
-    assert np.allclose(told.u.detach(), plain.u, rtol=0, atol=1e-9 * np.abs(plain.u).max())
-    assert told.method == plain.method
-    gradients = torch.autograd.grad(square(b, u), (b, u))
-    for number, gradient in enumerate(gradients):
-        v = torch.from_numpy(field(op, 2, seed=3))
-
-        def value(t, number=number, v=v):
-            moved = [x.detach() + t[0] * v * (n == number) for n, x in enumerate((b, u))]
-            return float(square(*moved))
-
-        slope = difference(value, [0.0], 1.0)[0]
-        size = float(gradient.norm() * v.norm())
-        assert abs(float((gradient * v).sum()) - slope) <= 1e-7 * size
-    one = wp.solve(op, wp.Dirichlet(op.points, b[0].detach().float(), u[0].float()), solver=solver)
-    assert (one.u.dtype, one.u.shape) == (torch.float32, u[0].shape) or name == "LPS"
-
-
 @pytest.mark.parametrize("name", ["LPS", "crystal", "conductor"])
 def test_what_a_solve_takes_and_tells(name, made):
     op = made(name)
@@ -469,12 +411,85 @@ def test_what_a_solve_takes_and_tells(name, made):
         assert told.plot().get_title()
 
 
-@pytest.mark.parametrize("name", ["third order, energy", "hyperelastic", "coupled"])
-def test_a_solve_without_gradient_says_so(name, made):
+@pytest.mark.parametrize("name", ["third order, energy", "hyperelastic", "neural operator"])
+def test_a_nonlinear_solve_is_differentiated_once(name, made):
     op = made(name)
-    b, u = 0 * torch.from_numpy(field(op)), torch.from_numpy(0.01 * field(op))
-    wp.solve(op, wp.Dirichlet(op.points, b, u))
-    with pytest.raises(wp.InputError, match="solve: expected tensors without a gradient"):
-        wp.solve(op, wp.Dirichlet(op.points, b, u.clone().requires_grad_()))
+    b, u = 0 * torch.from_numpy(field(op)), torch.from_numpy(0.01 * field(op)).requires_grad_()
+    answer = wp.solve(op, wp.Dirichlet(op.points, b, u)).u
+    (first,) = torch.autograd.grad(answer.square().sum(), u, create_graph=True)
+    with pytest.raises(wp.InputError, match="second derivative"):
+        first.sum().backward()
+    fixed = u.detach()
     with forward_ad.dual_level(), pytest.raises(wp.InputError, match="tangent"):
-        wp.solve(op, wp.Dirichlet(op.points, b, forward_ad.make_dual(u, u)))
+        wp.solve(op, wp.Dirichlet(op.points, b, forward_ad.make_dual(fixed, fixed)))
+
+
+@pytest.mark.parametrize("name", ["LPS", "crystal"])
+def test_a_period_has_the_gradient_of_differences(name):
+    points = LAWS[name].sheet()
+    op = LAWS[name].material().on(points)
+    b = torch.from_numpy(field(op)).requires_grad_()
+    own = getattr(op, "learnable", {})
+    numbers = {n: torch.tensor(1.001 * np.asarray(v)) for n, v in own.items()}
+    seed = torch.from_numpy(np.random.default_rng(2).normal(size=b.shape))
+
+    def value(b, numbers=numbers):
+        how = {"parameters": numbers} if numbers else {}
+        return (seed * wp.solve(op, wp.Periodic(points, b), **how).u).sum()
+
+    (gradient,) = torch.autograd.grad(value(b), b)
+    way = torch.from_numpy(field(op, seed=5))
+    slope = difference(lambda t: float(value(b.detach() + t[0] * way)), [0.0], 1.0)[0]
+    assert float((gradient * way).sum()) == pytest.approx(slope, rel=1e-8)
+    for key, number in numbers.items():
+        leaf = number.clone().requires_grad_()
+        (slope_of,) = torch.autograd.grad(value(b.detach(), numbers | {key: leaf}), leaf)
+        moved = difference(
+            lambda t, key=key: float(value(b.detach(), numbers | {key: numbers[key] * (1 + t[0])})),
+            [0.0], 1e-2,
+        )[0]  # fmt: skip
+        told = float((slope_of * number).sum())
+        assert abs(told - moved) <= 1e-6 * float(slope_of.norm() * number.norm())
+
+
+def test_a_cracked_body_has_the_gradient_of_differences():
+    """At rest, to its load and what is held; the rest is refused."""
+    points, model = lattice(6, 3.0), kernel("1/r", 3.0)
+    fields = [torch.from_numpy(field(model.on(points), seed=n)) for n in (0, 1)]
+    crack, seed = [[(-2.0, 0.1), (1.0, 0.1)]], torch.from_numpy(noise(points))
+
+    def value(b, u):
+        return (seed * wp.solve(model, wp.Cracked(points, b=b, u=u, cracks=crack)).u).sum()
+
+    leaves = [one.clone().requires_grad_() for one in fields]
+    for n, gradient in enumerate(torch.autograd.grad(value(*leaves), leaves)):
+        way = torch.from_numpy(noise(points, seed=9))
+
+        def along(t, n=n, way=way):
+            return float(value(*(one + t[0] * way * (k == n) for k, one in enumerate(fields))))
+
+        slope = difference(along, [0.0], 0.1)[0]
+        assert float((gradient * way).sum()) == pytest.approx(slope, rel=1e-8)
+    with pytest.raises(wp.InputError, match="move: expected tensors without a gradient"):
+        wp.move(model, wp.Cracked(points, u=leaves[1], cracks=crack), events=1)
+
+
+def test_what_would_lose_a_gradient_says_so(made):
+    op = made("LPS")
+    leaf = torch.zeros(op.shape, dtype=torch.float64, requires_grad=True)
+    number = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
+    points = op.points
+    problem, still = (wp.Dirichlet(points, None, x) for x in (leaf, 0 * points.x))
+    for lost in (
+        lambda: wp.Model(0.3, number, 1.0, [1.0], horizon=3.0),
+        lambda: wp.Samples(points, leaf),
+        lambda: wp.solve(op, problem, solver=wp.methods.PolakRibiere()),
+        lambda: wp.move(op, still, density=number, step=1e-3, steps=1),
+        lambda: op.energy(leaf),
+        lambda: op.load(leaf),
+        lambda: op.product(leaf, leaf),
+        lambda: op.stress(leaf),
+        lambda: wp.solve(op, wp.Dirichlet(SimpleNamespace(comm=None), leaf, leaf)),  # ranks
+    ):
+        with pytest.raises(wp.InputError, match="gradient"):
+            lost()

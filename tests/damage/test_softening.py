@@ -1,16 +1,19 @@
 """Bonds that soften and fail: linear limit, energy's derivative, a peak, another horizon."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from scipy.integrate import quad
 
-from examples.published_plate import main, peak, plate, pulled
+from examples.published_plate import main, peak, plate, pulled, rate
 from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
+from tests.support.problems import difference
 from warp_peri import InputError, Model, load, move, save
-from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle
+from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle, softening
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.softening import SoftBody
 
@@ -160,7 +163,7 @@ def test_a_body_that_has_come_apart_along_the_line_carries_nothing():
     rest = soft.rest
 
     def loose(field, share):
-        if not share[soft._section([(-9, 0.0), (9, 0.0)])[0]].any():
+        if not share[soft.section([(-9, 0.0), (9, 0.0)])[0]].any():
             raise InputError("operator: parts of the body hang loose")
         return rest(field, share)
 
@@ -219,3 +222,50 @@ def test_a_soft_solid_of_a_file_is_pulled_the_same(tmp_path):
     np.testing.assert_array_equal(first.time, [0.3, 0.6])
     held = problem.held
     np.testing.assert_allclose(first.u[held], 0.6 * problem.u[held])
+
+
+@pytest.mark.parametrize("name", ["softness", "stretch", "tail", "u"])
+def test_a_pull_has_the_gradient_of_differences(name, monkeypatch):
+    """To the numbers of the bonds and what is held, past the peak, along the path that is taken."""
+    monkeypatch.setattr(softening, "TOLERANCE", 1e-12)
+    problem, rim = plate(20, 5.0, 10.05, True)
+    start = {"softness": 4.0, "stretch": 0.05, "tail": 0.05, "u": problem.u}
+    start = {key: torch.tensor(value, dtype=torch.float64) for key, value in start.items()}
+    loads, section = rate(20) * np.arange(84.0, 112.0, 4.0), [(-30.0, 0.0), (30.0, 0.0)]
+    seed = torch.from_numpy(np.random.default_rng(0).normal(size=problem.u.shape)) / 100
+
+    def value(of):
+        numbers = {key: of[key] for key in ("softness", "stretch", "tail")}
+        body = SoftSolid(Model(1.0, 1.0, 1.0, [1.0], 10.05), BondLaw(1.0, 0.05, 0.05))
+        given = replace(problem, u=of["u"])
+        run = move(body, given, loads=loads, line=section, no_fail=rim, parameters=numbers)
+        assert run["broken"][-1] > 0
+        weights = torch.linspace(0.5, 1.0, len(run["force"]), dtype=torch.float64)
+        return (weights * run["force"]).sum() + (seed * run.u).sum()
+
+    leaf = start[name].clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(value(start | {name: leaf}), leaf)
+    way = torch.ones_like(leaf) if name != "u" else torch.from_numpy(problem.u)
+    way = way.detach() * (1.0 if name == "u" else start[name])
+
+    def along(t):
+        return float(value(start | {name: start[name] + t[0] * way}))
+
+    slope = difference(along, [0.0], 1e-6)[0]
+    assert float((gradient * way).sum()) == pytest.approx(slope, rel=1e-6)
+
+
+def test_what_a_pull_has_no_gradient_of():
+    problem, rim = plate(20, 5.0, 10.05, True)
+    body = SoftSolid(Model(1.0, 1.0, 1.0, [1.0], 10.05), BondLaw(1.0, 0.05, 0.05))
+    line = [(-30.0, 0.0), (30.0, 0.0)]
+    how = {"loads": rate(20) * np.arange(84.0, 112.0, 4.0), "line": line, "no_fail": rim}
+    tail = torch.tensor(0.05, dtype=torch.float64, requires_grad=True)
+    with pytest.raises(InputError, match="parameters: expected softness, stretch, tail, got mu"):
+        move(body, problem, parameters={"mu": tail}, **how)
+    with pytest.raises(InputError, match="tail: expected > 0 for a gradient"):
+        move(body, problem, parameters={"tail": 0 * tail}, **how)
+    force = move(body, problem, parameters={"tail": tail}, **how)["force"]
+    (first,) = torch.autograd.grad(force[-1], tail, create_graph=True)
+    with pytest.raises(InputError, match="second derivative"):
+        first.backward()

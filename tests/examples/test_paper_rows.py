@@ -179,20 +179,25 @@ def test_polymer_laws_and_flows():
     from examples.studies import paper_polymer_gp as gp
 
     name = "kinematics known"
-    held(gp.law_at_10()[name]["errors"], row("polymer_gp", "Figure 4", f"| {name} |"))
-    error = np.array(gp.plate(1.0, name, 1000)["error"])
-    held([error.max()], row("polymer_gp", "Figure 5", f"| 1 | {name} |")[:1])
-    held(list(gp.oscillating_plate().values()), [
-        row("polymer_gp", "Oscillating shear", f"| {fluid} |")[0]
-        for fluid in ("printed recipe", name, "coupled")
-    ])  # fmt: skip
+    for law, found in gp.law_at_10().items():
+        if law in gp.LAWS:
+            told = row("polymer_gp", "Figure 4", f"| {law} |")
+            held(np.median(found["errors"], axis=1), told[::3])
+    error = np.array(gp.plate(1.0, name, 1000)["error"]).max(axis=1)
+    held([np.median(error)], row("polymer_gp", "Figure 5", f"| 1 | {name} |")[:1])
+    for fluid, errors in gp.oscillating_plate().items():
+        told = row("polymer_gp", "Oscillating shear", f"| {fluid} |")
+        held([np.median(errors), min(errors), max(errors)], told)
     channel = [float(cell) for cell in gp.channel_rows({1e-3: gp.channel_at(1e-3)})[0]]
     held(channel[1:4], row("polymer_gp", "Table 1 and Figure 7", "| 0.001 |")[:3])
     rows = gp.training_rows({1000: gp.training(1000)})
     for start in ("printed pairing", name):
         cells = next(cells for cells in rows if cells[0] == start)
         told = row("polymer_gp", "Figures 6 and 9", f"| {start} | 1000 |")
-        held([float(cell) for cell in cells[2:6]], told[:4])
+        held([float(cell) for cell in cells[2:6] if cell[0].isdigit()], told[:-1])
+    found = {(20.0, 20.0): gp.by_range(20.0, 20.0)}
+    told = row("polymer_gp", "Table 1: the range", "| 20 | 20 |")
+    held([float(n) for cell in gp.range_rows(found)[0][2:] for n in NUMBER.findall(cell)], told)
 
 
 @pytest.mark.slow

@@ -4,10 +4,14 @@ import re
 from pathlib import Path
 from string import Formatter
 
+import numpy as np
 import pytest
 
+from examples.studies import paper_polymer_gp, paper_you_pictures, papers
 from examples.studies import paper_slides_rates as rates
-from examples.studies import paper_you_pictures, papers
+from examples.studies.polymer_tables import printed_shear
+from warp_peri.flow import Ensembles, held, shear
+from warp_peri.flow.laws import IDENTITY
 
 PAGES = Path(__file__).parent.parent.parent / "docs" / "papers"
 
@@ -58,6 +62,24 @@ def test_every_part_of_a_page_is_asked_for_and_given(name, tmp_path):
     parts = source.parts(tmp_path / "runs", papers.keeper(tmp_path), tmp_path)
     template = source.TEMPLATE.read_text(encoding="utf-8")
     assert {part for _, part, _, _ in Formatter().parse(template) if part} == set(parts)
+
+
+def test_the_printed_recipe_of_shear_without_noise():
+    """Filter, differences of a step and ten bins leave a per cent of the rate, the filter's own."""
+    K, t = np.linspace(-1.5, 1.5, 9), 1e-3 * np.arange(5001)[:, None]
+    C = np.tile(IDENTITY, (len(t), 9, 1))
+    C[..., 1] = K * (1 - np.exp(-t))
+    record = Ensembles(1e-3, held(shear(K), 5000), C, C, 0)
+    law = printed_shear(record, 0)
+    some = slice(250, 3000, 250)
+    rate = law.rate(np.repeat(shear(K), 11, axis=0), C[some].swapaxes(0, 1).reshape(-1, 4))[:, 1]
+    exact = (K * np.exp(-t[some])).T.ravel()
+    assert np.linalg.norm(rate - exact) < 0.02 * np.linalg.norm(exact)
+
+
+def test_training_flows_of_the_channel_are_the_printed_shear_and_what_elongation_bears():
+    largest = np.abs(paper_polymer_gp.gradients(1e-2)).max(axis=(0, 1))
+    np.testing.assert_allclose(largest, [0.4, 1.5, 1.5, 0.4])
 
 
 def test_the_family_of_a_node_is_drawn(tmp_path):

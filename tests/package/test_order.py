@@ -26,6 +26,7 @@ FLOORS = (
     ("choice", "plots", "export", "flow", "problems"),
     ("solving", "storage"),
     ("atoms", "methods", "proofs", "shapes", "transfers"),
+    ("verification",),
     ("cli",),
 )
 FLOOR = {name: number for number, names in enumerate(FLOORS) for name in names}

@@ -15,7 +15,7 @@ from warp_peri import InputError, Points, evaluate
 from warp_peri.lps.model import Model
 from warp_peri.points.families import carried_horizon, families_of
 from warp_peri.proofs import critical_time_step
-from warp_peri.statics.equilibrium import equilibrium
+from warp_peri.statics.solution import Direct
 from warp_peri.transfer import cache as kept
 from warp_peri.transfer import lattice as made
 from warp_peri.transfer.cache import model_for
@@ -112,8 +112,8 @@ def test_everything_takes_points_of_another_spacing(points, file):
     step = critical_time_step(model, spacing=0.8, density=1000.0)
     assert step == critical_time_step(there, spacing=0.8, density=1000.0)
     tensors = [torch.from_numpy(field) for field in (points.b, points.u)]
-    same = equilibrium(points, *tensors, there.solid, horizon=there.horizon, method="lu")
-    assert same.numpy() == pytest.approx(u)
+    same = there.on(points).rest(*tensors, Direct())
+    assert same.u.numpy() == pytest.approx(u)
 
 
 @pytest.mark.parametrize("use", [solve, LPSOperator, evaluate, model_for])

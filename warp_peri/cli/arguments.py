@@ -327,6 +327,19 @@ def sweep(command: ArgumentParser) -> None:
     command.add_argument("--jobs", type=int, default=-1, help="processes; -1: all cores")
 
 
+def verify(command: ArgumentParser) -> None:
+    """Which rows are posed, and what is kept of them."""
+    command.add_argument(
+        "--only", nargs="+", default=[], metavar="NAME", help="rows whose name holds one of these"
+    )
+    command.add_argument(
+        "--scale", action="store_true", help="in mm and Å too, moduli times 1e6 and 1e-6"
+    )
+    command.add_argument("--out", type=Path, metavar="FOLDER", help="for a picture of each row")
+    command.add_argument("--page", type=Path, metavar="FILE.md", help="write the table as a page")
+    command.add_argument("--processes", type=int, default=2, help="that share the rows")
+
+
 def info(command: ArgumentParser) -> None:
     """The command that says what a file holds."""
     command.add_argument("file", type=Path)

@@ -14,12 +14,9 @@ from typing import Any
 import numpy as np
 
 import warp_peri
-from warp_peri.cli.body import OF_BODY, refuse_options, run_solve_body
-from warp_peri.cli.dic import run_dic as run_dic
 from warp_peri.cli.inputs import data_for
+from warp_peri.cli.learn import run_dic as run_dic
 from warp_peri.cli.learn import run_learn as run_learn
-from warp_peri.cli.predict import run_plan as run_plan
-from warp_peri.cli.predict import run_predict as run_predict
 from warp_peri.cli.settings_file import keep
 from warp_peri.cli.train import in_percent as in_percent
 from warp_peri.cli.train import run_coarse_grain as run_coarse_grain
@@ -29,14 +26,17 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import symbols
-from warp_peri.statics.solution import Direct, Krylov
+from warp_peri.points.unit_names import USUAL, symbols
+from warp_peri.statics.solution import Coupling, Direct, Krylov
 from warp_peri.storage import load
 
 Result = dict[str, Any]
 
 WIDTH = 100
 """Of a line: words that are longer stand one in a line."""
+OF_DATA: dict[str, Any] = {"method": "auto", "axis": None, "set": "test", "transfer": True}
+OF_BODY: dict[str, Any] = {"hold": [], "pull": [], "spacing": None, "overlap": None, "units": None}
+"""Options of the two kinds of problem that mean nothing to the other, and their defaults."""
 
 
 def check_output(given: argparse.Namespace) -> None:
@@ -53,7 +53,7 @@ def check_output(given: argparse.Namespace) -> None:
             if path.resolve() == out:
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
     folder = (
-        given.command in ("train", "learn", "dic", "sweep")
+        given.command in ("train", "learn", "dic", "sweep", "verify")
         or getattr(given, "what", "") == "fields"
     )
     if given.out.exists() and given.out.is_dir() != folder:
@@ -142,6 +142,123 @@ def run_solve(given: argparse.Namespace) -> Result:
         keep(given, given.out.with_suffix(".solve.toml"))
     size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0)
     return {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
+
+
+def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
+    """A body in equilibrium: a VTU file of its mesh.
+
+    Raises InputError for a data file beside the body, or neither, options of a data file, a
+    material that bodies are not of, and another ending than .vtu.
+    """
+    if given.body is None or given.data is not None:
+        raise InputError("data, body: expected one of DATA.h5 and --body MESH")
+    refuse_options(given, OF_DATA, "loads of a data file, not of a body")
+    if given.out.suffix != ".vtu":
+        raise InputError(f"out: expected a .vtu file for a body, got {given.out.name}")
+    material = load(given.model)
+    if given.units is not None:
+        material = material.in_units(tuple(given.units))
+    problem = warp_peri.Body(
+        load(given.body),
+        _vectors("hold", given.hold),
+        _vectors("pull", given.pull),
+        coupling=Coupling(spacing=given.spacing, overlap=given.overlap),
+    )
+    asked: dict[str, Any] = {"allow_uncertified": True} if given.allow_uncertified else {}
+    solution = warp_peri.solve(material, problem, **asked).details
+    with locked(given.out):
+        largest = warp_peri.export.write_body(given.out, solution)
+        keep(given, given.out.with_suffix(".solve.toml"))
+    exchange = solution.exchange
+    return {
+        "file": str(given.out),
+        **largest,
+        "units": list(material.units),
+        "spacing": solution.spacing,
+        "horizon": solution.model.horizon,
+        "lattice_nodes": 0 if solution.points is None else int(solution.points.interior.sum()),
+        "exchanges": exchange.exchanges,
+        "mismatch": exchange.mismatch,
+        "rim_residual": exchange.rim_residual,
+        "bulk_residual": exchange.bulk_residual,
+        "overlap": solution.overlap,
+    }
+
+
+def refuse_options(given: argparse.Namespace, of: dict[str, Any], whose: str) -> None:
+    """InputError for options that are set, apart from their defaults, and would do nothing."""
+    if idle := [name for name, default in of.items() if getattr(given, name) != default]:
+        words = ", ".join("no-transfer" if name == "transfer" else name for name in idle)
+        raise InputError(f"{words}: expected with {whose}")
+
+
+def _vectors(option: str, words: Sequence[str]) -> dict[str, np.ndarray]:
+    """PART=a,b or PART=a,b,c as vectors by part; "-" is no number."""
+    vectors: dict[str, np.ndarray] = {}
+    for word in words:
+        name, _, numbers = word.rpartition("=")
+        try:
+            pair = [np.nan if part == "-" else float(part) for part in numbers.split(",")]
+        except ValueError:
+            pair = []
+        if not name or len(pair) not in (2, 3):
+            raise InputError(
+                f"{option}: expected PART=number,number (,number in space), got {word!r}"
+            )
+        if name in vectors:
+            raise InputError(f"{option}: expected each part once, got {name!r} twice")
+        vectors[name] = np.array(pair)
+    return vectors
+
+
+def run_predict(given: argparse.Namespace) -> dict[str, Any]:
+    """Displacement under the loads of a set, each with its likely error."""
+    model = load(given.model)
+    points = data_for(given, model)[given.set]
+    asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
+    options = {name: value for name, value in asked.items() if value != (name == "transfer")}
+    problem = warp_peri.Dirichlet(points, points.loads, points.u)
+    answers: Any = warp_peri.predict(model, problem, given.tolerance or None, **options)
+    samples = []
+    for answer, truth in zip(answers, points.u[:, points.interior]):
+        told = {n: getattr(answer, n) for n in ("error", "parts", "kept", "why", "uncovered")}
+        told["local_solid"] = answer.local if answer.operator else None
+        if size := float(np.linalg.norm(truth)):  # the set holds what was measured or computed
+            wrong = answer.u[points.interior] - truth
+            told["true"] = float(np.linalg.norm(wrong)) / size
+        samples.append(told)
+    return {"set": given.set, "tolerance": given.tolerance or None, "samples": samples}
+
+
+def run_plan(given: argparse.Namespace) -> dict[str, Any]:
+    """The cheapest model and solver that was measured within a tolerance, for a scene."""
+    typed = {"strain": given.strain, "loads": given.loads, "rectangle": given.rectangle or None}
+    typed |= {"size": given.size and tuple(given.size), "shortest_wave": given.shortest_wave}
+    typed = {name: value for name, value in typed.items() if value is not None}
+    if given.data is not None:
+        points = load_dataset(given.data, units=USUAL)[given.set]
+        problem = warp_peri.Dirichlet(points, points.loads, points.u)
+        scene = dataclasses.replace(
+            warp_peri.choice.Scene.of(problem, modulus=given.modulus), **typed
+        )
+    elif {"size", "shortest_wave"} <= typed.keys():
+        scene = warp_peri.choice.Scene(**typed)
+    else:
+        raise InputError("plan: expected a data file, or --size and --shortest-wave")
+    choice = warp_peri.choice.choose_model(tolerance=given.tolerance, scene=scene)
+    return {"scene": dataclasses.asdict(scene), **dataclasses.asdict(choice)}
+
+
+def run_verify(given: argparse.Namespace) -> Result:
+    """Problems that everybody knows, posed to every material that can take them."""
+    verification = warp_peri.verification
+    lines = verification.verified(
+        given.only, scaled=given.scale, out=given.out, processes=given.processes
+    )
+    if given.page is not None:
+        given.page.write_text(verification.page(lines), encoding="utf-8")
+    given.told = verification.by_material(lines) + "\n\n" + verification.table(lines)
+    return {"rows": lines}
 
 
 def linear_of(material: Any) -> Any:

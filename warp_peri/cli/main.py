@@ -30,6 +30,7 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
     "plan": ("which model and solver a scene needs", arguments.plan),
     "export": ("for ParaView and other codes", arguments.export),
     "sweep": ("choose horizon and degree", arguments.sweep),
+    "verify": ("known problems against their references", arguments.verify),
     "info": ("what a model, a data file or a mesh holds", arguments.info),
 }
 """What each command is for, and its options; `commands` has a function run_NAME for each."""
@@ -38,8 +39,8 @@ COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
 def main(words: Sequence[str] | None = None) -> int:
     """Run a command.
 
-    Returns the exit status: 0; 1 after a failure, such as a full disk; 2 for input that cannot be
-    used; 130 after Ctrl-C.
+    Returns the exit status: 0; 1 after a failure, such as a full disk or a row that does not hold;
+    2 for input that cannot be used; 130 after Ctrl-C.
     """
     known: dict[str, Any] = {}
 
@@ -68,6 +69,8 @@ def _run(words: Sequence[str] | None, known: dict[str, Any]) -> int:
             raise
     if given.command == "evaluate" and all("error" in table for table in result.values()):
         return 2
+    if given.command == "verify" and any(line["holds"] is False for line in result["rows"]):
+        return 1
     return 0
 
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 import torch
+from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.contract import placed
@@ -21,6 +24,12 @@ TWICE = (
     "second derivative: expected first derivatives alone of a force that is not linear, of its "
     "numbers, or of an equilibrium; operator.product(u, v) is the derivative of a force along v"
 )
+SINGULAR = "expected an equilibrium where the tangent has an inverse, got a singular one, or nearly"
+DIRECT = 4_000
+"""Unknown nodes up to which a tangent is factorised for its adjoint, as `statics` does."""
+EXACT, ROUGH, KEPT, ROUNDS = 1e-11, 1e-10, 40, 10
+"""Relative residual of an adjoint in steps, and of the inverse before it; directions that GMRES
+keeps, and how often it begins anew."""
 
 
 class _Made(torch.autograd.Function):
@@ -96,6 +105,38 @@ def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) 
     return _made(functools.partial(_called, make), tangent, each, *of)
 
 
+def differentiable_once(backward: Backward) -> Backward:
+    """The backward pass of a torch function that saves every tensor it depends on.
+
+    A derivative of what it returns raises InputError, by `backward`, `grad`, `hessian` or `hvp`;
+    torch's own once_differentiable lets those pass that do not go through the upstream gradient.
+    """
+
+    @functools.wraps(backward)
+    def once(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        with torch.no_grad():
+            found = backward(ctx, *upstream)
+        if not torch.is_grad_enabled():
+            return found
+        of = [one for one in (*upstream, *ctx.saved_tensors) if one is not None]
+        of = [one for one in of if one.requires_grad]
+        return tuple(
+            one if one is None else _once(lambda *_, n=one: n.clone(), *of) for one in found
+        )
+
+    return once
+
+
+def refuse_tangents(*inputs: Any) -> None:
+    """InputError for tensors with a tangent of forward mode, which would be lost."""
+    for one in inputs:
+        if isinstance(one, torch.Tensor) and forward_ad.unpack_dual(one).tangent is not None:
+            raise InputError(
+                "tangent: expected no forward-mode derivative; operator.product(u, v) is the "
+                "derivative of a force along v"
+            )
+
+
 def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
     """The force of an operator on the interior nodes, [..., I, d], differentiable in u [..., N, d].
 
@@ -133,40 +174,197 @@ def pair_of(operator: Any, b: Any, u: Any) -> tuple[torch.Tensor, torch.Tensor]:
     return b, u
 
 
-def at_rest(operator: Any, b: Any, u: Any, solver: Any) -> Any:
-    """The Solution of a symmetric operator, its u a tensor with every derivative to b and u.
+def with_numbers(operator: Any, numbers: dict[str, np.ndarray]) -> Any:
+    """The operator with some of its `learnable` numbers changed, itself where they are its own.
+    Raises InputError for others, and as its `at`."""
+    known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
+    names = ", ".join(f"{name} {list(np.shape(own))}" for name, own in known.items()) or "none"
+    for name, value in numbers.items():
+        if value.size != np.size(known.get(name, ())) or not np.isfinite(value).all():
+            got = f"{name} {list(value.shape)}"
+            raise InputError(f"parameters: expected finite numbers of shape {names}, got {got}")
+    numbers = {name: value.reshape(np.shape(known[name])) for name, value in numbers.items()}
+    same = all(np.array_equal(value, known[name]) for name, value in numbers.items())
+    return operator if same else operator.at(known | numbers)
+
+
+def force_with(operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]) -> torch.Tensor:
+    """The force of fields [S, N, d] with other numbers, by an operator's `at` and `by_numbers`."""
+    names, made = list(operator.learnable), dict[bytes, Any]()
+
+    def at(values: tuple[np.ndarray, ...]) -> Any:
+        key = b"".join(np.asarray(value).tobytes() for value in values)
+        if key not in made:
+            made.clear()
+            made[key] = with_numbers(operator, dict(zip(names, values)))
+        return made[key]
+
+    def back(name: str) -> Callable[..., np.ndarray]:
+        return lambda u, *of: np.asarray(at(of[:-1]).by_numbers(name, u, of[-1]))
+
+    by_u: Any = lambda u, *of: at(of[:-1]).product_transpose(u, of[-1])  # noqa: E731
+    force: Any = lambda u, *of: at(of).force(u)  # noqa: E731
+    backs = (by_u, *map(back, names))
+    return nonlinear(force, None, backs, u, *(numbers[name] for name in names))
+
+
+def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) -> dict[str, Any]:
+    """Derivatives of Σ w · force(u) to numbers, of fields [K, N, d] and weights [K, I, d]."""
+    if not names:
+        return {}
+    if hasattr(operator, "by_numbers"):
+        return {name: operator.by_numbers(name, u, w) for name in names}
+    with torch.enable_grad():
+        numbers = {
+            name: torch.tensor(value, dtype=torch.float64, requires_grad=name in names)
+            for name, value in operator.learnable.items()
+        }
+        force = operator.force_with(torch.from_numpy(u), numbers)
+        leaves = [numbers[name] for name in names]
+        return dict(zip(names, torch.autograd.grad(force, leaves, torch.from_numpy(w))))
+
+
+def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
+    """The Solution of any operator in equilibrium, its u a tensor with a gradient (theory.md, 29).
+
+    With g the derivative of a scalar to u and L′ᵗ w = g on the interior, L′ the derivative of the
+    force at the answer, b has w, u on the collar g − L′ᵗ w, and a number a −wᵗ ∂(L u)/∂a. What is
+    linear has every derivative to b and u; of others, and to numbers, the second is refused.
 
     Args:
-        operator: whose `rest` and `product_transpose` take NumPy fields.
+        operator: that offers `rest`, and `stiffness_at` where it is not symmetric.
         b, u: of all nodes, [N, d] or [S, N, d]; b counts on the interior, u on the collar.
         solver: of `rest`.
+        parameters: some of the operator's `learnable` by name; the others stay as they are. The
+            numbers of a network are learned without being named.
 
-    Raises InputError as `rest`, for a shape that does not fit, and for tensors that ask for a
-    gradient of another operator.
+    Raises InputError as `rest`, for what does not fit, where L′ is singular, and for a tangent of
+    forward mode of what is not linear.
     """
     b, u = pair_of(operator, b, u)
-    if not operator.is_symmetric:
-        refuse_tangents(b, u)
-        if b.requires_grad or u.requires_grad:
-            raise InputError(
-                "solve: expected tensors without a gradient, which the equilibrium of a "
-                f"{type(operator.model).__name__} does not have in torch"
-            )
-        return operator.rest(b.numpy(), u.numpy(), solver)
-    inside, axis = operator.points.interior, -len(operator.shape)
+    named = {n: torch.as_tensor(v).to("cpu", torch.float64) for n, v in (parameters or {}).items()}
+    operator = with_numbers(operator, {n: v.detach().numpy() for n, v in named.items()})
+    fields, numbers = [b.cpu().double(), u.cpu().double()], [*named.values(), *operator.networks]
     found: list[Any] = []
 
     def there(both: np.ndarray) -> np.ndarray:
-        found.append(operator.rest(both[0], both[1], solver))
+        found.append(_rest(operator, both[0], both[1], solver))
         return np.asarray(found[-1].u)
 
     def back(g: np.ndarray) -> np.ndarray:
-        w = operator.rest(g, np.zeros_like(g), solver).u
-        pushed = operator.product_transpose(None, np.compress(inside, w, axis))
-        return np.stack([w, (g - pushed) * ~inside.reshape(-1, *[1] * (-axis - 1))])
+        return np.stack(_pulled(operator, g, g, solver)[1:])
 
-    answer = linear(torch.stack([b.cpu(), u.cpu()]).double(), there, back)
+    if operator.is_linear and not any(one.requires_grad for one in numbers):
+        answer = linear(torch.stack(fields), there, back)
+    else:
+        refuse_tangents(*fields, *numbers)
+        answer = _at_rest(operator, there, solver, list(named), *fields, *numbers)
     return replace(found[0], u=answer.to(u if u.is_floating_point() else answer))
+
+
+class _AtRest(torch.autograd.Function):
+    """Load, collar [..., N, d] and numbers to the displacement at rest, differentiated once."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, operator: Any, there: Any, solver: Any, names: list[str], *of: torch.Tensor
+    ) -> torch.Tensor:
+        answer = _called(there, torch.stack(of[:2]))
+        ctx.operator, ctx.solver, ctx.names = operator, solver, names
+        ctx.save_for_backward(answer.clone(), *of)
+        return answer
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        operator, asked = ctx.operator, ctx.needs_input_grad[6:]
+        answer, _, _, *numbers = ctx.saved_tensors
+        u, g = (one.detach().numpy() for one in (answer, upstream[0].contiguous()))
+        w, *by = _pulled(operator, u, g, ctx.solver)
+        u, w = (one.reshape(-1, *one.shape[-len(operator.shape) :]) for one in (u, -w))
+        found = by_numbers(operator, [n for n, one in zip(ctx.names, asked) if one], u, w)
+        held = [one for one in operator.networks if one.requires_grad]
+        if held:
+            with torch.enable_grad():
+                force = operator(torch.from_numpy(u))
+            learned = torch.autograd.grad(force, held, torch.from_numpy(w), allow_unused=True)
+        each = iter([*found.values(), *(learned if held else ())])
+        slopes = (
+            None
+            if not one
+            else torch.as_tensor(next(each), dtype=torch.float64).reshape_as(number).to(number)
+            for one, number in zip(asked, numbers)
+        )
+        return None, None, None, None, *map(torch.from_numpy, by), *slopes
+
+
+_at_rest: Callable[..., torch.Tensor] = _AtRest.apply
+
+
+def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
+    """The Solution, of nodes without a collar that of a period where there is one."""
+    if operator.points.interior.all() and hasattr(operator, "rest_periodic"):
+        return operator.rest_periodic(b, solver)
+    return operator.rest(b, u, solver)
+
+
+def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[np.ndarray, ...]:
+    """L′⁻ᵗ g on the interior [..., I, d], and what that makes of b and of u, [..., N, d].
+
+    L′ is taken at the answer u, and of what is linear anywhere.
+    """
+    one, inside = operator.shape, operator.points.interior
+    axis = -len(one)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # g is no displacement
+        if operator.is_symmetric:
+            load = operator.balanced(g)
+            w = np.compress(inside, _rest(operator, load, np.zeros_like(g), solver).u, axis)
+        else:
+            inner = np.compress(inside, g, axis)
+            w = _transposed(operator, u.reshape(-1, *one), inner).reshape(inner.shape)
+    pushed = (g - operator.product_transpose(u, w)) * ~inside.reshape(-1, *[1] * (-axis - 1))
+    return w, operator.load_transpose(w), pushed
+
+
+def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
+    """L′⁻ᵗ of each field's g on the interior, by a factorisation, or in steps where it is large."""
+    right, factors, found = g.reshape(len(fields), -1), None, []
+    many = np.count_nonzero(operator.points.interior) > DIRECT and hasattr(operator, "inverse")
+    inverse = operator.inverse(len(fields)) if many else None
+    for field, one in zip(fields, right):
+        if inverse is not None:
+            found.append(in_steps(operator, field, one.reshape(-1, field.shape[-1]), inverse))
+        else:
+            if factors is None or not operator.is_linear:
+                try:
+                    factors = splu(sp.csc_matrix(operator.stiffness_at(field)))
+                except RuntimeError as error:
+                    raise InputError(f"solve: {SINGULAR} ({error})") from None
+            found.append(factors.solve(np.ascontiguousarray(one), "T"))
+    return np.array(found)
+
+
+def in_steps(
+    operator: Any, u: np.ndarray, g: np.ndarray, inverse: Any, tolerance: float = EXACT
+) -> np.ndarray:
+    """L′⁻ᵗ g on the interior by GMRES, of one field [N, d] and g [I, d], shape [d I].
+
+    `inverse` is that of the solid at rest, of a load and a relative residual. Raises InputError
+    where L′ is singular, or nearly.
+    """
+    inside = operator.points.interior
+    J, M = (
+        LinearOperator(2 * (g.size,), matvec=part, dtype=float)
+        for part in (
+            lambda w: operator.product_transpose(u, w.reshape(g.shape))[inside].ravel(),
+            lambda r: inverse(r.reshape(g.shape), max(tolerance, ROUGH)).ravel(),
+        )
+    )
+    w, failed = gmres(J, g.ravel(), M=M, rtol=tolerance, restart=KEPT, maxiter=ROUNDS)
+    if failed:
+        raise InputError(f"solve: {SINGULAR}")
+    return np.asarray(w)
 
 
 class Module(torch.nn.Module):
@@ -206,35 +404,3 @@ class Module(torch.nn.Module):
             return operator(u)  # type: ignore[no-any-return]
         u = torch.as_tensor(u)
         return on_fields(operator, u, lambda fields: operator.force_with(fields, numbers))
-
-
-def differentiable_once(backward: Backward) -> Backward:
-    """The backward pass of a torch function that saves every tensor it depends on.
-
-    A derivative of what it returns raises InputError, by `backward`, `grad`, `hessian` or `hvp`;
-    torch's own once_differentiable lets those pass that do not go through the upstream gradient.
-    """
-
-    @functools.wraps(backward)
-    def once(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        with torch.no_grad():
-            found = backward(ctx, *upstream)
-        if not torch.is_grad_enabled():
-            return found
-        of = [one for one in (*upstream, *ctx.saved_tensors) if one is not None]
-        of = [one for one in of if one.requires_grad]
-        return tuple(
-            one if one is None else _once(lambda *_, n=one: n.clone(), *of) for one in found
-        )
-
-    return once
-
-
-def refuse_tangents(*inputs: Any) -> None:
-    """InputError for tensors with a tangent of forward mode, which would be lost."""
-    for one in inputs:
-        if isinstance(one, torch.Tensor) and forward_ad.unpack_dual(one).tangent is not None:
-            raise InputError(
-                "tangent: expected no forward-mode derivative; operator.product(u, v) is the "
-                "derivative of a force along v"
-            )

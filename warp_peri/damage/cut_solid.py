@@ -104,6 +104,19 @@ class CutSolid:
         self.left = self._problem.left
         return np.asarray(answer[0])
 
+    def solve_transpose(self, g: np.ndarray) -> np.ndarray:
+        """`solve` transposed: what a derivative g to the answer makes of b and of u, [2, N, d]."""
+        flat = np.where(self.free, g.ravel(), 0.0).reshape(g.shape)
+        w = self.solve(flat, np.zeros_like(g))
+        pushed = np.where(self.free, 0.0, g.ravel() - self.matrix @ w.ravel())
+        return np.stack([w, pushed.reshape(g.shape)])
+
+    def check(self, u: Any, real: bool = True) -> None:
+        """Raise InputError for what is no real field on the nodes."""
+        if not real or tuple(u.shape) != self.body.x.shape:
+            shape = list(self.body.x.shape)
+            raise InputError(f"u: expected shape {shape}, got {u.dtype} of {list(u.shape)}")
+
     def energy(self, u: np.ndarray) -> float:
         """Elastic energy [stress · length^d], bonds among held nodes included."""
         flat = np.ravel(u)

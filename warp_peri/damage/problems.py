@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import offered, refuse_uncut, taken
+from warp_peri.contract import is_tensor, offered, refuse_uncut, taken
 from warp_peri.damage.cut_solid import CutSolid, crack_area, crack_load, opening_volume
 from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, BreakingState
 from warp_peri.damage.slow_growth import grow
 from warp_peri.damage.softening import SoftBody
-from warp_peri.dynamics.motion import Motion
+from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
@@ -55,6 +56,7 @@ class Cracked:
     cracks: Sequence[ArrayLike] = ()
     free: np.ndarray | None = None
     pressure: ArrayLike | None = None
+    learns = True  # at rest, and pulled
 
     @property
     def held(self) -> np.ndarray:
@@ -89,12 +91,18 @@ class Cracked:
         body = self.body(material, "solve")
         cut = CutSolid(material, body, self.held, cracks=self.cracks)
         x = body.x
-        load = np.zeros_like(x) if self.b is None else checked("b", self.b, float, x.shape)
+        b: Any
+        b, u = (np.zeros_like(x) if one is None else one for one in (self.b, self.u))
+        extra, d = np.zeros_like(x), x.shape[1]
         if self.pressure is not None:
-            d = x.shape[1]
-            load = load + crack_load(cut, checked("pressure", self.pressure, float, (d, d)))
-        u = cut.solve(load, np.zeros_like(x) if self.u is None else self.u)
-        return Solution(u, self.points, cut, load[cut.inside], "lu", measured=cut.left)
+            extra = crack_load(cut, checked("pressure", self.pressure, float, (d, d)))
+        if is_tensor(b) or is_tensor(u):
+            solved: Any = _torch().at_rest(cut, b, u, extra)
+            load = np.asarray(b.detach() if is_tensor(b) else b, dtype=float) + extra
+        else:
+            load = checked("b", b, float, x.shape) + extra
+            solved = cut.solve(load, u)
+        return Solution(solved, self.points, cut, load[cut.inside], "lu", measured=cut.left)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """Bonds that break: in motion, event by event, or under loads that rise slowly.
@@ -106,11 +114,15 @@ class Cracked:
                 histories are the ledger's, and of regions, sections and what is watched by their
                 names; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
-            loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16).
+            loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16). With
+                `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
+                the displacement at the end are differentiable: see damage.adjoint.pulled.
         """
         body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
+        if "loads" not in options:
+            refuse_learning(self, options, "move")
         if "events" in options or "loads" in options:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
@@ -122,18 +134,23 @@ class Cracked:
         return broken(CrackRun(moving, **records), state, run)
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
-        u = (
-            np.zeros_like(body.x)
-            if self.u is None
-            else checked("u", self.u, float, body.x.shape, self.held)
-        )
+        u: Any = np.zeros_like(body.x) if self.u is None else self.u
+        u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
             (how,) = taken(options, "move", grow, given=("cracks",))
             return grow(material.linear, body, self.held, u, cracks=self.cracks, **how)
         law = offered(material, "law", "move", "a SoftSolid for loads=…")
+        numbers = options.pop("parameters", None)
         own, how = taken(options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks",))
         soft = SoftBody(material.linear, body, law, self.held, cracks=self.cracks, **own)
+        if numbers is not None or is_tensor(u):
+            return _torch().pulled(soft, u, dict(numbers or {}), how)  # type: ignore[no-any-return]
         return soft.pull(u, **how)
+
+
+def _torch() -> Any:
+    """Derivatives, which load torch."""
+    return import_module("warp_peri.damage.adjoint")
 
 
 def broken(marching: CrackRun, state: BreakingState, run: dict[str, Any]) -> Motion:

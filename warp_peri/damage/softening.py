@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -220,12 +221,12 @@ class SoftBody:
 
         Raises InputError for another line than two ends.
         """
-        cut, normal = self._section(line)
+        cut, normal = self.section(line)
         pull = self._k * share * self._square * self.law.pull(self.stretch(u))
         rise = np.abs(self.body.xi[self._bond[cut]] @ normal)
         return float(self.body.spacing**self.body.dimension * (pull[cut] * rise).sum())
 
-    def _section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+    def section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Which bonds cross a straight line or flat polygon, bool, and its unit normal."""
         cut = crossing_bonds(self.body, line)[self._node, self._bond]
         ends = np.asarray(line, dtype=float)
@@ -265,6 +266,19 @@ class SoftBody:
         rise, a line that is not straight or that no bond crosses, and a first load without an
         equilibrium.
         """
+        return self.settled(u, [], loads=loads, line=line, stop=stop, progress=progress)
+
+    def settled(
+        self,
+        u: Any,
+        seen: list[Any],
+        *,
+        loads: Any,
+        line: Any,
+        stop: float = 0.7,
+        progress: bool = False,
+    ) -> Motion:
+        """As `pull`; `seen` takes the displacements that each load was settled through."""
         loads = np.asarray(loads, dtype=float)
         if not (loads.ndim == 1 and len(loads) and np.isfinite(loads).all()):
             raise InputError("loads: expected one finite factor or more")
@@ -274,16 +288,18 @@ class SoftBody:
             raise InputError(f"u: expected shape {list(self.held.shape)}, got {list(np.shape(u))}")
         if not np.isfinite(u).all():
             raise InputError("u: expected finite values")
-        cut, _ = self._section(line)
+        cut, _ = self.section(line)
         given = np.where(self.held, u, 0).ravel()
         share, worst = np.ones(len(self._k)), np.zeros(len(self._k))
         field, rows, before = np.zeros_like(given), [], 0.0
         for load in tqdm(loads, disable=not progress, unit="load"):
+            seen.append([])
             field = field * (load / before) if before else load * np.ravel(u)
             field = np.where(self.held.ravel(), load * given, field)
             try:
                 while True:
                     field = self.rest(field, share)
+                    seen[-1].append(field)
                     worst = np.where(self._breakable, np.maximum(worst, self.stretch(field)), 0)
                     lasting = np.minimum(self.law.share(worst), share)
                     change, share = np.max(share - lasting), lasting

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
@@ -102,7 +102,8 @@ class DiffusionOperator(OnPoints):
             part[kept] for part in (self._owner, self.neighbour, self.r)
         )
         self.rows = families.rows
-        self.kappa = bond_conductivity(self, law.conductivity if kappa is None else kappa)
+        self.given = law.conductivity if kappa is None else kappa
+        self.kappa = bond_conductivity(self, self.given)
         row = np.concatenate([[0], np.cumsum(np.bincount(self._owner, minlength=count))])
         self._links = (ints(self.rows), ints(row), ints(self.neighbour), floats(self.v))
 
@@ -161,6 +162,34 @@ class DiffusionOperator(OnPoints):
         """The source on the interior nodes, [..., I]."""
         inside = self.points.interior
         return checked("b", b, float, (..., len(inside)), inside)[..., self.rows]
+
+    def stiffness_at(self, u: np.ndarray) -> sp.csc_array:
+        """L between interior nodes, sparse [I, I]."""
+        return self.inner()
+
+    @property
+    def learnable(self) -> dict[str, Any]:
+        """α and D, and κ where it is one number or one a node [N]."""
+        own = {"alpha": self.model.alpha, "D": self.model.D}
+        return own if callable(self.given) else own | {"kappa": self.given}
+
+    def at(self, numbers: Mapping[str, Any]) -> DiffusionOperator:
+        """The same with other numbers; InputError for κ not > 0."""
+        law = replace(self.model, alpha=float(numbers["alpha"]), D=numbers["D"])
+        return DiffusionOperator(law, self.points, kappa=numbers.get("kappa", self.given))
+
+    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> Any:
+        """Derivatives of Σ w · L φ to a number, of fields [K, N] and weights [K, I]."""
+        each = [self.gradient(phi, seed) for phi, seed in zip(u, w)]
+        if name != "kappa":
+            return sum(np.asarray(getattr(one, name)) for one in each)
+        by_bond, values = np.sum([one.kappa for one in each], axis=0), np.asarray(self.given)
+        if values.ndim == 0:
+            return by_bond.sum()
+        found = np.zeros(len(values))
+        for ends in (self.rows[self._owner], self.neighbour):  # κ = 2 / (1/κ_i + 1/κ_j)
+            np.add.at(found, ends, by_bond * (self.kappa / values[ends]) ** 2 / 2)
+        return found
 
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Lᵗ w on all nodes, [..., N], of w on the interior, [..., I], whatever φ."""

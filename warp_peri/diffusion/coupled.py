@@ -26,6 +26,7 @@ from warp_peri.diffusion.conductor import (
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
 from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
@@ -137,6 +138,15 @@ class CoupledOperator(OnPoints):
         force = self._solid @ u[:, :2].ravel() + self._pull @ u[:, 2]
         return np.column_stack([force.reshape(-1, 2), self._flux @ u[:, 2]])
 
+    def tangent(self, u: np.ndarray) -> sp.csr_array:
+        """The force as a matrix, rows of the interior and columns of all nodes, [3 I, 3 N]."""
+        both = sp.block_array([[self._solid, self._pull], [None, self._flux]], format="csr")
+        rows, columns = (
+            np.column_stack([2 * n, 2 * n + 1, 2 * len(n) + n]).ravel()
+            for n in map(np.arange, (len(self.rows), len(self.points.x)))
+        )
+        return both[rows][:, columns]
+
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """That transposed: of w on the interior, [..., I, 3], on all nodes, [..., N, 3]."""
         flat, source = w[..., :2].reshape(*w.shape[:-2], -1), w[..., 2]
@@ -148,16 +158,17 @@ class CoupledOperator(OnPoints):
         """The steady state.
 
         Args:
-            b: loads and source, shape [N, 3], read on the interior; None for none.
+            b: loads and source, [N, 3] or [S, N, 3], read on the interior; None for none.
             u: displacement and φ, same shape, read off the interior.
             solver: Direct().
 
         Raises InputError for other shapes, or a solve that loses its digits.
         """
         refuse_solver(solver, (Direct,), "a coupled solid")
-        given = np.array(u, dtype=float)
-        load = np.zeros_like(given) if b is None else np.asarray(b, dtype=float)
-        solved = self.step(0 * given, given, np.inf, b=load)
+        load, given = checked_fields(self.points, b, u, self.shape)
+        pairs = zip(load.reshape(-1, *self.shape), given.reshape(-1, *self.shape))
+        each = [self.step(0 * field, field, np.inf, b=one) for one, field in pairs]
+        solved = np.reshape(each, given.shape)
         return Solution(solved, self.points, self, self.load(load), "lu")
 
     def march(

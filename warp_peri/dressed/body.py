@@ -14,7 +14,6 @@ from scipy.sparse.linalg import eigsh, splu
 
 from warp_peri.contract import OnPoints
 from warp_peri.core.grid import Grid, grid_of
-from warp_peri.core.tensors import nonlinear
 from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
 from warp_peri.dressed.sweeps import ByLayers, composed, gauss_shapes, half, spread
 from warp_peri.dynamics.motion import Motion
@@ -595,14 +594,6 @@ class DressedBody(OnPoints):
             raise InputError("maps: expected numbers > 0 where they are learned")
         return DressedBody(*self._made_of[0], **self._made_of[1] | {"maps": dict(numbers)})
 
-    def force_with(self, u: Any, numbers: Mapping[str, Any]) -> Any:
-        """The force of tensors [S, N, d] with other maps, differentiable once in all."""
-        names = self.model.parts.names
-        make: Any = lambda u, *maps: self.at(dict(zip(names, maps))).force(u)  # noqa: E731
-        backs = [lambda u, *given: self.at(dict(zip(names, given))).product_transpose(u, given[-1])]
-        backs += [lambda u, *given, name=n: self.by_numbers(name, u, given[-1]) for n in names]
-        return nonlinear(make, None, tuple(backs), u, *(numbers[name] for name in names))
-
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """The derivative of Σ w · force(u) to the map of a part, [N], of fields [K, N, d] and
         weights of the interior nodes [K, I, d]."""
@@ -621,6 +612,15 @@ class DressedBody(OnPoints):
         found = np.zeros(count + 1)
         np.add.at(found, self._corner, np.multiply.outer(by_site * (self.share > 0), base.middle))
         return found[:-1]
+
+    def balanced(self, g: np.ndarray) -> np.ndarray:
+        """Of a load [..., N, d] what a solve takes: none on nodes that nothing belongs to and, with
+        no node held, no resultant."""
+        flat = (self.flat(g) * (self.stiffness.ravel() > 0)).T
+        if self.points.interior.all():
+            rigid = _rigid(self)
+            flat = flat - rigid @ (rigid.T @ flat)
+        return self._through(lambda _: flat, g)
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """½ h^d uᵗ L u of all nodes, shape [...]; never negative."""

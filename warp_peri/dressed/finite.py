@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import SimpleNamespace
 from typing import Any
@@ -29,7 +30,7 @@ from warp_peri.points.samples import PointsLike, Samples, axis_of
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
-from warp_peri.statics.linear import Linear
+from warp_peri.statics.linear import Inverse, Linear
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 from warp_peri.third_order.material import CUBIC
 from warp_peri.third_order.smoothing import Smoothing
@@ -165,6 +166,14 @@ def third_derivatives(t3: float, tq2: float, q3: complex) -> np.ndarray:
     K[1, 1, 2] = K[1, 2, 1] = K[2, 1, 1] = -6 * q3.imag
     A = np.array([[1, 1, 0], [0.5, -0.5, 0], [0, 0, 0.5]])
     return np.asarray(np.einsum("abc,ai,bj,ck->ijk", K, A, A, A))
+
+
+def unit_energies(axis: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Second and third derivatives of an energy of λ, of μ, t3, tq2 or q3 of one, at an angle."""
+    none, turn = np.zeros((3, 3, 3)), np.exp(-6j * axis)
+    plain = np.array([[1, 1, 0], [1, 1, 0], [0, 0, 0.0]]), np.diag([2.0, 2.0, 1.0])
+    three = [third_derivatives(*row) for row in ((1, 0, 0j), (0, 1, 0j), (0, 0, turn))]
+    return [*((C, none) for C in plain), *((np.zeros((3, 3)), T) for T in three)]
 
 
 def strains(H: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -421,6 +430,28 @@ class FiniteBody(OnPoints):
         pairs = zip(fields, w.reshape(len(fields), -1), strict=True)
         return np.reshape([self.tangent(f).T @ one for f, one in pairs], np.shape(u))
 
+    @property
+    def learnable(self) -> dict[str, float]:
+        """λ and μ, and the constants of third order [stress]."""
+        return {name: getattr(self.model, name) for name in ("lam", "mu", *CUBIC)}
+
+    def at(self, numbers: Mapping[str, Any]) -> FiniteBody:
+        """The same with other moduli and constants; InputError for no solid's."""
+        own: dict[str, Any] = {name: float(value) for name, value in numbers.items()}
+        return FiniteBody(replace(self.model, **own | {"provenance": {}}), self.points)
+
+    def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> float:
+        """The derivative of Σ w · force(u) to a number, of fields [K, N, 2], weights [K, I, 2]."""
+        number = list(self.learnable).index(name)
+        (D, _, _), own = self.parts[number > 1], self.columns[number > 1]
+        kinds = unit_energies(axis_of(self.points) if name == "q3" else 0.0)
+        force = gathered(own, stress(gradients(D, self.fields(u)), *kinds[number]))
+        return float(np.sum(force * np.asarray(w)))
+
+    def inverse(self, loads: int) -> Inverse:
+        """L⁻¹ of the solid at rest, of a load on the interior."""
+        return self._at_rest.cheapest_inverse(SOLVES * loads)
+
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field under G or F at a Gauss point, shape [...]."""
         fields = self.fields(u)
@@ -451,7 +482,7 @@ class FiniteBody(OnPoints):
             raise InputError("interior: expected some nodes that are held, got none")
         b, u = checked_fields(self.points, b, u)
         answers, loads = (field.reshape(-1, *self.points.x.shape) for field in (u, b))
-        inverse = self._at_rest.cheapest_inverse(SOLVES * len(answers))
+        inverse = self.inverse(len(answers))
         way = Equilibria(lambda field: self._force(field[None])[0], self.straight, inverse, inside)
         proven = self.model.proven_strain(self.points.spacing)
         smallest, largest = self._smallest if asked.eigenvalues else None, self.largest_gradient
@@ -588,14 +619,8 @@ class _FiniteFit:
         self._H = [gradients(D, samples.u) for D in self._bases]
         unknown = np.flatnonzero(samples.interior)
         self._own = [D.tocsc()[:, unknown].tocsr() for D in self._bases]
-        turn = np.exp(-6j * axis_of(samples.points))
-        none = np.zeros((3, 3, 3))
-        self._plain = [
-            (np.array([[1, 1, 0], [1, 1, 0], [0, 0, 0.0]]), none),
-            (np.diag([2.0, 2.0, 1.0]), none),
-        ]
-        three = [third_derivatives(*row) for row in ((1, 0, 0j), (0, 1, 0j), (0, 0, turn))]
-        self._cubic = [(np.zeros((3, 3)), T) for T in three]
+        kinds = unit_energies(axis_of(samples.points))
+        self._plain, self._cubic = kinds[:2], kinds[2:]
         self.q, self.constants = np.zeros(3), np.zeros(3)
 
     def _columns(self, H: np.ndarray, D: Any, kinds: list[Any]) -> np.ndarray:

@@ -6,26 +6,31 @@ With kicks w_n = Δt/ρ, half of it at both ends, and v between the displacement
 
 Backwards, with p and q the derivatives of a scalar to u and v, and p_I those of interior nodes,
 
-    q ← q + Δt p_I,   p ← p − w_n L′(u_n)ᵗ q,   b̄ ← b̄ + w_n q,   and −w_n qᵗ ∂(L u_n)/∂a
+    q ← q + Δt p_I,   p ← p − w_n L′(u_n)ᵗ q,   b̄ ← b̄ + s_n w_n q,   s̄_n = w_n qᵗ b,
 
-to a number a of the material. Displacements are needed for numbers, and where L is not linear.
-They are made anew from every √steps-th state, so that the memory grows as √steps.
+and −w_n qᵗ ∂(L u_n)/∂a to a number a of the material. Displacements are needed for numbers, and
+where L is not linear. Nothing damps the motion, so that it is run backwards for them; PIECES states
+that are kept say how much of it rounding has spent, and set it right.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from math import isqrt
 from typing import Any
 
 import numpy as np
 import torch
 
-from warp_peri.core.tensors import differentiable_once, refuse_tangents
+from warp_peri.core.tensors import by_numbers, differentiable_once, refuse_tangents, with_numbers
 from warp_peri.dynamics import verlet
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
+
+PIECES, BATCH = 8, 16
+"""States kept of a motion, and fields whose derivatives to numbers are taken at once."""
+UNDONE = 1e-9
+"""Of a state that is come back to, over the largest kept: what rounding may have made of it."""
 
 
 def moved(
@@ -34,6 +39,7 @@ def moved(
     u: Any,
     *,
     v: Any = None,
+    signal: Any = None,
     parameters: Mapping[str, Any] | None = None,
     record: Any = None,
     **sizes: Any,
@@ -43,38 +49,28 @@ def moved(
     Args:
         operator, record, sizes: as of verlet.march; sizes are density, step, steps and every.
         b, u, v: load, displacement and velocity, shape [N, d], tensors or arrays; None for zero.
+        signal: of the load, shape [steps + 1], as of verlet.march.
         parameters: numbers of the material by name, as of wp.Module: of a linear peridynamic
             solid, or maps of a dressed body. The others stay as they are.
 
     Raises InputError as verlet.march, for files, parameters that the material does not have or
-    with which waves would grow, a second derivative and a tangent of forward mode.
+    with which waves would grow, a second derivative, a tangent of forward mode, and, in the pass
+    backwards, a motion that rounding does not let run back.
     """
     if files := sizes.keys() - {"density", "step", "steps", "every"}:
         raise InputError(f"move: expected no {', '.join(sorted(files))} of tensors")
     numbers, zero, sizes = dict(parameters or {}), 0 * torch.as_tensor(u), {"every": 1} | sizes
-    given = [*(zero if field is None else field for field in (u, v, b)), *numbers.values()]
+    pulse = np.ones(max(int(sizes["steps"]), 0) + 1) if signal is None else signal
+    fields = [zero if field is None else field for field in (u, v, b)]
+    given = [*fields, pulse, *numbers.values()]
     refuse_tangents(*given)
     given = [torch.as_tensor(value).to("cpu", torch.float64) for value in given]
-    values = {name: value.detach().numpy() for name, value in zip(numbers, given[3:])}
+    values = {name: value.detach().numpy() for name, value in zip(numbers, given[4:])}
     seen = verlet.recorded_nodes(record, len(operator.points.x))
     waves = _Waves(with_numbers(operator, values), list(numbers), seen, sizes)
     end, v, *records = _Moved.apply(waves, *given)  # type: ignore[no-untyped-call]
     history = waves.motion.history | dict(zip("u", records))
     return replace(waves.motion, u=end, v=v, history=history)
-
-
-def with_numbers(operator: Any, numbers: dict[str, np.ndarray]) -> Any:
-    """The operator with some of its `learnable` numbers changed, itself where they are its own.
-    Raises InputError for others, and as its `at`."""
-    known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
-    names = ", ".join(f"{name} {list(np.shape(own))}" for name, own in known.items()) or "none"
-    for name, value in numbers.items():
-        if value.size != np.size(known.get(name, ())) or not np.isfinite(value).all():
-            got = f"{name} {list(value.shape)}"
-            raise InputError(f"parameters: expected finite numbers of shape {names}, got {got}")
-    numbers = {name: value.reshape(np.shape(known[name])) for name, value in numbers.items()}
-    same = all(np.array_equal(value, known[name]) for name, value in numbers.items())
-    return operator if same else operator.at(known | numbers)
 
 
 class _Waves:
@@ -83,16 +79,16 @@ class _Waves:
     def __init__(self, operator: Any, names: list[str], record: Any, options: Any) -> None:
         self.operator, self.names, self.record, self.options = operator, names, record, options
         self.dt, self.steps, self.every = (options[name] for name in ("step", "steps", "every"))
-        self.kept: list[verlet.State] = []
+        self.kept: dict[int, verlet.State] = {}
 
-    def there(self, fields: dict[str, Any], *, keep: bool) -> list[Any]:
+    def there(self, fields: dict[str, Any], signal: np.ndarray, *, keep: bool) -> list[Any]:
         """u and v [N, d] at the end, and the records [R, n, d] where there are some."""
-        _, self.body, state = verlet.started(self.operator, fields, **self.options)
-        self.stretch = isqrt(self.steps - 1) + 1
+        _, self.body, state = verlet.started(self.operator, fields, signal, **self.options)
+        stretch = -(-self.steps // PIECES)
 
         def passed(number: int, state: verlet.State) -> None:
-            if keep and number % self.stretch == 0:
-                self.kept.append(state)
+            if keep and number % stretch == 0:
+                self.kept[number] = state
 
         sizes = self.dt, self.steps, self.every
         self.motion = verlet.marched(self.body, state, *sizes, record=self.record, passed=passed)
@@ -100,75 +96,94 @@ class _Waves:
         return ends if self.record is None else [*ends, self.motion["u"]]
 
     def back(self, wanted: list[str], p: Any, v: Any, seen: Any = None) -> list[Any]:
-        """Derivatives to u, v and b [N, d], and to the numbers that are wanted, by name.
+        """Derivatives to u, v and b [N, d], to the signal, and to the numbers wanted, by name.
 
         p, v, seen: what is upstream of u and v at the end, and of the records; p is overwritten.
         """
-        free, whole = self.body.interior, self.dt / self.body.inertia
+        free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
-        for first in (self.steps, *reversed(range(0, self.steps, self.stretch))):
-            fields, pulls = self._again(first), list[np.ndarray]()
-            for number in reversed(range(first, first + len(fields))):
-                if number < self.steps:
-                    upstream = np.zeros_like(p)
-                    if seen is not None and number % self.every == 0:
-                        np.add.at(upstream, self.record, seen[number // self.every])
-                    q = q + self.dt * (p + upstream / 2)[free]
-                    p += upstream
-                pulls.insert(0, whole * q / (1 + (number in (0, self.steps))))
-                p -= self.operator.product_transpose(fields[number - first], pulls[0])
-                load += pulls[0]
-            for name, value in self._by_numbers(wanted, fields, pulls).items():
-                totals[name] -= value
-            del fields  # before others are made
-        return [p, self.body.on_all(q), self.body.on_all(load), totals]
+        felt = _Felt(self.operator) if wanted and getattr(self.operator, "gathers", False) else None
+        body: Any = self.body
+        body.operator = felt or self.operator
+        by_signal, batch = np.zeros(last + 1), list[tuple[np.ndarray, np.ndarray]]()
+        for number, u in self._undone():
+            if number < last:
+                upstream = np.zeros_like(p)
+                if seen is not None and number % self.every == 0:
+                    np.add.at(upstream, self.record, seen[number // self.every])
+                q = q + self.dt * (p + upstream / 2)[free]
+                p += upstream
+            pull = whole * q / (1 + (number in (0, last)))
+            if felt is None:
+                p -= self.operator.product_transpose(u, pull)
+            else:
+                pushed, slopes = self.operator.pulls(felt.last, pull, wanted)
+                p -= pushed
+                totals = {name: value - slopes[name] for name, value in totals.items()}
+            load += self.body.share(number) * pull
+            by_signal[number] = np.vdot(pull, self.body.load)
+            if wanted and felt is None:
+                batch.append((u, pull))
+            if len(batch) == BATCH or (batch and number == 0):
+                found = by_numbers(self.operator, wanted, *map(np.stack, zip(*batch)))
+                totals = {name: totals[name] - value for name, value in found.items()}
+                batch.clear()
+        return [p, self.body.on_all(q), self.body.on_all(load), by_signal, totals]
 
-    def _again(self, first: int) -> list[Any]:
-        """Displacements before the steps of a stretch, None where nothing asks for them."""
-        if first == self.steps:
-            return [self.motion.u]
-        count = min(self.stretch, self.steps - first)
+    def _undone(self) -> Iterator[tuple[int, Any]]:
+        """Numbers of steps from the last to none, with the displacement then, or None where
+        nothing asks for it. Raises InputError where a state is not come back to."""
         if not self.kept:
-            return [None for _ in range(count)]
-        states = [self.kept[first // self.stretch]]
-        while len(states) < count:
-            states.append(verlet.step(self.body, states[-1], self.dt))
-        return [state.u for state in states]
+            yield from ((number, None) for number in reversed(range(self.steps + 1)))
+            return
+        end, free = self.motion, self.body.interior
+        state = self.body.state(end.u, np.asarray(end.v)[free], self.steps)
+        yield self.steps, state.u
+        size = max(float(np.linalg.norm(one.u)) for one in (state, *self.kept.values()))
+        while state.number:
+            state = verlet.step(self.body, state, -self.dt)
+            if (true := self.kept.get(state.number)) is not None:
+                wrong = float(np.linalg.norm(state.u - true.u)) / (size or 1.0)
+                if not wrong <= UNDONE:
+                    raise InputError(
+                        "move: expected a motion that can be run back, got one that comes to its "
+                        f"state at step {state.number} with a relative error of {wrong:.1e}"
+                    )
+                state = true
+            yield state.number, state.u
 
-    def _by_numbers(self, names: list[str], u: list[Any], w: list[Any]) -> dict[str, Any]:
-        """Derivatives of Σ w · force(u) to numbers, of fields [N, d] and weights [I, d]."""
-        if not names:
-            return {}
-        fields, weights, operator = np.stack(u), np.stack(w), self.operator
-        if hasattr(operator, "by_numbers"):
-            return {name: operator.by_numbers(name, fields, weights) for name in names}
-        with torch.enable_grad():
-            numbers = {
-                name: torch.tensor(value, dtype=torch.float64, requires_grad=name in names)
-                for name, value in operator.learnable.items()
-            }
-            force = operator.force_with(torch.from_numpy(fields), numbers)
-            leaves = [numbers[name] for name in names]
-            return dict(zip(names, torch.autograd.grad(force, leaves, torch.from_numpy(weights))))
+
+class _Felt:
+    """An operator that remembers its last force, of which `pulls` then needs no second."""
+
+    def __init__(self, operator: Any) -> None:
+        self.operator, self.last = operator, None
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        force, self.last = self.operator.felt(u)
+        return np.asarray(force)
 
 
 class _Moved(torch.autograd.Function):
-    """Displacement, velocity, load [N, d] and numbers to u, v [N, d] and records [R, n, d]."""
+    """Displacement, velocity, load [N, d], signal and numbers to u, v [N, d], records [R, n, d]."""
 
     @staticmethod
     def forward(ctx: Any, waves: _Waves, *given: torch.Tensor) -> tuple[torch.Tensor, ...]:
         ctx.waves, asked = waves, ctx.needs_input_grad[1:]
         ctx.save_for_backward(*given)
-        fields = dict(zip(("u", "v", "b"), (field.detach().numpy() for field in given)))
-        keep = any(asked if not getattr(waves.operator, "is_linear", False) else asked[3:])
-        return tuple(map(torch.tensor, waves.there(fields, keep=keep)))
+        *arrays, signal = (one.detach().numpy() for one in given[:4])
+        keep = any(asked if not getattr(waves.operator, "is_linear", False) else asked[4:])
+        found = waves.there(dict(zip(("u", "v", "b"), arrays)), signal, keep=keep)
+        return tuple(map(torch.tensor, found))
 
     @staticmethod
     @differentiable_once
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        numbers = dict(zip(ctx.waves.names, ctx.saved_tensors[3:]))
-        wanted = [name for name, asked in zip(numbers, ctx.needs_input_grad[4:]) if asked]
+        numbers = dict(zip(ctx.waves.names, ctx.saved_tensors[4:]))
+        wanted = [name for name, asked in zip(numbers, ctx.needs_input_grad[5:]) if asked]
         *by, found = ctx.waves.back(wanted, *(one.detach().clone().numpy() for one in upstream))
         for name in wanted:
-            found[name] = torch.as_tensor(found[name]).reshape(numbers[name].shape)
+            found[name] = torch.as_tensor(found[name], dtype=torch.float64).reshape_as(
+                numbers[name]
+            )
         return None, *map(torch.from_numpy, by), *map(found.get, numbers)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -77,11 +78,25 @@ class Motion:
         return f"Motion\n  records    {len(self.time)}, {span}\n  histories  {names}"
 
 
-def refuse_learning(problem: Any, options: dict[str, Any]) -> None:
-    """InputError for tensors that ask for a gradient which a motion does not have."""
-    given = filter(is_tensor, (*vars(problem).values(), *options.values()))
-    if any(value.requires_grad for value in given) or "parameters" in options:
+def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
+    """InputError for tensors that ask for a gradient which a problem does not have."""
+    if asks_for_gradient((vars(problem), options)) or "parameters" in options:
         raise InputError(
-            "move: expected tensors without a gradient, which only waves on a lattice of one "
-            f"process have, without growing cracks; got a {type(problem).__name__}"
+            f"{verb}: expected tensors without a gradient, which only {LEARNS[verb]} have, of one "
+            f"process; got a {type(problem).__name__}"
         )
+
+
+LEARNS = {
+    "solve": "a Dirichlet, a Periodic and a Cracked without numbers",
+    "move": "waves on a lattice without growing cracks, and pulls of bonds that soften,",
+}
+
+
+def asks_for_gradient(given: Any) -> bool:
+    """Whether a tensor is among values, mappings and sequences that a gradient is asked for."""
+    if isinstance(given, Mapping):
+        return any(map(asks_for_gradient, given.values()))
+    if isinstance(given, list | tuple):
+        return any(map(asks_for_gradient, given))
+    return is_tensor(given) and bool(given.requires_grad)

@@ -85,11 +85,13 @@ class State:
         u: displacement of all nodes [Å], shape [N, d].
         v: velocity of the interior nodes [Å/ps], shape [I, d].
         g: L u − b on them [TPa/Å], shape [I, d].
+        number: of steps before it.
     """
 
     u: np.ndarray
     v: np.ndarray
     g: np.ndarray
+    number: int = 0
 
 
 def inertia(density: float, units: Units) -> float:
@@ -102,13 +104,14 @@ def inertia(density: float, units: Units) -> float:
 
 
 class Inert:
-    """Interior nodes of some density under a constant load: ρ ü = b − L u.
+    """Interior nodes of some density under a load: ρ ü = s(t) b − L u.
 
     Args:
         operator: L on a lattice.
         interior: nodes that move, shape [N] bool.
         density: ρ [kg/m³].
         load: b on the interior nodes [TPa/Å], shape [I, d].
+        signal: s after each step, shape [steps + 1]; None for 1.
 
     Attributes:
         dot: the scalar product of two fields [I, d]; over all ranks where there are some.
@@ -116,9 +119,14 @@ class Inert:
     """
 
     def __init__(
-        self, operator: LPSOperator, interior: np.ndarray, density: float, load: np.ndarray
+        self,
+        operator: LPSOperator,
+        interior: np.ndarray,
+        density: float,
+        load: np.ndarray,
+        signal: np.ndarray | None = None,
     ) -> None:
-        self.operator, self.interior, self.load = operator, interior, load
+        self.operator, self.interior, self.load, self.signal = operator, interior, load, signal
         self.inertia = inertia(density, operator.model.units)
         self.dot: Callable[[np.ndarray, np.ndarray], float] = np.vdot
         self.count = int(np.count_nonzero(interior))
@@ -129,9 +137,13 @@ class Inert:
         field[self.interior] = inner
         return field
 
-    def state(self, u: np.ndarray, v: np.ndarray) -> State:
-        """The state with displacement [N, d] and velocity [I, d]."""
-        return State(u, v, self.operator(u) - self.load)
+    def share(self, number: int) -> float:
+        """s after so many steps."""
+        return 1.0 if self.signal is None else float(self.signal[number])
+
+    def state(self, u: np.ndarray, v: np.ndarray, number: int = 0) -> State:
+        """The state with displacement [N, d] and velocity [I, d] after so many steps."""
+        return State(u, v, self.operator(u) - self.share(number) * self.load, number)
 
 
 def step(body: Inert, state: State, dt: float) -> State:
@@ -140,13 +152,13 @@ def step(body: Inert, state: State, dt: float) -> State:
     Args:
         body: what moves.
         state: before the step, which is left as it is.
-        dt: Δt [ps]; nothing is asked of it.
+        dt: Δt [ps]; nothing is asked of it. Below zero it undoes the step before the state.
     """
     half = state.v - dt / (2 * body.inertia) * state.g
     u = state.u.copy()
     u[body.interior] += dt * half
-    moved = body.state(u, half)
-    return State(u, half - dt / (2 * body.inertia) * moved.g, moved.g)
+    moved = body.state(u, half, state.number + (1 if dt > 0 else -1))
+    return State(u, half - dt / (2 * body.inertia) * moved.g, moved.g, moved.number)
 
 
 def march(
@@ -160,6 +172,7 @@ def march(
     steps: int,
     every: int = 1,
     record: ArrayLike | None = None,
+    signal: ArrayLike | None = None,
     checkpoint: str | os.PathLike[str] | None = None,
     checkpoint_every: int = 10,
     series: str | os.PathLike[str] | None = None,
@@ -171,7 +184,7 @@ def march(
 
     Args:
         operator: of a model on a lattice.
-        b: body force density, constant in time [TPa/Å], shape [N, d]; None for none.
+        b: body force density [TPa/Å], shape [N, d]; None for none.
         u: displacement at the start [Å], shape [N, d].
         v: velocity at the start [Å/ps], shape [N, d], zero by default; that of the collar is not
             looked at.
@@ -180,6 +193,8 @@ def march(
         steps: number of steps.
         every: steps from one record to the next.
         record: nodes whose displacement is recorded, numbers [n] or [N] bool.
+        signal: what the load is multiplied by before the first and after each step, shape
+            [steps + 1]; 1 by default. The energy is then conserved only while it is constant.
         checkpoint: file to go on from; written every `checkpoint_every` records and at the end.
         series: folder for a file of each record, for ParaView.
 
@@ -192,7 +207,7 @@ def march(
     says how long it may be, the checkpoint of another motion, and one beside a record.
     """
     sizes: Any = {"density": density, "step": step, "steps": steps, "every": every}
-    nodes, body, state = started(operator, {"u": u, "v": v, "b": b}, **sizes)
+    nodes, body, state = started(operator, {"u": u, "v": v, "b": b}, signal, **sizes)
     with agreed(nodes.comm):
         check_whole("checkpoint_every", checkpoint_every, 1)
         if not (checkpoint is None or record is None):
@@ -205,7 +220,14 @@ def march(
 
 
 def started(
-    operator: Any, fields: dict[str, Any], *, density: float, step: float, steps: int, every: int
+    operator: Any,
+    fields: dict[str, Any],
+    signal: Any = None,
+    *,
+    density: float,
+    step: float,
+    steps: int,
+    every: int,
 ) -> tuple[Any, Inert, State]:
     """Nodes of this process, what moves and its start, after the checks of `march`.
 
@@ -224,6 +246,7 @@ def started(
         check_positive("step", step)
         check_whole("steps", steps, 1)
         check_whole("every", every, 1)
+        signal = None if signal is None else read("signal", signal, float, (steps + 1,))
     allowed = bool(getattr(operator, "allowed", False))
     with shared_by(nodes.comm), warnings.catch_warnings():
         if allowed:  # the operator says it once
@@ -239,7 +262,7 @@ def started(
             "ps, at which waves may grow without bound"
         )
     free = points.interior
-    body = Inert(operator, free, density, start["b"][free])
+    body = Inert(operator, free, density, start["b"][free], signal)
     if nodes is points:
         body.dot, body.count = points.dot, int(nodes.comm.allreduce(body.count))
     return nodes, body, body.state(start["u"], start["v"][free])
@@ -270,7 +293,7 @@ def marched(
     """
     free, inertia, dot = body.interior, body.inertia, body.dot
     still = np.where(free[:, None], 0.0, state.u)
-    constant = body.operator(still) - body.load  # collar and load: g at u = 0
+    held = body.operator(still)  # what the collar pulls
     begin, energy, seen = 0, list[float](), list[np.ndarray]()
     if kept is not None:
         state, begin, energy = kept.begun(state, steps)
@@ -283,6 +306,7 @@ def marched(
             half = state.v + dt / (2 * inertia) * state.g
             kinetic = inertia / 2 * dot(half, half)
             inner = before.u[free]
+            constant = held - body.share(number) * body.load  # g at u = 0
             potential = (dot(inner, state.g) + dot(constant, state.u[free])) / 2
             energy.append((kinetic + potential) / body.count)
             if record is not None:
@@ -325,7 +349,9 @@ class KeptMotion:
         body, v = self.body, self.body.on_all(state.v)
         ahead = state.u + self.dt * v  # feels the law, wherever it begins
         fields = state.u, v, body.on_all(body.operator(ahead) - body.load)
-        self._mark = self.nodes.mark(*fields, body.interior, self.dt, body.inertia, self.every)
+        sizes = self.dt, body.inertia, self.every
+        signal = () if body.signal is None else (body.signal,)
+        self._mark = self.nodes.mark(*fields, body.interior, *sizes, *signal)
         if (kept := self.file.read("u", "v")) is None:
             return state, 0, []
         arrays, values = kept
@@ -338,7 +364,7 @@ class KeptMotion:
             )
         if self.series is not None:
             self.series.times = values["files"]
-        there = body.state(arrays["u"], arrays["v"][body.interior])
+        there = body.state(arrays["u"], arrays["v"][body.interior], values["steps"])
         return there, values["steps"], values["energy"]
 
     def reached(self, done: int, state: State, energy: list[float], *, recorded: bool) -> None:

@@ -18,7 +18,7 @@ from warp_peri.lps.model import Model
 from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.statics.equilibrium import lps_linear
+from warp_peri.statics.lps import lps_linear
 from warp_peri.transfer import LEAST
 from warp_peri.transfer.cache import on_lattice
 from warp_peri.transfer.lattice import TOLERANCE

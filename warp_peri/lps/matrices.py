@@ -16,6 +16,7 @@ from warp_peri.kernels.lps.matrix import entries
 from warp_peri.launch import floats, launch, zeros
 from warp_peri.lps.bonds import Bonds, check_volumes, influence, surface_shape
 from warp_peri.lps.model import Model, on_nominal_lattice
+from warp_peri.points.arrays import plain
 from warp_peri.points.families import families_of
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
@@ -143,7 +144,7 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     Raises InputError for a u of another shape, a point set that does not carry the horizon, or
     nodes outside the body: the stress is that of complete families.
     """
-    u = np.asarray(u, dtype=float)
+    u = plain("u", u)
     points = on_nominal_lattice(model, points)
     nodes, d = points.x.shape
     c2 = 2 * d * (d + 2)

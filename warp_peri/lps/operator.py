@@ -6,7 +6,8 @@ that the result does not depend on how many threads there are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -34,8 +35,12 @@ from warp_peri.lps.bonds import (
 )
 from warp_peri.lps.model import Model, Solid, on_nominal_lattice
 from warp_peri.lps.rows import Rows
+from warp_peri.points.arrays import plain
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
+
+APART = 1e-3
+"""Of λ and μ, over μ: nearer ones leave too few digits of what θ has."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +69,7 @@ def gradient(
     *,
     displacement: bool = True,
     parameters: bool = True,
+    shapes: bool = True,
 ) -> Gradient:
     """Gradient of a scalar, given its derivative g to L u.
 
@@ -74,6 +80,7 @@ def gradient(
         g: shape [S, I] of vectors.
         displacement: whether to return the derivative to u.
         parameters: whether to return those to λ, μ, α, D.
+        shapes: False for λ and μ alone, on a lattice; no sum over bonds is needed then.
     """
     u, lam, mu, alpha, *coefficients = arrays
     kernels = adjoints(bonds.scalar, bonds.dimension)
@@ -88,13 +95,18 @@ def gradient(
         _by_bonds(bonds, law, (h, hd), tau, u_bar)
     if not parameters:
         return Gradient(u_bar)
+    c1, c2 = bonds.dimension, 2 * bonds.dimension * (bonds.dimension + 2)
+    if not shapes:  # L u is linear in both, and θ has but λ − μ
+        first, second = (float(value.numpy()[0]) for value in (lam, mu))
+        felt = np.vdot(e.theta.numpy(), tau.numpy()) * float(e.md.numpy()[0]) / c1
+        by_lam = felt / (first - second)
+        whole = np.vdot(e.Lu.numpy(), g.numpy())
+        return Gradient(u_bar, float(by_lam), float((whole - first * by_lam) / second))
     fields = filled(kernels.Fields, u, evaluation.theta, h, hd, tau)
     tables = _Tables(bonds, law, fields, alpha, coefficients)
     tables.run()
     shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
     by_D, by_alpha = tables.gradients()
-    d = bonds.dimension
-    c1, c2 = d, 2 * d * (d + 2)
     return Gradient(u_bar, -c1 * bulk, c1 * bulk - c2 * shear, by_alpha, *by_D)
 
 
@@ -351,7 +363,7 @@ class NodeOperator(OnPoints):
 
     def force(self, u: ArrayLike) -> np.ndarray:
         """L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
-        field = torch.from_numpy(np.require(u, float, ["C", "W"])).to(self.bonds.device)
+        field = torch.from_numpy(np.require(plain("u", u), float, ["C", "W"])).to(self.bonds.device)
         if self._tabulated is None:
             return lps_force(self.bonds, field, self.model.solid).cpu().numpy()
         check_field(self.bonds, field)
@@ -383,6 +395,34 @@ class NodeOperator(OnPoints):
             by_u = torch.autograd.grad(Lu, leaf, torch.from_numpy(seed).to(at))[0].cpu()
         return np.asarray(by_u.numpy().reshape(*w.shape[:-2], bonds.nodes, bonds.dimension))
 
+    def felt(self, u: np.ndarray) -> tuple[np.ndarray, Any]:
+        """The force of one field [N, d], and what `pulls` reads of it; where bonds `gather`."""
+        field = floats(np.ascontiguousarray(u)[None], self.bonds.vec)
+        found = evaluate(self.bonds, field, *self._evaluated[0])
+        return np.asarray(found.Lu.numpy()[0]), (found, field)
+
+    def pulls(
+        self, felt: Any, w: np.ndarray, names: Collection[str]
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Lᵗ w on all nodes [N, d] and derivatives of w · force to numbers by name, w [I, d]."""
+        (found, field), bonds, solid = felt, self.bonds, self.model.solid
+        given = field, *self._evaluated[0]
+        apart = abs(solid.lam - solid.mu) > APART * abs(solid.mu)
+        shapes = not (apart and bonds.lattice) or not {"lam", "mu"}.issuperset(names)
+        g = floats(np.ascontiguousarray(w)[None], bonds.vec)
+        by = gradient(bonds, found, given, g, shapes=shapes)
+        by_u: Any = by.u
+        slopes, known = dict(vars(by)), self.learnable
+        for name, other in (("lam", "mu"), ("D_dilatation", "D")):
+            if name not in known and slopes[name] is not None:  # one number is both
+                slopes[other] = slopes[other] + slopes[name]
+        return by_u.numpy()[0], slopes
+
+    @property
+    def gathers(self) -> bool:
+        """Whether `felt` and `pulls` are had: without broken bonds, on the processor."""
+        return self.shape[0] == self.bonds.nodes and gathers(self.bonds)
+
     def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
         """L u of Warp arrays, on the tape that records, if one does.
 
@@ -393,18 +433,20 @@ class NodeOperator(OnPoints):
             out: takes L u [TPa/Å], shape [S, I] of such vectors.
             parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default.
 
-        Raises InputError for other arrays, broken bonds and scattered points through a lattice.
+        Raises InputError for other arrays, another device, and scattered points through a lattice.
         """
         with unrecorded() as tape:
-            back, arrays = self._launched(u, out, parameters)
+            back, arrays = self._launched(u, out, parameters, recorded=tape is not None)
         if tape is not None and len(arrays) > 1:
             tape.record_func(back, arrays)  # RuntimeError of Warp for an out without a gradient
 
-    def _launched(self, u: Any, out: Any, parameters: Solid | None) -> tuple[Any, list[Any]]:
+    def _launched(
+        self, u: Any, out: Any, parameters: Solid | None, *, recorded: bool
+    ) -> tuple[Any, list[Any]]:
         """The pass backwards, and the arrays whose gradients it reads and adds to."""
         bonds, d = self.bonds, self.bonds.dimension
-        if not gathers(bonds) or self.shape[0] != bonds.nodes:
-            raise InputError("launch: expected a lattice, or own weights, without broken bonds")
+        if bonds.device != DEVICE or self.shape[0] != bonds.nodes:
+            raise InputError(f"launch: expected a lattice, or own weights, on {DEVICE}")
         for name, array, nodes in (("u", u, bonds.nodes), ("out", out, len(bonds.rows))):
             fits = isinstance(array, wp.array) and array.is_contiguous and array.ndim == 2
             seen = array.numpy() if fits and len(u) else np.zeros(0)
@@ -416,14 +458,23 @@ class NodeOperator(OnPoints):
         numbers = self._evaluated[0] if parameters is None else list(parameters.values())
         if bonds.bond_based and numbers[0].numpy() != numbers[1].numpy():
             raise InputError("lambda, mu: expected equal values (bond-based)")
-        found = evaluate(bonds, u, *numbers)
+        taped = recorded and not gathers(bonds)  # broken bonds: a tape of copies, inside
+        of = [wp.clone(one, requires_grad=True) if taped else one for one in (u, *numbers)]
+        with wp.Tape() if taped else nullcontext() as tape:
+            found = evaluate(bonds, *of, gradient=taped)
         wp.copy(out, found.Lu)
 
         def back() -> None:
-            learns = any(array.requires_grad for array in numbers)
-            by = gradient(bonds, found, (u, *numbers), out.grad, parameters=learns)
-            by_u: Any = by.u
-            parts = (by_u.numpy(), by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
+            parts: Any
+            if tape is not None:
+                tape.zero()
+                tape.backward(grads={found.Lu: out.grad})
+                parts = [one.grad.numpy() for one in of]
+            else:
+                learns = any(array.requires_grad for array in numbers)
+                by = gradient(bonds, found, of, out.grad, parameters=learns)
+                by_u: Any = by.u
+                parts = (by_u.numpy(), by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
             for array, part in zip((u, *numbers), parts):
                 if array.requires_grad:
                     array.grad.numpy()[:] += part

@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import LinearOperator, SuperLU, gmres, splu
 from tqdm import tqdm
 
 from warp_peri.contract import OnPoints
@@ -20,7 +19,7 @@ from warp_peri.neural.bonds import Gather, NetworkBonds, Scatter
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import Samples
 from warp_peri.statics.equilibria import Equilibria, probed
-from warp_peri.statics.linear import Linear
+from warp_peri.statics.linear import Inverse, Linear
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 
 if TYPE_CHECKING:
@@ -71,10 +70,6 @@ TOLERANCE = 1e-8
 """‖force − b‖ over that of the field that the search begins with."""
 ROUNDING = 16
 """In units of the networks' precision: a residual that steps of Newton no longer lower."""
-ADJOINT = 1e-8
-"""Relative residual of an adjoint's linear solve."""
-MOST_PRODUCTS, ROUNDS = 40, 5
-"""Directions that the adjoint's GMRES keeps, and how often it begins anew."""
 LOADS = 8
 """Loads that the solid at rest is set up for."""
 
@@ -110,7 +105,6 @@ class NeuralEquilibrium:
                 "points: expected a collar where u is given; without one it is known up to a motion"
             )
         self.placed, self.rows = placed, placed.bonds.rows
-        self.unknown = (2 * self.rows[:, None] + [0, 1]).ravel()
         linear = Linear(probed(placed), points)
         self.inverse = linear.cheapest_inverse(LOADS, definite=False)
         straight = lambda u: linear(u[None])[0]  # noqa: E731
@@ -119,10 +113,6 @@ class NeuralEquilibrium:
     @property
     def _rounding(self) -> float:
         return float(ROUNDING * torch.finfo(self.placed.dtype).eps)
-
-    def factors_of(self, tangent: Tangent) -> SuperLU:
-        """LU of the tangent's rows and columns of the interior."""
-        return splu(matrix(tangent)[:, self.unknown].tocsc())
 
     def solve(self, b: ArrayLike, u: ArrayLike, *, tolerance: float = TOLERANCE) -> Found:
         """Where the force on the interior is b [stress/length], of shape [N, 2].
@@ -155,38 +145,6 @@ class NeuralEquilibrium:
             left = np.linalg.norm(load - self.placed(field))
             return Found(field, float(left / (np.linalg.norm(load) or 1.0)), 1, False)
         return Found(found, record.residual, record.solves, True)
-
-    def gradient(self, u: torch.Tensor, by_u: torch.Tensor) -> None:
-        """Add to the gradients of the material's numbers those of a loss of an equilibrium, (NO10).
-
-        Args:
-            u: the equilibrium [length], shape [N, 2].
-            by_u: derivative of the loss to u on the interior, shape [I, 2].
-
-        What it takes in time and memory does not depend on how the equilibrium was found. Raises
-        InputError where the tangent there is singular, or nearly.
-        """
-        placed, rows = self.placed, self.rows
-        tangent, right = placed.tangent(u), by_u.detach().double().numpy()
-        enough = max(ADJOINT, self._rounding)  # a smaller residual would never be reached
-
-        def product(v: np.ndarray) -> np.ndarray:
-            inner = torch.as_tensor(v.reshape(-1, 2), dtype=placed.dtype)
-            return np.asarray(tangent.transposed(inner)[rows].double().numpy().ravel())
-
-        def before(v: np.ndarray) -> np.ndarray:
-            return self.inverse(v.reshape(-1, 2), ADJOINT).ravel()
-
-        J, M = (
-            LinearOperator(2 * (right.size,), matvec=part, dtype=float)
-            for part in (product, before)
-        )
-        asked = {"rtol": enough, "restart": MOST_PRODUCTS, "maxiter": ROUNDS}
-        w, failed = gmres(J, right.ravel(), M=M, **asked)
-        if failed:
-            raise InputError("the tangent of the operator is singular at this field, or nearly")
-        weight = torch.as_tensor(w.reshape(-1, 2), dtype=u.dtype)
-        (-(placed(u.detach()) * weight).sum()).backward()
 
     def _checked(self, b: ArrayLike, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """The load on the interior, and the field."""
@@ -279,6 +237,16 @@ class Placed(OnPoints):
 
     def __init__(self, material: NeuralLaw, bonds: NetworkBonds) -> None:
         self.material, self.bonds, self.points = material, bonds, bonds.points
+
+    @property
+    def networks(self) -> tuple[torch.nn.Parameter, ...]:  # type: ignore[override]
+        """The numbers of the networks."""
+        return tuple(self.material.parameters())
+
+    def stiffness_at(self, u: np.ndarray) -> sp.csc_array:
+        """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
+        unknown = (2 * self.bonds.rows[:, None] + [0, 1]).ravel()
+        return matrix(self.tangent(self._taken(u)))[:, unknown].tocsc()
 
     def force_in_torch(self, u: torch.Tensor) -> Any:
         """Forces on the interior, (NO6), differentiable in the networks' numbers too."""
@@ -519,6 +487,10 @@ class AtRest(Placed):
     def model(self) -> Any:
         """The material."""
         return self.material
+
+    def inverse(self, loads: int) -> Inverse:
+        """Of the solid at rest, of a load on the interior."""
+        return NeuralEquilibrium(self).inverse
 
     def errors(self, samples: Samples) -> dict[str, Any]:
         """For `evaluate`: samples whose equilibrium is not found are told apart."""

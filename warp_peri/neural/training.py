@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from scipy.sparse.linalg import SuperLU
+from scipy.sparse.linalg import SuperLU, splu
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
@@ -74,7 +74,7 @@ class Frames:
                 found = self.search.solve(np.zeros_like(seen), seen, tolerance=SOLVED)
             self.state[n] = found.u if found.converged else seen
             field = torch.as_tensor(self.state[n], dtype=self.u.dtype)
-            self.factors.append(self.search.factors_of(self.placed.tangent(field)))
+            self.factors.append(splu(self.placed.stiffness_at(field.numpy())))
 
     def learn(self, some: torch.Tensor, *_: Any) -> torch.Tensor:
         """The errors, with gradients of their mean added to the material's."""

@@ -13,6 +13,17 @@ LARGEST = 1e100
 """Values above it are no data, and their squares soon no numbers."""
 
 
+GRADIENT = "expected values without a gradient, which is not had here, got tensors with one"
+
+
+def plain(name: str, value: Any) -> np.ndarray:
+    """An array of float64, not looked at; InputError for a tensor whose gradient would be lost."""
+    try:
+        return np.asarray(value, dtype=float)
+    except RuntimeError:
+        raise InputError(f"{name}: {GRADIENT}") from None
+
+
 def checked(
     name: str,
     value: Any,
@@ -34,6 +45,8 @@ def checked(
     """
     try:
         masked = np.ma.array(value, copy=False)  # that of a list of masked arrays too
+    except RuntimeError:  # of torch, which would have the gradient thrown away
+        raise InputError(f"{name}: {GRADIENT}") from None
     except ValueError as error:
         raise InputError(f"{name}: expected an array ({error})") from None
     value = np.asarray(masked.data)
@@ -93,7 +106,9 @@ def checked_fields(
 
 
 def is_number(value: Any) -> bool:
-    """Whether it is one real number."""
+    """Whether it is one real number; InputError for a tensor whose gradient would be lost."""
+    if getattr(value, "requires_grad", False):
+        raise InputError(f"number: {GRADIENT}")
     ragged = isinstance(value, (list, tuple))  # which NumPy may refuse to look at
     return not ragged and np.ndim(value) == 0 and np.asarray(value).dtype.kind in "fiu"
 

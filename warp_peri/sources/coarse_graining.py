@@ -1,9 +1,18 @@
-"""From atoms to nodes: smoothed displacement and body force (theory.md, equations 1–3, 3a)."""
+"""From atoms to nodes: smoothed displacement and body force (theory.md, equations 1–3, 3a).
+
+And fields on nodes as others left them, in .mat files.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
+from pathlib import Path
 
+import h5py
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
@@ -13,11 +22,33 @@ from scipy.spatial import cKDTree
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import Units, check_units
+from warp_peri.sources.dic import ON_LATTICE, length_of, spacing_of, surrounded
 
 EV_PER_CUBIC_ANGSTROM = 0.1602176634
 """1 eV/Å³ in TPa."""
 
 SHAPES = ("cone", "paraboloid")
+UNREADABLE = (struct.error, zlib.error, OSError, ValueError, LookupError, TypeError, RuntimeError)
+"""What is raised of files that are none of MATLAB's, or cut or broken ones."""
+NUMBERS = {
+    1: "i1",
+    2: "u1",
+    3: "i2",
+    4: "u2",
+    5: "i4",
+    6: "u4",
+    7: "f4",
+    9: "f8",
+    12: "i8",
+    13: "u8",
+}
+MATRIX, COMPRESSED, COMPLEX = 14, 15, 0x800
+"""Kinds of elements of version 5 that hold numbers, and NumPy's names of these; a flag."""
+LARGEST_ARRAY, LARGEST_GRID = 2**31, 10**7
+"""Bytes, and nodes of the rectangle around positions."""
 FURTHEST = 1.0
 """How far outside a mesh an atom may lie, in heights of the triangle that takes its force."""
 
@@ -285,3 +316,143 @@ def _positions(name: str, value: ArrayLike) -> np.ndarray:
     if not len(value):
         raise InputError(f"{name}: expected shape [N, 2] with N > 0, got [0, 2]")
     return value
+
+
+def read_fields(
+    path: str | os.PathLike[str],
+    *,
+    displacement: str = "disps",
+    load: str | None = "forces",
+    positions: str | float = "coords",
+    factor: float = 1.0,
+    reach: int = 3,
+    units: Units | str = "reduced",
+) -> Samples:
+    """Fields on the nodes of a lattice from a .mat file of MATLAB, version 5 or 7.3.
+
+    Args:
+        path: of the file.
+        displacement: name of its variable, shape [S, N, 2], or components first, [S, 2, N]; the
+            nodes may be in rows, as [S, 2, n, n].
+        load: name of the loads, of the same shapes; None where they are not known.
+        positions: name of the positions, shape [N, 2]; or the spacing of a square sheet of nodes,
+            whose last index goes along y.
+        factor: what loads are multiplied by, as one over the volume of a node for its force.
+        reach: horizon in spacings; nodes whose surroundings to twice that are there are interior.
+        units: of lengths and stresses; the file does not say them.
+
+    Raises InputError for a file that cannot be read, lacks a variable (with those that it has), or
+    has another shape; for positions off a square lattice, and a sheet without interior.
+    """
+    path, asked = Path(path), [name for name in (displacement, load) if name is not None]
+    if isinstance(positions, str):
+        asked.append(positions)
+    held = _variables(path, asked)
+    if isinstance(positions, str):
+        x = checked(positions, held[positions], float, ("N", 2))
+        step = spacing_of(x)
+    else:
+        step, many = length_of(positions)[0], len(_components_last(path, held, displacement)[0])
+        x = step * np.argwhere(np.ones(2 * (round(many**0.5),), bool))
+    u = _components_last(path, held, displacement, len(x))
+    b = None if load is None else factor * _components_last(path, held, load, len(x))
+    place = (x - x.min(axis=0)) / step
+    off = np.abs(place - np.rint(place)).max()
+    if off > ON_LATTICE or np.prod(place.max(axis=0) + 1) > LARGEST_GRID:
+        raise InputError(f"{path}: expected positions on a square lattice along x and y")
+    nodes = np.rint(place).astype(int)
+    grid = np.zeros(nodes.max(axis=0) + 1, bool)
+    grid[*nodes.T] = True
+    interior = surrounded(grid, reach)[*nodes.T]
+    if not interior.any():
+        raise InputError(
+            f"{path}: expected nodes with all nodes within {2 * reach} spacings around them, got "
+            f"none of {' × '.join(map(str, grid.shape))}"
+        )
+    points = Points(x.min(axis=0) + step * nodes, interior, step, units=check_units(units))
+    return Samples(points, u, b)
+
+
+def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Arrays of numbers of a .mat file by name; HDF5, of version 7.3, has their axes reversed."""
+    held, there = dict[str, np.ndarray](), list[str]()
+    try:
+        if h5py.is_hdf5(path):
+            with h5py.File(path) as file:
+                there = [*map(str, file)]
+                for name in names:
+                    part = file.get(name)
+                    if isinstance(part, h5py.Dataset) and part.dtype.kind in "fiu":
+                        held[name] = part[()].T
+        else:
+            for name, array in _matrices(path.read_bytes()):
+                there.append(name)
+                if array is not None and name in names:
+                    held[name] = array
+    except UNREADABLE as error:
+        raise InputError(f"{path}: cannot be read as a .mat file ({error})") from None
+    for name in names:
+        if name not in held:
+            said = ", ".join(there) or "nothing"
+            raise InputError(f"{path}: expected {name}, an array of numbers, among {said}")
+    return held
+
+
+def _matrices(data: bytes) -> Iterator[tuple[str, np.ndarray | None]]:
+    """Names and arrays of version 5, None for what is no full array of real numbers.
+
+    SciPy's reader ends the process on some damaged files; here every size is checked.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
+    if order is None:
+        raise ValueError("no header of version 5")
+    for kind, content in _elements(data[128:], order):
+        if kind == COMPRESSED:
+            unpacked = zlib.decompressobj().decompress(content, LARGEST_ARRAY)
+            kind, content = next(_elements(unpacked, order))
+        if kind != MATRIX:
+            continue
+        parts = list(islice(_elements(content, order), 4))
+        (flags, *_), shape = np.frombuffer(parts[0][1], f"{order}u4"), parts[1][1]
+        full = 6 <= flags & 0xFF <= 15 and not flags & COMPLEX
+        array = None
+        if full and parts[3][0] in NUMBERS:
+            values = np.frombuffer(parts[3][1], order + NUMBERS[parts[3][0]])
+            array = values.reshape(np.frombuffer(shape, f"{order}i4"), order="F")
+        yield parts[2][1].decode("ascii"), array
+
+
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Kind and content of one element after another; short ones have both in eight bytes."""
+    at = 0
+    while at < len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, at)
+        at += 8
+        if short := kind >> 16:
+            kind, size, at = kind & 0xFFFF, short, at - 4
+        if at + size > len(data):
+            raise ValueError("cut short")
+        yield kind, data[at : at + size]
+        at += max(size, 4) if short else size if kind == COMPRESSED else -(-size // 8) * 8
+
+
+def _components_last(
+    path: Path, held: dict[str, np.ndarray], name: str, nodes: int | None = None
+) -> np.ndarray:
+    """A field of so many nodes, shape [S, N, 2]; of a square number of them if none is given."""
+    field = held[name]
+    if field.dtype.kind not in "fiu" or field.ndim < 2 or not field.size:
+        raise InputError(
+            f"{path}: {name}: expected numbers [S, N, 2], got {field.dtype} {field.shape}"
+        )
+    last = field.shape[-1] == 2
+    if last and field.ndim == 2:
+        field = field[None]  # one sample
+    many = field[0].size // 2
+    if field[0].size % 2 or many != (round(many**0.5) ** 2 if nodes is None else nodes):
+        said = "a square number of" if nodes is None else nodes
+        raise InputError(
+            f"{path}: {name}: expected two components of {said} nodes, got {field.shape}"
+        )
+    field = field.astype(float)
+    return field.reshape(-1, many, 2) if last else field.reshape(-1, 2, many).swapaxes(1, 2)

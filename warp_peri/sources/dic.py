@@ -338,10 +338,7 @@ def frames_on_lattice(
 
         corners = checked("mask", mask, shape=("M", 2))
         there &= Polygon(corners).contains_points(x, radius=1e-9 * step)
-    grid = there.reshape(counts)
-    a, b = np.ogrid[-reach : reach + 1, -reach : reach + 1]
-    ball = a**2 + b**2 <= reach**2
-    interior = binary_erosion(binary_erosion(grid, ball), ball).ravel()[there]
+    interior = surrounded(there.reshape(counts), reach).ravel()[there]
     if not interior.any():
         count = seen.sum(axis=1)
         raise InputError(
@@ -351,6 +348,13 @@ def frames_on_lattice(
         )
     points, seen = Points(x[there], interior, step, units=named), seen[:, there]
     return Samples(points, fields[:, there], arrays={} if seen.all() else {SEEN: seen})
+
+
+def surrounded(grid: np.ndarray, reach: int) -> np.ndarray:
+    """Nodes of a grid of bool whose nodes to twice the reach are there."""
+    a, b = np.ogrid[-reach : reach + 1, -reach : reach + 1]
+    ball = a**2 + b**2 <= reach**2
+    return np.asarray(binary_erosion(binary_erosion(grid, ball), ball))
 
 
 def frames_of_folder(

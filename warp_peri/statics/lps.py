@@ -3,35 +3,48 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
-import torch
+import scipy.fft
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
-from warp_peri.core.tensors import pair_of
+from warp_peri.contract import is_tensor
+from warp_peri.core.stencil import Stencil
+from warp_peri.core.sweeps import torus_symbol
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.lps.matrices import matrices, node_fields
-from warp_peri.lps.model import Solid, lps_stencil
+from warp_peri.lps.model import Model, Solid, lps_stencil
 from warp_peri.points.arrays import checked, checked_fields
+from warp_peri.points.families import families_of
 from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import PointsLike, largest_strain
+from warp_peri.points.samples import PointsLike, largest_strain, nodes_of
+from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.conjugate_gradients import SolveRecord
-from warp_peri.statics.definiteness import refuse_indefinite
-from warp_peri.statics.direct import RESIDUAL, MatrixProblem
-from warp_peri.statics.equilibrium import equilibrium, lps_linear
-from warp_peri.statics.linear import BONDS, DIRECT, STIFF, Inverse, Linear, cheapest_method
+from warp_peri.statics.direct import RESIDUAL, MatrixProblem, definite_factors
+from warp_peri.statics.linear import (
+    BONDS,
+    DIRECT,
+    STIFF,
+    Inverse,
+    Linear,
+    cheapest_method,
+    smallest_ratio,
+)
 from warp_peri.statics.scattered import ThroughLattice, warn_beyond
 from warp_peri.statics.solution import TOLERANCE, Direct, Krylov, Solution, Solver, refuse_solver
 from warp_peri.transfer.operator import LPSOperator
 
 T = TypeVar("T")
+Numbers = Solid | Mapping[str, Any]
 LARGEST_LU = 40_000
 """Most unknown nodes off lattices that are factorised whole."""
 
@@ -47,6 +60,12 @@ class PlacedLPS(LPSOperator):
     def __init__(self, model: Any, points: PointsLike, **options: Any) -> None:
         super().__init__(model, points, **options)
         self.allowed = bool(options.get("allow_uncertified", False))
+        self._problems: dict[int, MatrixProblem] = {}
+
+    @property
+    def is_symmetric(self) -> bool:  # type: ignore[override]
+        """Whether so is L on the interior, of a lattice without broken bonds."""
+        return self.points.spacing > 0 and self.points.outside is None
 
     def at(self, numbers: dict[str, Any]) -> PlacedLPS:
         """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
@@ -93,7 +112,7 @@ class PlacedLPS(LPSOperator):
         return stress if np.ndim(u) == 3 else stress[0]
 
     def rest(
-        self, b: Any, u: Any, solver: Solver = None, *, parameters: Solid | None = None
+        self, b: Any, u: Any, solver: Solver = None, *, parameters: Numbers | None = None
     ) -> Solution:
         """Equilibrium with b on the interior, u given on the collar (theory.md, 29).
 
@@ -102,15 +121,15 @@ class PlacedLPS(LPSOperator):
             u: displacement [Å], same shape; only collar values count. Of torch tensors the answer
                 is one, differentiable in both.
             solver: Direct(…) or Krylov(…); None takes the cheapest by size and shape.
-            parameters: λ, μ, α and D, the material's own by default; the answer is differentiable
-                in tensors among them.
+            parameters: λ, μ, α and D, or some of them by name, the material's own by default; the
+                answer is differentiable in tensors among them.
 
         Raises InputError for arrays that do not fit, a solver that does not go with the points, or
         an operator that is singular or (with allow_uncertified a warning) not positive definite.
         """
         refuse_solver(solver, (Direct, Krylov), "a linear solid")
-        if isinstance(b, torch.Tensor) or isinstance(u, torch.Tensor) or parameters is not None:
-            return self._differentiable(b, u, solver, parameters)
+        if is_tensor(b) or is_tensor(u) or parameters is not None:
+            return self.rest_in_torch(b, u, solver, parameters)
         load, field = checked_fields(self.points, b, u)
         if self.carrier is not None:
             return self._through_lattice(load, field, solver)
@@ -131,7 +150,35 @@ class PlacedLPS(LPSOperator):
         warn_beyond(self.model, lambda: largest_strain(nodes, flat))
         return self._told(field, self.load(load), method, records)
 
-    rest_in_torch = rest
+    def rest_in_torch(
+        self, b: Any, u: Any, solver: Solver = None, parameters: Numbers | None = None
+    ) -> Solution:
+        """`rest` of tensors or with other numbers; InputError for numbers that do not count."""
+        if parameters is not None and self.carrier is not None:
+            raise InputError("parameters: expected a lattice, got scattered points")
+        if isinstance(solver, Direct) and solver.quadrature_degree != self.quadrature_degree:
+            raise InputError(
+                f"quadrature_degree: expected that of the operator, {self.quadrature_degree}, for "
+                f"a gradient, got {solver.quadrature_degree}"
+            )
+        if isinstance(parameters, Solid):
+            parameters = self._own(parameters)
+        solution: Solution = super().rest_in_torch(b, u, solver, parameters)
+        return solution
+
+    def _own(self, solid: Solid) -> dict[str, Any]:
+        """Numbers of a solid by name, without those that are others of its own here."""
+        named = {name: value for name, value in vars(solid).items() if value is not None}
+        for name, other in (("lam", "mu"), ("D_dilatation", "D")):
+            if name in self.learnable or (given := named.pop(name, None)) is None:
+                continue
+            pair = [np.ravel(v.detach() if is_tensor(v) else v) for v in (given, named[other])]
+            lost = given is not named[other] and getattr(given, "requires_grad", False)
+            if lost or not np.array_equal(pair[0], pair[1]):
+                raise InputError(
+                    f"parameters: expected {other} itself for {name}, which it is in this solid"
+                )
+        return named
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period under a load whose mean is removed; u has zero mean.
@@ -173,9 +220,7 @@ class PlacedLPS(LPSOperator):
             return self.linear.cheapest_inverse(
                 loads, bonds_within(self.model.horizon, self.nodes.spacing)
             )
-        parts = matrices(self.model, self.nodes, bonds=self.bonds)
-        L = parts.operator(self.model.lam, self.model.mu)
-        return MatrixProblem(L, self.nodes.interior).inverse
+        return self._problem(self.quadrature_degree).inverse
 
     def _told(self, u: Any, load: Any, method: str, records: list[SolveRecord]) -> Solution:
         measured = max((r.residual for r in records), default=None)
@@ -215,11 +260,7 @@ class PlacedLPS(LPSOperator):
 
     def _factorised(self, load: np.ndarray, u: np.ndarray, method: str, degree: int) -> np.ndarray:
         """The solution of the assembled problem."""
-        model, nodes = self.model, self.nodes
-        mine = degree == self.quadrature_degree and self.device == DEVICE
-        own = self.bonds if mine else None
-        parts = matrices(model, nodes, quadrature_degree=degree, bonds=own)
-        problem = MatrixProblem(parts.operator(model.lam, model.mu), nodes.interior)
+        model, nodes, problem = self.model, self.nodes, self._problem(degree)
         answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
         refuse_indefinite(
             nodes,
@@ -228,6 +269,23 @@ class PlacedLPS(LPSOperator):
             allowed=self.allowed,
         )
         return answer
+
+    def _problem(self, degree: int) -> MatrixProblem:
+        """The assembled problem, which keeps its factors."""
+        if degree not in self._problems:
+            mine = degree == self.quadrature_degree and self.device == DEVICE
+            parts = matrices(
+                self.model, self.nodes, quadrature_degree=degree, bonds=self.bonds if mine else None
+            )
+            L = parts.operator(self.model.lam, self.model.mu)
+            self._problems[degree] = MatrixProblem(L, self.nodes.interior)
+        return self._problems[degree]
+
+    def stiffness_at(self, u: Any) -> Any:
+        """L between interior nodes, sparse [d I, d I]; of scattered ones Tᵗ L T."""
+        if self.carrier is not None:
+            return self.through.problem.stiffness
+        return self._problem(self.quadrature_degree).stiffness
 
     def _iterated(
         self,
@@ -261,25 +319,28 @@ class PlacedLPS(LPSOperator):
         answer = self.through.solve(load.reshape(flat.shape), flat)
         return self._told(answer.reshape(u.shape), self.load(load), "lu", [])
 
-    def _differentiable(self, b: Any, u: Any, solver: Solver, parameters: Solid | None) -> Solution:
-        """Equilibrium in torch, by the implicit adjoint."""
-        if self.carrier is not None:
-            raise InputError("points: a differentiable solve is for lattices, got scattered points")
-        b, u = pair_of(self, b, u)
-        solid = self.model.solid if parameters is None else parameters
-        records: list[SolveRecord] = []
-        asked = solver if isinstance(solver, Krylov) else self._unasked()
-        options: dict[str, Any] = {"horizon": self.model.horizon, "records": records}
-        options["tolerance"] = asked.tolerance
 
-        def solved(method: str) -> torch.Tensor:
-            linear = None if method == "lu" or parameters is not None else self.linear
-            return equilibrium(self.nodes, b, u, solid, method=method, linear=linear, **options)
+def lps_linear(points: PointsLike, solid: Solid, horizon: float, *, degree: int = DEGREE) -> Linear:
+    """The stencil of a linear peridynamic solid on the nodes of a lattice.
 
-        answer, method = self._chosen(solver, b[..., 0, 0].numel(), solved)
-        inside = torch.from_numpy(self.points.interior).to(b.device)
-        told = self._told(answer, b[..., inside, :].detach().cpu().numpy(), method, records)
-        return told if parameters is None else replace(told, proven=None)
+    Raises InputError as families_of does, for the same point sets.
+    """
+    nodes = nodes_of(points)
+    try:
+        stencil = solid_stencil(nodes, solid, horizon, degree)
+        return Linear(stencil, nodes, least=2 * int(horizon / nodes.spacing + 1e-6))
+    except InputError:
+        families_of(nodes, horizon, bond_based=solid.bond_based, degree=degree)
+        raise
+
+
+def solid_stencil(nodes: Points, solid: Solid, horizon: float, degree: int = DEGREE) -> Stencil:
+    """The stencil of numbers, arrays or tensors that make a linear peridynamic solid."""
+    numbers = solid.map(lambda value: np.asarray(value, dtype=float).ravel())
+    lam, mu, alpha = (float(value[0]) for value in (numbers.lam, numbers.mu, numbers.alpha))
+    own, d = numbers.dilatation, nodes.dimension
+    model = Model(lam, mu, alpha, numbers.D, horizon, D_dilatation=own, dimension=d)
+    return lps_stencil(model, nodes.spacing, degree=degree)
 
 
 def bonds_within(horizon: float, spacing: float) -> float:
@@ -323,3 +384,58 @@ def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray
     solution = np.stack(columns, axis=1)
     problem.check(solution, right)
     return problem.filled(u, solution)
+
+
+def refuse_indefinite(
+    points: Points,
+    stiffness: sp.csc_array,
+    stencil: Callable[[], Stencil],
+    *,
+    allowed: bool = False,
+) -> None:
+    """Raise InputError when L_II is not positive definite, on lattices and where bonds are broken.
+
+    On plain lattices by the symbol, and where that proves nothing by the smallest eigenvalue. Where
+    bonds are broken, its symmetric part decides: a kernel that changes sign seldom bears that
+    (theory.md, B9). Elsewhere nothing is asked.
+
+    Args:
+        points: the nodes.
+        stiffness: L_II [stress/length²].
+        stencil: gives that of the operator on a plain lattice.
+        allowed: warn, where bonds are broken, instead.
+    """
+    if points.outside is not None:
+        nodes = int(np.count_nonzero(points.interior))
+        _judge_cut(sp.csc_array((stiffness + stiffness.T) / 2), nodes, allowed)
+        return
+    if not points.is_plain_lattice:
+        return
+    sides = np.ptp(lattice_steps(points)[0], axis=0) + 1
+    torus = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in sides)
+    whole = stencil()
+    if smallest_ratio(torus_symbol(torus, whole.steps, whole.tensors), torus) > 0:
+        return
+    smallest = smallest_eigenvalue(stiffness)
+    if not smallest > 0:
+        raise InputError(
+            f"the operator on these {np.count_nonzero(points.interior)} nodes is indefinite: its "
+            f"smallest eigenvalue is {smallest:.1e}, so that its equilibria are not stable"
+        )
+
+
+def _judge_cut(symmetric: sp.csc_array, nodes: int, allowed: bool) -> None:
+    """Refuse, or warn of, a symmetric part that is not positive definite."""
+    if definite_factors(symmetric) is not None:
+        return
+    smallest = smallest_eigenvalue(symmetric)
+    if smallest > 0:
+        return
+    message = (
+        f"outside: with these bonds broken the operator on {nodes} nodes is not "
+        f"positive definite: the smallest eigenvalue of its symmetric part is "
+        f"{smallest:.2g}, and its solutions may be wrong; Body(mesh, …) does without broken bonds"
+    )
+    if not allowed:
+        raise InputError(message)
+    warnings.warn(message, stacklevel=4)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -95,12 +97,22 @@ class PlacedThirdOrder(OnPoints):
         given = (tables, bulk, torch.cat([lame, constants]))
         return third_order_force(self.sweeps, u, *given, radius=of.radius)
 
+    def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
+        """The same with other constants, of which nothing is proven."""
+        own = {name: float(value) for name, value in numbers.items()}
+        model: Any = self.model
+        return self._of(replace(model, **own, proven={}))
+
     def clipped(self, radius: float) -> PlacedThirdOrder:
         """The same with stresses of gradients clipped to a radius (N10)."""
+        return self._of(self.model, radius=radius)
+
+    def _of(self, model: Any, **more: Any) -> PlacedThirdOrder:
+        """Another model of the same linear part on the same nodes."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # said of this one
             given: dict[str, Any] = {"transfer": False, "allow_uncertified": True}
-            return PlacedThirdOrder(self.model, self.points, **given, radius=radius)
+            return PlacedThirdOrder(model, self.points, **given, **more)
 
     def gradients(self, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """H and P [stress] at the nodes `sweeps.full`, each of shape [..., F, 2, 2]."""

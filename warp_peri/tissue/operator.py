@@ -21,6 +21,7 @@ from warp_peri.kernels.hyperelastic.parts import CORNER, types
 from warp_peri.kernels.hyperelastic.sweeps import sweeps
 from warp_peri.kernels.hyperelastic.tangent import features, tangents
 from warp_peri.launch import empty, floats, ints, launch, zeros
+from warp_peri.points.arrays import plain
 from warp_peri.points.lattice import neighbour_table, straight_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.tissue.solid import (
@@ -210,7 +211,7 @@ class HyperelasticOperator:
     def _thick(self, thickness: np.ndarray | None) -> np.ndarray | None:
         if thickness is None:
             return None
-        values = np.array(thickness, float)
+        values = plain("thickness", thickness).copy()
         if values.shape != (len(self.points.x),):
             raise InputError(
                 f"thickness: expected {len(self.points.x)} numbers, got shape {list(values.shape)}"

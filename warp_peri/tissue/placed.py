@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
-from warp_peri.tissue.equilibrium import Equilibrium, NoEquilibrium, StaticProblem
+from warp_peri.tissue.equilibrium import Equilibrium, NoEquilibrium, StaticProblem, TangentPattern
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
 
@@ -210,6 +211,25 @@ class PlacedSheet(OnPoints):
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """The transposed product, on all nodes [..., N, 2]: that of energies is symmetric."""
         return self.energies.product(u, self.model.coefficients, self.on_all(w))
+
+    @property
+    def learnable(self) -> dict[str, np.ndarray]:
+        """The coefficients of the energies [stress]."""
+        return {"coefficients": self.model.coefficients}
+
+    def at(self, numbers: Mapping[str, Any]) -> PlacedSheet:
+        """The same with other coefficients."""
+        model = replace(self.model, coefficients=numbers["coefficients"], provenance={})
+        return PlacedSheet(model, self.points, thickness=self.thickness)
+
+    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Derivatives of Σ w · force(u) to the coefficients, of fields [K, N, 2]."""
+        return self.energies.pairing(u, self.on_all(w))
+
+    def stiffness_at(self, u: np.ndarray) -> Any:
+        """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
+        pattern = TangentPattern.of(self.energies.near_interior())
+        return pattern.matrix(u, self.model.coefficients)
 
     def energy(self, u: np.ndarray) -> np.ndarray:
         """Elastic energy [stress · area], shape [...]."""

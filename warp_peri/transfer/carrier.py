@@ -118,6 +118,16 @@ class Carrier:
         carried = [self.unknown.T @ field[self.loaded] for field in b]
         return np.array(carried).reshape(len(b), -1, 2)
 
+    def load_transpose(self, w: np.ndarray) -> np.ndarray:
+        """`load` of nodes transposed: w on the interior [..., I, 2] to all nodes [..., N, 2]."""
+        there = np.zeros((*np.shape(w)[:-2], len(self.x), 2))
+        flat = np.reshape(w, (-1, *np.shape(w)[-2:]))
+        there[..., self.loaded, :] = np.reshape(
+            [self.unknown @ one for one in flat], (*np.shape(w)[:-2], -1, 2)
+        )
+        back = [self._for_loads.T @ one for one in there.reshape(-1, *there.shape[-2:])]
+        return np.reshape(back, (*np.shape(w)[:-2], -1, 2))
+
     def _check_unknowns(self) -> None:
         """Refuse unknowns that the lattice cannot tell apart; splu finds a pivot of zero."""
         gram = sp.csc_array(self.unknown.T @ self.unknown)

@@ -15,6 +15,7 @@ from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
 from warp_peri.lps.model import Model
 from warp_peri.lps.operator import NodeOperator
+from warp_peri.points.arrays import plain
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.transfer.cache import model_for
@@ -81,7 +82,7 @@ class LPSOperator(NodeOperator):
         """L u, or Tᵗ L T u, on the interior nodes, shape [..., I, d]; InputError as `op(u)`."""
         if self.carrier is None:
             return super().force(u)
-        u = np.asarray(u, dtype=float)
+        u = plain("u", u)
         self.check(u)
         return _applied(self.carrier.unknown.T, super().force(_applied(self.carrier.T, u)))
 
@@ -103,6 +104,12 @@ class LPSOperator(NodeOperator):
         force = super().force_with(through(self.carrier.T, u), numbers)
         return through(self.carrier.unknown.T, force)
 
+    def load_transpose(self, w: ArrayLike) -> np.ndarray:
+        """`load` transposed, of w on the interior [..., I, d], on all nodes [..., N, d]."""
+        if self.carrier is None:
+            return self.on_all(w)
+        return self.carrier.load_transpose(np.asarray(w))
+
     def load(self, b: np.ndarray) -> np.ndarray:
         """What the operator equals in equilibrium with b [TPa/Å], on the interior nodes.
 
@@ -112,7 +119,7 @@ class LPSOperator(NodeOperator):
 
         Raises InputError for other shapes.
         """
-        b, (nodes, d) = np.asarray(b, dtype=float), self.points.x.shape
+        b, (nodes, d) = plain("b", b), self.points.x.shape
         if self.carrier is None:
             if b.ndim not in (2, 3) or b.shape[-2:] != (nodes, d):
                 raise InputError(

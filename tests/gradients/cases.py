@@ -1,0 +1,136 @@
+"""Every material by verb: a number of what the verb gives, its gradient, and how wrong that is."""
+
+import numpy as np
+import torch
+
+import warp_peri as wp
+from tests.conformance.test_gradients import OPERATORS, field
+from tests.dynamics.test_adjoint import given, loss
+from tests.support.problems import difference
+
+VERBS = ("force", "solve", "move")
+FOUND: dict[tuple[str, str], dict[str, float]] = {}
+"""Errors by what the gradient is to, of each material and verb; none where it is refused."""
+KINKED = ("neural operator", "neural operator, frozen")
+"""Of which a step of differences is short."""
+LOADS = {"hyperelastic": 0.1, "third order": 0.1, "finite": 0.1, "neural": 0.1}
+"""Of nonlinear solids, so that all samples have an equilibrium."""
+
+
+NOTHING = 1e-5
+"""Share of the number that a hundredth of what has no effect on it moves, as of a scale of D."""
+
+
+def numbers_of(op):
+    """Learnable numbers a thousandth off, so that the operator is made anew."""
+    if not hasattr(op, "at") or getattr(op, "carrier", None) is not None:
+        return {}
+    return {n: torch.tensor(1.001 * np.asarray(v, float)) for n, v in op.learnable.items()}
+
+
+def solver_of(name, op):
+    """One that leaves no error of its own."""
+    if name.startswith(("scattered", "conductor", "coupled")):
+        return None
+    if "broken" in name or name == "dressed, varied":
+        return wp.Direct()
+    return wp.Krylov(tolerance=1e-13) if op.is_linear else wp.Newton(tolerance=1e-13)
+
+
+def seeded(values):
+    """A number of a field, so that nothing cancels."""
+    seed = torch.from_numpy(np.random.default_rng(1).normal(size=values.shape))
+    return ((0.3 * values + seed) * values).sum()
+
+
+def errors(value, leaves, step):
+    """Relative error of the gradient to each leaf, along two directions of random entries.
+
+    Args:
+        value: a number, of the leaves by name.
+        leaves: tensors; a direction has a hundredth of their size.
+        step: of the differences, by name and in directions.
+
+    An error is over the gradient's norm by the root mean square of the direction's entries.
+    """
+    asked = {name: leaf.detach().clone().requires_grad_() for name, leaf in leaves.items()}
+    total = value(asked)
+    gradients = torch.autograd.grad(total, list(asked.values()))
+    found = {}
+    for (name, leaf), gradient in zip(leaves.items(), gradients):
+        each = []
+        for seed in (7, 8):
+            way = torch.ones(leaf.shape, dtype=torch.float64)
+            if leaf.numel() > 1:
+                way = torch.from_numpy(np.random.default_rng(seed).normal(size=leaf.shape))
+            way = 0.01 * leaf.abs().max() * way
+
+            def along(t, name=name, leaf=leaf, way=way):
+                with torch.no_grad():
+                    return float(value(leaves | {name: leaf + t[0] * way}))
+
+            slope = difference(along, [0.0], step[name])[0]
+            size = float(gradient.norm() * way.norm()) / way.numel() ** 0.5
+            size = max(size, NOTHING * abs(float(total.detach())))
+            each.append(abs(float((gradient * way).sum()) - slope) / size)
+        found[name] = max(each)
+    return found
+
+
+def steps(leaves, own):
+    """Steps of differences by name: `own` of fields, one of numbers, less of many."""
+    many = {"D": 0.1, "D_dilatation": 0.1}
+    fields = dict.fromkeys(("b", "u", "v", "signal"), own)
+    return {name: (fields | many).get(name, 1.0) for name in leaves}
+
+
+def force(name, op):
+    """Of the force, to u and to numbers."""
+    leaves, module = {"u": torch.from_numpy(field(op, 2))} | numbers_of(op), numbers_of(op)
+
+    def value(leaves):
+        if not module:
+            return seeded(op(leaves["u"]))
+        return seeded(op.force_with(leaves["u"], {n: leaves[n] for n in module}))
+
+    own = 1e-3 if name in KINKED else 1.0
+    return errors(value, leaves, steps(leaves, own))
+
+
+def solve(name, op):
+    """Of what rests, to b, u and numbers."""
+    b, u = (torch.from_numpy(field(op, 2, seed=n)) for n in (0, 1))
+    share = next((s for word, s in LOADS.items() if word in name), 1.0)
+    numbers, solver = numbers_of(op), solver_of(name, op)
+    leaves = {"b": share * b, "u": u} | numbers
+
+    def value(leaves):
+        own = {"parameters": {n: leaves[n] for n in numbers}} if numbers else {}
+        problem = wp.Dirichlet(op.points, leaves["b"], leaves["u"])
+        return seeded(wp.solve(op, problem, solver=solver, **own).u)
+
+    own = 1e-2 if name in KINKED else 10.0 if op.is_linear else 1.0
+    return errors(value, leaves, steps(leaves, own))
+
+
+def move(name, op):
+    """Of records and ends of waves, to b, u, v, the load in time and numbers."""
+    fields, options = given(op)
+    signal = torch.from_numpy(1 + 0.3 * np.sin(np.arange(options["steps"] + 1)))
+    numbers = numbers_of(op)
+    leaves = fields | {"signal": signal} | numbers
+
+    def value(leaves):
+        own = {n: leaves[n] for n in numbers}
+        sizes = options | {"signal": leaves["signal"]}
+        return loss(op, {n: leaves[n] for n in fields}, sizes, own or None)
+
+    return errors(value, leaves, steps(leaves, 10.0))
+
+
+WAVES = ("LPS", "LPS, bond-based", "LPS, two functions", "LPS in space", "LPS, broken bonds",
+         "crystal", "crystal, periodic", "crystal in space", "dressed", "dressed, bonds",
+         "dressed, varied", "own")  # fmt: skip
+"""Materials whose waves have a proven step; the others are refused by `move`."""
+CASES = {"force": force, "solve": solve, "move": move}
+MATERIALS = list(OPERATORS)

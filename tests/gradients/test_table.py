@@ -1,0 +1,37 @@
+"""Every gradient of every material: force, solve and move against central differences."""
+
+import pytest
+import torch
+
+import warp_peri as wp
+from tests.conformance.test_gradients import LINEAR, OPERATORS, field
+from tests.gradients.cases import CASES, FOUND, MATERIALS, VERBS, WAVES
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+FIELDS = ("b", "u", "v", "signal")
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Every operator once."""
+    kept = {}
+    return lambda name: kept.setdefault(name, OPERATORS[name]())
+
+
+@pytest.mark.parametrize("name", MATERIALS)
+@pytest.mark.parametrize("verb", VERBS)
+def test_a_gradient_is_that_of_differences(verb, name, made):
+    """1e-8 to what the number is linear in before it is squared, 1e-6 elsewhere."""
+    op = made(name)
+    if verb == "move" and name not in WAVES:
+        FOUND[name, verb] = {}
+        leaf = torch.from_numpy(field(op)).requires_grad_()
+        sizes = {"density": 2000.0, "step": 1e-6, "steps": 2}
+        with pytest.raises(wp.InputError):
+            wp.move(op, wp.Dirichlet(op.points, None, leaf), **sizes)
+        return
+    found = FOUND[name, verb] = CASES[verb](name, op)
+    assert found
+    for key, error in found.items():
+        linear = key in FIELDS and name in LINEAR
+        assert error <= (1e-8 if linear else 1e-6), (verb, name, key)

@@ -1,0 +1,137 @@
+"""Fields on nodes from .mat files that the tests write: shapes, versions, refusals, and a row."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+
+import warp_peri as wp
+from examples.studies import published_fields
+from tests.support.sheets import square, waves
+from tests.tissue.test_sheet_choice import SHEET
+from warp_peri import InputError
+from warp_peri.atoms import read_fields
+
+NODES = square(9, spacing=5.0)
+RANDOM = np.random.default_rng(0)
+U, B = RANDOM.standard_normal((2, 3, len(NODES.x), 2))
+ORDER = RANDOM.permutation(len(NODES.x))
+
+
+def written(path, **variables):
+    savemat(path, variables)
+    return path
+
+
+def in_hdf5(path, **variables):
+    """As MATLAB writes version 7.3: a header before HDF5, and arrays with their axes reversed."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in variables.items():
+            file[name] = value.T
+    with open(path, "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+    return path
+
+
+def packed(path, **variables):
+    savemat(path, variables, do_compression=True)
+    return path
+
+
+@pytest.mark.parametrize("write", [written, packed, in_hdf5])
+def test_coordinates_displacements_and_forces(tmp_path, write):
+    """Nodes in any order, as the file has them; others of its variables are not looked at."""
+    given = {"coords": NODES.x[ORDER] - 50.0, "disps": U[:, ORDER], "forces": B[:, ORDER]}
+    path = write(tmp_path / "a.mat", mass=np.full((1, len(NODES.x)), 83.75), **given)
+    samples = read_fields(path, factor=0.5)
+    assert samples.points.units == wp.Points(NODES.x, NODES.interior, 5.0, units="reduced").units
+    np.testing.assert_allclose(samples.x, NODES.x[ORDER] - 50.0, atol=1e-12)
+    np.testing.assert_array_equal(samples.u, U[:, ORDER])
+    np.testing.assert_array_equal(samples.b, 0.5 * B[:, ORDER])
+    np.testing.assert_array_equal(samples.interior, NODES.interior[ORDER])
+
+
+@pytest.mark.parametrize("shape", [(3, -1), (3, 2, -1), (3, 2 * 21, 21), (3, 2, 21, 21)])
+def test_components_first_on_a_square(tmp_path, shape):
+    path = written(tmp_path / "a.mat", u=U.swapaxes(1, 2).reshape(shape))
+    samples = read_fields(path, displacement="u", load=None, positions=5.0, units=("mm", "MPa"))
+    assert samples.b is None
+    np.testing.assert_array_equal(samples.u, U)
+    np.testing.assert_allclose(samples.x, NODES.x)
+
+
+def test_one_sample(tmp_path):
+    path = written(tmp_path / "a.mat", coords=NODES.x, disps=U[0], forces=B[0])
+    np.testing.assert_array_equal(read_fields(path).u, U[:1])
+
+
+GOOD = {"coords": NODES.x, "disps": U, "forces": B}
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"forces": None}, "expected forces, an array of numbers, among coords, disps"),
+        ({"disps": U[:, 1:]}, "disps: expected two components of 441 nodes, got"),
+        ({"disps": "text"}, "expected disps, an array of numbers, among"),
+        ({"disps": np.full_like(U, np.nan)}, "u: "),
+        ({"coords": NODES.x + 0.3 * RANDOM.uniform(-1, 1, NODES.x.shape)}, "square lattice"),
+        ({"coords": NODES.x[:-1]}, "two components of 440 nodes"),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("write", [written, in_hdf5])
+def test_what_is_missing_or_of_another_shape_is_refused(tmp_path, write, changed, said):
+    given = {name: value for name, value in (GOOD | changed).items() if value is not None}
+    if write is in_hdf5 and isinstance(given["disps"], str):
+        given["disps"] = np.array([b"text"])
+    with pytest.raises(InputError, match=said):
+        read_fields(write(tmp_path / "a.mat", **given))
+
+
+def test_no_mat_file_no_square_and_no_interior(tmp_path):
+    (tmp_path / "a.mat").write_text("x, y\n0, 1\n")
+    for name in ("a.mat", "none.mat"):
+        with pytest.raises(InputError, match=r"cannot be read as a \.mat file"):
+            read_fields(tmp_path / name)
+    cut = written(tmp_path / "cut.mat", u=U[:, 1:].swapaxes(1, 2))
+    with pytest.raises(InputError, match="a square number of nodes"):
+        read_fields(cut, displacement="u", load=None, positions=5.0)
+    whole = written(tmp_path / "whole.mat", **GOOD)
+    with pytest.raises(InputError, match="within 22 spacings around them, got none of 21 × 21"):
+        read_fields(whole, reach=11)
+
+
+def test_a_row_on_the_authors_own_data(tmp_path, capsys):
+    """Loads of a linear solid, which finds itself, beside what is printed of the network."""
+    solid = wp.Model(0.3, 0.7, 1.0, np.ones(1), horizon=15.05, certified_on=(5.0,))
+    points = square(19, spacing=5.0)  # so that loads are known where the file's interior is
+    k = RANDOM.uniform(-1, 1, (40, 2)) * np.linspace(0.05, 0.25, 40)[:, None]
+    u = np.sin(points.x @ k.T + 1.0).T[..., None] * RANDOM.normal(size=(40, 1, 2))
+    b = np.zeros_like(u)
+    b[:, points.interior] = solid.on(points)(u)
+    keep = (np.abs(points.x - points.x.mean(axis=0)) <= 52.5).all(axis=1)
+    path = written(tmp_path / "a.mat", coords=points.x[keep], disps=u[:, keep], forces=b[:, keep])
+    published_fields.main([str(path), "--symmetry", "4mm", "--json"])
+    found = json.loads(capsys.readouterr().out)
+    assert found["samples"] == 40
+    assert found["their network, printed"]["E_res val"] == 0.0802
+    for key in ("E_res test", "E_u test"):
+        assert found["linear solid"][key] < 1e-6
+        assert found["tensors"][key] < 0.2  # whose bonds are shorter than what the solid couples
+
+
+def test_a_row_on_frames_without_loads(tmp_path, capsys):
+    """Of a sheet of Mooney and Rivlin, whose frames a sheet of theirs answers best."""
+    points = square(9)
+    bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
+    edges = [bent * (n + 3) / 8 + 0.6 * waves(points, 0.25, n) for n in range(6)]
+    u = np.array([wp.solve(SHEET, wp.Dirichlet(points, None, edge)).u for edge in edges])
+    path = written(tmp_path / "a.mat", u=np.moveaxis(u.reshape(6, 21, 21, 2), 3, 1))
+    words = "--load none --displacement u --positions 0.1 --units mm MPa --frames 5 --json"
+    published_fields.main([str(path), *words.split()])
+    found = json.loads(capsys.readouterr().out)
+    errors = {name: row["E_u test"] for name, row in list(found.items())[2:]}
+    assert errors["Mooney-Rivlin"] < 5e-3
+    assert min(errors, key=errors.get) == "Mooney-Rivlin"

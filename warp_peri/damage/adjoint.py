@@ -1,0 +1,121 @@
+"""Cut and softening bodies in torch: their derivatives along the path that was taken."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+import torch
+from scipy.sparse.linalg import splu
+
+from warp_peri.core.tensors import differentiable_once, linear, pair_of, refuse_tangents
+from warp_peri.damage.softening import BondLaw
+from warp_peri.dynamics.motion import Motion
+from warp_peri.errors import InputError
+
+
+def at_rest(cut: Any, b: Any, u: Any, extra: np.ndarray) -> torch.Tensor:
+    """CutSolid.solve of tensors [N, d], differentiable in both, under an extra load [N, d].
+
+    Raises InputError as `solve`, and for shapes that do not fit.
+    """
+    b, u = pair_of(cut, b, u)
+    both = torch.stack([b + torch.from_numpy(extra), u]).double()
+    return linear(both, lambda of: cut.solve(*of), cut.solve_transpose)
+
+
+def pull_of(s: torch.Tensor, softness: torch.Tensor) -> torch.Tensor:
+    """As BondLaw.pull, of tensors."""
+    return s * torch.exp(-softness * s.clamp(min=0))
+
+
+def share_of(
+    worst: torch.Tensor, softness: torch.Tensor, stretch: torch.Tensor, tail: torch.Tensor
+) -> torch.Tensor:
+    """As BondLaw.share, of tensors; a tail of 0 breaks at once, and has no gradient."""
+    beyond = worst > stretch
+    if tail == 0 or not beyond.any():
+        return (~beyond).to(worst)
+    fall = (1 - (worst - stretch) / tail).clamp(min=0)
+    ends = pull_of(stretch, softness) * fall / pull_of(worst.where(beyond, 1.0), softness)
+    return ends.clamp(max=1).where(beyond, 1.0)
+
+
+def pulled(body: Any, u: Any, numbers: dict[str, Any], how: dict[str, Any]) -> Motion:
+    """SoftBody.pull of tensors: force and end differentiable along the path that was taken.
+
+    Which bonds failed when is felt, how often a load was settled is not.
+
+    Args:
+        body: softens.
+        u: as of `pull`.
+        numbers: softness, stretch or tail; the others are those of the body's law.
+        how: options of `pull`.
+
+    Raises InputError as `pull`, for other numbers, for bonds that break at once, which have no
+    gradient, and for a second derivative.
+    """
+    u = torch.as_tensor(u)
+    law = {
+        name: numbers.pop(name, getattr(body.law, name)) for name in ("softness", "stretch", "tail")
+    }
+    if numbers:
+        raise InputError(f"parameters: expected {', '.join(law)}, got {', '.join(numbers)}")
+    law = {n: torch.as_tensor(v, dtype=torch.float64) for n, v in law.items()}
+    refuse_tangents(u, *law.values())
+    body.law = BondLaw(**{name: float(value.detach()) for name, value in law.items()})
+    if body.law.tail == 0:
+        raise InputError("tail: expected > 0 for a gradient, which bonds that break at once lack")
+    seen: list[list[np.ndarray]] = []
+    motion: Motion = body.settled(u.detach().numpy(), seen, **how)
+    given = torch.where(torch.from_numpy(body.held), u.double(), 0.0).ravel()
+    cut, normal = body.section(how["line"])
+    rise = np.abs(body.body.xi[body._bond] @ normal) * cut * body._square * body._k
+    area = torch.from_numpy(body.body.spacing**body.body.dimension * rise)
+    square, breakable = torch.from_numpy(body._square), torch.from_numpy(body._breakable)
+    share, worst = torch.ones_like(square), torch.zeros_like(square)
+    forces, field = [], given
+    for load, force, fields in zip(motion.time, motion["force"], seen):
+        for one in fields:
+            field = _softened(body, one, share, law["softness"], float(load) * given)
+            s = linear(field, body._d.dot, body._d.T.dot) / square
+            worst = torch.maximum(worst, s).where(breakable, 0.0)
+            share = torch.minimum(share_of(worst, *law.values()), share)
+        across = (area * share * pull_of(s, law["softness"])).sum()
+        forces.append(across if force else 0 * across)  # 0 of a body that came apart
+    history: Any = motion.history | {"force": torch.stack(forces)}
+    end: Any = field.reshape(body.held.shape)
+    return replace(motion, u=end, history=history)
+
+
+class _Softened(torch.autograd.Function):
+    """What is left of bonds, their softness and held components [d N] to where a body rests."""
+
+    @staticmethod
+    def forward(ctx: Any, body: Any, u: np.ndarray, *of: torch.Tensor) -> torch.Tensor:
+        ctx.body, ctx.u = body, u
+        ctx.save_for_backward(*of)
+        return torch.tensor(u)
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        body, (share, softness, _), g = ctx.body, ctx.saved_tensors, upstream[0].numpy()
+        d, left, beta = body._d @ ctx.u, share.numpy(), float(softness)
+        s = np.maximum(d / body._square, 0)
+        weak = body._k * np.exp(-beta * s)
+        K = sp.csr_array(body._d.T @ (sp.diags_array(left * weak * (1 - beta * s)) @ body._d))
+        free = body._free
+        w = np.zeros_like(g)
+        w[free] = splu(sp.csc_matrix(K[free][:, free])).solve(g[free])
+        pull = body._d @ w
+        by_share, by_softness = -pull * weak * d, float((pull * left * weak * d * s).sum())
+        by_held = np.where(free, 0.0, g - K @ w)
+        found = by_share, np.array(by_softness), by_held
+        return None, None, *map(torch.from_numpy, found)
+
+
+_softened: Callable[..., torch.Tensor] = _Softened.apply

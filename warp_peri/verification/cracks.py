@@ -1,0 +1,280 @@
+"""Cracks at rest: their stress intensities, by energies of cracks of several lengths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from warp_peri.contract import offered
+from warp_peri.damage.cut_solid import westergaard
+from warp_peri.damage.lattice_body import box, penny, rectangle, size_and_normal
+from warp_peri.damage.problems import Cracked
+from warp_peri.damage.slow_growth import apparent_toughness
+from warp_peri.errors import InputError
+from warp_peri.lps.model import Model
+from warp_peri.points.points import Points
+from warp_peri.verification.statics import Outcome, UnitScale, material, plane, solid
+
+RADIUS = 4.0
+"""Half side of the smaller square around a tip, in horizons; the larger has twice that."""
+
+
+def energy_release(
+    material: Any, problem: Cracked, cracks: Sequence[Sequence[ArrayLike]], *, shift: float = 0.0
+) -> float:
+    """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
+
+    Along rows of nodes a shorter and a longer crack, one spacing either way, are enough. Bonds are
+    cut one by one where a crack is inclined: take nine lengths over ± 2 spacings there, for 2 %.
+
+    Args:
+        material: as of `solve`.
+        problem: its cracks are not looked at; loads stay as the crack grows, their potential
+            counts.
+        cracks: for each length its polylines, two or more; what longer ones add is the new area.
+        shift: how much further a tip acts than it is cut [length], `tip_shift` of the solid; G is
+            then that of the length asked for, by a parabola through three lengths or more (C25).
+
+    Returns what is released per length added, in space per area, by least squares
+    [stress · length]; with two tips, of each.
+
+    Raises InputError for fewer than two lengths, with a shift fewer than three or in space, for a
+    body that nothing pulls at, and as Cracked.solved.
+    """
+    given = (problem.b, problem.u, problem.pressure)
+    if not any(np.any(np.nan_to_num(np.asarray(field))) for field in given if field is not None):
+        raise InputError(
+            "problem: nothing pulls at it, b, u and pressure are zero or missing; give one of them"
+        )
+    energies, lengths = [], []
+    for polylines in cracks:
+        solution = replace(problem, cracks=polylines).solved(material, None, {})
+        cell = problem.points.spacing**problem.points.dimension
+        work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
+        energies.append(solution.operator.energy(solution.u) - work)
+        sizes = (size_and_normal(np.asarray(line, dtype=float))[0] for line in polylines)
+        lengths.append(sum(sizes))
+    least = 3 if shift else 2
+    if len(set(lengths)) < least:
+        words = {2: "two", 3: "three"}[least]
+        raise InputError(f"cracks: expected {words} lengths or more, got {lengths}")
+    if not shift:
+        return -float(np.polyfit(lengths, energies, 1)[0])
+    off = np.array(lengths) - np.mean(lengths)
+    bend, slope, _ = np.polyfit(off, energies, 2)
+    return -float(slope - 2 * bend * shift * _moving(cracks))
+
+
+def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
+    """How many ends of the polylines are elsewhere in the last of these sets than in the first."""
+    first, last = (
+        [np.asarray(line, dtype=float) for line in one] for one in (cracks[0], cracks[-1])
+    )
+    if len(first) != len(last) or any(line.shape[1:] != (2,) for line in first + last):
+        raise InputError("shift: expected the same number of polylines in a sheet at all lengths")
+    ends = [(a[end], b[end]) for a, b in zip(first, last) for end in (0, -1)]
+    return sum(not np.array_equal(a, b) for a, b in ends)
+
+
+def tip_shift(material: Any, spacing: float) -> float:
+    """How much further the tip of a crack along rows of nodes acts than it is cut (C25) [length].
+
+    The field of a tip in an endless sheet is given around squares of four and eight horizons half
+    side; the place where the cut tip releases what that field brings is behind its origin by the
+    shift. What is left falls with the inverse of the side and is taken off.
+
+    Args:
+        material: a solid with a linear part, in the plane.
+        spacing: of the nodes [length].
+
+    Raises InputError for a solid in space, or one without a linear part.
+    """
+    model = offered(material, "linear", "tip_shift", "a solid with a linear part")
+    if model.dimension != 2:
+        raise InputError("tip_shift: expected a solid in the plane")
+    smaller, larger = (_shift(model, spacing, times * RADIUS * model.horizon) for times in (1, 2))
+    return 2 * larger - smaller
+
+
+def _shift(model: Model, h: float, radius: float) -> float:
+    """As tip_shift, of one square."""
+    inner = np.ceil(radius / h) * h
+    side = 2 * (inner + 2 * np.ceil(model.horizon / h) * h)
+    x = rectangle(side, side, h)
+    points = Points(x, (np.abs(x) < inner).all(axis=1), h, units=model.units)
+    problem, energies, places = Cracked(points, u=_tip_field(x, model)), [], np.arange(-1, 2) * h
+    for place in places:
+        solution = replace(problem, cracks=[[(-side, 0.0), (place, 0.0)]]).solved(model, None, {})
+        energies.append(solution.operator.energy(solution.u))
+    bend, slope, _ = np.polyfit(places, energies, 2)
+    return float((slope + 1 / model.E) / (2 * bend))
+
+
+def _tip_field(x: np.ndarray, model: Model) -> np.ndarray:
+    """Displacement about a crack's tip at the origin, K = 1; M. L. Williams, 1957."""
+    kolosov = (model.lam + 3 * model.mu) / (model.lam + model.mu)
+    angle = np.arctan2(x[:, 1], x[:, 0])
+    size = np.sqrt(np.hypot(*x.T) / (2 * np.pi)) / (2 * model.mu) * (kolosov - np.cos(angle))
+    field: np.ndarray = size[:, None] * np.column_stack([np.cos(angle / 2), np.sin(angle / 2)])
+    return field
+
+
+NU = {"LPS": 0.3, "bond-based": 1 / 3}
+HALF = 13
+"""Spacings of a crack, and of its ligament; a spacing is a metre."""
+
+
+@cache
+def shift_of(name: str) -> float:
+    """The shift of a tip [m], in a metre's lattice."""
+    return tip_shift(material(name, plane(1000.0, NU[name]).tensor, 1.0, UnitScale()), 1.0)
+
+
+def intensity(
+    name: str, s: UnitScale, x: np.ndarray, stress: np.ndarray, tips: Sequence[Sequence[Any]]
+) -> tuple[float, dict[str, Any]]:
+    """K [MPa √m] of dead loads, and a picture of the displacement.
+
+    Args:
+        name: of the material.
+        x: nodes [m], a metre apart, held nowhere.
+        stress: what pulls on the nodes [MPa/m], shape [N, 2], balanced.
+        tips: three sets of polylines [m], each a spacing longer than the last.
+    """
+    law = material(name, plane(1000.0, NU[name]).tensor, 1.0, s)
+    points = Points(s.length * x, np.ones(len(x), bool), s.length, units=s.units)
+    free, low = np.ones(x.shape, bool), np.argsort(np.abs(x - [0, x[:, 1].min()]).sum(axis=1))
+    free[low[0]] = free[low[1], 1] = False
+    cracks = [[s.length * np.asarray(line, float) for line in one] for one in tips]
+    problem = Cracked(points, s.stiffness / s.length * stress, cracks=cracks[1], free=free)
+    G = energy_release(law, problem, cracks, shift=s.length * shift_of(name))
+    u = problem.solved(law, None, {}).u[:, 1] / s.length
+    return float(np.sqrt(G / s.length / s.stiffness * 1000)), {
+        "x": x,
+        "shown": u,
+        "label": "u_y [m]",
+    }
+
+
+def ends(x: np.ndarray) -> np.ndarray:
+    """A unit tension on the first and the last row."""
+    top = np.abs(x[:, 1]) == x[:, 1].max()
+    return np.where(top, np.sign(x[:, 1]), 0.0)[:, None] * [0.0, 1.0]
+
+
+def centre_crack(name: str, s: UnitScale) -> Outcome:
+    """K over σ√(πa) of a crack over half of a strip."""
+    a, x = HALF, rectangle(4.0 * HALF, 8.0 * HALF, 1.0)
+    tips = [[[(-a - d, 0), (a + d, 0)]] for d in (-1, 0, 1)]
+    K, told = intensity(name, s, x, ends(x), tips)
+    return Outcome(K / np.sqrt(np.pi * a), **told)
+
+
+def edge_crack(name: str, s: UnitScale, *, double: bool = False) -> Outcome:
+    """K over σ√(πa) of a crack from an edge to the middle of a strip, or of one from each."""
+    a, width = HALF, 2 * HALF * (1 + double)
+    x, w = rectangle(width, (6.0 + 2 * double) * HALF, 1.0), width / 2
+    tips = [[[(-w - 1, 0), (a + d - w, 0)]] for d in (-1, 0, 1)]
+    for d, one in zip((-1, 0, 1), tips):
+        one += [[(w - a - d, 0), (w + 1, 0)]] if double else []
+    K, told = intensity(name, s, x, ends(x), tips)
+    return Outcome(K / np.sqrt(np.pi * a), **told)
+
+
+def bend_bar(name: str, s: UnitScale) -> Outcome:
+    """f of the bend bar of ASTM E399, K = P S / (B W^1.5) f, at a/W = 1/2 and S = 4 W."""
+    a, W = HALF, 2 * HALF
+    x, b = rectangle(4.0 * W + 8, W, 1.0), np.zeros((4 * W + 8) * W)
+    for place, side, force in ((0, 1, -1.0), (-2 * W, -1, 0.5), (2 * W, -1, 0.5)):
+        at = (np.abs(x[:, 0] - place) < 1) & (side * x[:, 1] == x[:, 1].max())
+        b = b + np.where(at, force / at.sum(), 0.0)
+    tips = [[[(0, -W), (0, a + d - W / 2)]] for d in (-1, 0, 1)]
+    K, told = intensity(name, s, x, b[:, None] * [0.0, 1.0], tips)
+    return Outcome(K * W**1.5 / (4 * W), **told)
+
+
+def compact_tension(name: str, s: UnitScale) -> Outcome:
+    """f of the compact tension of ASTM E399, K = P / (B √W) f, at a/W = 1/2, on 20 spacings."""
+    W = 40.0
+    x = rectangle(1.25 * W, 1.2 * W, 1.0) + np.array([0.375 * W, 0.0])
+    x = x[np.hypot(x[:, 0], np.abs(x[:, 1]) - 0.275 * W) > 0.125 * W]
+    rim = np.hypot(x[:, 0], np.abs(x[:, 1]) - 0.275 * W) < 0.125 * W + 1
+    pushed = rim & (np.abs(x[:, 1]) > 0.275 * W + 0.09 * W)
+    b = np.where(pushed, np.sign(x[:, 1]) * 2 / pushed.sum(), 0.0)[:, None] * [0.0, 1.0]
+    tips = [[[(-W, 0), (W / 2 + d, 0)]] for d in (-1, 0, 1)]
+    K, told = intensity(name, s, x, b, tips)
+    return Outcome(K * np.sqrt(W), **told)
+
+
+def brazilian_disc(name: str, s: UnitScale) -> Outcome:
+    """K over P √a / (√π R B) of a slot over half of a disc that is pressed along it."""
+    a, R = HALF, 2.0 * HALF
+    x = rectangle(2 * R, 2 * R, 1.0)
+    x = x[np.hypot(*x.T) <= R]
+    at = (np.abs(x[:, 0]) < 1) & (np.abs(x[:, 1]) == x[:, 1].max())
+    b = np.where(at, -np.sign(x[:, 1]) / 2, 0.0)[:, None] * [0.0, 1.0]
+    tips = [[[(0, -a - d), (0, a + d)]] for d in (-1, 0, 1)]
+    K, told = intensity(name, s, x, b, tips)
+    return Outcome(K * np.sqrt(np.pi / a) * R, **told)
+
+
+def slanted_crack(name: str, s: UnitScale, *, angle: bool = False) -> Outcome:
+    """K over σ√(πa) of a crack at 45° to the tension, √(K_I² + K_II²); or the angle of its kink.
+
+    The crack lies along rows of nodes, the field of an endless sheet is given around it.
+    """
+    a, law = HALF, material(name, plane(1000.0, NU[name]).tensor, 1.0, s)
+    x = rectangle(4.0 * a + 12, 4.0 * a + 12, 1.0)
+    inside = np.abs(x).max(axis=1) < 2 * a
+    points = Points(s.length * x, inside, s.length, units=s.units)
+    u = s.length * slanted(x, float(a), plane(1000.0, NU[name]))
+    cracks = [[s.length * np.array([(-a - d, 0.0), (a + d, 0.0)])] for d in (-1, 0, 1)]
+    problem = Cracked(points, u=u, cracks=cracks[1])
+    found = problem.solved(law, None, {}).u / s.length
+    told = {"x": x, "shown": found[:, 1], "label": "u_y [m]"}
+    if angle:
+        below = np.flatnonzero((np.abs(x[:, 0]) < a) & (x[:, 1] == -0.5))
+        jump = [found[x[:, 1] == 0.5][np.isin(x[x[:, 1] == 0.5, 0], x[below, 0])], found[below]]
+        slide, opening = (jump[0] - jump[1]).sum(axis=0)
+        ratio = opening / slide
+        kink = 2 * np.arctan((ratio - np.sqrt(ratio**2 + 8)) / 4)
+        return Outcome(float(np.degrees(kink)), **told)
+    G = energy_release(law, problem, cracks, shift=s.length * shift_of(name))
+    return Outcome(float(np.sqrt(1000 * G / s.length / s.stiffness / (np.pi * a))), **told)
+
+
+def slanted(x: np.ndarray, a: float, moduli: Any) -> np.ndarray:
+    """u of a crack |x| < a under unit tension at 45°: half of it opens, half of it slides."""
+    lam, mu = moduli.C12, moduli.C44
+    kolosov, z, y = (lam + 3 * mu) / (lam + mu), x[:, 0] + 1j * x[:, 1], x[:, 1]
+    root = np.sqrt(z - a) * np.sqrt(z + a)
+    Z = z / root
+    u = (kolosov + 1) / 2 * root.imag + y * Z.real
+    v = -(kolosov - 1) / 2 * root.real - y * Z.imag
+    return np.asarray(westergaard(x, a, 0.5, lam, mu) + np.stack([u, v], axis=1) / (4 * mu))
+
+
+def penny_crack(name: str, s: UnitScale) -> Outcome:
+    """K over 2 σ √(a/π) of a penny of three spacings in a block that is pulled."""
+    C, nu, h = solid(1000.0, 0.25), 0.25, s.length
+    law = replace(material("LPS", C, 1.0, s), horizon=2 * h)
+    x = h * box((14, 14, 14), 1.0)
+    points = Points(x, np.abs(x).max(axis=1) < 5 * h, h, units=s.units)
+    problem = Cracked(points, u=x * np.array([-nu, 1, -nu]) / 1000)
+    G = energy_release(law, problem, [[h * np.array(penny(r))] for r in (2.0, 4.0)])
+    K2 = G / h / s.stiffness * 1000 / (1 - nu**2)
+    u = problem.solved(law, None, {}).u
+    return Outcome(
+        float(np.sqrt(K2 * np.pi / 3) / 2), x=x[:, :2] / h, shown=u[:, 1] / h, label="u_y [m]"
+    )
+
+
+def griffith(name: str, s: UnitScale) -> Outcome:
+    """Load at which a crack runs by its most stretched bond, over Griffith's."""
+    law = material(name, plane(1000.0, NU[name]).tensor, 1.0, s)
+    return Outcome(float(np.sqrt(apparent_toughness(law, s.length))))

@@ -1,0 +1,158 @@
+"""Waves, bars, cracks that run: what a motion must keep, and how fast it is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from warp_peri import launch
+from warp_peri.damage.lattice_body import box, rectangle
+from warp_peri.damage.problems import Cracked
+from warp_peri.damage.solid import BrittleSolid
+from warp_peri.dynamics.verlet import critical_time_step, inertia
+from warp_peri.lps.model import Model, lps_stencil
+from warp_peri.points.points import Points
+from warp_peri.problems import Dirichlet
+from warp_peri.solving import move
+from warp_peri.verification.statics import THIRD, Outcome, UnitScale, material, plane, solid
+
+DENSITY = 1000.0
+"""kg/m³."""
+SHARE = 0.1
+"""Of the longest step."""
+
+
+def frequency(time: np.ndarray, u: np.ndarray) -> float:
+    """Angular frequency of what swings about zero, by the times at which it passes there."""
+    before = np.flatnonzero(np.sign(u[1:]) != np.sign(u[:-1]))
+    part = u[before] / (u[before] - u[before + 1])
+    zeros = time[before] + part * (time[before + 1] - time[before])
+    return float(np.pi * (len(zeros) - 1) / (zeros[-1] - zeros[0]))
+
+
+def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcome:
+    """Frequency of a standing wave over that of the symbol, or of c_L k; its length in spacings."""
+    law = material(name, THIRD, 1.0, s)
+    points = Points.sheet((max(24, length), 8), s.length, units=s.units)
+    points = points if isinstance(law, Model) else replace(points, axis=0.0)
+    k = 2 * np.pi / (length * s.length)
+    stencil = lps_stencil(law, s.length) if isinstance(law, Model) else law.stencil
+    D = stencil.symbol(np.array([[k * s.length, 0.0]]))[0, 0, 0]
+    D = s.stiffness * THIRD[0, 0, 0, 0] * k**2 if local else D
+    omega = float(np.sqrt(D / inertia(DENSITY, s.units)))
+    step = SHARE * critical_time_step(law, spacing=s.length, density=DENSITY)
+    u = 1e-6 * s.length * np.sin(k * points.x) * [1.0, 0.0]
+    node = int(np.argmax(u[:, 0]))
+    steps = int(3 * 2 * np.pi / omega / step)
+    how: dict[str, Any] = {"density": DENSITY, "step": step, "steps": steps, "record": [node]}
+    run = move(law, Dirichlet(points, None, u), **how)
+    swing = run["u"][:, 0, 0] / s.length
+    told: dict[str, Any] = {"x": run.time, "shown": swing, "label": "u_x at a crest [m]"}
+    return Outcome(frequency(run.time, swing) / omega, **told)
+
+
+def bar(name: str, s: UnitScale, *, twist: bool = False) -> Outcome:
+    """Frequency of a free bar over that of the theory, stretched along x, or twisted about z."""
+    h, sides = s.length, (60, 8) if not twist else (6, 6, 40)
+    nu = 1 / 3 if not twist else 0.25
+    C = THIRD if not twist else solid(1.0, nu)
+    law, far = material(name, C, 1.0, s), max(sides)
+    dressed = name == "dressed elements"
+    x = box([n + dressed for n in sides], 1.0)
+    if twist:
+        shape = np.sin(np.pi * x[:, 2] / far)[:, None]
+        u = 1e-6 * shape * np.stack([-x[:, 1], x[:, 0], 0 * x[:, 0]], axis=1)
+        speed = np.sqrt(C[0, 1, 0, 1] * 0.140577 * 6)
+    else:
+        shape, slope = (f(np.pi * x[:, 0] / far) for f in (np.sin, np.cos))
+        u = 1e-6 * np.stack([shape, -nu * np.pi / far * slope * x[:, 1]], axis=1)
+        speed = 1.0
+    points = Points(h * x, np.ones(len(x), bool), h, units=s.units)
+    omega = np.pi / (far * h) * speed * np.sqrt(s.stiffness / inertia(DENSITY, s.units))
+    node = int(np.argmax(np.abs(u).max(axis=1)))
+    axis = int(np.argmax(np.abs(u[node])))
+    if dressed:
+        body = law.on(points, edges=True)
+        step = 0.3 * float(2 * np.sqrt(inertia(DENSITY, s.units) / body.stiffest_wave()))
+        how: dict[str, Any] = {"density": DENSITY, "record": [node]}
+        problem: Any = Dirichlet(points, None, h * u)
+    else:
+        heavy = inertia(DENSITY, s.units)
+        law = replace(law, horizon=2 * h) if twist else law
+        body = BrittleSolid(law, heavy, critical_stretch=1.0)
+        step, problem = 0.3 * body.longest_step(h), Cracked(points, u=h * u)
+        how = {"every": 1, "regions": {"end": np.arange(len(x)) == node}}
+    steps = int(1.1 * 2 * np.pi / omega / step)
+    run = move(body, problem, step=step, steps=steps, **how)
+    swing = run["u"][:, 0, axis] if dressed else run["u end"][:, axis]
+    told: dict[str, Any] = {
+        "x": run.time,
+        "shown": swing / h,
+        "label": "u at the end [m], over time",
+    }
+    return Outcome(frequency(run.time, swing) / omega, **told)
+
+
+def kept(name: str, s: UnitScale) -> Outcome:
+    """Drift of energy and momentum, the larger one, in 100 000 steps of a period."""
+    law, n = material(name, THIRD, 1.0, s), 10
+    points = Points.sheet((n, n), s.length, units=s.units)
+    u, v = 1e-6 * s.length * np.random.default_rng(0).normal(size=(2, n * n, 2))
+    step = 0.9 * critical_time_step(law, spacing=s.length, density=DENSITY)
+    how: dict[str, Any] = {"density": DENSITY, "step": step, "steps": 100_000, "every": 100}
+    v = (v - v.mean(axis=0) + 1e-7 * s.length) / step
+    run = move(law, Dirichlet(points, None, u), v=v, **how)
+    lost = np.linalg.norm((run.v - v).sum(axis=0)) / np.linalg.norm(v, axis=1).sum()
+    told: dict[str, Any] = {
+        "x": run.time,
+        "shown": run.energy / run.energy[0],
+        "label": "energy over its start",
+    }
+    return Outcome(max(float(lost), run.drift), **told)
+
+
+def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
+    """By how much a crack in a pulled glass plate outruns Rayleigh's wave, over it."""
+    nu, E, rho, h = {"LPS": 0.22, "bond-based": 1 / 3}[name], 64e3, 2450.0, 0.1 / cells
+    law = material(name, plane(E, nu).tensor, h, s)
+    heavy = inertia(rho, s.units)
+    glass = BrittleSolid(law, heavy, toughness=3.8e-6 * s.length * s.stiffness)
+    x = rectangle(0.1, 0.04, h)
+    rim = np.abs(x[:, 1]) > 0.02 - h
+    b = np.where(rim, np.sign(x[:, 1]) / h, 0.0)[:, None] * [0, 1]
+    points = Points(s.length * x, np.ones(len(x), bool), s.length * h, units=s.units)
+    crack = s.length * np.array([(-0.051, 0.0), (0.0, 0.0)])
+    plate = Cracked(points, b * s.stiffness / s.length, cracks=[crack])
+    step = 0.4 * glass.longest_step(s.length * h)
+
+    def tip(damage: np.ndarray) -> float:
+        return float(x[damage > 0.3, 0].max(initial=0.0))
+
+    told: dict[str, Any] = {"every": 20, "no_fail": rim, "watch": {"tip": tip}}
+    run = move(glass, plate, step=step, steps=4 * cells, **told)
+    fast = np.polyfit(run.time[-8:], run["tip"][-8:] * s.length, 1)[0]
+    shear = np.sqrt(s.stiffness * E / 2 / (1 + nu) / heavy)
+    rayleigh = (0.862 + 1.14 * nu) / (1 + nu) * shear
+    note, label = f"it runs at {fast / rayleigh:.2f} of Rayleigh's speed", "share of broken bonds"
+    over = max(0.0, float(fast / rayleigh) - 1)
+    return Outcome(over, None, x, run.details.damage, label, note)
+
+
+def threads(name: str, s: UnitScale) -> Outcome:
+    """Share of numbers that differ between a breaking plate on one thread and on two."""
+    law = material(name, THIRD, 1.0, s)
+    solid_, n = BrittleSolid(law, 1.0, critical_stretch=0.01), 60
+    x = rectangle(n, n, 1.0)
+    points = Points(s.length * x, np.ones(len(x), bool), s.length, units=s.units)
+    step, before, found = 0.4 * solid_.longest_step(s.length), launch.threads(), list[Any]()
+    pull = 0.05 * points.x * (1 + 0.1 * np.random.default_rng(1).random(x.shape)) / (10 * step)
+    try:
+        for count in (1, 2):
+            launch.set_threads(count)
+            found.append(move(solid_, Cracked(points), step=step, steps=30, v=pull))
+    finally:
+        launch.set_threads(before)
+    shown = {"x": x, "shown": found[0].details.damage, "label": "share of broken bonds"}
+    return Outcome(float(np.mean(found[0].u != found[1].u)), **shown)

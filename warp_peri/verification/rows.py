@@ -1,0 +1,226 @@
+"""Rows of the verification: how they are read, measured and told; rows.toml says what they are."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import sys
+import time
+import tomllib
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from warp_peri.errors import InputError
+from warp_peri.launch import set_threads
+from warp_peri.verification import cracks, motion, statics
+from warp_peri.verification.statics import Outcome, UnitScale
+
+Line = dict[str, Any]
+SAME = 1e-6
+"""Relative; by how much an answer may change with units and with the size of the moduli."""
+SCALES = UnitScale("mm", 1e6), UnitScale("angstrom", 1e-6)
+"""That are compared with metres."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One problem of one material, as rows.toml says; `why` where it does not apply."""
+
+    problem: str
+    material: str
+    source: str
+    allowed: float
+    run: Callable[[UnitScale], Outcome]
+    reference: float = 0.0
+    least: float | None = None
+    quick: bool = False
+    why: str = ""
+
+    @property
+    def name(self) -> str:
+        """Of problem and material."""
+        return f"{self.problem}: {self.material}"
+
+
+POSED = vars(statics) | vars(cracks) | vars(motion)
+"""Functions that pose problems, by name."""
+
+
+def _read() -> list[Row]:
+    """Each problem with each material, posed or with the reason why not."""
+    told, rows = tomllib.loads(Path(__file__).with_name("rows.toml").read_text("utf-8")), []
+    for one in told["row"]:
+        posed, why = one.pop("materials"), told["unposed"][one.pop("kind")]
+        why, pose, how = why | one.pop("without", {}), POSED[one.pop("run")], one.pop("with", {})
+        for name in told["materials"]:
+            said = {"material": name, "why": "" if name in posed else why[name]}
+            rows.append(Row(run=partial(pose, name, **how), **said, **one))
+    return rows
+
+
+ROWS = _read()
+"""All rows, in their order."""
+
+
+def chosen(only: Sequence[str] = ()) -> list[Row]:
+    """Rows whose names hold one of some words; all without any.
+
+    Raises InputError for a word that no name holds.
+    """
+    for word in only:
+        if not any(word.lower() in one.name.lower() for one in ROWS):
+            known = ", ".join(dict.fromkeys(one.problem for one in ROWS))
+            raise InputError(f"only: expected a part of a row's name, got {word!r}; {known}")
+    wanted = [word.lower() for word in only]
+    return [one for one in ROWS if not only or any(word in one.name.lower() for word in wanted)]
+
+
+def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line:
+    """A row's line: its answer, error and order, seconds, and whether it holds.
+
+    Args:
+        one: the row.
+        scaled: pose it in other units and with other moduli too.
+        out: folder for a picture.
+    """
+    told = ("name", "problem", "material", "reference", "source", "allowed", "least")
+    line: Line = {name: getattr(one, name) for name in told}
+    line |= {"answer": None, "error": None, "order": None, "scaled": None, "seconds": 0.0}
+    if one.why:
+        return line | {"holds": None, "note": f"does not apply, because {one.why}"}
+    begin, size = time.perf_counter(), abs(one.reference) or 1.0
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of thin bodies, whose note says it
+            found = one.run(UnitScale())
+            others = [one.run(scale).value for scale in SCALES] if scaled else []
+    except InputError as refusal:
+        return line | {"holds": False, "note": str(refusal)}
+    error = abs(found.value - one.reference) / size
+    holds = error <= one.allowed and (one.least is None or (found.order or 0.0) >= one.least)
+    if scaled:
+        line["scaled"] = float(max(abs(other - found.value) / size for other in others))
+        holds = holds and line["scaled"] <= SAME
+    if out is not None and found.x is not None:
+        draw(one, found, out)
+    line |= {"answer": float(found.value), "error": float(error), "order": found.order}
+    line["seconds"] = round(time.perf_counter() - begin, 2)
+    return line | {"holds": bool(holds), "note": found.note}
+
+
+def _numbered(number: int, scaled: bool, out: Path | None) -> Line:
+    return measured(ROWS[number], scaled=scaled, out=out)
+
+
+def verified(
+    only: Sequence[str] = (), *, scaled: bool = False, out: Path | None = None, processes: int = 2
+) -> list[Line]:
+    """Lines of the rows that are chosen, in their order, by some processes at once.
+
+    Args:
+        only: parts of names, as of `chosen`.
+        scaled: as of `measured`.
+        out: folder for pictures, and for the lines as verification.json.
+        processes: that share the rows.
+    """
+    rows = chosen(only)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+    found: dict[str, Line] = {}
+    spawn = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(max(1, processes), spawn, set_threads, (1,)) as pool:
+        jobs = [pool.submit(_numbered, ROWS.index(one), scaled, out) for one in rows]
+        for done in as_completed(jobs):
+            line = done.result()
+            found[line["name"]] = line
+            print(f"\r\033[K{len(found)} of {len(rows)}  {line['name']}", end="", file=sys.stderr)
+    print("\r\033[K", end="", file=sys.stderr, flush=True)
+    lines = [found[one.name] for one in rows]
+    if out is not None:
+        (out / "verification.json").write_text(json.dumps({"rows": lines}, indent=1))
+    return lines
+
+
+def table(lines: Sequence[Line]) -> str:
+    """Rows as Markdown, with their sources and notes."""
+    words = ["| problem | material | reference | answer | error | allowed | order | s | holds |"]
+    words, sources = [*words, "|" + "---|" * 9], dict[str, int]()
+    for line in (line for line in lines if line["holds"] is not None):
+        number = sources.setdefault(line["source"], len(sources) + 1)
+        answer = "–" if line["answer"] is None else f"{line['answer']:.5g}"
+        order = "" if line["order"] is None else f"{line['order']:.1f}"
+        order += "" if line["least"] is None else f" (≥ {line['least']:g})"
+        cells = [line["problem"], line["material"], f"{line['reference']:.5g} [{number}]", answer]
+        cells += [_percent(line, "error"), _percent(line, "allowed"), order]
+        cells += [f"{line['seconds']:.1f}", "yes" if line["holds"] else "**does not hold**"]
+        words.append(f"| {' | '.join(cells)} |")
+    words += ["", "References:", ""] + [f"{n}. {source}." for source, n in sources.items()]
+    by_note = dict[str, list[str]]()
+    for line in (line for line in lines if line["note"]):
+        by_note.setdefault(line["note"], []).append(line["name"])
+    notes = [f"- {note}: {'; '.join(names)}." for note, names in by_note.items()]
+    return "\n".join(words + (["", "Notes:", "", *notes] if notes else []))
+
+
+def by_material(lines: Sequence[Line]) -> str:
+    """Materials × problems as Markdown: error, or a dash where it does not apply."""
+    names = list(dict.fromkeys(line["material"] for line in lines))
+    words = [f"| | {' | '.join(names)} |", "|" + "---|" * (len(names) + 1)]
+    for problem in dict.fromkeys(line["problem"] for line in lines):
+        cells = dict.fromkeys(names, "")
+        for line in (line for line in lines if line["problem"] == problem):
+            shown = _percent(line, "error")
+            cells[line["material"]] = {None: "–", True: shown}.get(line["holds"], f"**{shown}**")
+        words.append(f"| {problem} | {' | '.join(cells.values())} |")
+    return "\n".join(words)
+
+
+def _percent(line: Line, name: str) -> str:
+    """A relative error in %; one of rounding as it is."""
+    if line[name] is None:
+        return "refused"
+    return f"{line[name]:.0e}" if line["allowed"] < SAME else f"{100 * line[name]:.2g} %"
+
+
+def page(lines: Sequence[Line]) -> str:
+    """The page of the documentation: its words, of rows.md, around what was measured."""
+    posed = [line for line in lines if line["holds"] is not None]
+    held = f"{sum(line['holds'] for line in posed)} of {len(posed)} rows hold"
+    told = {"held": held, "materials": by_material(lines), "rows": table(lines)}
+    return Path(__file__).with_name("rows.md").read_text("utf-8").format(**told)
+
+
+def draw(one: Row, found: Outcome, out: Path) -> None:
+    """A picture of an answer: over time, or in the plane, of the nodes nearest to the viewer."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(5, 4), layout="constrained")
+    ax, x, shown = figure.add_subplot(), np.asarray(found.x), np.asarray(found.shown)
+    if x.ndim == 1:
+        ax.plot(x / x.max(), shown, lw=1)
+        ax.set(xlabel="time over that of the run", ylabel=found.label)
+    else:
+        low, high = x[:, :2].min(axis=0), x[:, :2].max(axis=0)
+        front = x[:, 2] >= np.quantile(x[:, 2], 0.8) if x.shape[1] == 3 else np.ones(len(x), bool)
+        axes = [np.linspace(a, b, 400) for a, b in zip(low, high)]
+        places = np.stack(np.meshgrid(*axes), axis=-1)
+        tree = cKDTree(x[front, :2])
+        away, at = tree.query(places)
+        apart = tree.query(x[front, :2], 4)[0][:, -1]
+        values = np.where(away < apart[at], shown[front][at], np.nan)
+        limits = dict(zip(("vmin", "vmax"), np.quantile(shown, (0.002, 0.998))))
+        box: Any = (low[0], high[0], low[1], high[1])
+        drawn = ax.imshow(values, origin="lower", extent=box, **limits)
+        ax.set(xlabel="x [m]", ylabel="y [m]")
+        figure.colorbar(drawn, ax=ax, label=found.label)
+    ax.set_title(one.name, fontsize="medium")
+    name = "".join(c if c.isalnum() else "_" for c in one.name.lower())
+    figure.savefig(out / f"{name}.png", dpi=110)

@@ -1,0 +1,574 @@
+"""Bodies at rest whose answers everybody knows, in metres and megapascals."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from warp_peri.core.elastic import voigt
+from warp_peri.dressed import DressedSolid
+from warp_peri.edges.body import BodySolution
+from warp_peri.edges.rim import Moduli
+from warp_peri.lps.model import Model
+from warp_peri.micromodulus.waves import fit_symbol
+from warp_peri.points.mesh import make_mesh, make_tetrahedra
+from warp_peri.points.points import Points
+from warp_peri.points.unit_names import LENGTHS, Units
+from warp_peri.problems import Body, Dirichlet
+from warp_peri.solving import solve
+from warp_peri.statics.solution import Coupling, Direct, Krylov, Newton
+from warp_peri.third_order.material import NonlinearModel
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+
+FREE = np.nan
+LEVELS = 0.5, 0.7, 1.0
+"""Cells along an axis over the finest, for orders of convergence."""
+Place = Callable[[np.ndarray], np.ndarray]
+"""A field of positions, shape [n, d] both."""
+ALONE = "elements alone: the body is too thin for nodes inside"
+
+
+@dataclass(frozen=True)
+class UnitScale:
+    """A unit of length by name, and what all moduli and loads are multiplied by."""
+
+    unit: str = "m"
+    stiffness: float = 1.0
+
+    @property
+    def length(self) -> float:
+        """A metre in this unit."""
+        return LENGTHS["m"] / LENGTHS[self.unit]
+
+    @property
+    def units(self) -> Units:
+        """Of length and stress, as materials and points name them."""
+        return self.unit, "MPa"
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What a row found: a value, or where the reference is zero the error itself.
+
+    Attributes:
+        value: to be held against the reference.
+        order: fitted order of convergence; None where none was measured.
+        x, shown, label: of the picture, places [n, d] with values [n], or a line where d is 1.
+        note: what else has to be known.
+    """
+
+    value: float
+    order: float | None = None
+    x: np.ndarray | None = None
+    shown: np.ndarray | None = None
+    label: str = ""
+    note: str = ""
+
+
+APART = 1e-8
+"""Two roots of an isotropic plate coincide; its shear compliance is moved by this share."""
+
+
+def mapped(s: UnitScale, *patches: tuple[Sequence[int], Place, Sequence[str]]) -> Any:
+    """A mesh of squares or cubes that are mapped to a body in metres, its sides curved.
+
+    Of each patch the cells along the axes, the map of the unit square or cube, and the names of
+    both ends of each axis, empty for those inside.
+    """
+    x, cells, parts, first = [], [], dict[str, list[Any]](), 0
+    middle = dict[tuple[int, int], Any]()
+    for counts, place, names in patches:
+        d = len(counts)
+        grid = np.indices([n + 1 for n in counts]).reshape(d, -1).T
+        ways = [np.eye(d, dtype=int)[list(p)] for p in itertools.permutations(range(d))]
+        paths = np.pad(np.cumsum(ways, axis=1), ((0, 0), (1, 0), (0, 0)))
+        corners = grid[(grid < counts).all(axis=1)][:, None, None] + paths
+        shape = [n + 1 for n in counts]
+        number = np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), shape).reshape(-1, d + 1)
+        cells.append(first + number)
+        x.append(place(grid / counts))
+        for side, kept in itertools.product(range(2 * d), itertools.combinations(range(d + 1), d)):
+            on = grid[:, side // 2] == (side % 2) * counts[side // 2]
+            facets = number[:, kept][on[number[:, kept]].all(axis=1)]
+            if names[side]:
+                parts.setdefault(names[side], []).append(first + facets)
+            for pair in itertools.combinations(range(d), 2):
+                ends = np.sort(facets[:, pair], axis=1)
+                half = place(grid[ends].mean(axis=1) / counts) * s.length
+                middle |= dict(zip(map(tuple, (first + ends).tolist()), half))
+        first += len(grid)
+    named = {name: np.concatenate(some) for name, some in parts.items()}
+    make = make_mesh if d == 2 else make_tetrahedra
+    return make(np.concatenate(x) * s.length, np.concatenate(cells), named, middle)
+
+
+def plate_with_hole(
+    x: np.ndarray, radius: float, tension: float, moduli: Moduli
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement [length] and stress outside a free hole about the origin.
+
+    S. G. Lekhnitskii's (1968) for a plate of cubic symmetry along the axes; Kirsch's (1898) where
+    it is isotropic. Tension acts along the first axis, far away.
+
+    `x`: positions [length], shape [n, 2], at the hole's edge or outside; `radius`: of the hole
+    [length]; `tension`: far from the hole [stress]; `moduli`: of the plate.
+
+    Returns: u, shape [n, 2], and σ, shape [n, 2, 2].
+    """
+    a11, a12, a66 = compliances(moduli)
+    middle = a12 + a66 / 2
+    if abs(middle / a11 - 1) < APART:
+        middle = a11 * (1 + APART)
+    squares = np.roots([a11, 2 * middle, a11]).astype(complex)
+    s = np.sqrt(squares)
+    s = np.where(s.imag > 0, s, -s)
+    u = tension * x * (a11, a12)
+    stress = np.zeros((len(x), 2, 2))
+    stress[:, 0, 0] = tension
+    amplitude = -0.5j * tension * radius / (s[0] - s[1]) * np.array([1, -1])
+    for root, size in zip(s, amplitude):
+        z = x[:, 0] + root * x[:, 1]
+        bend = np.sqrt(z**2 - radius**2 * (1 + root**2))
+        zeta = (z + bend) / (radius * (1 - 1j * root))
+        other = (z - bend) / (radius * (1 - 1j * root))
+        flip = np.abs(other) > np.abs(zeta)
+        zeta, bend = np.where(flip, other, zeta), np.where(flip, -bend, bend)
+        potential, slope = size / zeta, -size / (zeta * bend)
+        for a, factor in enumerate((a11 * root**2 + a12, a12 * root + a11 / root)):
+            u[:, a] += 2 * (factor * potential).real
+        stress[:, 0, 0] += 2 * (root**2 * slope).real
+        stress[:, 1, 1] += 2 * slope.real
+        stress[:, 0, 1] -= 2 * (root * slope).real
+    stress[:, 1, 0] = stress[:, 0, 1]
+    return u, stress
+
+
+def compliances(moduli: Moduli) -> tuple[float, float, float]:
+    """a11, a12 and a66 [1/stress] of a plate of cubic symmetry along the axes."""
+    det = moduli.C11**2 - moduli.C12**2
+    return moduli.C11 / det, -moduli.C12 / det, 1 / moduli.C44
+
+
+def plane(E: float, nu: float, *, strain: bool = False) -> Moduli:
+    """Isotropic moduli [MPa] in plane stress, or in plane strain."""
+    mu = E / 2 / (1 + nu)
+    lam = E * nu / ((1 + nu) * (1 - 2 * nu)) if strain else E * nu / (1 - nu**2)
+    return Moduli.square(C11=lam + 2 * mu, C12=lam, C44=mu)
+
+
+def solid(E: float, nu: float) -> np.ndarray:
+    """Isotropic moduli [MPa] in space, shape [3, 3, 3, 3]."""
+    one = np.eye(3)
+    shear = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
+    both = nu / (1 - 2 * nu) * np.einsum("ij,kl->ijkl", one, one) + shear / 2
+    return np.asarray(E / (1 + nu) * both)
+
+
+THIRD = plane(1.0, 1 / 3).tensor
+"""Of ν = 1/3, where bonds alone are an isotropic sheet."""
+CUBIC = Moduli.square(C11=170.0, C12=122.0, C44=76.0)
+"""About copper's in a plane [MPa]."""
+
+
+def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
+    """A material by its name, of moduli [MPa] and for nodes h metres apart.
+
+    LPS and bond-based have the influence function 1/r on 28 bonds, dressed ones an identity for
+    G; third order and the dictionary are linear at small strain only.
+    """
+    C, h, d = s.stiffness * C, s.length * h, len(C)
+    lam, mu = C[0, 0, 1, 1], C[0, 1, 0, 1]
+    if name == "tensors":
+        symmetry, reach = {2: ("4mm", 2.5), 3: ("m-3m", 2.0)}[d]
+
+        def local(k: np.ndarray) -> np.ndarray:
+            return np.asarray(np.einsum("ijkl,nj,nl->nik", C, k, k))
+
+        return fit_symbol(local, h, reach * h, symmetry=symmetry, tensor=C, units=s.units)
+    if name.startswith("dressed"):
+        base, symmetry = name.split()[1], {2: "4mm", 3: "m-3m"}[d]
+        nothing = np.eye(d), np.zeros((1, d, d, d))
+        return DressedSolid(h, base, voigt(C), *nothing, s.units, symmetry).certified()
+    if name == "dictionary":
+        near = ((0, 1), (1, 0), (1, 1), (1, -1))
+        terms = Dictionary(3.0, (), near, (Term("neo_hookean"), Term("volumetric")))
+        c = np.array([mu, mu, mu, mu, mu / 2, lam / 2])
+        return HyperelasticSolid(terms, c, h, units=s.units)
+    plain = Model(lam, mu, 1.0, np.ones(1), 3 * h, certified_on=(h,), units=s.units, dimension=d)
+    return NonlinearModel(plain, -lam, -mu, mu, None) if name == "third order" else plain
+
+
+def posed(
+    law: Any,
+    mesh: Any,
+    s: UnitScale,
+    held: dict[str, Any],
+    pulled: dict[str, Any] | None = None,
+    level: float = LEVELS[0],
+) -> BodySolution:
+    """A body at rest; what is held [m] and pulled [MPa] are vectors or functions of metres.
+
+    At finer levels elements and nodes overlap by as much as at the first: an overlap that shrinks
+    with the spacing costs an order.
+    """
+
+    def at(value: Any, size: float) -> Any:
+        if callable(value):
+            return lambda x, *n: size * value(x / s.length, *n)
+        return size * np.asarray(value, dtype=float)
+
+    given = {name: at(value, s.length) for name, value in held.items()}
+    loads = {name: at(value, s.stiffness) for name, value in (pulled or {}).items()}
+    h, wide = (law.certified_on[0], 6) if isinstance(law, Model) else (law.spacing, 4)
+    coupling = Coupling(spacing=h, overlap=wide * h * level / LEVELS[0], tolerance=1e-9)
+    found: BodySolution = solve(law, Body(mesh, given, loads, coupling=coupling)).details
+    return found
+
+
+def near(found: BodySolution, x: Sequence[float], s: UnitScale) -> tuple[np.ndarray, np.ndarray]:
+    """u [m] and σ [MPa] at the corner nearest to a place [m]."""
+    u, stress = found.on_corners()
+    at = int(np.argmin(np.linalg.norm(found.rim.mesh.x - s.length * np.asarray(x), axis=1)))
+    return u[at] / s.length, stress[at] / s.stiffness
+
+
+def off(found: BodySolution, exact: Place, s: UnitScale) -> float:
+    """Relative ℓ2 error of the displacement, the larger one of elements and nodes."""
+    sets = [(found.rim.x, found.u_rim)]
+    sets += [] if found.points is None else [(found.points.x, found.u_bulk)]
+    right = [s.length * exact(x / s.length) for x, _ in sets]
+    return max(float(np.linalg.norm(u - r) / np.linalg.norm(r)) for (_, u), r in zip(sets, right))
+
+
+def order(steps: Sequence[float], errors: Sequence[float]) -> float:
+    """Fitted power of the step with which errors fall."""
+    return float(np.polyfit(np.log(steps), np.log(errors), 1)[0])
+
+
+def refined(pose: Callable[[float], BodySolution], exact: Place, s: UnitScale) -> tuple[float, Any]:
+    """Fitted order of the errors of bodies at three levels, and the finest body."""
+    found = [pose(level) for level in LEVELS]
+    return order([1 / level for level in LEVELS], [off(one, exact, s) for one in found]), found[-1]
+
+
+def times(level: float, *counts: int) -> list[int]:
+    """Counts of cells at a level, even."""
+    return [2 * round(level * count / 2) for count in counts]
+
+
+def seen(found: BodySolution, s: UnitScale, a: int = 1) -> dict[str, Any]:
+    """A picture of σ_aa [MPa] at the corners, and whether elements were alone."""
+    stress = found.on_corners()[1][:, a, a] / s.stiffness
+    told = {"x": found.rim.mesh.x / s.length, "shown": stress, "label": f"σ_{2 * 'xyz'[a]} [MPa]"}
+    return told | ({"note": ALONE} if found.points is None else {})
+
+
+def arc(p: np.ndarray) -> np.ndarray:
+    """Unit vectors of a quarter turn, by the second coordinate of the unit square."""
+    return np.stack([np.cos(np.pi / 2 * p[:, 1]), np.sin(np.pi / 2 * p[:, 1])], axis=1)
+
+
+def square(corners: Sequence[Sequence[float]], p: np.ndarray) -> np.ndarray:
+    """The bilinear map of the unit square to corners at (0, 0), (1, 0), (1, 1), (0, 1)."""
+    a, b = p[:, :1], p[:, 1:2]
+    shares = np.concatenate([(1 - a) * (1 - b), a * (1 - b), a * b, (1 - a) * b], axis=1)
+    return np.asarray(shares @ np.array(corners, dtype=float))
+
+
+def ellipses(p: np.ndarray) -> np.ndarray:
+    """NAFEMS's plate: from (x/2)² + y² = 1 to (x/3.25)² + (y/2.75)² = 1, a quarter."""
+    t = p[:, :1] ** 1.3
+    bent = np.stack([p[:, 0], p[:, 1] ** 1.2], axis=1)
+    return np.asarray(((1 - t) * [2.0, 1.0] + t * [3.25, 2.75]) * arc(bent))
+
+
+SIDES = "low", "high"
+"""Names of the axes of symmetry of a quarter."""
+
+
+def rollers(d: int = 2) -> dict[str, Any]:
+    """Held on the first two axes of symmetry."""
+    return {"low": (FREE, 0, FREE)[:d], "high": (0, FREE, FREE)[:d]}
+
+
+def sheet(n: int, s: UnitScale, *, angle: float = 0.0, jitter: float = 0.0, d: int = 2) -> Points:
+    """A unit square or cube of n interior nodes a side with a collar of six spacings or more."""
+    wide = 10 if jitter else 6
+    line = (np.arange(-wide, n + wide) - (n - 1) / 2) / n
+    x = np.stack(np.meshgrid(*d * [line], indexing="ij"), axis=-1).reshape(-1, d)
+    inside = np.abs(x).max(axis=1) < 0.5
+    x += jitter / n * np.random.default_rng(0).uniform(-1, 1, x.shape)
+    turn = np.eye(d)
+    turn[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    h, axis = 0.0 if jitter else s.length / n, {2: np.degrees(angle), 3: turn}[d]
+    return Points(s.length * x @ turn.T, inside, h, units=s.units, axis=axis)
+
+
+def given(
+    law: Any, points: Points, exact: Place, load: Place, s: UnitScale, solver: Any = None
+) -> tuple[float, dict[str, Any]]:
+    """Error of a solve between given displacements [m] under a load [MPa/m], and its picture."""
+    x, inside = points.x / s.length, points.interior
+    right, b = exact(x), load(x) * s.stiffness / s.length
+    u = solve(law, Dirichlet(points, b, s.length * right), solver=solver).u / s.length
+    error = np.linalg.norm((u - right)[inside]) / np.linalg.norm(right[inside])
+    return float(error), {"x": x[inside], "shown": u[inside, 0], "label": "u_x [m]"}
+
+
+def uniform(x: np.ndarray) -> np.ndarray:
+    """A displacement gradient so small that the laws of small strain are linear."""
+    H = 1e-6 * np.array([[1.0, 0.7, 0.0], [-0.3, -0.5, 0.0], [0.0, 0.0, 0.4]])
+    return np.asarray(x @ H[: x.shape[1], : x.shape[1]].T)
+
+
+def patch(name: str, s: UnitScale, **how: Any) -> Outcome:
+    """Uniform strain from the collar: error of the displacement."""
+    d = how.get("d", 2)
+    n, C = {2: (9, THIRD), 3: (5, solid(1.0, 0.25))}[d]
+    points, law = sheet(n, s, **how), material(name, C, 1 / n, s)
+    solver: Any = Direct() if type(law) is Model else Krylov(tolerance=1e-13)
+    solver = {"third order": Newton(tolerance=1e-13), "dictionary": None}.get(name, solver)
+    error, shown = given(law, points, uniform, np.zeros_like, s, solver if points.spacing else None)
+    return Outcome(error, **shown)
+
+
+WAVES = np.array([[2.0, 1.0], [-1.0, 2.5], [0.5, -2.0]])
+SIZES = 1e-7 * np.array([[1.0, 0.4], [-0.6, 0.8], [0.3, -1.0]])
+
+
+def smooth(name: str, s: UnitScale) -> Outcome:
+    """Three waves under the body force of their stress: error of the displacement, its order."""
+    pulls = np.einsum("ijkl,nj,nl,nk->ni", THIRD, WAVES, WAVES, SIZES)
+    counts, errors = (8, 12, 18), list[float]()
+    for n in counts:
+        law, on = material(name, THIRD, 1 / n, s), sheet(n, s)
+        waves, load = (lambda x, a=a: np.sin(x @ WAVES.T + 0.3) @ a for a in (SIZES, pulls))
+        error, shown = given(law, on, waves, load, s)
+        errors.append(error)
+    return Outcome(errors[-1], -order(counts, errors), **shown)
+
+
+def patch_body(name: str, s: UnitScale) -> Outcome:
+    """Uniform strain from one side, its stress on the others and in the hole."""
+    stress = np.einsum("ijkl,kl->ij", THIRD, uniform(np.eye(2)).T)
+    pulls = dict.fromkeys((*SIDES, "hole"), lambda x, n: n @ stress)
+    found = posed(material(name, THIRD, 0.1, s), quarter(0.6, s), s, {"side": uniform}, pulls)
+    return Outcome(off(found, uniform, s), **seen(found, s))
+
+
+def quarter(level: float, s: UnitScale) -> Any:
+    """A quarter of a plate of half side 4 about a round hole of radius 1."""
+
+    def place(p: np.ndarray) -> np.ndarray:
+        t, circle = p[:, :1] ** 1.4, arc(p)
+        return np.asarray(circle * (1 - t) + t * 4 * circle / circle.max(axis=1, keepdims=True))
+
+    return mapped(s, (times(level, 28, 80), place, ("hole", "side", *SIDES)))
+
+
+def hole(name: str, s: UnitScale, *, cubic: bool = False) -> Outcome:
+    """Hoop stress over the tension at the top of a hole, and the order of the displacement."""
+    moduli = CUBIC if cubic else plane(1.0, 1 / 3)
+
+    def exact(x: np.ndarray) -> np.ndarray:
+        return plate_with_hole(x, 1.0, 1.0, moduli)[0]
+
+    def pose(level: float) -> BodySolution:
+        law = material(name, moduli.tensor, 0.04 / level, s)
+        return posed(law, quarter(level, s), s, {"side": exact} | rollers(), level=level)
+
+    power, found = refined(pose, exact, s)
+    return Outcome(near(found, (0, 1), s)[1][0, 0], power, **seen(found, s, 0))
+
+
+def cut_hole(name: str, s: UnitScale) -> Outcome:
+    """A hole in a lattice, its elements cut or its bonds missing: error of the displacement."""
+    moduli, errors, counts = plane(1.0, 1 / 3), list[float](), (20, 28, 40)
+    for n in counts:
+        points = sheet(n, s)
+
+        def inside(x: np.ndarray) -> np.ndarray:
+            return np.asarray(np.hypot(*x.T) > 0.2 * s.length)
+
+        def exact(x: np.ndarray) -> np.ndarray:
+            far = np.maximum(1, 0.2 / np.maximum(np.hypot(*x.T), 1e-9))[:, None]
+            return plate_with_hole(x * far, 0.2, 1e-6, moduli)[0]
+
+        if whole := name == "dressed bonds":
+            kept = inside(points.x)
+            points = replace(points, x=points.x[kept], interior=points.interior[kept])
+        law = material(name, moduli.tensor, 1 / n, s).on(points, edges=whole or inside)
+        on = replace(points, interior=points.interior & inside(points.x))
+        right = exact(points.x / s.length)
+        u = solve(law, Dirichlet(points, 0 * right, s.length * right)).u / s.length
+        wrong, size = (np.linalg.norm(v[on.interior]) for v in (u - right, right))
+        errors.append(float(wrong / size))
+    told = {"x": on.x[on.interior] / s.length, "shown": u[on.interior, 0], "label": "u_x [m]"}
+    return Outcome(errors[-1], -order(counts, errors), **told)
+
+
+def cook(name: str, s: UnitScale, nu: float, strain: bool = False) -> Outcome:
+    """v at the middle of the right end of a tapered plate, of a unit force on it."""
+
+    def place(p: np.ndarray) -> np.ndarray:  # finer at the upper left corner
+        bent = np.stack([p[:, 0] ** 1.5, 1 - (1 - p[:, 1]) ** 1.5], axis=1)
+        return square([(0, 0), (48, 44), (48, 60), (0, 44)], bent)
+
+    law = material(name, plane(1.0, nu, strain=strain).tensor, 0.9, s)
+    mesh = mapped(s, ((40, 40), place, ("held", "end", "", "")))
+    found = posed(law, mesh, s, {"held": (0, 0)}, {"end": (0, 1 / 16)})
+    end = s.length * (1 - 1e-12) * np.array([[48.0, 52.0]])
+    return Outcome(found.displacement(end)[0, 1] / s.length, **seen(found, s, 0))
+
+
+def cantilever(name: str, s: UnitScale) -> Outcome:
+    """Deflection of the tip under a parabolic shear, over that of the theory."""
+    nu, far, corners = 1 / 3, 4.0, [(0, -0.5), (4, -0.5), (4, 0.5), (0, 0.5)]
+
+    def exact(x: np.ndarray) -> np.ndarray:
+        a, y = x.T
+        u = y * ((6 * far - 3 * a) * a + (2 + nu) * (y**2 - 1 / 4))
+        v = 3 * nu * y**2 * (far - a) + (4 + 5 * nu) * a / 4 + (3 * far - a) * a**2
+        return np.asarray(2 * np.stack([u, -v], axis=1))
+
+    def pull(x: np.ndarray, n: np.ndarray) -> np.ndarray:
+        return np.stack([0 * x[:, 1], 6 * x[:, 1] ** 2 - 1.5], axis=1)
+
+    def pose(level: float) -> BodySolution:
+        names = ("held", "end", "", "")
+        mesh = mapped(s, (times(level, 100, 26), lambda p: square(corners, p), names))
+        law = material(name, plane(1.0, nu).tensor, 0.017 / level, s)
+        return posed(law, mesh, s, {"held": exact}, {"end": pull}, level)
+
+    power, found = refined(pose, exact, s)
+    tip = near(found, (far, 0), s)[0][1] / exact(np.array([[far, 0.0]]))[0, 1]
+    return Outcome(tip, power, **seen(found, s, 0))
+
+
+def cylinder(name: str, s: UnitScale, nu: float, *, stress: bool = False) -> Outcome:
+    """u of the bore under a unit pressure, or its hoop stress; radii 3 and 9, E = 1000."""
+    moduli = plane(1000.0, nu, strain=True)
+
+    def exact(x: np.ndarray) -> np.ndarray:
+        r2 = (x**2).sum(axis=1)[:, None]
+        return np.asarray(x / 16 * (1 / (moduli.C12 + moduli.C44) + 81 / (moduli.C44 * r2)))
+
+    def pose(level: float) -> BodySolution:
+        patch = times(level, 40, 64), lambda p: (3 + 6 * p[:, :1] ** 1.2) * arc(p)
+        law = material(name, moduli.tensor, 0.1 / level, s)
+        mesh = mapped(s, (*patch, ("bore", "", *SIDES)))
+        return posed(law, mesh, s, rollers(), {"bore": lambda x, n: -n}, level)
+
+    power, found = (None, pose(1.0)) if stress else refined(pose, exact, s)
+    u, hoop = near(found, (3, 0), s)
+    return Outcome(hoop[1, 1] if stress else u[0], power, **seen(found, s))
+
+
+def cavity(name: str, s: UnitScale) -> Outcome:
+    """u of a cavity under a unit pressure in a ball, over Lamé's; radii 1 and 3, an octant."""
+    C = solid(1.0, 0.3)
+    corners = np.array([(1, 0, 0), (1, 1, 0), (1, 1, 1), (1, 0, 1)])
+    corners = corners / np.linalg.norm(corners, axis=1)[:, None]
+
+    def exact(x: np.ndarray) -> np.ndarray:
+        r3, bulk = np.linalg.norm(x, axis=1)[:, None] ** 3, C[0, 0, 0, 0] + 2 * C[0, 0, 1, 1]
+        return np.asarray(x / 26 * (1 / bulk + 27 / (4 * C[0, 1, 0, 1] * r3)))
+
+    def part(k: int, level: float) -> Any:
+        def place(p: np.ndarray) -> np.ndarray:
+            out = square(np.roll(corners, k, axis=1).tolist(), p)
+            return np.asarray((1 + 2 * p[:, 2:]) * out / np.linalg.norm(out, axis=1)[:, None])
+
+        sides = "xyz"[(k + 1) % 3], "", "xyz"[(k + 2) % 3], "", "void", ""
+        return times(level, 6, 6, 8), place, sides
+
+    def pose(level: float) -> BodySolution:
+        mesh = mapped(s, *(part(k, level) for k in range(3)))
+        held = {a: np.where(np.arange(3) == n, 0, FREE) for n, a in enumerate("xyz")}
+        law = material(name, C, 0.06 / level, s)
+        return posed(law, mesh, s, held, {"void": lambda x, n: -n}, level)
+
+    power, found = refined(pose, exact, s)
+    one = np.array([[1.0, 0.0, 0.0]])
+    return Outcome(
+        near(found, one[0].tolist(), s)[0][0] / exact(one)[0, 0], power, **seen(found, s)
+    )
+
+
+def membrane(name: str, s: UnitScale) -> Outcome:
+    """σ_yy at D of NAFEMS's elliptic membrane under 10 MPa."""
+    mesh = mapped(s, ((40, 80), ellipses, ("", "skin", *SIDES)))
+    law = material(name, plane(210e3, 0.3).tensor, 0.04, s)
+    found = posed(law, mesh, s, rollers(), {"skin": lambda x, n: 10 * n})
+    return Outcome(near(found, (2, 0), s)[1][1, 1], **seen(found, s))
+
+
+def thick_plate(name: str, s: UnitScale) -> Outcome:
+    """σ_yy at D of NAFEMS's thick plate under 1 MPa."""
+
+    def place(p: np.ndarray) -> np.ndarray:
+        return np.concatenate([ellipses(p), 0.6 * p[:, 2:] - 0.3], axis=1)
+
+    def skin(x: np.ndarray) -> np.ndarray:
+        middle = np.abs(x[:, 2]) < 1e-6
+        return np.stack([0 * middle, 0 * middle, np.where(middle, 0.0, FREE)], axis=1)
+
+    mesh = mapped(s, ((6, 12, 8), place, ("", "skin", *SIDES, "", "top")))
+    law = material(name, solid(210e3, 0.3), 0.05, s)
+    found = posed(law, mesh, s, rollers(3) | {"skin": skin}, {"top": lambda x, n: -n})
+    return Outcome(near(found, (2, 0, 0.3), s)[1][1, 1], **seen(found, s))
+
+
+def inclusion(name: str, s: UnitScale, stiffer: float) -> Outcome:
+    """Mean ε_xx in a disc of other moduli under tension, over the exact one; its order."""
+    n_of, counts = list[float](), (20, 28, 40)
+    moduli = plane(1.0, 1 / 3)
+    exact, strain = disc(moduli, stiffer)
+    for n in counts:
+        points = sheet(n, s)
+        r = np.hypot(*points.x.T) / s.length
+        soft = np.where(r < DISC, stiffer, 1.0)
+        law = material(name, moduli.tensor, 1 / n, s)
+        body = law.on(points, edges=True, maps={part: soft for part in law.parts.names})
+        right = exact(points.x / s.length)
+        u = solve(body, Dirichlet(points, 0 * right, s.length * right)).u / s.length
+        within = r < DISC - 1.5 / n
+        found = np.polyfit(points.x[within, 0] / s.length, u[within, 0], 1)[0] / strain
+        n_of.append(abs(float(found) - 1))
+    told = {"x": points.x / s.length, "shown": (u - right)[:, 0], "label": "error of u_x [m]"}
+    return Outcome(float(found), -order(counts, n_of), **told)
+
+
+DISC = 0.25
+"""Radius of the inclusion [m]."""
+
+
+def disc(moduli: Moduli, stiffer: float) -> tuple[Place, float]:
+    """Displacement about a disc `stiffer` times as stiff under ε = 1e-6 far away; ε_xx in it.
+
+    N. I. Muskhelishvili's potentials, of 2μ u = κ φ − z φ'* − ψ*, φ = a z + b/z outside.
+    """
+    mu, lam = moduli.C44, moduli.C12
+    k = (lam + 3 * mu) / (lam + mu)
+    S = 1e-6 * 4 * mu * (lam + mu) / (lam + 2 * mu)
+    g, R2 = stiffer, DISC**2
+    inner = S / 4 * (k + 1) / (2 + (k - 1) / g)  # φ = c z inside
+    dev = -S / 2 * (k + 1) / (k + 1 / g)  # ψ = d z inside
+    b = -(S / 2 + dev) * R2
+    e = 2 * (inner - S / 4) * R2
+
+    def exact(x: np.ndarray) -> np.ndarray:
+        z = x[:, 0] + 1j * x[:, 1]
+        far = np.where(np.abs(z) < DISC, 1.0, z)
+        phi, slope = S / 4 * z - b / far, S / 4 + b / far**2
+        psi = -S / 2 * z + e / far - b * R2 / far**3
+        out = (k * phi - z * slope.conj() - psi.conj()) / (2 * mu)
+        within = (k * inner * z - z * inner - dev * z.conj()) / (2 * mu * g)
+        u = np.where(np.abs(z) < DISC, within, out)
+        return np.stack([u.real, u.imag], axis=1)
+
+    return exact, float(((k - 1) * inner - dev) / (2 * mu * g))
