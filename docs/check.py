@@ -19,7 +19,7 @@ LONG = 30
 """A sentence is long above so many words."""
 ROWS = 6
 """A table of a how-to is long above so many rows."""
-HOW_TO = ("Start here", "Laws and problems", "Tutorials", "How-to")
+HOW_TO = ("Tutorials", "How-to")
 """Parts of the menu whose pages say how to do something."""
 AVOIDED = {
     "law": r"laws?",
