@@ -124,7 +124,6 @@ def from_atoms_to_answer(path: Path) -> None:
 
 
 def measure(ax: Axes, start: tuple, end: tuple, text: str, at: tuple, **options: Any) -> None:
-    """A line with arrows at both ends, and its name."""
     ax.annotate("", end, start, arrowprops=ARROW)
     ax.text(at[0], at[1], text, **options)
 
