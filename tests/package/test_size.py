@@ -13,7 +13,7 @@ LARGEST = {
     "files of warp_peri": 200,
     "lines of kernels": 5_662,
     "lines of examples and tools": 28_985,
-    "lines of tests": 32_963,
+    "lines of tests": 32_964,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,
