@@ -10,6 +10,7 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,8 +31,8 @@ NEGLIGIBLE = 1e-9
 """Of the largest Φ: smaller ones are rounding, and what they sum up to goes to the atom itself."""
 NEAREST = 1e-5
 """Images whose distances differ by less, relative, count as equally near."""
-LONG = 4e-3
-"""|k| [1/Å] of the waves that elastic constants are read from."""
+SMALL = 0.02
+"""|k| [1/Å] of the differences that second moments of ions' fields are taken by."""
 LARGEST_FILE = 2**31
 TINY = float(np.finfo(float).tiny)
 """Divides what is zero."""
@@ -54,7 +55,8 @@ class Polar:
     """What waves of ions' displacement do through their electric field (theory.md, T18).
 
     Attributes:
-        born: effective charges of the atoms of a cell [e], shape [n, 3, 3].
+        born: effective charges of the atoms of a cell [e], shape [n, 3, 3]. Their mean is taken
+            off, since charges of a cell sum to zero.
         dielectric: of clamped ions, shape [3, 3].
         decay: Λ [1/Å] of the Gaussians; from_supercell sets it.
     """
@@ -63,18 +65,35 @@ class Polar:
     dielectric: np.ndarray
     decay: float = 0.0
 
-    def matrix(self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3]."""
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "born", self.born - self.born.mean(axis=0))
+
+    def matrix(
+        self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True
+    ) -> np.ndarray:
+        """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3].
+
+        Without `field`, the macroscopic one, it is smooth at k = 0.
+        """
         least = np.linalg.eigvalsh(self.dielectric)[0]
         furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + np.linalg.norm(k, axis=1).max()
         most = np.ceil(furthest * np.linalg.norm(cell, axis=1) / (2 * np.pi)).astype(int)
         counts = np.array(list(itertools.product(*(range(-n, n + 1) for n in most))))
         G = 2 * np.pi * counts @ np.linalg.inv(cell).T
         zero = self._sums(np.zeros((1, 3)), G, cell, positions)[0].sum(axis=2)
-        D = np.concatenate([self._sums(one[None], G, cell, positions) for one in k])
+        around = G if field else G[counts.any(axis=1)]
+        D = np.concatenate([self._sums(one[None], around, cell, positions) for one in k])
         atoms = np.arange(len(positions))
-        D[:, atoms, :, atoms, :] -= zero[:, None]  # translations cost nothing
+        # translations cost nothing; a site of low symmetry leaves a part that is not symmetric
+        D[:, atoms, :, atoms, :] -= ((zero + zero.conj().swapaxes(1, 2)) / 2)[:, None]
         return D
+
+    def at_long_waves(self, e: np.ndarray, cell: np.ndarray) -> np.ndarray:
+        """What the macroscopic field adds to D along unit vectors e [K, 3], [K, n, 3, n, 3]."""
+        pull = np.einsum("kb,nba->kna", e, self.born)
+        screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
+        factor = 4 * np.pi * COULOMB / abs(np.linalg.det(cell)) / screened
+        return np.asarray(np.einsum("k,kia,kjb->kiajb", factor, pull, pull))
 
     def _sums(
         self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray
@@ -110,6 +129,7 @@ class ForceConstants:
         kinds: numbers that tell atoms apart where `species` do not, shape [n].
         edge: share of Σ |Φ| r² that is at half the supercell's width, where none should be.
         change: of Φ between the two steps of finite differences, over the largest, if known.
+        doubt: independent standard errors of `values`, shape [Q, P, 3, 3]; None where none is told.
     """
 
     cell: np.ndarray
@@ -124,6 +144,7 @@ class ForceConstants:
     kinds: np.ndarray | None = None
     edge: float = 0.0
     change: float | None = None
+    doubt: np.ndarray | None = None
 
     @property
     def dimension(self) -> int:
@@ -195,23 +216,89 @@ class ForceConstants:
         stiff = np.linalg.inv(flexible) * STRESSES["eV/angstrom^3"]
         return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
 
-    def elastic(self, allowed: np.ndarray) -> np.ndarray:
-        """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
+    def moments(self, values: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+        """Moments Σ Φ r⁰, Σ Φ r¹ of each atom and Σ Φ r² of the cell, that of r² as [3, 3, 3, 3].
 
-        Internal relaxation is part of it, the stress that the crystal is held under is not. Force
-        constants that have not decayed in their supercell, or hang on the step that they are made
-        with, are warned of. Raises InputError for long waves that no such tensor has, as those of
-        piezoelectric crystals.
+        Of other values in place of the own ones, if given. Shapes [n, 3, n, 3], [n, 3, 3, 3] with
+        the vector last, and [3, 3, 3, 3] with the vectors last. Ions' fields belong to them, but
+        for the macroscopic one.
         """
-        doubts = self.doubts()
+        n, phi, r = len(self.positions), self.values if values is None else values, self.vectors
+        zeroth, first = np.zeros((n, n, 3, 3)), np.zeros((n, 3, 3, 3))
+        np.add.at(zeroth, (self.pairs[:, 0], self.pairs[:, 1]), phi)
+        np.add.at(first, self.pairs[:, 0], phi[..., None] * r[:, None, None])
+        zeroth = zeroth.transpose(0, 2, 1, 3)
+        second = np.einsum("pab,pc,pd->abcd", phi, r, r, optimize=True)
+        if self.polar is not None:
+            ions = self._of_ions
+            zeroth, first, second = zeroth + ions[0], first + ions[1], second + ions[2]
+        return (zeroth + zeroth.transpose(2, 3, 0, 1)) / 2, first, second
+
+    @cached_property
+    def _of_ions(self) -> tuple[np.ndarray, ...]:
+        """Moments of ions' fields, by differences of fourth order at k = 0."""
+        polar: Any = self.polar
+        axes = [np.eye(3)[a] for a in range(3)]
+        ways = [
+            *axes,
+            *(axes[a] + s * axes[b] for a, b in ((0, 1), (0, 2), (1, 2)) for s in (1, -1)),
+        ]
+        steps = SMALL * np.array([-2, -1, 0, 1, 2])
+        k = (np.array(ways)[:, None] * steps[:, None]).reshape(-1, 3)
+        D = polar.matrix(k, self.cell, self.positions, field=False)
+        D = D.reshape(len(ways), 5, *D.shape[1:])
+        slope = np.tensordot(D[:3], np.array([1, -8, 0, 8, -1]) / (12 * SMALL), (1, 0))
+        bend = np.tensordot(D.sum(axis=(2, 4)), np.array([-1, 16, -30, 16, -1]) / 12, (1, 0))
+        second = np.zeros((3, 3, 3, 3))
+        for a in range(3):
+            second[..., a, a] = -bend[a].real / SMALL**2
+        for n, (a, b) in enumerate(((0, 1), (0, 2), (1, 2))):
+            mixed = -(bend[3 + 2 * n] - bend[4 + 2 * n]).real / (4 * SMALL**2)
+            second[..., a, b] = second[..., b, a] = mixed
+        return D[0, 2].real, slope.sum(axis=3).imag.transpose(1, 2, 3, 0), second
+
+    def acoustic(self, e: np.ndarray, values: np.ndarray | None = None) -> np.ndarray:
+        """D_eff(k)/|k|² [TPa] of long waves along unit vectors e, by moments, [K, d, d] (T14).
+
+        Atoms have relaxed. `values` as for `moments`.
+        """
+        d, m, n = self.dimension, self.moving, len(self.positions)
+        zeroth, first, second = self.moments(values)
+        push = np.einsum("iabc,nc->niab", first[:, :m, :d, :d], e).reshape(len(e), n * m, d)
+        A = -0.5 * np.einsum("abcd,nc,nd->nab", second[:d, :d, :d, :d], e, e, optimize=True)
+        if n > 1:
+            stiff = np.broadcast_to(zeroth, (len(e), *zeroth.shape))
+            if self.polar is not None:
+                stiff = stiff + self.polar.at_long_waves(e, self.cell)
+            flat = stiff[:, :, :m, :, :m].reshape(len(e), n * m, n * m)
+            A = A - push.swapaxes(1, 2) @ relaxing(flat, m) @ push
+        A = A / self.volume * STRESSES["eV/angstrom^3"]
+        return np.asarray((A + A.swapaxes(1, 2)) / 2)
+
+    def _elastic(
+        self, allowed: np.ndarray, values: np.ndarray | None = None
+    ) -> tuple[np.ndarray, float]:
+        """The nearest elastic tensor of these, and the share of long waves that it misses."""
         e = directions(60, self.dimension)
-        wanted = self.effective(LONG * e) / LONG**2
+        wanted = self.acoustic(e, values)
         if self.stress is not None:
             wanted = wanted - acoustic(stress_brackets(self.stress), e)
         from_each = np.einsum("mijkl,nj,nl->nikm", allowed, e, e, optimize=True)
         rows = from_each.reshape(-1, len(allowed))
         c = np.linalg.lstsq(rows, wanted.ravel())[0]
         off = float(np.linalg.norm(rows @ c - wanted.ravel()) / np.linalg.norm(wanted))
+        return np.tensordot(c, allowed, 1), off
+
+    def elastic(self, allowed: np.ndarray) -> np.ndarray:
+        """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
+
+        By moments of Φ. Internal relaxation is part of it, the stress that the crystal is held
+        under is not. Force constants that have not decayed in their supercell, or hang on the step
+        that they are made with, are warned of. Raises InputError for long waves that no such tensor
+        has, as those of piezoelectric crystals.
+        """
+        doubts = self.doubts()
+        C, off = self._elastic(allowed)
         if off > NOT_ELASTIC:
             raise InputError(
                 f"force constants: long waves are {off:.1%} off those of every elastic solid of "
@@ -224,7 +311,17 @@ class ForceConstants:
             )
         for doubt in doubts:
             warnings.warn(f"force constants: {doubt}", stacklevel=2)
-        return np.tensordot(c, allowed, 1)
+        return C
+
+    def elastic_doubt(self, allowed: np.ndarray) -> np.ndarray:
+        """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d]."""
+        given = self.doubt if self.doubt is not None else self.values[None][:0]
+        ends = [
+            [self._elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
+            for one in given
+        ]
+        d = self.dimension
+        return np.array([(a - b) / 2 for a, b in ends]).reshape(-1, d, d, d, d)
 
     def doubts(self) -> list[str]:
         """What moduli of these force constants are not to be trusted for."""
@@ -253,6 +350,35 @@ class ForceConstants:
             return turns
         flat = turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2]
         return point_group(flat, 2)
+
+
+def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
+    """How atoms of a cell answer forces that sum to zero, the inverse without translations.
+
+    Args:
+        stiff: Σ Φ over images, shape [..., n m, n m].
+        moving: m, coordinates that an atom moves in.
+    """
+    n = stiff.shape[-1] // moving
+    whole = np.kron(np.ones((n, n)) / n, np.eye(moving))
+    size = np.abs(stiff).max() or 1.0
+    return np.asarray(np.linalg.inv(stiff + size * whole) - whole / size)
+
+
+def nearest(apart: np.ndarray, box: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
+    """Vectors to all equally near images, shape [R, 3], and the numbers of whose they are, [R].
+
+    Args:
+        apart: vectors [Å], shape [N, 3].
+        box: edges of the period as rows.
+        slack: distances [Å] within which images are equally near.
+    """
+    shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
+    fraction = apart @ np.linalg.inv(box)
+    near = ((fraction - np.rint(fraction))[:, None] + shifts) @ box
+    far = np.linalg.norm(near, axis=2)
+    row, image = np.nonzero(far <= far.min(axis=1, keepdims=True) + slack)
+    return near[row, image], row
 
 
 def from_supercell(
@@ -302,18 +428,14 @@ def from_supercell(
         decay = 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
         polar = replace(polar, decay=decay)
         phi = phi - _dipoles(polar, cell, box, x, X[:, None] - X[list(displaced)], kind)
-    shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
     pairs, vectors, values = [], [], []
     for i in range(n):
         strong = np.flatnonzero(np.abs(phi[i]).max(axis=(0, 2)) > NEGLIGIBLE * np.abs(phi).max())
-        fraction = (X[strong] - X[displaced[i]]) @ np.linalg.inv(box)
-        near = ((fraction - np.rint(fraction))[:, None] + shifts) @ box
-        far = np.linalg.norm(near, axis=2)
-        tie = far <= far.min(axis=1, keepdims=True) + NEAREST * np.linalg.norm(cell[0])
-        row, image = np.nonzero(tie)
-        share = 1 / tie.sum(axis=1)
+        slack = NEAREST * float(np.linalg.norm(cell[0]))
+        near, row = nearest(X[strong] - X[displaced[i]], box, slack)
+        share = 1 / np.bincount(row)
         pairs.append(np.stack([np.full(len(row), i), kind[strong[row]]], axis=1))
-        vectors.append(near[row, image])
+        vectors.append(near)
         shared = phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None]
         shared[strong[row] == displaced[i]] -= shared.sum(axis=0)  # translations cost nothing
         values.append(shared)
