@@ -424,10 +424,8 @@ def from_supercell(
     if polar is not None:
         if thickness is not None:
             raise InputError("polar: expected a solid; the field of a sheet's ions is another")
-        most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
-        decay = 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
-        polar = replace(polar, decay=decay)
-        phi = phi - _dipoles(polar, cell, box, x, X[:, None] - X[list(displaced)], kind)
+        polar, field = field_of_ions(polar, structure, supercell, displaced)
+        phi = phi - field
     pairs, vectors, values = [], [], []
     for i in range(n):
         strong = np.flatnonzero(np.abs(phi[i]).max(axis=(0, 2)) > NEGLIGIBLE * np.abs(phi).max())
@@ -457,6 +455,23 @@ def from_supercell(
         float(moment[far].sum() / max(moment.sum(), TINY)),
         change,
     )
+
+
+def field_of_ions(
+    polar: Polar, structure: Any, supercell: Any, displaced: Sequence[int]
+) -> tuple[Polar, np.ndarray]:
+    """Charges with the decay that a supercell asks for, and what they add to Φ, [n, 3, N, 3].
+
+    Arguments are those of `from_supercell`.
+    """
+    cell, box = np.array(structure.cell), np.array(supercell.cell)
+    x, X = np.array(structure.positions), np.array(supercell.positions)
+    most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
+    decay = 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
+    polar, apart = replace(polar, decay=decay), X[:, None] - X[list(displaced)]
+    off = apart @ np.linalg.inv(cell)
+    kind = np.abs(off - np.rint(off)).max(axis=2).argmin(axis=1)
+    return polar, _dipoles(polar, cell, box, x, apart, kind)
 
 
 def _dipoles(

@@ -31,8 +31,8 @@ from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
+from warp_peri.structures.noise import EV_IN_TPA, PULLED, by_strains, joined
 from warp_peri.structures.phonons import (
-    EV_IN_TPA,
     Loads,
     check_phonons,
     force_constants,
@@ -237,6 +237,8 @@ WIDEST = {2: 20.0, 3: 6.0}
 """Spacings of nodes over the usual one: beyond, the loads that a law is put to fill the memory."""
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
+APART = 9.0
+"""χ² of each modulus by two ways, beyond which their errors do not explain their difference."""
 AGREE, TOO_FAR = 0.02, 0.2
 """Relative difference of two ways to the same moduli: worth a word above, refused above."""
 SIZES, DIRECTIONS = 80, 60
@@ -277,6 +279,18 @@ class LearnedCrystal(Shown):
     def tensor(self) -> np.ndarray:
         """C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
         return _of_long_waves(self.atoms, self.material.symmetry)
+
+    @cached_property
+    def errors(self) -> np.ndarray | None:
+        """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d]; None where none is told.
+
+        Of an exact potential the difference of finite strains from long waves.
+        """
+        if self.atoms.doubt is not None:
+            group, d = self.material.symmetry, self.atoms.dimension
+            allowed = allowed_tensors(group, point_group(group, d), np.eye(d))
+            return self.atoms.elastic_doubt(allowed)
+        return None if self.strained is None else (self.strained - self.tensor)[None]
 
     @cached_property
     def local(self) -> Symbol:
@@ -391,6 +405,20 @@ class LearnedCrystal(Shown):
         }
 
 
+def _with_error(C: np.ndarray, errors: np.ndarray) -> str:
+    """Moduli with standard errors, of C [TPa] and independent ones of it, [Q, d, d, d, d]."""
+    kept = named_moduli(1e3 * C)
+    bars = moduli_errors(C, errors)
+    return ", ".join(f"{n} {v:.2f} ± {bars[n]:.2g}" for n, v in kept.items()) + " GPa"
+
+
+def moduli_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, float]:
+    """Standard errors [GPa] of the moduli of C that have names."""
+    d, M = C.shape[0], 1e3 * np.sqrt((voigt(errors) ** 2).sum(axis=0))
+    label = "123456" if d == 3 else "124"
+    return {name: float(M[label.index(name[1]), label.index(name[2])]) for name in named_moduli(C)}
+
+
 def _of_long_waves(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
     d = atoms.dimension
     return atoms.elastic(allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)))
@@ -457,12 +485,17 @@ def from_atoms(
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     h = _spacing(spacing, reference.spacing, reference.dimension)
     constants, taken = force_constants(reference, calculator, supercell)
-    said = reference.said | {"force constants": taken} | _doubts(constants)
-    strained = strained_moduli(reference, calculator)
+    said = reference.said | taken
+    if reference.noise is None:
+        strained = strained_moduli(reference, calculator)
+    else:
+        constants, strained, more = _under_noise(reference, calculator, constants, symmetry)
+        said |= more
+    said |= _doubts(constants)
     if strained is not None and (off := _off_long_waves(constants, strained, symmetry)) > AGREE:
         told = (
             f"those of long waves are {off:.1%} off those of finite strains: forces reach further "
-            f"than {taken}, or the calculator is not that precise"
+            f"than {taken['force constants']}, or the calculator is not that precise"
         )
         if off > TOO_FAR:
             raise InputError(f"moduli: {told}")
@@ -474,6 +507,28 @@ def from_atoms(
         samples = load_campaign(reference, constants, calculator, h, reach)
         said |= {"loads": f"{len(samples)}, on {int(samples.interior.sum())} interior nodes"}
     return _learned(constants, h, horizon, symmetry, units, said, strained, samples)
+
+
+def _under_noise(
+    reference: Reference, calculator: Any, atoms: ForceConstants, symmetry: Symmetry
+) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
+    """Force constants joined with finite strains, moduli of these, and what both have said."""
+    d, noise, group = atoms.dimension, reference.noise, _group(atoms, symmetry)
+    allowed = allowed_tensors(group, point_group(group, d), np.eye(d))
+    found = None if noise is None else by_strains(reference.cell, calculator, noise, atoms, allowed)
+    if noise is None or found is None:
+        return atoms, None, {}
+    C, errors = found
+    alone = atoms.elastic_doubt(allowed)
+    told = {"moduli, force constants alone": _with_error(_of_long_waves(atoms, group), alone)}
+    told["moduli, finite strains alone"] = (
+        f"{_with_error(C, errors)}, strains of {noise.strain * PULLED[0]:.2g} to {noise.strain:.2g}"
+    )
+    new, chi, moved = joined(atoms, allowed, C, errors)
+    check_phonons(new)
+    believed = "they agree" if chi <= APART else "the strains are believed: forces leave the cell"
+    told["both"] = f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}"
+    return new, C, told
 
 
 def from_force_constants(
@@ -502,6 +557,9 @@ def from_force_constants(
 def _doubts(atoms: ForceConstants) -> dict[str, str]:
     """How far force constants are no numbers of the crystal alone."""
     said = {"at the supercell's edge": f"{atoms.edge:.1%} of Σ |Φ| r²"}
+    if atoms.doubt is not None:
+        share = np.linalg.norm(atoms.doubt) / np.linalg.norm(atoms.values)
+        said["force constants' error"] = f"{share:.1e} of Φ"
     if atoms.change is not None:
         steps = f"{STEP:g} to {WIDER * STEP:g} Å"
         said["force constants change"] = (

@@ -11,18 +11,20 @@ from typing import Any
 
 import ase
 import numpy as np
+from ase.constraints import FixSymmetry
 from ase.data import vdw_radii
 from ase.filters import FrechetCellFilter
 from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
+from ase.spacegroup.symmetrize import refine_symmetry
 from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.linalg import sqrtm
 
 from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants, Polar, from_supercell
-from warp_peri.points.unit_names import STRESSES
 from warp_peri.structures.calculators import LammpsError
+from warp_peri.structures.noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""
@@ -36,14 +38,12 @@ FLAT = 1e-3
 """Smallest singular value of the directions of a cell's edges."""
 ALMOST = 1e-3
 """Of a turn's matrix, off whole numbers that it is meant to have."""
-ON_SITES = 1e-4
-"""Distance [Å] within which atoms are on their sites."""
 SAME, ROUNDING = 1e-4, 1e-6
 """Energies of an atom in two cells that are one crystal's: apart by less [eV], and relative."""
 USUAL_RADIUS = 2.0
 """Van der Waals radius [Å] of elements that have none in ASE's table."""
-QUIET, STEPS = 1e-5, 1000
-"""Forces [eV/Å] that a structure is relaxed to, and the steps that it may take."""
+QUIET, STEPS, NOISY_STEPS = 1e-5, 1000, 200
+"""Forces [eV/Å] that a structure is relaxed to, and the steps that it may take, under noise too."""
 RESIDUAL_FORCE, RESIDUAL_STRESS = 1e-3, 1e-4
 """Forces [eV/Å] and stress [TPa] that are taken for none."""
 MOVED = 0.01
@@ -61,6 +61,7 @@ class Reference:
         thickness: of a sheet [Å], or None.
         stress: that it is held under [TPa], shape [d, d]; None for one at rest.
         spacing: that its nodes have unless another is asked for [Å].
+        noise: of the calculator's forces; None where it is rounding.
         said: what was found or chosen, by name.
     """
 
@@ -69,6 +70,7 @@ class Reference:
     stress: np.ndarray | None
     spacing: float
     said: dict[str, str]
+    noise: Noise | None = None
 
     @property
     def dimension(self) -> int:
@@ -285,17 +287,27 @@ def at_rest(
     cell.calc = calculator
     before = np.array(cell.cell)
     _check_forces(cell)
-    _relax(cell, flat, held)
+    found = measured(cell, calculator, flat)
+    noise = None if found.rounding else found
+    _relax(cell, flat, held, noise)
     strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
+    if noise is not None:
+        refine_symmetry(cell, noise.sites)
     if not held:  # disorder that has relaxed leaves a smaller cell, its axes a little off
         cell = exact_cell(smallest(cell if flat else to_shared_axes(cell), flat, calculator))
         cell.calc = calculator
+    if noise is not None:  # noise breaks the symmetry, which takes most of it away
+        refine_symmetry(cell, noise.sites)
+        cell.calc = calculator
+        cell.set_constraint(FixSymmetry(cell, ON_SITES))
+        _relax(cell, flat, held, noise)
+        cell.set_constraint()
     size, rule = thickness, "as given"
     if flat and size is None:
         size, rule = thickness_of(cell)
-    stress = _stress_left(cell, size, flat, held)
+    stress = _stress_left(cell, size, flat, held, noise)
     said = {
         "structure": f"{cell.get_chemical_formula()}, {'a sheet' if flat else 'a solid'}",
         "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
@@ -313,7 +325,7 @@ def at_rest(
         said["thickness"] = f"{size:.4g} Å, {rule}"
         said["bending"] = "not in the law: it moves a sheet in its plane only"
     cell.calc = None
-    return Reference(cell, size, stress, usual_spacing(cell, flat), said)
+    return Reference(cell, size, stress, usual_spacing(cell, flat), said, noise)
 
 
 def _check_forces(cell: ase.Atoms) -> None:
@@ -327,19 +339,24 @@ def _check_forces(cell: ase.Atoms) -> None:
         raise InputError(f"calculator: it gives no forces for {kinds} ({kind}: {error})") from None
 
 
-def _relax(cell: ase.Atoms, flat: bool, held: set[str]) -> None:
+def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> None:
+    quiet, left, steps = QUIET, RESIDUAL_FORCE, STEPS
+    if noise is not None:  # a force, or a stress on the cell, that is told from none
+        scatter = max(noise.force, noise.stress / EV_IN_TPA * cell.get_volume())
+        quiet, steps = max(QUIET, 2 * scatter), NOISY_STEPS
+        left = max(RESIDUAL_FORCE, TIMES * quiet)
     free = [name not in held and not (flat and "z" in name) for name in VOIGT]
     try:
         moving: Any = FrechetCellFilter(cell, mask=free) if any(free) else cell
-        done = BFGS(moving, logfile=None).run(fmax=QUIET, steps=STEPS)
+        done = BFGS(moving, logfile=None).run(fmax=quiet, steps=steps)
     except NotImplementedError as error:
         raise InputError(
             f"calculator: it gives no stress ({error}); relax the cell elsewhere and hold all"
         ) from None
     force = float(np.abs(cell.get_forces(apply_constraint=False)).max())
-    if not done and force > RESIDUAL_FORCE:
+    if not done and force > left:
         raise InputError(
-            f"structure: after {STEPS} steps of relaxation a force of {force:.2g} eV/Å is left"
+            f"structure: after {steps} steps of relaxation a force of {force:.2g} eV/Å is left"
         )
 
 
@@ -348,11 +365,11 @@ def stress_of(cell: ase.Atoms, thickness: float | None) -> np.ndarray:
     stress = voigt_6_to_full_3x3_stress(cell.get_stress(apply_constraint=False))
     if thickness is not None:
         stress = stress * (cell.cell[2, 2] / thickness)
-    return np.asarray(stress * STRESSES["eV/angstrom^3"])
+    return np.asarray(stress * EV_IN_TPA)
 
 
 def _stress_left(
-    cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str]
+    cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str], noise: Noise | None
 ) -> np.ndarray | None:
     """The stress of the strains that are held, [d, d]; None where there is none.
 
@@ -366,12 +383,13 @@ def _stress_left(
             "calculator: it gives no stress; the crystal is taken to be at rest", stacklevel=3
         )
         return None
+    none = RESIDUAL_STRESS if noise is None else max(RESIDUAL_STRESS, 2 * TIMES * noise.stress)
     for name, (i, j) in zip(VOIGT, PLACES):
-        if max(i, j) < d and name not in held and abs(stress[i, j]) > RESIDUAL_STRESS:
+        if max(i, j) < d and name not in held and abs(stress[i, j]) > none:
             raise InputError(
                 f"structure: relaxation left a stress {name} of {1e3 * stress[i, j]:.3g} GPa"
             )
-    if np.abs(stress).max() <= RESIDUAL_STRESS:
+    if np.abs(stress).max() <= none:
         return None
     return np.asarray((stress + stress.T) / 2)
 
@@ -491,9 +509,10 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     across = float(np.abs(cell.cell[:2, 2]).max()) < 1e-6
     if thickness is not None and polar is None and not across:
         raise InputError(f"{path}: expected a sheet across z")
-    return from_supercell(
+    made = from_supercell(
         cell, supercell, phi, displaced.tolist(), thickness=thickness, polar=polar
     )
+    return projected(made, supercell)
 
 
 def _yaml(path: Path) -> Path:
