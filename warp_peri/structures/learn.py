@@ -281,16 +281,12 @@ class LearnedCrystal(Shown):
         return _of_long_waves(self.atoms, self.material.symmetry)
 
     @cached_property
-    def errors(self) -> np.ndarray | None:
+    def errors(self) -> Any:
         """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d]; None where none is told.
 
         Of an exact potential the difference of finite strains from long waves.
         """
-        if self.atoms.doubt is not None:
-            group, d = self.material.symmetry, self.atoms.dimension
-            allowed = allowed_tensors(group, point_group(group, d), np.eye(d))
-            return self.atoms.elastic_doubt(allowed)
-        return None if self.strained is None else (self.strained - self.tensor)[None]
+        return errors_of(self.atoms, self.strained, self.material.symmetry)
 
     @cached_property
     def local(self) -> Symbol:
@@ -413,10 +409,31 @@ def _with_error(C: np.ndarray, errors: np.ndarray) -> str:
 
 
 def moduli_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, float]:
-    """Standard errors [GPa] of the moduli of C that have names."""
+    """Standard errors [GPa] of the moduli of C that have names; errors [TPa], [Q, d, d, d, d]."""
     d, M = C.shape[0], 1e3 * np.sqrt((voigt(errors) ** 2).sum(axis=0))
     label = "123456" if d == 3 else "124"
     return {name: float(M[label.index(name[1]), label.index(name[2])]) for name in named_moduli(C)}
+
+
+def errors_of(atoms: ForceConstants, strained: np.ndarray | None, symmetry: Symmetry) -> Any:
+    """Independent standard errors of moduli [TPa], [Q, d, d, d, d]; None where none is told.
+
+    Of an exact potential the difference of finite strains from long waves.
+    """
+    if atoms.doubt is not None:
+        d = atoms.dimension
+        return atoms.elastic_doubt(allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)))
+    return None if strained is None else (strained - _of_long_waves(atoms, symmetry))[None]
+
+
+def moduli_and_errors(
+    atoms: ForceConstants, strained: np.ndarray | None
+) -> dict[str, tuple[float, float]]:
+    """Moduli [GPa] by name, each with its standard error, as `known_constants` gives them."""
+    group = _group(atoms, "auto")
+    C, errors = _of_long_waves(atoms, group), errors_of(atoms, strained, group)
+    bars = moduli_errors(C, 0 * C[None] if errors is None else errors)
+    return {name: (value, bars[name]) for name, value in named_moduli(1e3 * C).items()}
 
 
 def _of_long_waves(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
@@ -484,14 +501,8 @@ def from_atoms(
         raise InputError(f"source: expected phonons or loads, got {source!r}")
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     h = _spacing(spacing, reference.spacing, reference.dimension)
-    constants, taken = force_constants(reference, calculator, supercell)
+    constants, strained, taken = known_constants(reference, calculator, supercell, symmetry)
     said = reference.said | taken
-    if reference.noise is None:
-        strained = strained_moduli(reference, calculator)
-    else:
-        constants, strained, more = _under_noise(reference, calculator, constants, symmetry)
-        said |= more
-    said |= _doubts(constants)
     if strained is not None and (off := _off_long_waves(constants, strained, symmetry)) > AGREE:
         told = (
             f"those of long waves are {off:.1%} off those of finite strains: forces reach further "
@@ -509,26 +520,36 @@ def from_atoms(
     return _learned(constants, h, horizon, symmetry, units, said, strained, samples)
 
 
-def _under_noise(
-    reference: Reference, calculator: Any, atoms: ForceConstants, symmetry: Symmetry
+def known_constants(
+    reference: Reference,
+    calculator: Any,
+    supercell: Sequence[int] | None = None,
+    symmetry: Symmetry = "auto",
 ) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
-    """Force constants joined with finite strains, moduli of these, and what both have said."""
-    d, noise, group = atoms.dimension, reference.noise, _group(atoms, symmetry)
+    """Force constants, moduli of finite strains [TPa] if there are stresses, and what they say.
+
+    Under noise both are joined by their errors: force constants are moved until their moduli are
+    the likeliest of both. Arguments are those of `from_atoms`.
+    """
+    atoms, told = force_constants(reference, calculator, supercell)
+    noise = reference.noise
+    if noise is None:
+        return atoms, strained_moduli(reference, calculator), told | _doubts(atoms)
+    d, group = atoms.dimension, _group(atoms, symmetry)
     allowed = allowed_tensors(group, point_group(group, d), np.eye(d))
-    found = None if noise is None else by_strains(reference.cell, calculator, noise, atoms, allowed)
-    if noise is None or found is None:
-        return atoms, None, {}
-    C, errors = found
-    alone = atoms.elastic_doubt(allowed)
-    told = {"moduli, force constants alone": _with_error(_of_long_waves(atoms, group), alone)}
-    told["moduli, finite strains alone"] = (
-        f"{_with_error(C, errors)}, strains of {noise.strain * PULLED[0]:.2g} to {noise.strain:.2g}"
-    )
-    new, chi, moved = joined(atoms, allowed, C, errors)
+    found = by_strains(reference.cell, calculator, noise, atoms, allowed)
+    if found is None:
+        return atoms, None, told | _doubts(atoms)
+    alone = _with_error(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
+    new, chi, moved = joined(atoms, allowed, *found)
     check_phonons(new)
-    believed = "they agree" if chi <= APART else "the strains are believed: forces leave the cell"
+    told["moduli, force constants alone"] = alone
+    told["moduli, finite strains alone"] = (
+        f"{_with_error(*found)}, strains of {noise.strain * PULLED[0]:.2g} to {noise.strain:.2g}"
+    )
+    believed = "they agree" if chi <= APART else "strains are believed: forces leave the supercell"
     told["both"] = f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}"
-    return new, C, told
+    return new, found[0], told | _doubts(new)
 
 
 def from_force_constants(

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from ase.stress import voigt_6_to_full_3x3_stress
 
-from warp_peri.core.elastic import PAIRS, stress_brackets
+from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
 from warp_peri.core.groups import by_spglib, kinds_of
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import (
@@ -458,15 +458,17 @@ def by_strains(
                 F[side, kind, row] = force.reshape(-1, len(cell), 3).mean(axis=0)
     odd, even = (S[0] - S[1]) / 2, (S[0] + S[1]) / 2
     C, errors = _fitted(allowed, odd, e)
-    short = _fitted(allowed, odd[:, :2], e[:2])[0]
+    short, unsure = _fitted(allowed, odd[:, :2], e[:2])
     # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
     basis = np.column_stack([np.ones(len(e)), e**2])
     fitted = np.linalg.lstsq(basis, even.swapaxes(0, 1).reshape(len(e), -1))[0]
     rest = fitted[0].reshape(len(kinds), -1).mean(axis=0)
     if atoms.stress is not None:
         rest = rest - atoms.stress.ravel()
-    bend = 2 * np.abs(fitted[1]).max() / np.abs(C).max()
-    spread = [C - short, bend * np.abs(rest).max() / np.abs(C).max() * C]
+    left = np.linalg.solve(voigt(C), [rest.reshape(d, d)[pair] for pair in kinds])
+    spread = [2 * np.abs(fitted[1]).max() / np.abs(C).max() * np.abs(left).max() * C]
+    if np.linalg.norm(C - short) > TIMES * np.linalg.norm(unsure):
+        spread.append(C - short)
     if len(cell) > 1:
         push, tau = _slopes(F, e)
         Lambda = np.zeros((len(cell), 3, d, d))
