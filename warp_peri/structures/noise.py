@@ -81,8 +81,8 @@ class Noise:
 
     @property
     def strain(self) -> float:
-        """Largest strain, by the same rule."""
-        return LARGEST * self.length / MOST
+        """Largest strain, by the same rule; sums of long range are rough on smaller ones."""
+        return LARGEST * max(self.length / MOST, PULLED[0])
 
 
 def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
