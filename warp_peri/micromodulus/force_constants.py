@@ -275,7 +275,7 @@ class ForceConstants:
         A = A / self.volume * STRESSES["eV/angstrom^3"]
         return np.asarray((A + A.swapaxes(1, 2)) / 2)
 
-    def _elastic(
+    def nearest_elastic(
         self, allowed: np.ndarray, values: np.ndarray | None = None
     ) -> tuple[np.ndarray, float]:
         """The nearest elastic tensor of these, and the share of long waves that it misses."""
@@ -298,7 +298,7 @@ class ForceConstants:
         has, as those of piezoelectric crystals.
         """
         doubts = self.doubts()
-        C, off = self._elastic(allowed)
+        C, off = self.nearest_elastic(allowed)
         if off > NOT_ELASTIC:
             raise InputError(
                 f"force constants: long waves are {off:.1%} off those of every elastic solid of "
@@ -317,7 +317,7 @@ class ForceConstants:
         """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d]."""
         given = self.doubt if self.doubt is not None else self.values[None][:0]
         ends = [
-            [self._elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
+            [self.nearest_elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
             for one in given
         ]
         d = self.dimension
@@ -435,7 +435,9 @@ def from_supercell(
         pairs.append(np.stack([np.full(len(row), i), kind[strong[row]]], axis=1))
         vectors.append(near)
         shared = phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None]
-        shared[strong[row] == displaced[i]] -= shared.sum(axis=0)  # translations cost nothing
+        own = strong[row] == displaced[i]
+        shared[own] -= shared.sum(axis=0)  # translations cost nothing
+        shared[own] = (shared[own] + shared[own].swapaxes(1, 2)) / 2
         values.append(shared)
     between, phi = np.concatenate(vectors), np.concatenate(values)
     moment = np.abs(phi).max(axis=(1, 2)) * np.linalg.norm(between, axis=1) ** 2

@@ -477,12 +477,9 @@ def by_strains(
         given, noise_of = _relaxed(atoms, Lambda, tau, allowed)
         C = C - given
         errors = np.concatenate([errors, noise_of])
-        if atoms.doubt is not None:
-            ends = [
-                _relaxed(replace(atoms, values=atoms.values + one), Lambda, tau, allowed)[0]
-                for one in atoms.doubt
-            ]
-            spread += [given - one for one in ends]
+        for one in atoms.doubt if atoms.doubt is not None else ():
+            stiffer = atoms.values + one
+            spread.append(given - _relaxed(atoms, Lambda, tau, allowed, stiffer)[0])
     return C, np.concatenate([errors, np.array(spread)])
 
 
@@ -521,7 +518,11 @@ def _slopes(F: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _relaxed(
-    atoms: ForceConstants, push: np.ndarray, error: float, allowed: np.ndarray
+    atoms: ForceConstants,
+    push: np.ndarray,
+    error: float,
+    allowed: np.ndarray,
+    values: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """What atoms that relax take off C [TPa], of the symmetry, and its standard errors.
 
@@ -529,7 +530,7 @@ def _relaxed(
     """
     n, d, m = len(push), atoms.dimension, atoms.moving
     push = (push - push.mean(axis=0))[:, :m].reshape(n * m, d, d)
-    stiff = atoms.moments()[0][:, :m, :, :m].reshape(n * m, n * m)
+    stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
     moved = np.tensordot(relaxing(stiff, m), push, 1)
     size = EV_IN_TPA / atoms.volume
     taken = np.einsum("Iab,Icd->abcd", push, moved) * size
@@ -557,23 +558,23 @@ def joined(
     flat = allowed.reshape(len(allowed), -1)
     onto = np.linalg.pinv(flat).T
 
-    def seen(one: ForceConstants) -> np.ndarray:
-        return np.asarray(onto @ one._elastic(allowed)[0].ravel())
+    def seen(values: np.ndarray) -> np.ndarray:
+        return np.asarray(onto @ atoms.nearest_elastic(allowed, values)[0].ravel())
 
     J = onto @ atoms.elastic_doubt(allowed).reshape(-1, flat.shape[1]).T
     other, spread = onto @ C.ravel(), onto @ errors.reshape(len(errors), -1).T
-    off = other - seen(atoms)
+    off = other - seen(atoms.values)
     chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)
     doubt: np.ndarray = atoms.doubt * max(1.0, chi**0.5)  # type: ignore[operator]
     J = J * max(1.0, chi**0.5)
     S = J @ J.T + spread @ spread.T
     gain = J.T @ np.linalg.pinv(S)
-    new, before, step = atoms, atoms.values, np.zeros(len(doubt))
+    values, before, step = atoms.values, atoms.values, np.zeros(len(doubt))
     for _ in range(3):  # moduli bend a little in Φ where atoms of a cell relax
-        step = gain @ (other - seen(new) + J @ step)
-        new = replace(atoms, values=before + np.tensordot(step, doubt, 1))
-    values, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
-    root = vectors * np.sqrt(np.clip(values, 0, None))
+        step = gain @ (other - seen(values) + J @ step)
+        values = before + np.tensordot(step, doubt, 1)
+    parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
+    root = vectors * np.sqrt(np.clip(parts, 0, None))
     after = np.tensordot(root.T, doubt, 1)
-    moved = float(np.linalg.norm(new.values - before) / np.linalg.norm(before))
-    return replace(new, doubt=after), chi, moved
+    moved = float(np.linalg.norm(values - before) / np.linalg.norm(before))
+    return replace(atoms, values=values, doubt=after), chi, moved

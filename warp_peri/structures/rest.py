@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import ase
+import ase.io
 import numpy as np
 from ase.constraints import FixSymmetry
 from ase.data import vdw_radii
@@ -443,6 +444,7 @@ def _sheet_spacing(cell: ase.Atoms) -> float:
 
 
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
+POSCARS = ("POSCAR-unitcell", "POSCAR")
 """Of a folder, the first that is there is read."""
 
 
@@ -450,11 +452,15 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     """Force constants of what phonopy computed.
 
     Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN, which
-    are read as phonopy itself reads them. With Born charges the field of the ions is part of every
-    wave (theory.md, T18); a solid of several elements without BORN is warned of.
+    are read as phonopy itself reads them. Without it POSCAR-unitcell or POSCAR is read; the
+    supercell then is that of SPOSCAR, or the most even one with as many atoms, which is warned of.
+    Force constants are brought to what space group, exchange of atoms, translations and rotations
+    ask, and how far they move is their error. With Born charges the field of the ions is part of
+    every wave (theory.md, T18); a solid of several elements without BORN is warned of.
 
     Args:
-        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
+        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one
+            of them or a POSCAR.
         thickness: of a sheet across z [Å]; by default as `from_atoms` has it.
 
     Raises InputError where phonopy is not installed, for files that it does not read or that are
@@ -474,7 +480,11 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     if thickness is not None and "born_filename" in beside:
         raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
     try:
-        found: Any = phonopy.load(file, **beside, log_level=0)
+        told = _opened(file)
+        beside = {
+            n: v for n, v in beside.items() if n != "born_filename" or "nac_params" not in told
+        }
+        found: Any = phonopy.load(**told, **beside, log_level=0)
     except Exception as error:  # phonopy raises whatever its parsing runs into
         hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
         raise InputError(f"{path}: phonopy does not read it ({error}){hint}") from None
@@ -515,12 +525,44 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     return projected(made, supercell)
 
 
+def _opened(file: Path) -> dict[str, Any]:
+    """What phonopy is told to read a crystal: a file of its own, or a POSCAR and a supercell."""
+    if file.name not in POSCARS:
+        return {"phonopy_yaml": file}
+    cell: Any = ase.io.read(file, format="vasp")
+    told: dict[str, Any] = {"unitcell_filename": file, "primitive_matrix": "auto"}
+    if (born := file.parent / "BORN").is_file():
+        lines = [line.split() for line in born.read_text().splitlines() if line.strip()]
+        if len(lines) == 2 + len(cell):  # one of each atom, where symmetry was left aside
+            values = np.array(lines[1:], dtype=float).reshape(-1, 3, 3)
+            ions = {"dielectric": values[0], "born": values[1:], "factor": float(lines[0][0])}
+            told |= {"nac_params": ions, "is_symmetry": False, "primitive_matrix": np.eye(3)}
+    if (large := file.parent / "SPOSCAR").is_file():
+        edges = np.array(ase.io.read(large, format="vasp").cell)
+        return told | {"supercell_matrix": np.rint(edges @ np.linalg.inv(cell.cell)).T.astype(int)}
+    for name in ("FORCE_SETS", "FORCE_CONSTANTS"):
+        if (file.parent / name).is_file():
+            with open(file.parent / name, encoding="ascii", errors="replace") as lines:
+                count = int(lines.readline().split()[-1])
+            break
+    else:
+        raise InputError("expected FORCE_SETS or FORCE_CONSTANTS beside it")
+    size, left = divmod(count, len(cell))
+    if left:
+        raise InputError(f"expected a supercell of {len(cell)} atoms, got one of {count}")
+    counts = [(i, j, size // (i * j)) for i in range(1, size + 1) for j in range(1, size // i + 1)
+              if size % (i * j) == 0]  # fmt: skip
+    best = min(counts, key=lambda n: float(np.ptp(np.log(n * cell.cell.lengths()))))
+    warnings.warn(f"{file}: taken for a supercell of {best} cells, by its atoms", stacklevel=3)
+    return told | {"supercell_matrix": best}
+
+
 def _yaml(path: Path) -> Path:
     if path.is_file():
         return path
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    for name in YAML:
+    for name in (*YAML, *POSCARS):
         if (path / name).is_file():
             return path / name
     raise InputError(f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}")
