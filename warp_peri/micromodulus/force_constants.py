@@ -31,6 +31,8 @@ NEGLIGIBLE = 1e-9
 """Of the largest Φ: smaller ones are rounding, and what they sum up to goes to the atom itself."""
 NEAREST = 1e-5
 """Images whose distances differ by less, relative, count as equally near."""
+LONG = 4e-3
+"""|k| [1/Å] of waves that have the moduli of moments where Φ keeps its sums."""
 SMALL = 0.02
 """|k| [1/Å] of the differences that second moments of ions' fields are taken by."""
 LARGEST_FILE = 2**31
@@ -297,8 +299,10 @@ class ForceConstants:
         that they are made with, are warned of. Raises InputError for long waves that no such tensor
         has, as those of piezoelectric crystals.
         """
-        doubts = self.doubts()
+        doubts, e = self.doubts(), directions(60, self.dimension)
         C, off = self.nearest_elastic(allowed)
+        waves, moments = self.effective(LONG * e) / LONG**2, self.acoustic(e)
+        off += float(np.linalg.norm(waves - moments) / np.linalg.norm(waves))
         if off > NOT_ELASTIC:
             raise InputError(
                 f"force constants: long waves are {off:.1%} off those of every elastic solid of "
