@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -237,6 +237,8 @@ WIDEST = {2: 20.0, 3: 6.0}
 """Spacings of nodes over the usual one: beyond, the loads that a law is put to fill the memory."""
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
+BARS = 2
+"""Standard errors that moduli are taken lower by, where it is told what is proven then."""
 APART = 9.0
 """χ² of each modulus by two ways, beyond which their errors do not explain their difference."""
 AGREE, TOO_FAR = 0.02, 0.2
@@ -287,6 +289,11 @@ class LearnedCrystal(Shown):
         Of an exact potential the difference of finite strains from long waves.
         """
         return errors_of(self.atoms, self.strained, self.material.symmetry)
+
+    @cached_property
+    def unsure(self) -> float:
+        """Largest standard error of a long wave's modulus, over it, of waves in all directions."""
+        return _unsure(self.tensor, self.errors, self.atoms.stress)
 
     @cached_property
     def local(self) -> Symbol:
@@ -359,6 +366,12 @@ class LearnedCrystal(Shown):
             )
             for name, C in columns.items()
         ]
+        if self.errors is not None:
+            bars = moduli_errors(self.tensor, self.errors)
+            told = ", ".join(f"{name} {bar:.2g}" for name, bar in bars.items())
+            shown.append(
+                ("standard errors", f"{told} GPa; a sound wave's modulus {self.unsure:.2%}")
+            )
         if held is not None:
             stress = ", ".join(f"{1e3 * held[i, j]:.3g}" for i in range(d) for j in range(i, d))
             shown.append(("stress held", f"{stress} GPa (upper triangle)"))
@@ -366,6 +379,7 @@ class LearnedCrystal(Shown):
         shown += [
             ("nodes", f"{law.spacing:.4g} Å apart, {law.bonds} bonds up to {law.horizon:.4g} Å"),
             ("proven", "nothing" if self.certificate is None else self.certificate.statement),
+            *self._proven_below(),
             (
                 f"within {WITHIN:.0%} down to",
                 f"{_length(self.holds_to['law'])}; local elasticity with the same moduli: "
@@ -377,6 +391,18 @@ class LearnedCrystal(Shown):
             for name, e in self.unseen.items()
         ]
         return [*self.said.items(), *shown]
+
+    def _proven_below(self) -> list[tuple[str, str]]:
+        """What is proven of the law where its moduli are two standard errors lower."""
+        told = self.law.certificate
+        if told is None or not told.holds or self.errors is None:
+            return []
+        left = 1 - BARS * self.unsure
+        words = f"D(k) ≥ {1e3 * told.proven * left:.4g} GPa s(k)" if left > 0 else "nothing"
+        return [
+            (f"proven at moduli less {BARS} standard errors",
+             f"{words}, of the law with all bonds {BARS * self.unsure:.2%} softer")
+        ]  # fmt: skip
 
     def plot(self) -> Any:
         """A matplotlib Figure: dispersion, E over direction, unseen loads."""
@@ -392,6 +418,9 @@ class LearnedCrystal(Shown):
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
             "moduli_GPa": {key: named_moduli(1e3 * v) for key, v in C.items()},
+            "standard_errors_GPa": {}
+            if self.errors is None
+            else moduli_errors(self.tensor, self.errors),
             "spacing": self.law.spacing,
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
@@ -413,6 +442,20 @@ def moduli_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, float]:
     d, M = C.shape[0], 1e3 * np.sqrt((voigt(errors) ** 2).sum(axis=0))
     label = "123456" if d == 3 else "124"
     return {name: float(M[label.index(name[1]), label.index(name[2])]) for name in named_moduli(C)}
+
+
+def _unsure(C: np.ndarray, errors: Any, stress: np.ndarray | None) -> float:
+    """Largest standard error of a sound wave's modulus, over it."""
+    if errors is None or not len(errors):
+        return 0.0
+    e, d = directions(DIRECTIONS, C.shape[0]), C.shape[0]
+    brackets = brackets_from_elastic(C)
+    if stress is not None:
+        brackets = brackets + stress_brackets(stress)
+    size, waves = np.linalg.eigh(acoustic(brackets, e))
+    off = [acoustic(brackets_from_elastic(one), e) for one in errors]
+    share = np.einsum("nip,qnij,njp->qnp", waves, np.reshape(off, (-1, len(e), d, d)), waves)
+    return float((np.sqrt((share**2).sum(axis=0)) / size).max())
 
 
 def errors_of(atoms: ForceConstants, strained: np.ndarray | None, symmetry: Symmetry) -> Any:
@@ -618,4 +661,7 @@ def _learned(
         law = from_phonons(atoms, spacing, reach, symmetry=group)
     else:
         law = fit(samples, reach, symmetry=group)
+    found = LearnedCrystal(law, atoms, strained, said)
+    record: dict[str, Any] = {"moduli_error": found.unsure}  # relative, of any sound wave
+    law = replace(law, provenance=law.provenance | record) if found.errors is not None else law
     return LearnedCrystal(law.in_units(units), atoms, strained, said)
