@@ -53,7 +53,7 @@ class Noisy(Calculator):
     ) -> None:
         """All that ASE asks for."""
         super().calculate(atoms, properties, changes)
-        one = self.atoms.copy()
+        one: Any = atoms.copy()
         one.calc = self.inner
         forces, stress = one.get_forces(), one.get_stress()
         random = self.rng.standard_normal
@@ -70,10 +70,12 @@ def rigid_ions() -> Any:
     wp.atoms.find_mpi()
     from ase.calculators.lammpslib import LAMMPSlib
 
-    class RigidIons(LAMMPSlib):
+    base: Any = LAMMPSlib
+
+    class RigidIons(base):  # type: ignore[misc]
         implemented_properties = (*LAMMPSlib.implemented_properties, BORN, DIELECTRIC)
 
-        def calculate(self, atoms: Any, properties: Any, changes: Any) -> None:
+        def calculate(self, atoms: Any = None, properties: Any = (), changes: Any = ()) -> None:
             super().calculate(atoms, ["energy", "forces", "stress"], changes)
             charges = np.where(atoms.numbers == 12, 2.0, -2.0)
             self.results[BORN] = charges[:, None, None] * np.eye(3)

@@ -259,10 +259,12 @@ class ForceConstants:
             second[..., a, b] = second[..., b, a] = mixed
         return D[0, 2].real, slope.sum(axis=3).imag.transpose(1, 2, 3, 0), second
 
-    def acoustic(self, e: np.ndarray, values: np.ndarray | None = None) -> np.ndarray:
+    def acoustic(
+        self, e: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
+    ) -> np.ndarray:
         """D_eff(k)/|k|² [TPa] of long waves along unit vectors e, by moments, [K, d, d] (T14).
 
-        Atoms have relaxed. `values` as for `moments`.
+        Atoms have relaxed. `values` as for `moments`; without `field` ions make no macroscopic one.
         """
         d, m, n = self.dimension, self.moving, len(self.positions)
         zeroth, first, second = self.moments(values)
@@ -270,7 +272,7 @@ class ForceConstants:
         A = -0.5 * np.einsum("abcd,nc,nd->nab", second[:d, :d, :d, :d], e, e, optimize=True)
         if n > 1:
             stiff = np.broadcast_to(zeroth, (len(e), *zeroth.shape))
-            if self.polar is not None:
+            if self.polar is not None and field:
                 stiff = stiff + self.polar.at_long_waves(e, self.cell)
             flat = stiff[:, :, :m, :, :m].reshape(len(e), n * m, n * m)
             A = A - push.swapaxes(1, 2) @ relaxing(flat, m) @ push
@@ -278,11 +280,14 @@ class ForceConstants:
         return np.asarray((A + A.swapaxes(1, 2)) / 2)
 
     def nearest_elastic(
-        self, allowed: np.ndarray, values: np.ndarray | None = None
+        self, allowed: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
     ) -> tuple[np.ndarray, float]:
-        """The nearest elastic tensor of these, and the share of long waves that it misses."""
+        """The nearest elastic tensor of these, and the share of long waves that it misses.
+
+        Arguments are those of `elastic` and `acoustic`.
+        """
         e = directions(60, self.dimension)
-        wanted = self.acoustic(e, values)
+        wanted = self.acoustic(e, values, field=field)
         if self.stress is not None:
             wanted = wanted - acoustic(stress_brackets(self.stress), e)
         from_each = np.einsum("mijkl,nj,nl->nikm", allowed, e, e, optimize=True)
@@ -304,6 +309,9 @@ class ForceConstants:
         waves, moments = self.effective(LONG * e) / LONG**2, self.acoustic(e)
         off += float(np.linalg.norm(waves - moments) / np.linalg.norm(waves))
         if off > NOT_ELASTIC:
+            ions = self.polar is not None and self.nearest_elastic(allowed, field=False)[1]
+            if ions is not False and ions <= NOT_ELASTIC:
+                doubts.insert(0, "a piezoelectric crystal: it is one but for its ions' field")
             raise InputError(
                 f"force constants: long waves are {off:.1%} off those of every elastic solid of "
                 "this symmetry; "

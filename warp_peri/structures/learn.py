@@ -237,6 +237,8 @@ WIDEST = {2: 20.0, 3: 6.0}
 """Spacings of nodes over the usual one: beyond, the loads that a law is put to fill the memory."""
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
+RULES = 0.1
+"""Of the largest modulus, that broken rules of force constants may change moduli by."""
 BARS = 2
 """Standard errors that moduli are taken lower by, where it is told what is proven then."""
 APART = 9.0
@@ -614,7 +616,15 @@ def from_force_constants(
     check_phonons(atoms)
     cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
     h = _spacing(spacing, usual_spacing(cell, atoms.dimension == 2), atoms.dimension)
-    said = _doubts(atoms)
+    said, group = _doubts(atoms), _group(atoms, symmetry)
+    errors = errors_of(atoms, None, group)
+    if errors is not None and len(errors):
+        share = np.abs(errors).max() / np.abs(_of_long_waves(atoms, group)).max()
+        if share > RULES:
+            raise InputError(
+                f"force constants: the rules that they break (space group, exchange of atoms, "
+                f"rotations) leave moduli unsure by {share:.0%}; expected less than {RULES:.0%}"
+            )
     return _learned(atoms, h, horizon, symmetry, check_units(units), said, None, None)
 
 

@@ -283,9 +283,11 @@ class Orbits:
             whole = sp.kron(np.eye(n), sp.kron(np.ones((1, n * size)), np.eye(9)))
             sums.append((whole @ scaled).toarray().reshape(n, 3, 3, count))
         zeroth, first, second = sums[0], np.array(sums[1:4]), np.array(sums[4:]).sum(axis=1)
-        ions = np.zeros((n, 3, n, 3)), np.zeros((n, 3, 3, 3)), np.zeros((3, 3, 3, 3))
+        ions: tuple[np.ndarray, ...] = tuple(
+            np.zeros(s) for s in ((n, 3, n, 3), (n, 3, 3, 3), (3, 3, 3, 3))
+        )
         if atoms.polar is not None:
-            ions = atoms.moments(0 * atoms.values)  # type: ignore[assignment]
+            ions = atoms.moments(0 * atoms.values)
         held = np.zeros((3, 3))
         if atoms.stress is not None:
             d = len(atoms.stress)
@@ -361,8 +363,9 @@ def rattled(
     displacements of one size some of half of it are asked: what forces change by is an error too.
     """
     orbits, rng, h = Orbits(cell, many), np.random.default_rng(1), noise.length
-    first = orbits.place[:, orbits.number(np.zeros((1, 3), int))[0]]
-    shape, field = (orbits.n, 3, len(many), 3), 0.0
+    first = orbits.place[:, orbits.number(np.zeros((1, 3), int))[0]].tolist()
+    shape = (orbits.n, 3, len(many), 3)
+    field = np.zeros(shape)
     if polar is not None:
         polar, field = field_of_ions(polar, cell, many, first)
     zero = np.zeros(shape)
@@ -385,7 +388,7 @@ def rattled(
             ends.append(np.array(moving.get_forces(apply_constraint=False)))
         force = (ends[0] - ends[1]) / 2
         if polar is not None:
-            force = force - orbits.pull_of(np.asarray(field), u)
+            force = force - orbits.pull_of(field, u)
         row = orbits.rows(u).reshape(-1, orbits.basis.shape[1])
         rows.append(row @ free)
         forces.append(force.ravel() - row @ known)
@@ -565,7 +568,7 @@ def joined(
     other, spread = onto @ C.ravel(), onto @ errors.reshape(len(errors), -1).T
     off = other - seen(atoms.values)
     chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)
-    doubt: np.ndarray = atoms.doubt * max(1.0, chi**0.5)  # type: ignore[operator]
+    doubt: np.ndarray = np.asarray(atoms.doubt) * max(1.0, chi**0.5)
     J = J * max(1.0, chi**0.5)
     S = J @ J.T + spread @ spread.T
     gain = J.T @ np.linalg.pinv(S)

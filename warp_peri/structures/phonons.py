@@ -279,8 +279,10 @@ def force_constants(
         "force constants": f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms{ions}"
     }
     if reference.noise is not None:
-        about = {"thickness": reference.thickness, "polar": polar, "stress": reference.stress}
-        found, said = rattled(cell, many, calculator, reference.noise, **about)
+        found, said = rattled(
+            cell, many, calculator, reference.noise,
+            thickness=reference.thickness, polar=polar, stress=reference.stress,
+        )  # fmt: skip
         check_phonons(found)
         return found, taken | said
     forces, x = forces_of(many, calculator), np.array(many.positions)
@@ -400,7 +402,8 @@ def check_phonons(atoms: ForceConstants) -> None:
             raise InputError(LOOSE)
         return
     k, imaginary = parts[worst] @ back, THZ * np.sqrt(-least[worst, 0])
-    bar = f" ± {THZ * error / (2 * np.sqrt(-least[worst, 0])):.2g}" if error else ""
+    told = error > SOFT * top
+    bar = f" ± {THZ * error / (2 * np.sqrt(-least[worst, 0])):.2g}" if told else ""
     raise InputError(
         f"structure: expected a stable crystal, got an imaginary phonon, the worst of "
         f"{imaginary:.2f}{bar}i THz at k = {np.round(parts[worst], 4).tolist()} of the reciprocal "
@@ -413,7 +416,8 @@ def _changes(atoms: ForceConstants, k: np.ndarray, wave: np.ndarray) -> np.ndarr
     doubt: Any = atoms.doubt
     phase = np.exp(1j * (atoms.vectors[:, : len(k)] @ k))
     first, second = (wave[atoms.pairs[:, side]] for side in (0, 1))
-    return np.einsum("p,pa,qpab,pb->q", phase, first.conj(), doubt, second, optimize=True).real
+    off = np.einsum("p,pa,qpab,pb->q", phase, first.conj(), doubt, second, optimize=True)
+    return np.asarray(off.real)
 
 
 def strained_moduli(reference: Reference, calculator: Any) -> np.ndarray | None:

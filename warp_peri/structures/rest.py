@@ -538,12 +538,13 @@ def _opened(file: Path) -> dict[str, Any]:
             ions = {"dielectric": values[0], "born": values[1:], "factor": float(lines[0][0])}
             told |= {"nac_params": ions, "is_symmetry": False, "primitive_matrix": np.eye(3)}
     if (large := file.parent / "SPOSCAR").is_file():
-        edges = np.array(ase.io.read(large, format="vasp").cell)
+        whole: Any = ase.io.read(large, format="vasp")
+        edges = np.array(whole.cell)
         return told | {"supercell_matrix": np.rint(edges @ np.linalg.inv(cell.cell)).T.astype(int)}
     for name in ("FORCE_SETS", "FORCE_CONSTANTS"):
         if (file.parent / name).is_file():
-            with open(file.parent / name, encoding="ascii", errors="replace") as lines:
-                count = int(lines.readline().split()[-1])
+            with open(file.parent / name, encoding="ascii", errors="replace") as forces:
+                count = int(forces.readline().split()[-1])
             break
     else:
         raise InputError("expected FORCE_SETS or FORCE_CONSTANTS beside it")
