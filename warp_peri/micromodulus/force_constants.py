@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
@@ -33,7 +34,7 @@ NEAREST = 1e-5
 """Images whose distances differ by less, relative, count as equally near."""
 LONG = 4e-3
 """|k| [1/Å] of waves that have the moduli of moments where Φ keeps its sums."""
-SMALL = 0.02
+SMALL = 2e-3
 """|k| [1/Å] of the differences that second moments of ions' fields are taken by."""
 LARGEST_FILE = 2**31
 TINY = float(np.finfo(float).tiny)
@@ -60,7 +61,7 @@ class Polar:
         born: effective charges of the atoms of a cell [e], shape [n, 3, 3]. Their mean is taken
             off, since charges of a cell sum to zero.
         dielectric: of clamped ions, shape [3, 3].
-        decay: Λ [1/Å] of the Gaussians; from_supercell sets it.
+        decay: Λ [1/Å] of the Gaussians; from_supercell sets it where it is 0.
     """
 
     born: np.ndarray
@@ -221,43 +222,40 @@ class ForceConstants:
     def moments(self, values: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
         """Moments Σ Φ r⁰, Σ Φ r¹ of each atom and Σ Φ r² of the cell, that of r² as [3, 3, 3, 3].
 
-        Of other values in place of the own ones, if given. Shapes [n, 3, n, 3], [n, 3, 3, 3] with
-        the vector last, and [3, 3, 3, 3] with the vectors last. Ions' fields belong to them, but
-        for the macroscopic one.
+        Of other values, [..., P, 3, 3], in place of the own ones, if given. Shapes [..., n, 3, n,
+        3], [..., n, 3, 3, 3] with the vector last, and [..., 3, 3, 3, 3] with the vectors last.
+        Ions' fields belong to them, but for the macroscopic one.
         """
-        n, phi, r = len(self.positions), self.values if values is None else values, self.vectors
-        zeroth, first = np.zeros((n, n, 3, 3)), np.zeros((n, 3, 3, 3))
-        np.add.at(zeroth, (self.pairs[:, 0], self.pairs[:, 1]), phi)
-        np.add.at(first, self.pairs[:, 0], phi[..., None] * r[:, None, None])
-        zeroth = zeroth.transpose(0, 2, 1, 3)
-        second = np.einsum("pab,pc,pd->abcd", phi, r, r, optimize=True)
+        n, count, r = len(self.positions), len(self.vectors), self.vectors
+        phi = np.moveaxis(self.values if values is None else values, -3, 0)
+
+        def total(keys: np.ndarray, size: int, weight: np.ndarray) -> np.ndarray:
+            summed = sp.csr_array((weight, (keys, np.arange(count))), shape=(size, count))
+            return np.asarray(summed @ phi.reshape(count, -1)).reshape(size, *phi.shape[1:])
+
+        zeroth = total(self.pairs @ [n, 1], n * n, np.ones(count))
+        zeroth = np.moveaxis(zeroth.reshape(n, n, *phi.shape[1:]), (0, 1), (-4, -2))
+        first = np.stack([total(self.pairs[:, 0], n, part) for part in r.T], axis=-1)
+        first = np.moveaxis(first, 0, -4)
+        second = np.tensordot(phi, r[:, :, None] * r[:, None], (0, 0))
         if self.polar is not None:
             ions = self._of_ions
             zeroth, first, second = zeroth + ions[0], first + ions[1], second + ions[2]
-        return (zeroth + zeroth.transpose(2, 3, 0, 1)) / 2, first, second
+        turned = np.moveaxis(zeroth, (-4, -3), (-2, -1))
+        return (zeroth + turned) / 2, first, second
 
     @cached_property
     def _of_ions(self) -> tuple[np.ndarray, ...]:
-        """Moments of ions' fields, by differences of fourth order at k = 0."""
+        """Moments of ions' fields, by differences at k = 0."""
         polar: Any = self.polar
-        axes = [np.eye(3)[a] for a in range(3)]
-        ways = [
-            *axes,
-            *(axes[a] + s * axes[b] for a, b in ((0, 1), (0, 2), (1, 2)) for s in (1, -1)),
-        ]
-        steps = SMALL * np.array([-2, -1, 0, 1, 2])
-        k = (np.array(ways)[:, None] * steps[:, None]).reshape(-1, 3)
-        D = polar.matrix(k, self.cell, self.positions, field=False)
-        D = D.reshape(len(ways), 5, *D.shape[1:])
-        slope = np.tensordot(D[:3], np.array([1, -8, 0, 8, -1]) / (12 * SMALL), (1, 0))
-        bend = np.tensordot(D.sum(axis=(2, 4)), np.array([-1, 16, -30, 16, -1]) / 12, (1, 0))
-        second = np.zeros((3, 3, 3, 3))
-        for a in range(3):
-            second[..., a, a] = -bend[a].real / SMALL**2
-        for n, (a, b) in enumerate(((0, 1), (0, 2), (1, 2))):
-            mixed = -(bend[3 + 2 * n] - bend[4 + 2 * n]).real / (4 * SMALL**2)
-            second[..., a, b] = second[..., b, a] = mixed
-        return D[0, 2].real, slope.sum(axis=3).imag.transpose(1, 2, 3, 0), second
+        n, signs = len(self.positions), np.array([1.0, -1.0])
+        steps = np.einsum("s,cx->scx", signs, np.eye(3)) * SMALL
+        k = steps[:, None, :, None] + steps[None, :, None]  # ± along c, ± along d
+        D = polar.matrix(k.reshape(-1, 3), self.cell, self.positions, field=False)
+        D = D.reshape(2, 2, 3, 3, n, 3, n, 3)
+        first = np.einsum("cciajb->iabc", D[0, 0] - D[1, 1]).imag / (4 * SMALL)
+        second = np.einsum("s,t,stcdiajb->abcd", signs, signs, D).real / (-4 * SMALL**2)
+        return D[0, 1, 0, 0].real, first, second
 
     def acoustic(
         self, e: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
@@ -377,22 +375,6 @@ def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
     return np.asarray(np.linalg.inv(stiff + size * whole) - whole / size)
 
 
-def nearest(apart: np.ndarray, box: np.ndarray, slack: float) -> tuple[np.ndarray, np.ndarray]:
-    """Vectors to all equally near images, shape [R, 3], and the numbers of whose they are, [R].
-
-    Args:
-        apart: vectors [Å], shape [N, 3].
-        box: edges of the period as rows.
-        slack: distances [Å] within which images are equally near.
-    """
-    shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
-    fraction = apart @ np.linalg.inv(box)
-    near = ((fraction - np.rint(fraction))[:, None] + shifts) @ box
-    far = np.linalg.norm(near, axis=2)
-    row, image = np.nonzero(far <= far.min(axis=1, keepdims=True) + slack)
-    return near[row, image], row
-
-
 def from_supercell(
     structure: Any,
     supercell: Any,
@@ -438,23 +420,24 @@ def from_supercell(
             raise InputError("polar: expected a solid; the field of a sheet's ions is another")
         polar, field = field_of_ions(polar, structure, supercell, displaced)
         phi = phi - field
+    shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
     pairs, vectors, values = [], [], []
     for i in range(n):
         strong = np.flatnonzero(np.abs(phi[i]).max(axis=(0, 2)) > NEGLIGIBLE * np.abs(phi).max())
-        slack = NEAREST * float(np.linalg.norm(cell[0]))
-        near, row = nearest(X[strong] - X[displaced[i]], box, slack)
-        share = 1 / np.bincount(row)
+        fraction = (X[strong] - X[displaced[i]]) @ np.linalg.inv(box)
+        near = ((fraction - np.rint(fraction))[:, None] + shifts) @ box
+        far = np.linalg.norm(near, axis=2)
+        tie = far <= far.min(axis=1, keepdims=True) + NEAREST * np.linalg.norm(cell[0])
+        row, image = np.nonzero(tie)
+        share = 1 / tie.sum(axis=1)
         pairs.append(np.stack([np.full(len(row), i), kind[strong[row]]], axis=1))
-        vectors.append(near)
+        vectors.append(near[row, image])
         shared = phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None]
         own = strong[row] == displaced[i]
         shared[own] -= shared.sum(axis=0)  # translations cost nothing
         shared[own] = (shared[own] + shared[own].swapaxes(1, 2)) / 2
         values.append(shared)
     between, phi = np.concatenate(vectors), np.concatenate(values)
-    moment = np.abs(phi).max(axis=(1, 2)) * np.linalg.norm(between, axis=1) ** 2
-    width = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 3 if thickness is None else 2].max()
-    far = np.linalg.norm(between, axis=1) > EDGE * width
     return ForceConstants(
         cell,
         x,
@@ -466,9 +449,17 @@ def from_supercell(
         polar,
         stress,
         kinds_of(structure)[0],
-        float(moment[far].sum() / max(moment.sum(), TINY)),
+        at_edge(between, phi, box, thickness is not None),
         change,
     )
+
+
+def at_edge(vectors: np.ndarray, values: np.ndarray, box: np.ndarray, flat: bool) -> float:
+    """Share of Σ |Φ| r² that is at half the width of a box; of a sheet its plane counts."""
+    far = np.linalg.norm(vectors, axis=1)
+    moment = np.abs(values).max(axis=(1, 2)) * far**2
+    width = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 2 if flat else 3].max()
+    return float(moment[far > EDGE * width].sum() / max(moment.sum(), TINY))
 
 
 def field_of_ions(
@@ -481,29 +472,11 @@ def field_of_ions(
     cell, box = np.array(structure.cell), np.array(supercell.cell)
     x, X = np.array(structure.positions), np.array(supercell.positions)
     most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
-    decay = 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
+    decay = polar.decay or 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
     polar, apart = replace(polar, decay=decay), X[:, None] - X[list(displaced)]
     off = apart @ np.linalg.inv(cell)
     kind = np.abs(off - np.rint(off)).max(axis=2).argmin(axis=1)
-    return polar, _dipoles(polar, cell, box, x, apart, kind)
-
-
-def _dipoles(
-    polar: Polar,
-    cell: np.ndarray,
-    box: np.ndarray,
-    x: np.ndarray,
-    apart: np.ndarray,
-    kind: np.ndarray,
-) -> np.ndarray:
-    """What dipoles add to Φ in a supercell, [n, 3, N, 3]: the mean of all waves that fit into it.
-
-    Args:
-        polar, cell, x: of the crystal.
-        box: edges of the supercell as rows.
-        apart: from the n displaced atoms to all, shape [N, n, 3].
-        kind: number in the cell of all atoms, shape [N].
-    """
+    # the mean of all waves that fit into the supercell
     inverse = np.linalg.inv(np.rint(box @ np.linalg.inv(cell)))
     size = int(np.rint(1 / abs(np.linalg.det(inverse))))
     multiples = np.arange(1, size + 1)[:, None, None] * inverse.T  # of each edge, in the cell's
@@ -517,7 +490,7 @@ def _dipoles(
     for j in range(len(x)):
         some = kind == j
         phi[:, :, some] = np.einsum("kNi,kiab->iaNb", phase[:, some], D[:, :, :, j]).real
-    return phi
+    return polar, phi
 
 
 def finite_differences(

@@ -32,12 +32,12 @@ from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
 from warp_peri.structures.noise import EV_IN_TPA, PULLED, by_strains, joined
+from warp_peri.structures.noise import STRAIN as STRETCH
 from warp_peri.structures.phonons import (
     Loads,
     check_phonons,
     force_constants,
     forces_of,
-    strained_moduli,
     watched,
     wave_loads,
 )
@@ -577,20 +577,18 @@ def known_constants(
     the likeliest of both. Arguments are those of `from_atoms`.
     """
     atoms, told = force_constants(reference, calculator, supercell)
-    noise = reference.noise
-    if noise is None:
-        return atoms, strained_moduli(reference, calculator), told | _doubts(atoms)
-    d, group = atoms.dimension, _group(atoms, symmetry)
+    noise, d, group = reference.noise, atoms.dimension, _group(atoms, symmetry)
     allowed = allowed_tensors(group, point_group(group, d), np.eye(d))
-    found = by_strains(reference.cell, calculator, noise, atoms, allowed)
-    if found is None:
-        return atoms, None, told | _doubts(atoms)
+    largest = STRETCH if noise is None else noise.strain
+    found = by_strains(reference.cell, calculator, largest, atoms, allowed)
+    if found is None or noise is None:
+        return atoms, None if found is None else found[0], told | _doubts(atoms)
     alone = _with_error(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
     new, chi, moved = joined(atoms, allowed, *found)
     check_phonons(new)
     told["moduli, force constants alone"] = alone
     told["moduli, finite strains alone"] = (
-        f"{_with_error(*found)}, strains of {noise.strain * PULLED[0]:.2g} to {noise.strain:.2g}"
+        f"{_with_error(*found)}, strains of {largest * PULLED[0]:.2g} to {largest:.2g}"
     )
     believed = "they agree" if chi <= APART else "strains are believed: forces leave the supercell"
     told["both"] = f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}"

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import ase
@@ -16,13 +16,12 @@ from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
 from warp_peri.core.groups import by_spglib, kinds_of
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import (
-    NEAREST,
     TINY,
     ForceConstants,
     Polar,
+    at_edge,
     field_of_ions,
     from_supercell,
-    nearest,
     relaxing,
 )
 from warp_peri.points.unit_names import STRESSES
@@ -30,17 +29,16 @@ from warp_peri.points.unit_names import STRESSES
 EV_IN_TPA = STRESSES["eV/angstrom^3"]
 ON_SITES = 1e-4
 """Distance [Å] within which atoms are on their sites."""
-SHAKEN, COPIES, ENOUGH = 0.01, 3, 8
-"""Displacement [Å] of the atoms that noise is looked at on, copies of each, and how many atoms."""
+SHAKEN, ANGLES, ENOUGH = 0.01, (0.0, 0.0, 40.0), 8
+"""Displacement [Å] of the atoms that noise is looked at on, turns of the copies, how many atoms."""
 EXACT = 1e-7
 """Noise over the force that a displacement of SHAKEN makes, below which it is rounding."""
 BENT = 0.56
 """Length [Å] whose square divides third differences of the force by first ones, in most solids."""
 LEAST, MOST = 0.003, 0.03
 """Displacements [Å] that noise may ask for."""
-PULLED = (0.3, 0.6, 1.0)
-"""Sizes of strains over the largest, which is LARGEST where noise asks for a displacement MOST."""
-LARGEST = 0.01
+PULLED, STRAIN, LARGEST = (0.3, 0.6, 1.0), 0.003, 0.01
+"""Sizes of strains over the largest; what that is without noise, and where that asks for MOST."""
 TIMES = 3
 """Pairs of displaced crystals; numbers asked of each unknown; standard errors that are told."""
 AWAY = 30.0
@@ -82,7 +80,7 @@ class Noise:
     @property
     def strain(self) -> float:
         """Largest strain, by the same rule; sums of long range are rough on smaller ones."""
-        return LARGEST * max(self.length / MOST, PULLED[0])
+        return max(LARGEST * self.length / MOST, STRAIN)
 
 
 def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
@@ -93,46 +91,38 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
         calculator: with forces.
         flat: whether it is a sheet across z.
     """
-    rng = np.random.default_rng(0)
-    counts = np.ones(3, dtype=int)
-    while counts.prod() * len(cell) < ENOUGH:
-        wide = np.linalg.norm(np.array(cell.cell), axis=1) * counts
-        counts[wide[: 2 if flat else 3].argmin()] += 1
-    many = cell.repeat(tuple(counts.tolist()))
+    rng, count = np.random.default_rng(0), int(np.ceil((ENOUGH / len(cell)) ** (1 / (3 - flat))))
+    many = cell.repeat((count, count, 1 if flat else count))
     u = _directions(rng, len(many), SHAKEN)
-    found, pulled = [], []
-    for sign in (1, -1):
-        forces, stresses = [], []
-        for number in range(COPIES):
-            angle = 40.0 * number * (number < COPIES - 1)
-            one = many.copy()
-            one.positions += sign * u + rng.uniform(0, 3, 3) * [1, 1, not flat] * (number > 0)
-            one.rotate(angle, "z", rotate_cell=True)
-            one.calc = calculator
-            try:
-                force = np.array(one.get_forces(apply_constraint=False))
-            except Exception:  # a calculator may go by axes of its own
-                if not angle:
-                    raise
-                continue
-            c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-            back = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1.0]])
-            forces.append(force @ back.T)
-            try:
-                full = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False))
-                stresses.append(back @ full @ back.T)
-            except Exception:  # without stress
-                continue
-        found.append(np.array(forces))
-        pulled.append(np.array(stresses))
-    spread = [np.sqrt(np.mean(np.var(one, axis=0, ddof=1))) for one in found]
-    push = (found[0].mean(axis=0) - found[1].mean(axis=0)) / 2
-    tight = 0.0
-    if all(len(one) > 1 for one in pulled):
-        var = np.mean([np.mean(np.var(one, axis=0, ddof=1)) for one in pulled])
-        tight = float(np.sqrt(var * len(many) / len(cell))) * EV_IN_TPA
-    size = float(np.sqrt(np.mean(push**2) / np.mean(u**2)))
-    return Noise(float(np.hypot(*spread) / np.sqrt(2)), tight, size)
+    seen: dict[int, list[tuple[np.ndarray, Any]]] = {1: [], -1: []}
+    for sign, angle in ((s, a) for s in seen for a in ANGLES):
+        one = many.copy()
+        one.positions += sign * u + rng.uniform(0, 3, 3) * [1, 1, not flat]
+        one.rotate(angle, "z", rotate_cell=True)
+        one.calc = calculator
+        turn = np.eye(3)
+        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        turn[:2, :2] = [[c, -s], [s, c]]
+        try:
+            force, stress = np.array(one.get_forces(apply_constraint=False)) @ turn, None
+        except Exception:  # a calculator may go by axes of its own
+            if not angle:
+                raise
+            continue
+        with suppress(Exception):  # calculators without stress raise whatever they do
+            stress = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False))
+            stress = turn.T @ stress @ turn
+        seen[sign].append((force, stress))
+
+    def scatter(place: int) -> float:
+        sides = [np.array([one[place] for one in seen[sign]]) for sign in seen]
+        return float(np.sqrt(np.mean([np.var(side, axis=0, ddof=1).mean() for side in sides])))
+
+    known = all(stress is not None for _, stress in seen[1] + seen[-1])
+    tight = scatter(1) * np.sqrt(len(many) / len(cell)) * EV_IN_TPA if known else 0.0
+    ends = [np.mean([force for force, _ in seen[sign]], axis=0) for sign in seen]
+    stiffness = float(np.sqrt(np.mean((ends[0] - ends[1]) ** 2) / np.mean(u**2))) / 2
+    return Noise(scatter(0), float(tight), stiffness)
 
 
 def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
@@ -227,89 +217,53 @@ class Orbits:
         entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
         return sp.csr_array(entries, shape=(9 * len(i), count))
 
-    @cached_property
-    def images(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vectors between pairs, to each of equally near images, and the numbers of the pairs."""
-        i, j, c = (a.ravel() for a in np.indices((self.n, self.n, self.size)))
-        apart = self.x[j] - self.x[i] + self.shifts[c] @ self.edges
-        return nearest(apart, self.box, NEAREST * float(np.linalg.norm(self.edges[0])))
-
-    def pairs_of(self, atoms: ForceConstants) -> np.ndarray:
-        """Numbers of the pairs, here, of all entries of force constants."""
+    def placed(self, atoms: ForceConstants) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the pairs, here, of all entries of force constants, and their shares of Φ."""
         i, j = atoms.pairs.T
         t = (atoms.vectors - (self.x[j] - self.x[i])) @ np.linalg.inv(self.edges)
-        return np.asarray((i * self.n + j) * self.size + self.number(np.rint(t).astype(int)))
+        pair = (i * self.n + j) * self.size + self.number(np.rint(t).astype(int))
+        return pair, 1 / np.bincount(pair)[pair, None, None]
 
-    def rows(self, u: np.ndarray) -> np.ndarray:
-        """Forces −Φ u on all atoms for each number, u [N, 3], shape [N, 3, numbers]."""
-        n, size, count = self.n, self.size, self.basis.shape[1]
-        B = self.basis.tocoo()
+    def forces(self, phi: sp.csr_array, u: np.ndarray) -> np.ndarray:
+        """−Φ u on all atoms for each column of Φ, as `basis` has it, u [N, 3], [N, 3, columns]."""
+        n, size, count = self.n, self.size, phi.shape[1]
+        B = phi.tocoo()
         i, j, c, a, b = np.unravel_index(B.row, (n, n, size, 3, 3))
         row = np.ravel_multi_index((i, a, B.col), (n, 3, count))
         column = np.ravel_multi_index((j, c, b), (n, size, 3))
         spread = sp.csr_array((B.data, (row, column)), shape=(n * 3 * count, n * size * 3))
         near = self.number(self.shifts[:, None] + self.shifts)  # [cell, shift]
-        moved = u[self.place[:, near]]  # [j, cell, shift, 3]
-        pulled = spread @ moved.transpose(0, 2, 3, 1).reshape(-1, size)
+        moved = u[self.place[:, near]].transpose(0, 2, 3, 1)  # [j, shift, 3, cell]
         forces = np.empty((len(self.kind), 3, count))
-        forces[self.place] = -pulled.reshape(n, 3, count, size).transpose(0, 3, 1, 2)
-        return forces
-
-    def pull_of(self, phi: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """The same of known Φ [n, 3, N, 3] of the atoms of a cell, [N, 3]."""
-        near = self.number(self.shifts[:, None] + self.shifts)
-        forces = np.empty((len(self.kind), 3))
-        for cell in range(self.size):
-            v = u[self.place[self.kind, near[cell, self.image]]]
-            forces[self.place[:, cell]] = -np.einsum("iaNb,Nb->ia", phi, v)
+        pulled = (spread @ moved.reshape(-1, size)).reshape(n, 3, count, size)
+        forces[self.place] = -pulled.transpose(0, 3, 1, 2)
         return forces
 
     def rules(self, atoms: ForceConstants) -> tuple[np.ndarray, np.ndarray]:
         """Equations that the numbers keep, rows [E, numbers] and right sides [E].
 
         Translations, turns of the crystal (M. Born, K. Huang, 1954) and the stress it is under
-        (Huang's relations). `atoms` says what ions' fields and a stress add.
+        (Huang's relations). `atoms` has all pairs, and says what ions' fields and a stress add.
         """
-        vectors, pair = self.images
-        share = 1 / np.bincount(pair)[pair]
-        furthest = float(np.linalg.norm(vectors, axis=1).max())
-        n, size, count = self.n, self.size, self.basis.shape[1]
-        r = vectors / furthest
-        powers = [np.ones(len(r)), *r.T, *(r[:, a] * r[:, b] for a in range(3) for b in range(3))]
-        sums = []
-        for power in powers:
-            mean = np.bincount(pair, share * power, n * n * size)
-            scaled = sp.diags_array(np.repeat(mean, 9)) @ self.basis
-            whole = sp.kron(np.eye(n), sp.kron(np.ones((1, n * size)), np.eye(9)))
-            sums.append((whole @ scaled).toarray().reshape(n, 3, 3, count))
-        zeroth, first, second = sums[0], np.array(sums[1:4]), np.array(sums[4:]).sum(axis=1)
-        ions: tuple[np.ndarray, ...] = tuple(
-            np.zeros(s) for s in ((n, 3, n, 3), (n, 3, 3, 3), (3, 3, 3, 3))
-        )
-        if atoms.polar is not None:
-            ions = atoms.moments(0 * atoms.values)
+        furthest = float(np.linalg.norm(atoms.vectors, axis=1).max())
         held = np.zeros((3, 3))
         if atoms.stress is not None:
-            d = len(atoms.stress)
-            held[:d, :d] = atoms.stress / EV_IN_TPA
-        volume = -2 * abs(np.linalg.det(self.edges))
-        if atoms.thickness is not None:
-            volume = -2 * atoms.volume
-        known = (ions[2] - volume * stress_brackets(held)) / furthest**2
-        bare = first.transpose(1, 2, 3, 0, 4)  # [i, a, b, r, number]
-        turned = ions[1] / furthest
-        square = second.reshape(3, 3, 3, 3, count).transpose(2, 3, 0, 1, 4)
-        equations = [
-            zeroth.reshape(-1, count),
-            (bare - bare.swapaxes(2, 3)).reshape(-1, count),
-            (square - square.transpose(2, 3, 0, 1, 4)).reshape(-1, count),
-        ]
-        right = [
-            -ions[0].sum(axis=2).ravel(),
-            -(turned - turned.swapaxes(2, 3)).ravel(),
-            -(known - known.transpose(2, 3, 0, 1)).ravel(),
-        ]
-        return np.concatenate(equations), np.concatenate(right)
+            held[: atoms.dimension, : atoms.dimension] = atoms.stress / EV_IN_TPA
+
+        def broken(values: np.ndarray) -> np.ndarray:
+            zeroth, first, second = atoms.moments(values)
+            second = second + 2 * atoms.volume * stress_brackets(held)
+            turned = (first - first.swapaxes(-1, -2)) / furthest
+            huang = (second - np.moveaxis(second, (-4, -3), (-2, -1))) / furthest**2
+            parts = (zeroth.sum(axis=-2), turned, huang)
+            return np.concatenate(
+                [part.reshape(*part.shape[: values.ndim - 3], -1) for part in parts], axis=-1
+            )
+
+        pair, share = self.placed(atoms)
+        columns = self.basis.toarray().T.reshape(-1, self.n**2 * self.size, 3, 3)[:, pair] * share
+        known = broken(0 * atoms.values)
+        return (broken(columns) - known).T, -known
 
 
 def _solved(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -330,14 +284,13 @@ def projected(atoms: ForceConstants, supercell: ase.Atoms) -> ForceConstants:
     if atoms.kinds is not None:
         cell.set_tags(atoms.kinds)
     orbits = Orbits(cell, supercell)
-    pair = orbits.pairs_of(atoms)
+    pair, share = orbits.placed(atoms)
     phi = np.zeros((orbits.n**2 * orbits.size, 9))
     np.add.at(phi, pair, atoms.values.reshape(-1, 9))
     numbers = orbits.basis.T @ phi.ravel()
     A, right = orbits.rules(atoms)
     numbers = numbers + _solved(A, right - A @ numbers)[0]
-    share = 1 / np.bincount(pair)[pair]
-    values = (orbits.basis @ numbers).reshape(-1, 3, 3)[pair] * share[:, None, None]
+    values = (orbits.basis @ numbers).reshape(-1, 3, 3)[pair] * share
     return replace(atoms, values=values, doubt=(values - atoms.values)[None])
 
 
@@ -364,18 +317,15 @@ def rattled(
     """
     orbits, rng, h = Orbits(cell, many), np.random.default_rng(1), noise.length
     first = orbits.place[:, orbits.number(np.zeros((1, 3), int))[0]].tolist()
-    shape = (orbits.n, 3, len(many), 3)
-    field = np.zeros(shape)
+    every = np.ones((orbits.n, 3, len(many), 3))
+    made = from_supercell(cell, many, every, first, thickness=thickness, stress=stress)
+    phi = orbits.basis
     if polar is not None:
         polar, field = field_of_ions(polar, cell, many, first)
-    zero = np.zeros(shape)
-    zero[0, 0, 0, 0] = 1.0  # any: rules ask for ions' fields and stress alone
-    rules, right = orbits.rules(
-        replace(
-            from_supercell(cell, many, zero, first, thickness=thickness, stress=stress), polar=polar
-        )
-    )
-    known, free = _solved(rules, right)
+        made = replace(made, polar=polar)
+        layout = field[:, :, orbits.place].transpose(0, 2, 3, 1, 4)
+        phi = sp.hstack([phi, sp.csr_array(layout.reshape(-1, 1))], format="csr")
+    known, free = _solved(*orbits.rules(made))
     pairs = max(TIMES, int(np.ceil(TIMES * free.shape[1] / (3 * len(many)))))
     x, rows, forces = np.array(many.positions), [], []
     moving = many.copy()
@@ -385,13 +335,11 @@ def rattled(
         ends = []
         for sign in (1, -1):
             moving.positions[:] = x + sign * u
-            ends.append(np.array(moving.get_forces(apply_constraint=False)))
-        force = (ends[0] - ends[1]) / 2
-        if polar is not None:
-            force = force - orbits.pull_of(field, u)
-        row = orbits.rows(u).reshape(-1, orbits.basis.shape[1])
-        rows.append(row @ free)
-        forces.append(force.ravel() - row @ known)
+            ends.append(np.array(moving.get_forces(apply_constraint=False)).ravel())
+        row = orbits.forces(phi, u).reshape(len(ends[0]), -1)
+        own, ions = np.split(row, [len(known)], axis=1)
+        rows.append(own @ free)
+        forces.append((ends[0] - ends[1]) / 2 - own @ known - ions.sum(axis=1))
     X, y = np.concatenate(rows[:-1]), np.concatenate(forces[:-1])
     U, sizes, V = np.linalg.svd(X, full_matrices=False)
     kept = sizes > NONE * sizes[0]
@@ -402,122 +350,95 @@ def rattled(
     slope = float(half @ forces[-1] / (half @ half)) - 1
     bent = slope if abs(slope) > TIMES * error / float(np.linalg.norm(half)) else 0.0
     numbers = np.column_stack([known + free @ z, free @ way * error, bent * (free @ z)])
-    phi = (orbits.basis @ numbers).T.reshape(-1, orbits.n, orbits.n, orbits.size, 3, 3)
-    given = np.empty((len(phi), *shape))
-    given[:, :, :, orbits.place] = phi.transpose(0, 1, 4, 2, 3, 5)
-    made = from_supercell(cell, many, given[0], first, thickness=thickness, stress=stress)
-    pair = orbits.pairs_of(made)
-    share = (1 / np.bincount(pair)[pair])[:, None, None]
-    doubt = phi[1:].reshape(len(phi) - 1, -1, 3, 3)[:, pair] * share
+    pair, share = orbits.placed(made)
+    values = (orbits.basis @ numbers).T.reshape(numbers.shape[1], -1, 3, 3)[:, pair] * share
+    edge = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
+    found = replace(made, values=values[0], doubt=values[1:], edge=edge)
     said = {
         "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants",
         "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at half of it forces are "
         f"{slope:+.1%} of linear ones",
     }
-    return replace(made, polar=polar, doubt=doubt), said
+    return found, said
 
 
 def by_strains(
-    cell: ase.Atoms, calculator: Any, noise: Noise, atoms: ForceConstants, allowed: np.ndarray
+    cell: ase.Atoms, calculator: Any, largest: float, atoms: ForceConstants, allowed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """C_ijkl [TPa] by finite strains, atoms relaxed by force constants, and standard errors.
+
+    By differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, so that the stress of
+    a crystal that is held counts as (T19) has it.
 
     Args:
         cell: at rest.
         calculator: with forces and stress; None is returned where it has none.
-        noise: which says how large strains are.
+        largest: strain.
         atoms: force constants.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
 
     Returns [d, d, d, d] and [Q, d, d, d, d].
     """
-    d, flat = atoms.dimension, atoms.thickness is not None
-    kinds = PAIRS[d]
-    e = noise.strain * np.array(PULLED)
-    S = np.zeros((2, len(kinds), len(e), d, d))
-    F = np.zeros((2, len(kinds), len(e), len(cell), 3))
-    counts = (2, 2, 1) if flat else (2, 2, 2)
-    many = cell.repeat(counts)
-    for kind, (i, j) in enumerate(kinds):
-        for row, size in enumerate(e):
-            for side, sign in enumerate((1, -1)):
-                G = np.eye(3)
-                G[i, j] += sign * size / 2
-                G[j, i] += sign * size / 2
-                one = many.copy()
-                one.set_cell(np.array(many.cell) @ G, scale_atoms=True)
-                one.calc = calculator
-                try:
-                    sigma = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False))
-                except NotImplementedError:
-                    return None
-                if flat:
-                    sigma = sigma * (cell.cell[2, 2] / atoms.thickness)
-                inside = np.linalg.inv(G[:d, :d])
-                S[side, kind, row] = (
-                    np.linalg.det(G[:d, :d]) * inside @ sigma[:d, :d] @ inside.T * EV_IN_TPA
-                )
-                force = np.array(one.get_forces(apply_constraint=False))
-                F[side, kind, row] = force.reshape(-1, len(cell), 3).mean(axis=0)
-    odd, even = (S[0] - S[1]) / 2, (S[0] + S[1]) / 2
-    C, errors = _fitted(allowed, odd, e)
-    short, unsure = _fitted(allowed, odd[:, :2], e[:2])
+    d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
+    kinds, e = PAIRS[d], largest * np.array(PULLED)
+    S = np.zeros((2, len(e), len(kinds), len(kinds)))
+    F = np.zeros((2, len(e), len(kinds), n, 3))
+    many = cell.repeat((2, 2, 1 if flat else 2))
+    tall = cell.cell[2, 2] / atoms.thickness if flat else 1.0
+    for row, kind, side in np.ndindex(*S.shape[1:3], 2):
+        i, j = kinds[kind]
+        G = np.eye(3)
+        G[[i, j], [j, i]] += (1 - 2 * side) * e[row] / (1 if i == j else 2)
+        one = many.copy()
+        one.set_cell(np.array(many.cell) @ G, scale_atoms=True)
+        one.calc = calculator
+        try:
+            sigma = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False)) * tall
+        except NotImplementedError:
+            return None
+        back = np.linalg.inv(G)
+        pulled = np.linalg.det(G) * back @ sigma @ back.T * EV_IN_TPA
+        S[side, row, kind] = [pulled[pair] for pair in kinds]
+        F[side, row, kind] = np.reshape(one.get_forces(apply_constraint=False), (-1, n, 3)).mean(0)
+    even = np.linalg.lstsq(np.column_stack([e**0, e**2]), (S.sum(axis=0) / 2).reshape(len(e), -1))[
+        0
+    ]
+    slope, error, gain = _slope((S[0] - S[1]) / 2, e)
+    short, _, wider = _slope((S[0] - S[1])[:2] / 2, e[:2])
+    onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
+    U, sizes, _ = np.linalg.svd(onto, full_matrices=False)
+    C, off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, slope - short))
+    errors = [*np.tensordot((U * sizes * error).T, allowed, 1)]
+    if np.linalg.norm(onto @ (slope - short).ravel()) > TIMES * error * wider / gain * np.sum(
+        sizes
+    ):
+        errors.append(off)
     # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
-    basis = np.column_stack([np.ones(len(e)), e**2])
-    fitted = np.linalg.lstsq(basis, even.swapaxes(0, 1).reshape(len(e), -1))[0]
-    rest = fitted[0].reshape(len(kinds), -1).mean(axis=0)
+    rest = even[0].reshape(len(kinds), -1).mean(axis=0)
     if atoms.stress is not None:
-        rest = rest - atoms.stress.ravel()
-    left = np.linalg.solve(voigt(C), [rest.reshape(d, d)[pair] for pair in kinds])
-    spread = [2 * np.abs(fitted[1]).max() / np.abs(C).max() * np.abs(left).max() * C]
-    if np.linalg.norm(C - short) > TIMES * np.linalg.norm(unsure):
-        spread.append(C - short)
-    if len(cell) > 1:
-        push, tau = _slopes(F, e)
-        Lambda = np.zeros((len(cell), 3, d, d))
+        rest = rest - [atoms.stress[pair] for pair in kinds]
+    strain = np.abs(np.linalg.solve(voigt(C), rest)).max()
+    errors.append(2 * np.abs(even[1]).max() / np.abs(C).max() * strain * C)
+    if n > 1:
+        push, tau, _ = _slope((F[0] - F[1]) / 2, e)
+        Lambda = np.zeros((n, 3, d, d))
         for kind, (i, j) in enumerate(kinds):
             Lambda[..., i, j] = Lambda[..., j, i] = push[kind]
-        given, noise_of = _relaxed(atoms, Lambda, tau, allowed)
-        C = C - given
-        errors = np.concatenate([errors, noise_of])
-        for one in atoms.doubt if atoms.doubt is not None else ():
-            stiffer = atoms.values + one
-            spread.append(given - _relaxed(atoms, Lambda, tau, allowed, stiffer)[0])
-    return C, np.concatenate([errors, np.array(spread)])
+        taken, more = _relaxed(atoms, Lambda, tau, allowed)
+        errors += [*more]
+        for one in () if atoms.doubt is None else atoms.doubt:
+            errors.append(taken - _relaxed(atoms, Lambda, tau, allowed, atoms.values + one)[0])
+        C = C - taken
+    return C, np.array(errors)
 
 
-def _fitted(allowed: np.ndarray, odd: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """C of the symmetry by the odd parts of stresses, C e + D e³, and its errors."""
-    d = allowed.shape[1]
-    kinds = PAIRS[d]
-    unit = np.zeros((len(kinds), d, d))
-    for kind, (i, j) in enumerate(kinds):
-        unit[kind, i, j] += 0.5
-        unit[kind, j, i] += 0.5
-    lead = np.einsum("mabcd,kcd->mkab", allowed, unit)
-    pick = tuple(np.array(kinds).T)
-    first = (lead[:, :, None] * e[:, None, None])[(..., *pick)].reshape(len(allowed), -1)
-    third = np.kron(np.eye(len(kinds)), np.kron((e**3)[:, None], np.eye(len(kinds))))
-    third = third / e.max() ** 2
-    X, y = np.column_stack([first.T, third]), odd[(..., *pick)].ravel()
-    c = np.linalg.lstsq(X, y)[0]
-    free = max(len(y) - np.linalg.matrix_rank(X), 1)
-    left = float(np.linalg.norm(y - X @ c) / np.sqrt(free))
-    root = np.linalg.pinv(X)[: len(allowed)]
-    U, sizes, _ = np.linalg.svd(root, full_matrices=False)
-    errors = np.tensordot((U * sizes * left).T, allowed, 1)
-    return np.tensordot(c[: len(allowed)], allowed, 1), errors
-
-
-def _slopes(F: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, float]:
-    """Forces on the atoms of a cell for a strain of each kind, [kinds, n, 3], and their error."""
-    y = (F[0] - F[1]).swapaxes(0, 1).reshape(len(e), -1) / 2
-    X = np.column_stack([e, e**3 / e.max() ** 2])
-    c = np.linalg.lstsq(X, y)[0]
-    left = np.linalg.norm(y - X @ c) / np.sqrt(y.shape[1] * (len(e) - 2))
-    return c[0].reshape(F.shape[1], *F.shape[3:]), float(
-        left * np.linalg.norm(np.linalg.pinv(X)[0])
-    )
+def _slope(y: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Slopes of y = a e + b e³, y [E, ...], their standard error, and that over the error of y."""
+    X = np.column_stack([e, e**3])
+    flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
+    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(flat.shape[1] * max(len(e) - 2, 1))
+    gain = float(np.linalg.norm(P[0]))
+    return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
 
 
 def _relaxed(
@@ -536,13 +457,12 @@ def _relaxed(
     stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
     moved = np.tensordot(relaxing(stiff, m), push, 1)
     size = EV_IN_TPA / atoms.volume
-    taken = np.einsum("Iab,Icd->abcd", push, moved) * size
-    flat = allowed.reshape(len(allowed), -1)
-    onto = np.linalg.pinv(flat).T  # of a tensor to its share of each
+    onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
+    taken = onto @ np.einsum("Iab,Icd->abcd", push, moved).ravel() * size
     each = np.einsum("mabcd,Icd->mIab", onto.reshape(allowed.shape), moved)
-    rows = 2 * size * error * each.reshape(len(allowed), -1)
-    U, sizes, _ = np.linalg.svd(rows, full_matrices=False)
-    return np.tensordot(onto @ taken.ravel(), allowed, 1), np.tensordot((U * sizes).T, allowed, 1)
+    U, sizes, _ = np.linalg.svd(each.reshape(len(allowed), -1), full_matrices=False)
+    errors = np.tensordot((U * sizes * (2 * size * error)).T, allowed, 1)
+    return np.tensordot(taken, allowed, 1), errors
 
 
 def joined(
@@ -558,26 +478,21 @@ def joined(
     Returns them, χ² between both for each modulus, and how far Φ moved. Errors of force constants
     are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
     """
-    flat = allowed.reshape(len(allowed), -1)
-    onto = np.linalg.pinv(flat).T
-
-    def seen(values: np.ndarray) -> np.ndarray:
-        return np.asarray(onto @ atoms.nearest_elastic(allowed, values)[0].ravel())
-
-    J = onto @ atoms.elastic_doubt(allowed).reshape(-1, flat.shape[1]).T
-    other, spread = onto @ C.ravel(), onto @ errors.reshape(len(errors), -1).T
-    off = other - seen(atoms.values)
+    onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
+    J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
+    spread = onto @ errors.reshape(len(errors), -1).T
+    other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
+    off = other - seen
     chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)
-    doubt: np.ndarray = np.asarray(atoms.doubt) * max(1.0, chi**0.5)
-    J = J * max(1.0, chi**0.5)
-    S = J @ J.T + spread @ spread.T
-    gain = J.T @ np.linalg.pinv(S)
-    values, before, step = atoms.values, atoms.values, np.zeros(len(doubt))
+    wider = max(1.0, chi**0.5)
+    doubt, J = np.asarray(atoms.doubt) * wider, J * wider
+    gain = J.T @ np.linalg.pinv(J @ J.T + spread @ spread.T)
+    values, step = atoms.values, np.zeros(len(doubt))
     for _ in range(3):  # moduli bend a little in Φ where atoms of a cell relax
-        step = gain @ (other - seen(values) + J @ step)
-        values = before + np.tensordot(step, doubt, 1)
+        step = gain @ (other - seen + J @ step)
+        values = atoms.values + np.tensordot(step, doubt, 1)
+        seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
     parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
-    root = vectors * np.sqrt(np.clip(parts, 0, None))
-    after = np.tensordot(root.T, doubt, 1)
-    moved = float(np.linalg.norm(values - before) / np.linalg.norm(before))
+    after = np.tensordot((vectors * np.sqrt(np.clip(parts, 0, None))).T, doubt, 1)
+    moved = float(np.linalg.norm(values - atoms.values) / np.linalg.norm(atoms.values))
     return replace(atoms, values=values, doubt=after), chi, moved

@@ -12,10 +12,8 @@ import ase
 import numpy as np
 import scipy.sparse as sp
 from ase.data import atomic_masses
-from ase.optimize import BFGS
 from scipy.spatial import cKDTree
 
-from warp_peri.core.elastic import PAIRS, from_voigt
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import (
     STEP,
@@ -28,7 +26,7 @@ from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.structures.noise import EV_IN_TPA, TIMES, rattled
-from warp_peri.structures.rest import QUIET, STEPS, Reference, stress_of
+from warp_peri.structures.rest import Reference
 
 CONE = 2.0
 """Radius of the smoothing, in spacings."""
@@ -235,8 +233,6 @@ LOOSE = (
     "structure: parts of it feel no force from the rest; expected one crystal, without loose atoms "
     "or layers"
 )
-STRAIN = 1e-3
-"""Of the finite strains that moduli are checked with."""
 BORN, DIELECTRIC = "born_effective_charges", "dielectric_tensor"
 """ASE's names for what a calculator may give."""
 NEUTRAL = 1e-3
@@ -418,34 +414,3 @@ def _changes(atoms: ForceConstants, k: np.ndarray, wave: np.ndarray) -> np.ndarr
     first, second = (wave[atoms.pairs[:, side]] for side in (0, 1))
     off = np.einsum("p,pa,qpab,pb->q", phase, first.conj(), doubt, second, optimize=True)
     return np.asarray(off.real)
-
-
-def strained_moduli(reference: Reference, calculator: Any) -> np.ndarray | None:
-    """C_ijkl [TPa] by finite strains of the cell, atoms relaxed, [d, d, d, d]; None without stress.
-
-    Differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, so that the stress of a
-    crystal that is held counts as (T19) has it.
-    """
-    d = reference.dimension
-    columns = []
-    for i, j in PAIRS[d]:
-        found = []
-        for sign in (1, -1):
-            strain = np.zeros((3, 3))
-            strain[i, j] += sign * STRAIN / 2
-            strain[j, i] += sign * STRAIN / 2
-            F = np.eye(3) + strain
-            cell = reference.cell.copy()
-            cell.set_cell(np.array(cell.cell) @ F, scale_atoms=True)
-            cell.calc = calculator
-            BFGS(cell, logfile=None).run(fmax=QUIET, steps=STEPS)
-            try:
-                sigma = stress_of(cell, reference.thickness)[:d, :d]
-            except NotImplementedError:
-                return None
-            inside = np.linalg.inv(F[:d, :d])
-            found.append(np.linalg.det(F[:d, :d]) * inside @ sigma @ inside.T)
-        slope = (found[0] - found[1]) / (2 * STRAIN)
-        columns.append([slope[pair] for pair in PAIRS[d]])
-    matrix = np.array(columns)
-    return from_voigt((matrix + matrix.T) / 2)
