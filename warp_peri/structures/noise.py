@@ -29,7 +29,7 @@ from warp_peri.points.unit_names import STRESSES
 EV_IN_TPA = STRESSES["eV/angstrom^3"]
 ON_SITES = 1e-4
 """Distance [Å] within which atoms are on their sites."""
-SHAKEN, ANGLES, ENOUGH = 0.01, (0.0, 0.0, 40.0), 8
+SHAKEN, ANGLES, ENOUGH = 0.01, (0.0, 0.0, 25.0, 40.0), 8
 """Displacement [Å] of the atoms that noise is looked at on, turns of the copies, how many atoms."""
 EXACT = 1e-7
 """Noise over the force that a displacement of SHAKEN makes, below which it is rounding."""

@@ -484,7 +484,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         beside = {
             n: v for n, v in beside.items() if n != "born_filename" or "nac_params" not in told
         }
-        found: Any = phonopy.load(**told, **beside, log_level=0)
+        found: Any = phonopy.load(**told, **beside, symmetrize_fc=False, log_level=0)
     except Exception as error:  # phonopy raises whatever its parsing runs into
         hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
         raise InputError(f"{path}: phonopy does not read it ({error}){hint}") from None
