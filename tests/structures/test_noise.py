@@ -112,7 +112,7 @@ def test_numbers_of_orbits_are_all_of_phi_and_give_its_forces(hexagonal):
 def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_error(hexagonal):
     atoms, many = hexagonal
     noise = np.random.default_rng(1).standard_normal(atoms.values.shape)
-    size = 3e-3 * np.abs(atoms.values).max()
+    size = 1e-3 * np.abs(atoms.values).max()
     broken = replace(atoms, values=atoms.values + size * noise)
     kept = projected(broken, many)
     zeroth, first, second = kept.moments()

@@ -11,6 +11,7 @@ import ase
 import numpy as np
 import scipy.sparse as sp
 from ase.stress import voigt_6_to_full_3x3_stress
+from scipy.spatial.transform import Rotation
 
 from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
 from warp_peri.core.groups import by_spglib, kinds_of
@@ -84,7 +85,7 @@ class Noise:
 
 
 def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
-    """Noise of forces and stress: of one displaced crystal, translated and turned about z.
+    """Noise of forces and stress: of one displaced crystal, translated and turned.
 
     Args:
         cell: the crystal.
@@ -94,15 +95,15 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     rng, count = np.random.default_rng(0), int(np.ceil((ENOUGH / len(cell)) ** (1 / (3 - flat))))
     many = cell.repeat((count, count, 1 if flat else count))
     u = _directions(rng, len(many), SHAKEN)
+    axis = np.array([0, 0, 1.0]) if flat else np.array([1, 2, 3]) / 14**0.5
     seen: dict[int, list[tuple[np.ndarray, Any]]] = {1: [], -1: []}
     for sign, angle in ((s, a) for s in seen for a in ANGLES):
         one = many.copy()
         one.positions += sign * u + rng.uniform(0, 3, 3) * [1, 1, not flat]
-        one.rotate(angle, "z", rotate_cell=True)
+        turn = Rotation.from_rotvec(angle * axis, degrees=True).as_matrix()
+        one.set_cell(np.array(one.cell) @ turn.T)
+        one.positions[:] = np.array(one.positions) @ turn.T
         one.calc = calculator
-        turn = np.eye(3)
-        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
-        turn[:2, :2] = [[c, -s], [s, c]]
         try:
             force, stress = np.array(one.get_forces(apply_constraint=False)) @ turn, None
         except Exception:  # a calculator may go by axes of its own
