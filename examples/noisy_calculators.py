@@ -23,10 +23,11 @@ from ase.calculators.emt import EMT
 import warp_peri as wp
 from tools.crystals import LEWIS_CATLOW
 from tools.options import Options
-from warp_peri.core.elastic import named_moduli
+from warp_peri.core.elastic import allowed_tensors, named_moduli
+from warp_peri.core.groups import name_of, point_group
 from warp_peri.errors import exit_status
 from warp_peri.structures.calculators import lammps_calculator
-from warp_peri.structures.learn import known_constants, moduli_and_errors
+from warp_peri.structures.learn import errors_of, known_constants, with_errors
 from warp_peri.structures.phonons import BORN, DIELECTRIC
 from warp_peri.structures.rest import at_rest
 
@@ -105,7 +106,9 @@ def moduli(name: str, noise: float, seed: int) -> dict[str, tuple[float, float]]
     calculator = Noisy(exact, noise, seed) if noise else exact
     reference = at_rest(structure, calculator)
     atoms, strained, _ = known_constants(reference, calculator)
-    return moduli_and_errors(atoms, strained)
+    group = name_of(atoms.group())
+    C = atoms.elastic(allowed_tensors(group, point_group(group, 3), np.eye(3)))
+    return with_errors(C, errors_of(atoms, strained, group))
 
 
 def made(name: str, noise: float) -> dict[str, Any]:

@@ -369,8 +369,8 @@ class LearnedCrystal(Shown):
             for name, C in columns.items()
         ]
         if self.errors is not None:
-            bars = moduli_errors(self.tensor, self.errors)
-            told = ", ".join(f"{name} {bar:.2g}" for name, bar in bars.items())
+            bars = with_errors(self.tensor, self.errors)
+            told = ", ".join(f"{name} {bar:.2g}" for name, (_, bar) in bars.items())
             shown.append(
                 ("standard errors", f"{told} GPa; a sound wave's modulus {self.unsure:.2%}")
             )
@@ -420,9 +420,11 @@ class LearnedCrystal(Shown):
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
             "moduli_GPa": {key: named_moduli(1e3 * v) for key, v in C.items()},
-            "standard_errors_GPa": {}
-            if self.errors is None
-            else moduli_errors(self.tensor, self.errors),
+            "standard_errors_GPa": {
+                name: bar
+                for name, (_, bar) in with_errors(self.tensor, self.errors).items()
+                if self.errors is not None
+            },
             "spacing": self.law.spacing,
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
@@ -432,18 +434,19 @@ class LearnedCrystal(Shown):
         }
 
 
-def _with_error(C: np.ndarray, errors: np.ndarray) -> str:
-    """Moduli with standard errors, of C [TPa] and independent ones of it, [Q, d, d, d, d]."""
-    kept = named_moduli(1e3 * C)
-    bars = moduli_errors(C, errors)
-    return ", ".join(f"{n} {v:.2f} ± {bars[n]:.2g}" for n, v in kept.items()) + " GPa"
+def with_errors(C: np.ndarray, errors: Any) -> dict[str, tuple[float, float]]:
+    """Moduli [GPa] of C [TPa] by name, each with its standard error; errors [Q, d, d, d, d]."""
+    M = 1e3 * np.sqrt((voigt(0 * C[None] if errors is None else errors) ** 2).sum(axis=0))
+    label = "123456" if C.shape[0] == 3 else "124"
+    return {
+        name: (value, float(M[label.index(name[1]), label.index(name[2])]))
+        for name, value in named_moduli(1e3 * C).items()
+    }
 
 
-def moduli_errors(C: np.ndarray, errors: np.ndarray) -> dict[str, float]:
-    """Standard errors [GPa] of the moduli of C that have names; errors [TPa], [Q, d, d, d, d]."""
-    d, M = C.shape[0], 1e3 * np.sqrt((voigt(errors) ** 2).sum(axis=0))
-    label = "123456" if d == 3 else "124"
-    return {name: float(M[label.index(name[1]), label.index(name[2])]) for name in named_moduli(C)}
+def _written(C: np.ndarray, errors: Any) -> str:
+    moduli = with_errors(C, errors).items()
+    return ", ".join(f"{name} {value:.2f} ± {bar:.2g}" for name, (value, bar) in moduli) + " GPa"
 
 
 def _unsure(C: np.ndarray, errors: Any, stress: np.ndarray | None) -> float:
@@ -469,16 +472,6 @@ def errors_of(atoms: ForceConstants, strained: np.ndarray | None, symmetry: Symm
         d = atoms.dimension
         return atoms.elastic_doubt(allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)))
     return None if strained is None else (strained - _of_long_waves(atoms, symmetry))[None]
-
-
-def moduli_and_errors(
-    atoms: ForceConstants, strained: np.ndarray | None
-) -> dict[str, tuple[float, float]]:
-    """Moduli [GPa] by name, each with its standard error, as `known_constants` gives them."""
-    group = _group(atoms, "auto")
-    C, errors = _of_long_waves(atoms, group), errors_of(atoms, strained, group)
-    bars = moduli_errors(C, 0 * C[None] if errors is None else errors)
-    return {name: (value, bars[name]) for name, value in named_moduli(1e3 * C).items()}
 
 
 def _of_long_waves(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
@@ -583,12 +576,12 @@ def known_constants(
     found = by_strains(reference.cell, calculator, largest, atoms, allowed)
     if found is None or noise is None:
         return atoms, None if found is None else found[0], told | _doubts(atoms)
-    alone = _with_error(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
+    alone = _written(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
     new, chi, moved = joined(atoms, allowed, *found)
     check_phonons(new)
     told["moduli, force constants alone"] = alone
     told["moduli, finite strains alone"] = (
-        f"{_with_error(*found)}, strains of {largest * PULLED[0]:.2g} to {largest:.2g}"
+        f"{_written(*found)}, strains of {largest * PULLED[0]:.2g} to {largest:.2g}"
     )
     believed = "they agree" if chi <= APART else "strains are believed: forces leave the supercell"
     told["both"] = f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}"
