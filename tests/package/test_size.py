@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 48_678,
+    "lines of warp_peri": 49_623,
     "files of warp_peri": 200,
     "lines of kernels": 5_662,
-    "lines of examples and tools": 28_079,
-    "lines of tests": 31_770,
+    "lines of examples and tools": 28_269,
+    "lines of tests": 32_032,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,
