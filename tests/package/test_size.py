@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 50_675,
+    "lines of warp_peri": 51_458,
     "files of warp_peri": 200,
     "lines of kernels": 5_662,
-    "lines of examples and tools": 28_985,
-    "lines of tests": 32_964,
+    "lines of examples and tools": 29_175,
+    "lines of tests": 33_140,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,
