@@ -192,7 +192,7 @@ def test_hexahedra_whose_corners_lie_at_one_place_are_cut_alike(tmp_path, seed):
     """As of two parts that were meshed by themselves; the part between them is inside."""
     order = np.random.default_rng(seed).permutation(16)
     x = np.empty((16, 3))
-    x[order] = np.concatenate([SOLID[:8], SOLID[:8] + (1, 0, 0)])
+    x[order] = np.concatenate([SOLID[:8], np.add(SOLID[:8], [1, 0, 0])])
     cells = [("hexahedron", order.reshape(2, 8)), ("quad", order[[[8 + n for n in (1, 2, 6, 5)]]])]
     tags = [np.zeros(2, int), np.array([4])]
     meshio.Mesh(x, cells, cell_data={"medit:ref": tags}).write(tmp_path / "two.vtu")

@@ -503,13 +503,16 @@ def _join(read: Any, points: np.ndarray) -> None:
     used = np.unique(np.concatenate([cells.ravel() for cells in solids]))
     if not (used.size and used[0] >= 0 and used[-1] < len(points) and np.isfinite(points).all()):
         return  # which is told of later
-    sides = []
+    shortest = np.inf
     for cells in solids:
-        pairs = np.array(list(itertools.combinations(range(cells.shape[1]), 2)))
-        apart = np.linalg.norm(points[cells[:, pairs[:, 0]]] - points[cells[:, pairs[:, 1]]], axis=2)
-        sides.append(np.ravel(np.where(apart > SAME * apart.max(axis=1, keepdims=True), apart, np.inf)))
+        a, b = np.array([*itertools.combinations(range(cells.shape[1]), 2)]).T
+        side = np.linalg.norm(points[cells[:, a]] - points[cells[:, b]], axis=2)
+        some = side[side > SAME * side.max(axis=1, keepdims=True)]  # not those of no length
+        shortest = min(shortest, float(some.min(initial=np.inf)))
+    if not shortest < np.inf:
+        return
     first = np.arange(len(points))
-    first[used] = used[_welded(points[used], SAME * min(side.min() for side in sides))]
+    first[used] = used[_welded(points[used], SAME * shortest)]
     for block in read.cells:
         block.data = first[np.asarray(block.data)]
 
@@ -540,7 +543,9 @@ def _in_tetrahedra(cells: np.ndarray) -> np.ndarray:
         left[np.tile(np.flatnonzero(away), len(face) - 2)[whole]] = True
         found.append(cut[whole])
     if not left.all():
-        raise InputError(f"cells: number {np.argmin(left)} of those with {cells.shape[1]} corners has no volume")
+        raise InputError(
+            f"cells: number {np.argmin(left)} of those with {cells.shape[1]} corners has no volume"
+        )
     return np.concatenate(found)
 
 
