@@ -16,7 +16,7 @@ from warp_peri.edges.body import Coupling, solve_body
 from warp_peri.learning.fit import learn as fit
 from warp_peri.lps.model import bernstein_basis
 from warp_peri.points.families import bond_classes, families_of
-from warp_peri.points.samples import largest_strain
+from warp_peri.points.lattice import largest_strain
 from warp_peri.transfer.operator import LPSOperator
 
 

@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 51_558,
+    "lines of warp_peri": 51_567,
     "files of warp_peri": 200,
     "lines of kernels": 5_662,
     "lines of examples and tools": 29_175,

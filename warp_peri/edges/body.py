@@ -25,9 +25,10 @@ from warp_peri.lps.operator import NodeOperator
 from warp_peri.lps.symbol import moduli
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import largest_strain
 from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
-from warp_peri.points.samples import edge_strain, largest_strain
+from warp_peri.points.samples import edge_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.stability.certificate import with_proof
 from warp_peri.statics.direct import definite_factors

@@ -28,7 +28,8 @@ from warp_peri.learning.training_data import (
 from warp_peri.lps.shapes import InfluenceFunction, shapes_of
 from warp_peri.lps.symbol import moduli as moduli_of
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples, largest_strain, largest_wave_number
+from warp_peri.points.lattice import largest_strain
+from warp_peri.points.samples import Samples, largest_wave_number
 from warp_peri.points.unit_names import symbols
 from warp_peri.regression.coordinates import SMALLEST_MODULUS, Parameters
 from warp_peri.regression.optimum import HEADROOM, Conditions

@@ -17,7 +17,8 @@ from warp_peri.learning.response import as_model, products
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import Scale, held, scale_of
 from warp_peri.points.families import BondClasses
-from warp_peri.points.samples import Samples, largest_strain
+from warp_peri.points.lattice import largest_strain
+from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import Features, ReducedLoss, sample_weights, with_rows

@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 from weakref import WeakValueDictionary
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
@@ -180,44 +179,6 @@ def axis_of(points: PointsLike) -> float:
             )
         return 0.0
     return float(np.deg2rad(points.axis))
-
-
-DIAGONAL = 1.5
-"""Spacings within which nodes of a lattice are neighbours where strain is told."""
-
-
-def largest_strain(
-    points: PointsLike, u: ArrayLike, nodes: np.ndarray | slice = slice(None)
-) -> float:
-    """Largest |ξ·(u_j − u_i)|/r² between nodes and their nearest neighbours.
-
-    On a lattice those across the diagonals of a square count too: shear along the axes stretches no
-    other bond.
-
-    Args:
-        points: a lattice or scattered points; nodes outside the body do not count.
-        u: displacement [Å], shape [N, d] or [S, N, d].
-        nodes: of the body, that are looked at; all by default.
-    """
-    body = np.ones(len(points.x), bool) if points.outside is None else ~points.outside
-    x = points.x[body]
-    d = x.shape[1]
-    count = min(3**d if points.spacing > 0 else 2 * d + 1, len(x))
-    r, near = cKDTree(x).query(x[nodes], k=count)
-    r, near = r.reshape(-1, count)[:, 1:], near.reshape(-1, count)[:, 1:]
-    if points.spacing > 0:
-        near = np.where(r < DIAGONAL * points.spacing, near, np.arange(len(x))[nodes, None])
-    xi = x[near] - x[nodes, None]
-    square = (xi**2).sum(axis=-1)
-    unit = xi / np.where(square > 0, square, np.inf)[..., None]
-    fields = np.asarray(u).reshape(-1, *points.x.shape)[:, body]
-    return max(
-        (
-            float(np.abs((unit * (field[near] - field[nodes, None])).sum(axis=-1)).max(initial=0))
-            for field in fields
-        ),
-        default=0.0,
-    )
 
 
 def edge_strain(x: np.ndarray, triangles: np.ndarray, u: np.ndarray) -> float:

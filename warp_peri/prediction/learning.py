@@ -13,8 +13,9 @@ from warp_peri.core.grid import grid_of
 from warp_peri.errors import InputError
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.every_second import APART, EverySecond
+from warp_peri.points.lattice import largest_strain
 from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples, largest_strain, part
+from warp_peri.points.samples import Samples, part
 from warp_peri.prediction.placed import (
     GROWN,
     HALF_PERIOD,

@@ -17,9 +17,9 @@ from warp_peri.core.record import Entry, OnLinear
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number
 from warp_peri.points.every_second import APART, EverySecond
-from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.points.samples import PointsLike, largest_strain, nodes_of
+from warp_peri.points.samples import PointsLike, nodes_of
 
 SEEN = 0.5
 """Samples' worth of a wavelength from which its error counts as known."""

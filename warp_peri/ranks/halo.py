@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.points.lattice import DIAGONAL, largest_strain
 from warp_peri.points.points import Points
-from warp_peri.points.samples import DIAGONAL, largest_strain
 from warp_peri.ranks.processes import Comm
 
 if TYPE_CHECKING:

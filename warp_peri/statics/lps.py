@@ -23,10 +23,10 @@ from warp_peri.lps.matrices import matrices, node_fields
 from warp_peri.lps.model import Model, Solid, lps_stencil
 from warp_peri.points.arrays import checked, checked_fields
 from warp_peri.points.families import families_of
-from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import PointsLike, largest_strain, nodes_of
+from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.conjugate_gradients import SolveRecord
 from warp_peri.statics.direct import RESIDUAL, MatrixProblem, definite_factors

@@ -14,7 +14,8 @@ from warp_peri.errors import InputError
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import Model
 from warp_peri.points.interpolation import NEIGHBOURS
-from warp_peri.points.samples import PointsLike, largest_strain
+from warp_peri.points.lattice import largest_strain
+from warp_peri.points.samples import PointsLike
 from warp_peri.statics.direct import MatrixProblem
 from warp_peri.transfer.carrier import Carrier
 
