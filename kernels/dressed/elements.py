@@ -221,7 +221,9 @@ def element_planes(scalar, dimension, pairs, entries):
             lines.append(f"const REAL b{i}x0_{c} = {' + '.join(pulls.get((i, c), ['REAL(0)']))};")
         _butterflies(lines, f"b{i}x", d, False)
         lines.extend(f"r[{i * corners + c}][l] = b{i}x{d}_{c};" for c in range(corners))
-    text = PLANE.replace("BODY", "\n            ".join(lines)).replace("OFFSETS", ", ".join(offsets))
+    text = PLANE.replace("BODY", "\n            ".join(lines)).replace(
+        "OFFSETS", ", ".join(offsets)
+    )
     for word, value in (("ENTRIES", len(entries)), ("FORCES", parts * corners),
                         ("CORNERS", corners), ("LANES", lanes)):  # fmt: skip
         text = text.replace(word, str(value))

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.dressed.body import DressedBody, Grains
 from warp_peri.core.elastic import PAIRS, from_voigt, voigt
+from warp_peri.dressed.body import DressedBody, Grains
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.dressed.sweeps import PeriodicElements
 from warp_peri.errors import InputError
@@ -446,7 +446,9 @@ def _of_body(body: DressedBody) -> tuple[np.ndarray, np.ndarray]:
     law, d = body.model, len(body.sides)
     whole = body.points.box is not None and len(body.grid) == np.prod(body.sides)
     if law.base != "elements" or len(law.tensors) > 1 or body.gram is not None or not whole:
-        raise InputError("solid: expected elements under one G that fill a period, none of them cut")
+        raise InputError(
+            "solid: expected elements under one G that fill a period, none of them cut"
+        )
     if not body._there.all():
         raise InputError("solid: expected a body without broken pairs")
     if not body.factors.min() > 0:
@@ -482,7 +484,11 @@ def _of_phases(
             f"{list(tables.shape)} with {list(number.shape)}"
         )
     whole = number.astype(int)
-    if not number.size or (whole != number).any() or not 0 <= whole.min() <= whole.max() < len(tables):
+    if (
+        not number.size
+        or (whole != number).any()
+        or not 0 <= whole.min() <= whole.max() < len(tables)
+    ):
         raise InputError(
             f"phases: expected whole numbers from 0 to {len(tables) - 1}, got shape "
             f"{list(number.shape)} and {number.min(initial=0):g} to {number.max(initial=0):g}"
