@@ -415,8 +415,9 @@ class PeriodicElements:
         inner[(slice(None), *(slice(n) for n in self.sides))] = shares
         size = (1, self.components * self._places + spare)
         self._given, self._found = np.zeros(size), np.zeros(size)
-        self._tables = floats(np.ascontiguousarray(tables[(slice(None), *zip(*used))]))
-        self._arrays = self._tables, floats(factors), floats(self._given)
+        first, second = np.array(used).T
+        moduli = np.ascontiguousarray(tables[:, first, second])
+        self._arrays = floats(moduli), floats(factors), floats(self._given)
         self._out = floats(self._found)
 
     def affine(self, load: int) -> np.ndarray:
