@@ -1,7 +1,7 @@
 # make graphene: everything from a fresh clone to the report of the main job.
 # make test:     the same set-up, then the test suite, a file of tests to a core at a time.
 # make verify:   known problems against their references; 1 where a row does not hold.
-# make docs:     the pages in docs/ as a site, in site/.
+# make docs:     the pages in docs/ as a site, in site/, and how they read in numbers.
 PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
@@ -25,6 +25,7 @@ lint: $(VENV)/.installed
 docs: $(VENV)/.installed
 	$(BIN)/python -m pip install --quiet --editable '.[docs]' --constraint constraints.txt
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	$(BIN)/python docs/check.py
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; name one with make PYTHON=python3.x")'

@@ -25,11 +25,7 @@ def on_page_content(content: str, **_: object) -> str:
 def _drawn(found: re.Match) -> str:
     inline, display = found[2], found[3]
     latex = html.unescape(inline if inline is not None else display)
-    number = re.search(r"\\tag\{([A-Z]?\d+)\}", latex)
-    drawn = convert(
-        re.sub(r"\\tag\{[A-Z]?\d+\}", "", latex),
-        display="inline" if inline is not None else "block",
-    )
+    drawn = convert(latex, display="inline" if inline is not None else "block")
     for typed, sign in DELIMITERS.items():
         drawn = drawn.replace(f">{typed}<", f">{sign}<")
     drawn = BAR.sub(r'<mo lspace="0" rspace="0" stretchy="false">\1</mo>', drawn)
@@ -39,5 +35,4 @@ def _drawn(found: re.Match) -> str:
         raise PluginError(f"formula: expected LaTeX that can be drawn, got {latex}")
     if inline is not None:
         return drawn
-    label = f'<span class="number">({number[1]})</span>' if number else ""
-    return f'<div class="formula"><div>{drawn}</div>{label}</div>'
+    return f'<div class="formula">{drawn}</div>'

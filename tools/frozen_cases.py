@@ -372,7 +372,7 @@ def fits() -> Entries:
 
 
 def graphene() -> Entries:
-    """What README prints, from the data, and the other laws on them."""
+    """What docs/learning.md prints, from the data, and the other laws on them."""
     if not DATA.exists():
         raise Absent("data/graphene_0K.h5 is not there; make graphene makes it")
     data = wp.load(DATA)
@@ -416,11 +416,11 @@ def graphene() -> Entries:
             yield f"{name}: dense conditions", "refitted", certificate.gamma_min
         else:
             yield f"{name}: proven constant", "proven", found.certificate.proven
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| \**([^|*]+?)\** \|((?: [*\d.]+ \|){5})$", readme, re.M)
+    page = (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| \**([^|*]+?)\** \|((?: [*\d.]+ \|){5})$", page, re.M)
     shown = {name: " ".join(re.findall(r"[\d.]+", cells)) for name, cells in rows}
     for name, numbers in printed.items():
-        yield f"{name}: row of README", "moved", f"{numbers}, printed {shown.get(name)}"
+        yield f"{name}: row of learning.md", "moved", f"{numbers}, printed {shown.get(name)}"
     if not METRICS.exists():
         raise Absent("runs/graphene_0K/metrics.json is not there; make graphene makes it")
     run = json.loads(METRICS.read_text(encoding="utf-8"))  # whatever code it ran

@@ -1,4 +1,4 @@
-"""(L φ)_i = −Σ_j v_ij κ_ij (φ_j − φ_i) over the bonds of listed nodes, and its adjoint (D1)."""
+"""(L φ)_i = −Σ_j v_ij κ_ij (φ_j − φ_i) over the bonds of listed nodes, and its adjoint (Di1)."""
 
 import warp as wp
 

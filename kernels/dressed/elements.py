@@ -1,4 +1,4 @@
-"""K u of square elements whose moduli vary, many nodes of a row at a time (theory.md, D22).
+"""K u of square elements whose moduli vary, many nodes of a row at a time (theory.md, Dr22).
 
 Planes and pieces are those of micromodulus/rows.py. A site is the element whose first corner is its
 place; `row` says how many places there are along the second axis. The site sweep turns displacement
@@ -177,7 +177,7 @@ def _butterflies(lines, name, dimension, forward):
 
 @cache
 def element_planes(scalar, dimension, pairs, entries):
-    """K u of multilinear squares or cubes, h = 1, a plane of elements for each thread (D27).
+    """K u of multilinear squares or cubes, h = 1, a plane of elements for each thread (Dr27).
 
     Components are as many as `pairs` name, (i, j) for each row of a modulus: of gradient j of
     component i and, where i ≠ j, of i of j. `entries` are the (row, column), row ≤ column, of a

@@ -1,4 +1,4 @@
-"""Forces of square elements at finite strain: G u, pulls of elements, their sums (D14–D16).
+"""Forces of square elements at finite strain: G u, pulls of elements, their sums (Dr14–Dr16).
 
 Nodes and elements are numbered as they come; a table leads from each to its neighbours, −1 where
 none is. Fields are of plane vectors, [S, N].

@@ -5,7 +5,7 @@ planes[s, a P + q]. Bond p leads from place q to q + offset[p], and its other ha
 both go through C(ξ)(2 u(x) − u(x + ξ) − u(x − ξ)) together. A piece is (first place, count):
 count ≤ LANES nodes that follow one another. Each place is written by one piece, and every sum runs
 over the bonds in their order, so that slices on threads change no bit. `dressed` asks for u less
-that (D5).
+that (Dr5).
 For the processor only: the loops over lanes are C++, which Warp's compiler turns into vectors.
 """
 

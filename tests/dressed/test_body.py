@@ -111,7 +111,7 @@ def test_a_period_is_the_even_law_and_linear_in_its_maps():
 
 
 def test_the_bound_of_a_map_is_its_smallest_value():
-    """L ≥ min(map) L of the even solid (theory.md, D11)."""
+    """L ≥ min(map) L of the even solid (theory.md, Dr11)."""
     law = solid()
     points = wp.Points.sheet((8, 8), SPACING)
     rng = np.random.default_rng(2)
@@ -183,7 +183,7 @@ def test_a_crack_parts_its_faces():
 
 
 def test_a_crack_costs_what_it_costs_the_base():
-    """G changes no energy and so no critical load; what the base answers is u = G⁻¹ v (D12)."""
+    """G changes no energy and so no critical load; what the base answers is u = G⁻¹ v (Dr12)."""
     law = solid(base="bonds", reach=2.0, size=0.05)
     points = nodes(2, 15, interior=lambda x: (np.abs(x - 7 * SPACING) < 6.5 * SPACING).all(axis=1))
     crack = [[(-1, 7.4 * SPACING), (6.6 * SPACING, 7.4 * SPACING)]]

@@ -57,14 +57,14 @@ class DiffusionGradient:
 
 
 class DiffusionOperator(OnPoints):
-    """−∇·κ∇φ, nonlocal, on the interior of a point set (theory.md, D1).
+    """−∇·κ∇φ, nonlocal, on the interior of a point set (theory.md, Di1).
 
     Args:
         law: influence function and conductivity.
         points: a lattice or scattered points with a collar of δ; nodes outside break their bonds,
             which leaves an insulated surface.
         kappa: the conductivity: a number, one by node [N] (harmonic mean along a bond), or a
-            function of positions [..., 2], taken in series along each bond (D2). By default the
+            function of positions [..., 2], taken in series along each bond (Di2). By default the
             law's.
 
     ``op(phi)`` takes φ on all nodes, shape [N] or [S, N], and returns L φ on the interior, [I] or
@@ -330,7 +330,7 @@ def _lengths_and_weights(
 
 
 def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.ndarray:
-    """κ of each bond: one number, the harmonic mean of its ends, or series resistance (D2).
+    """κ of each bond: one number, the harmonic mean of its ends, or series resistance (Di2).
 
     Raises InputError for another shape, and for values that are not > 0, naming the smallest.
     """

@@ -1,4 +1,4 @@
-"""A dressed solid on nodes that end, vary and break, and at rest (theory.md, D1–D12, D23, D24)."""
+"""A dressed solid on nodes that end, vary and break, at rest (theory.md, Dr1–Dr12, Dr23, Dr24)."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def grown(points: Points, growth: Motion) -> np.ndarray:
 
     Args:
         points: of the body.
-        growth: of its `plain` solid, move(law.plain, Cracked(points, …), events=…) (D12, C7).
+        growth: of its `plain` solid, move(law.plain, Cracked(points, …), events=…) (Dr12, C7).
 
     Raises InputError for another motion.
     """
@@ -291,7 +291,7 @@ class DressedBody(OnPoints):
     """L = Σ_a Gᵗ K_a G on the nodes of one body, K of the sites and strains that are there.
 
     Made by DressedSolid.on. No eigenvalue is negative and no rigid motion costs anything,
-    whatever is missing (theory.md, D10).
+    whatever is missing (theory.md, Dr10).
 
     Args:
         solid: the law.
@@ -486,7 +486,7 @@ class DressedBody(OnPoints):
         return self._through(lambda flat: self._one_dressing() @ flat, u)
 
     def displacement(self, v: ArrayLike) -> np.ndarray:
-        """u = G⁻¹ v of what the base alone answers, as of a crack that grew in it (D12).
+        """u = G⁻¹ v of what the base alone answers, as of a crack that grew in it (Dr12).
 
         Raises InputError for a split dressing, which has no single v.
         """

@@ -1,4 +1,4 @@
-"""Dressed sheets at finite strain: numbers, force, equilibria and fit (theory.md, D14–D20)."""
+"""Dressed sheets at finite strain: numbers, force, equilibria and fit (theory.md, Dr14–Dr20)."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ MARGIN, HALVINGS = 0.999, 60
 
 @dataclass(frozen=True, eq=False, repr=False)
 class FiniteSolid(Record, format="warp_peri.dressed_finite"):
-    """A sheet with the energy Ψ₂(E(∇G u)) + Ψ₃(E(∇F u)), E the Green strain (D14).
+    """A sheet with the energy Ψ₂(E(∇G u)) + Ψ₃(E(∇F u)), E the Green strain (Dr14).
 
     Attributes:
         spacing: of the nodes, h, in the unit of length.
@@ -111,7 +111,7 @@ class FiniteSolid(Record, format="warp_peri.dressed_finite"):
     @cached_property
     def strain(self) -> float:
         """Largest |H| up to which solutions are proven unique on any finite set of nodes; 0 where
-        nothing is proven (D17–D18)."""
+        nothing is proven (Dr17–Dr18)."""
         corner = np.array([0.0, 2.0, 0.0, 2.0]), np.array([0.0, 0.0, 2.0, 2.0])
         x, y = corner  # 1 − cos k_a h, in which Ĝ is bilinear and F̂ linear
         G = 1 - 2 * self.along * (x + y) - 4 * self.across * (x + y - x * y)
@@ -156,7 +156,7 @@ class FiniteSolid(Record, format="warp_peri.dressed_finite"):
 
 
 def third_derivatives(t3: float, tq2: float, q3: complex) -> np.ndarray:
-    """Of t3 t³ + tq2 t |q|² + Re(q3 q³) to E₁₁, E₂₂ and 2E₁₂, [3, 3, 3] (D15)."""
+    """Of t3 t³ + tq2 t |q|² + Re(q3 q³) to E₁₁, E₂₂ and 2E₁₂, [3, 3, 3] (Dr15)."""
     K = np.zeros((3, 3, 3))  # of t, Re q and Im q
     K[0, 0, 0] = 6 * t3
     for one in (1, 2):
@@ -391,7 +391,7 @@ class FiniteBody(OnPoints):
         return np.asarray(self._sweep(fields)[:, self.points.interior])
 
     def energy(self, u: ArrayLike) -> np.ndarray:
-        """[stress · length²] of the elements that interior nodes move, shape [...] (D14)."""
+        """[stress · length²] of the elements that interior nodes move, shape [...] (Dr14)."""
         fields = self.fields(u)
         each = [density(strains(gradients(D, fields))[0], C, T) for D, C, T in self.parts]
         total = WEIGHT * self.points.spacing**2 * np.sum(each, axis=0).sum(axis=-1)
@@ -560,11 +560,11 @@ class FiniteFit:
 
 @dataclass(frozen=True)
 class FiniteStrain:
-    """W = Ψ₂(E(∇G u)) + Ψ₃(E(∇F u)) of an isotropic sheet with third-order constants (D14).
+    """W = Ψ₂(E(∇G u)) + Ψ₃(E(∇F u)) of an isotropic sheet with third-order constants (Dr14).
 
     Attributes:
         moduli: a Voigt matrix [stress], or the Smoothing of the data, of which those of their long
-            waves are found with third order taken off (D20). They are held.
+            waves are found with third order taken off (Dr20). They are held.
     """
 
     moduli: Any

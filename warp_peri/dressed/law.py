@@ -1,4 +1,4 @@
-"""Dressed solids: numbers, and how fields, phonons and other laws teach them (theory.md, D)."""
+"""Dressed solids: numbers, and how fields, phonons and other laws teach them (theory.md, Dr)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
         certificate: what is proven of the symbol of the even solid; None where nothing was asked.
         provenance: how it came to be; plain JSON values.
         dilatation: weight of the bonds along the axes in θ, of a base of bonds; another than 1/8,
-            that of 1/r, is a second influence function (theory.md, D26).
+            that of 1/r, is a second influence function (theory.md, Dr26).
 
     Raises InputError for a base that is not known or that the moduli do not fit, and for steps and
     tensors that are none.
@@ -152,7 +152,7 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
 
     @property
     def plain(self) -> Model:
-        """The base of bonds as a linear solid with K(r) = 1/r, in which cracks grow (D12).
+        """The base of bonds as a linear solid with K(r) = 1/r, in which cracks grow (Dr12).
 
         Raises InputError for elements and for a base of two functions.
         """
@@ -198,14 +198,14 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
         Args:
             points: lattice nodes with a collar as wide as the horizon, or periodic.
             edges: nodes end where the body does: strains and rows of G that would reach beyond it
-                are left out (theory.md, D9). A function of positions [n, d] says which of them lie
-                inside; elements are integrated over what does (D23). Without it cut bonds are
+                are left out (theory.md, Dr9). A function of positions [n, d] says which of them lie
+                inside; elements are integrated over what does (Dr23). Without it cut bonds are
                 refused.
             maps: modulus of each part over that of the even solid, by the part's name ("bulk",
                 "shear", …), at the nodes, shape [N], ≥ 0.
             broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].
             grains: laws, and the number of that which each node belongs to, [N]; as for turned
-                grains from_phonons (`orientation`) or `transferred` (`rotation`) make them (D24).
+                grains from_phonons (`orientation`) or `transferred` (`rotation`) make them (Dr24).
             dtype: float64, or float32 of even solids and of sheets with maps that nothing cuts.
 
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
@@ -390,8 +390,8 @@ def _dressing(neighbours: int, group: np.ndarray) -> Basis:
 
 
 class _Monomials:
-    """L of a base and a dressing as Σ c_n(q) L_n with c = 1, q_a and q_a q_b of each G (D7), and
-    with two functions each of them times 1, s and s², s the last of q: p = 1/8 + s (D26)."""
+    """L of a base and a dressing as Σ c_n(q) L_n with c = 1, q_a and q_a q_b of each G (Dr7), and
+    with two functions each of them times 1, s and s², s the last of q: p = 1/8 + s (Dr26)."""
 
     def __init__(
         self,
@@ -529,7 +529,7 @@ class DressedFit:
 
 @dataclass(frozen=True)
 class Dressed:
-    """L = Gᵗ K G: a positive base, its short waves lifted to the atoms' by G (theory.md, D).
+    """L = Gᵗ K G: a positive base, its short waves lifted to the atoms' by G (theory.md, Dr).
 
     Attributes:
         base: "elements" (multilinear, any elastic tensor), or "bonds" (isotropic sheets, 1/r on
@@ -540,11 +540,11 @@ class Dressed:
             the points' own axis by default.
         moduli: "long waves" holds those that the longest waves of the fields have, a Voigt matrix
             (crystal's axes) [stress] its own; of isotropic sheets at a percent of strain or more
-            the Smoothing of the data finds better ones (D20). They are never learned with G: left
+            the Smoothing of the data finds better ones (Dr20). They are never learned with G: left
             free they drift.
         split: a G for each part of the base (bulk, shear, …) in place of one.
         two_functions: learn an influence function of the dilatation too, one number more; of a base
-            of bonds and one G. It keeps what is proven (D26).
+            of bonds and one G. It keeps what is proven (Dr26).
     """
 
     base: str = "elements"

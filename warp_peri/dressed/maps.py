@@ -1,9 +1,9 @@
-"""Maps of moduli: from fields (D13), and what a period of them is as a whole (D27)."""
+"""Maps of moduli: from fields (Dr13), and what a period of them is as a whole (Dr27)."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from warp_peri.dressed.sweeps import PeriodicElements
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_positive
 from warp_peri.points.samples import Samples
-from warp_peri.statics.conjugate_gradients import definite
+from warp_peri.statics.conjugate_gradients import SolveRecord, definite
 
 SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
 """Tried by cross-validation, in parts of the mean stiffness of a value of the map."""
@@ -72,7 +72,7 @@ def fit_maps(
         solid: learned on the even sheet, of elements.
         parts: "each" has a map for each part, "one" the same for all.
         coarse: spacings between the values of a map, linear between.
-        smoothness: α of (D13); None takes what predicts left-out loads best.
+        smoothness: α of (Dr13); None takes what predicts left-out loads best.
         smoothing: radius that the fields were smoothed over, if they were.
         grains: laws and the number of each node's own, as of DressedSolid.on: the maps are factors
             on theirs, as soft as boundaries are.
@@ -114,7 +114,7 @@ def fit_maps(
 
 @dataclass(frozen=True, eq=False)
 class DensityLaw:
-    """Moduli as a function of a density ρ (1 for the even solid): 1 + Σ_n c_n (1 − ρ)^n (D21).
+    """Moduli as a function of a density ρ (1 for the even solid): 1 + Σ_n c_n (1 − ρ)^n (Dr21).
 
     Attributes:
         coefficients: c of each part, [degree].
@@ -222,7 +222,7 @@ def _kinds(solid: DressedSolid, parts: str) -> list[list[int]]:
 def _normal_equations(
     body: DressedBody, samples: Samples, basis: sp.csr_array, kinds: list[list[int]], *, known: bool
 ) -> tuple[list[np.ndarray], list[np.ndarray], np.ndarray, float]:
-    """AᵗA and Aᵗb of each load (D13), sizes of the loads, and Σ bᵗb; b less what the even solid
+    """AᵗA and Aᵗb of each load (Dr13), sizes of the loads, and Σ bᵗb; b less what the even solid
     answers where that is `known`."""
     weight = _Weight(body)
     loads = samples.loads.reshape(len(samples.u), -1).T
@@ -325,6 +325,8 @@ class _Weight:
 
 STABLE = 1e-12
 """Least eigenvalue of a phase's moduli over its largest."""
+SYMMETRIC = 1e-8
+"""Relative, by which a matrix may differ from its transpose."""
 EVEN = 1e-12
 """Force of a mean strain at the nodes, over the largest modulus, below which the solid is even."""
 
@@ -343,9 +345,9 @@ class Effective:
     tensor: np.ndarray
     iterations: tuple[int, ...]
     residual: float
-    _elements: PeriodicElements
-    _answers: np.ndarray
-    _units: tuple[float, float]
+    _elements: PeriodicElements = field(repr=False)
+    _answers: np.ndarray = field(repr=False)
+    _units: tuple[float, float] = field(repr=False)
 
     def fields(self, strain: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Local fields under a mean strain [d, d], or a mean gradient [d] of conduction.
@@ -374,9 +376,6 @@ class Effective:
         return np.moveaxis(u, 0, -1) * spacing, both[0], both[1]
 
 
-SYMMETRIC = 1e-8
-
-
 def effective(
     solid: DressedBody | ArrayLike,
     phases: ArrayLike | None = None,
@@ -387,10 +386,10 @@ def effective(
 ) -> Effective:
     """The effective tensor of a period of elements whose moduli vary, and its local fields.
 
-    Each load is a mean strain, met by conjugate gradients with the inverse of the mean solid's
-    stencil before them: their number does not grow with the period, and as √contrast (H. Moulinec
-    and P. Suquet, Comput. Methods Appl. Mech. Eng. 157, 1998; F. Willot, C. R. Mécanique 343,
-    2015; R. J. Leute et al., J. Comput. Phys. 453, 2022; theory.md, D27).
+    Each load is a mean strain, met by conjugate gradients with the mean solid's inverse before
+    them. Iterations do not grow with the period, and with contrast as its root (theory.md, Dr27).
+    Sources: H. Moulinec and P. Suquet, Comput. Methods Appl. Mech. Eng. 157, 1998; F. Willot,
+    C. R. Mécanique 343, 2015; R. J. Leute et al., J. Comput. Phys. 453, 2022.
 
     Args:
         solid: a dressed body on a period, with maps or grains; or the moduli of P phases, Voigt's
@@ -424,12 +423,11 @@ def effective(
     took, left = [], 0.0
     for n, u in enumerate(answers):
         forces[n] = -elements(elements.affine(n))
+        record = SolveRecord()
         if np.linalg.norm(forces[n]) > EVEN * count**0.5:
             u[:], record = definite(elements, elements.evened, forces[n], tolerance)
-            took.append(record.iterations)
-            left = max(left, record.residual)
-        else:
-            took.append(0)
+        took.append(record.iterations)
+        left = max(left, record.residual)
         pulled = elements(u) / count
         for m in range(n + 1):  # the energy of both, whose error is that of u squared
             crossed = np.vdot(forces[m], u) + np.vdot(forces[n], answers[m])
@@ -445,12 +443,11 @@ def _of_body(body: DressedBody) -> tuple[np.ndarray, np.ndarray]:
     """Voigt matrices of the parts of all grains, and the share of each at the elements."""
     law, d = body.model, len(body.sides)
     whole = body.points.box is not None and len(body.grid) == np.prod(body.sides)
-    if law.base != "elements" or len(law.tensors) > 1 or body.gram is not None or not whole:
+    whole = whole and body.gram is None and bool(body._there.all())
+    if law.base != "elements" or len(law.tensors) > 1 or not whole:
         raise InputError(
-            "solid: expected elements under one G that fill a period, none of them cut"
+            "solid: expected elements under one G that fill a period, none cut or broken"
         )
-    if not body._there.all():
-        raise InputError("solid: expected a body without broken pairs")
     if not body.factors.min() > 0:
         raise InputError(f"maps: expected numbers > 0, the smallest is {body.factors.min():g}")
     order = np.ravel_multi_index(tuple(body.grid.T), body.sides)

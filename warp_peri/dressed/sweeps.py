@@ -1,4 +1,4 @@
-"""Positive bases, and forces of dressed bodies layer by layer (theory.md, D1–D4)."""
+"""Positive bases, and forces of dressed bodies layer by layer (theory.md, Dr1–Dr4)."""
 
 from __future__ import annotations
 
@@ -81,9 +81,9 @@ def base(kind: str, tensor: np.ndarray, dilatation: float = AXIS_WEIGHT) -> Base
     """The base of a name for an elastic tensor [stress] along the nodes' axes, [d, d, d, d].
 
     "elements": squares or cubes of multilinear displacement, any tensor; their parts are what the
-    tensor's eigenstrains store (D2). "bonds": a linear peridynamic solid with K(r) = 1/r on eight
-    bonds in the plane, isotropic, which may break (D3). `dilatation` is the weight in θ of its
-    bonds along the axes; 1/8 is that of 1/r, another a second influence function (D26).
+    tensor's eigenstrains store (Dr2). "bonds": a linear peridynamic solid with K(r) = 1/r on eight
+    bonds in the plane, isotropic, which may break (Dr3). `dilatation` is the weight in θ of its
+    bonds along the axes; 1/8 is that of 1/r, another a second influence function (Dr26).
 
     Raises InputError for another name, a tensor that is not stable, and one that a base cannot
     have.
@@ -158,7 +158,7 @@ def _eigenstrains(tensor: np.ndarray) -> tuple[np.ndarray, list[np.ndarray], tup
 
 
 def dilatation_range(tensor: np.ndarray) -> float:
-    """How far the weight of D26 may be from 1/8: M = 1 + 64 (p − 1/8)² ≤ 2 μ/(μ − λ)."""
+    """How far the weight of Dr26 may be from 1/8: M = 1 + 64 (p − 1/8)² ≤ 2 μ/(μ − λ)."""
     C = voigt(tensor)
     lam, shear = C[0, 1], C[2, 2]
     return float(np.sqrt((lam + shear) / (shear - lam)) / 8) if lam < shear else np.inf
@@ -366,12 +366,12 @@ def element_modes(base: Base) -> np.ndarray:
 
 
 def bond_table(base: Base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of bonds that vary (D25): steps of one half, [H, 2]; a d and the upper triangle of w d ⊗ d,
+    """Of bonds that vary (Dr25): steps of one half, [H, 2]; a d and the upper triangle of w d ⊗ d,
     [H, 5]; and the matrix that leads from factors of the parts to κ − 2 μ and 8 μ, [2, 2]."""
     bulk, shear = base.moduli
     theta, rest = base.parts
     apart = ~np.eye(len(theta), dtype=bool)
-    share = -(rest[apart] @ theta[apart]) / (theta[apart] @ theta[apart])  # 2/M of (D26)
+    share = -(rest[apart] @ theta[apart]) / (theta[apart] @ theta[apart])  # 2/M of (Dr26)
     a = theta[np.argmax(np.diag(theta))] / np.sqrt(np.diag(theta).max())
     w = np.diag(rest + share * theta) / 8
     half = slice(len(a) // 2, None)  # the others are opposite
@@ -386,7 +386,7 @@ PLANE_WORK = 10
 
 
 class PeriodicElements:
-    """K of multilinear elements that fill a period, h = 1, and the inverse of an even K (D27).
+    """K of multilinear elements that fill a period, h = 1, and the inverse of an even K (Dr27).
 
     Args:
         tables: moduli of P phases as matrices, [P, m, m]: Voigt's of elastic solids, with one

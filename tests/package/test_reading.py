@@ -1,0 +1,144 @@
+"""How the pages read: numbers that later changes only better, and equations that links find."""
+
+import contextlib
+import importlib.util
+import io
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+import warp_peri as wp
+
+DOCS = Path(__file__).parent.parent.parent / "docs"
+MOST = {
+    "words": 95698,
+    "words of the median page": 1855,
+    "words of the README": 503,
+    "sentences above 30 words [%]": 11.9,
+    "sentences of how-tos with more than two numbers": 154,
+    "tables of how-tos above 6 rows": 22,
+    "words to avoid": 464,
+    "figures without a page": 0,
+}
+"""Whoever lowers one writes the new number here."""
+LEAST = {"lines of code for 100 words": 0.87}
+
+
+def beside_the_pages(name, monkeypatch):
+    """A script of docs/, which is no package."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def check():
+    with pytest.MonkeyPatch.context() as patch:
+        yield beside_the_pages("check", patch)
+
+
+@pytest.fixture(scope="module")
+def equations():
+    with pytest.MonkeyPatch.context() as patch:
+        yield beside_the_pages("equations", patch)
+
+
+@pytest.fixture(scope="module")
+def count(check):
+    return check.counted()
+
+
+@pytest.mark.parametrize("what", MOST)
+def test_no_more_than_is_written_down(what, count):
+    assert count[what] <= MOST[what]
+
+
+@pytest.mark.parametrize("what", LEAST)
+def test_no_less_than_is_written_down(what, count):
+    assert count[what] >= LEAST[what]
+
+
+def test_every_equation_has_a_number_of_its_own_and_an_anchor(count):
+    assert count["equations"] == count["equations of one tag only"] > 280
+    assert count["equations with an anchor"] == count["equations"]
+
+
+def test_every_number_has_the_form_that_links_know(equations):
+    for tag in equations.tags((DOCS / "theory.md").read_text(encoding="utf-8")):
+        assert re.fullmatch(equations.TAG, tag), tag
+
+
+def test_equations_that_are_cited_exist(equations):
+    """On pages after a link to the theory, and in docstrings after its file's name."""
+    known = {*equations.tags((DOCS / "theory.md").read_text(encoding="utf-8"))}
+    root, cited = DOCS.parent, {}
+    places = [
+        path for top in ("warp_peri", "kernels", "tests") for path in (root / top).rglob("*.py")
+    ]
+    for path in [*places, *DOCS.rglob("*.md"), root / "README.md"]:
+        text = " ".join(path.read_text(encoding="utf-8").split())
+        for found in re.findall(
+            rf"theory\.md[^)]*?(?:\),|,)(?: equations)? ({equations.SEVERAL})", text
+        ):
+            cited |= dict.fromkeys(re.findall(equations.TAG, found), path.name)
+    assert len(cited) > 100
+    assert not {tag: path for tag, path in cited.items() if tag not in known}
+
+
+def test_a_citation_leads_to_its_equation(equations):
+    html = '<p>(<a href="../theory/">theory</a>), N6 and 48a–48c, best</p>'
+    seen = equations.on_page_content(html)
+    for tag in ("N6", "48a", "48c"):
+        assert f'<a href="../theory/#eq-{tag}">{tag}</a>' in seen
+    seen = equations.on_page_content(r'<p>As (3a)</p><div class="arithmatex">\[x \tag{3a}\]</div>')
+    assert seen.count('<a href="#eq-3a">3a</a>') == 1
+    assert '<div class="equation" id="eq-3a"><div class="arithmatex">\\[x \\]</div>' in seen
+    assert '<span class="number">(3a)</span>' in seen
+
+
+def test_sentences_are_found_as_a_reader_finds_them(check):
+    text = (
+        "# Title\n\nOne of four words. Two, with $x = 1.5$ in it!\n\n- An item\n- Another item\n\n"
+        "| a | b |\n|---|---|\n| c | d |\n\n```\nno prose here\n```\n"
+    )
+    assert check.sentences(text) == [
+        "One of four words.",
+        "Two, with X in it!",
+        "An item",
+        "Another item",
+    ]
+    assert check.tables(text) == [1]
+    assert check.words(text) < len(text.split())
+
+
+def test_what_a_page_prints_stands_below():
+    """Where a block of code is followed by a block of text, this is what the code prints."""
+    pairs = [
+        (page.name, code, shown)
+        for page in sorted(DOCS.glob("*.md"))
+        for code, shown in re.findall(
+            r"```python\n(.*?)```\n\n```text\n(.*?)```", page.read_text("utf-8"), re.DOTALL
+        )
+    ]
+    assert "peridynamics.md" in {name for name, *_ in pairs}
+    for name, code, shown in pairs:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile(code, name, "exec"), {})
+        assert printed.getvalue() == shown, name
+
+
+def test_names_of_the_glossary_are_in_the_code():
+    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    names = re.findall(r"`wp\.([\w.]+)`", text)
+    assert len(names) > 20
+    for name in names:
+        owner, known = wp, True
+        for part in name.split("."):
+            known = hasattr(owner, part) or part in getattr(owner, "__dataclass_fields__", ())
+            owner = getattr(owner, part, None)
+        assert known, name
