@@ -9,6 +9,7 @@ from tests.micromodulus.crystals import cubic_tensor
 from warp_peri.core.elastic import compliance, from_voigt, turned, voigt
 from warp_peri.dressed import effective, transferred
 from warp_peri.errors import InputError
+from warp_peri.launch import set_threads, threads
 
 
 def isotropic(lam, mu, d):
@@ -302,3 +303,15 @@ def test_bad_bodies_and_strains_are_refused():
     for E in (np.eye(3), [[0, 1], [0, 0]], [[np.nan, 0], [0, 0]]):
         with pytest.raises(InputError, match="strain"):
             found.fields(E)
+
+
+def test_the_number_of_threads_changes_no_bit():
+    laws, number = grains(13, 3, 3)
+    count, found = threads(), []
+    for some in (1, 3):
+        set_threads(some)
+        try:
+            found.append(effective(laws, number).tensor)
+        finally:
+            set_threads(count)
+    assert np.array_equal(*found)

@@ -121,7 +121,9 @@ def test_what_a_page_prints_stands_below():
         (page.name, code, shown)
         for page in sorted(DOCS.glob("*.md"))
         for code, shown in re.findall(
-            r"```python\n(.*?)```\n\n```text\n(.*?)```", page.read_text("utf-8"), re.DOTALL
+            r"```python\n((?:(?!```).)*)```\n\n```text\n(.*?)```",
+            page.read_text("utf-8"),
+            re.DOTALL,
         )
     ]
     assert "peridynamics.md" in {name for name, *_ in pairs}
