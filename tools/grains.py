@@ -19,7 +19,8 @@ from tools.uneven_sheets import patch, waves
 from warp_peri import Points, Samples
 from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.statics.direct import symmetric_factors
-from warp_peri.structures.phonons import CONE, EV_IN_TPA, smoothing
+from warp_peri.structures.noise import EV_IN_TPA
+from warp_peri.structures.phonons import CONE, smoothing
 
 NAME = "Cu"
 AXES = np.array([[0, 0, 2**0.5], [1, 1, 0], [1, -1, 0]]) / 2**0.5

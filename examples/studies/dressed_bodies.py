@@ -30,7 +30,8 @@ from warp_peri.atoms import force_on_mesh, smoothing_matrix
 from warp_peri.dressed import DressedSolid, from_phonons, torn
 from warp_peri.edges.body import solve_body
 from warp_peri.statics.direct import symmetric_factors
-from warp_peri.structures.phonons import CONE, EV_IN_TPA, relative, smoothing
+from warp_peri.structures.noise import EV_IN_TPA
+from warp_peri.structures.phonons import CONE, relative, smoothing
 
 AROUND = 5.0
 """Radius within which atoms of a node's own side tell its displacement [Å]."""

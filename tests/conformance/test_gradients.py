@@ -493,3 +493,23 @@ def test_what_would_lose_a_gradient_says_so(made):
     ):
         with pytest.raises(wp.InputError, match="gradient"):
             lost()
+
+
+def test_lists_and_numbers_keep_all_their_digits(made):
+    """Of which torch makes single precision; and what is masked or none is no number."""
+    op = made("LPS")
+    b, u = (torch.from_numpy(field(op, seed=n)) for n in (0, 1))
+    mu, leaf = 1.1 * float(op.learnable["mu"]), b.clone().requires_grad_()
+
+    def solved(u, mu):
+        return wp.solve(op, wp.Dirichlet(op.points, leaf, u), parameters={"mu": mu}).u
+
+    exact = solved(u, torch.tensor(mu, dtype=torch.float64))
+    assert torch.equal(solved(u.tolist(), mu), exact)
+    hidden = np.ma.masked_array(u.numpy(), np.arange(u.numel()).reshape(u.shape) == 0)
+    for wrong, said in ((None, "numbers, got NoneType"), ("u", "got str"), (hidden, "finite")):
+        with pytest.raises(wp.InputError, match=f"u: expected .*{said}"):
+            solved(wrong, mu)
+    step = {"density": 2000.0, "step": 1e-3, "steps": 3}
+    ends = [wp.move(op, wp.Dirichlet(op.points, b, one), **step).u for one in (u, u.tolist())]
+    assert torch.equal(*ends)

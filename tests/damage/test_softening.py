@@ -265,6 +265,10 @@ def test_what_a_pull_has_no_gradient_of():
         move(body, problem, parameters={"mu": tail}, **how)
     with pytest.raises(InputError, match="tail: expected > 0 for a gradient"):
         move(body, problem, parameters={"tail": 0 * tail}, **how)
+    with pytest.raises(InputError, match=r"softness: expected one number, got shape \[2\]"):
+        move(body, problem, parameters={"softness": torch.ones(2)}, **how)
+    with pytest.raises(InputError, match="softness: expected an array of numbers, got str"):
+        move(body, problem, parameters={"softness": "a"}, **how)
     force = move(body, problem, parameters={"tail": tail}, **how)["force"]
     (first,) = torch.autograd.grad(force[-1], tail, create_graph=True)
     with pytest.raises(InputError, match="second derivative"):

@@ -62,6 +62,8 @@ def test_strain_of_known_fields():
     stretch = turn @ np.diag([0.02, -0.05]) @ turn.T
     assert largest_strain(points, points.x @ stretch.T) == pytest.approx(0.05)
     assert largest_strain(points, np.stack([0 * points.x, points.x @ stretch.T])) > 0.049
+    alone = Points(np.zeros((1, 2)), np.ones(1, bool), 1.0)
+    assert largest_strain(alone, alone.x) == 0
     shear = (points.x @ turn)[:, 1:] * 0.04 * turn[:, 0]  # of lines: half of it along diagonals
     assert largest_strain(points, shear) == pytest.approx(0.02)
     assert largest_strain(points, 0 * points.x + 3.0) == 0

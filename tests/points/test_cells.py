@@ -187,6 +187,30 @@ def test_a_hexahedron_with_corners_twice_is_a_prism_and_its_midpoints_are_passed
     assert (len(second.x), len(second.cells)) == (8, 6)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_hexahedra_whose_corners_lie_at_one_place_are_cut_alike(tmp_path, seed):
+    """As of two parts that were meshed by themselves; the part between them is inside."""
+    order = np.random.default_rng(seed).permutation(16)
+    x = np.empty((16, 3))
+    x[order] = np.concatenate([SOLID[:8], np.add(SOLID[:8], [1, 0, 0])])
+    cells = [("hexahedron", order.reshape(2, 8)), ("quad", order[[[8 + n for n in (1, 2, 6, 5)]]])]
+    tags = [np.zeros(2, int), np.array([4])]
+    meshio.Mesh(x, cells, cell_data={"medit:ref": tags}).write(tmp_path / "two.vtu")
+    with pytest.warns(UserWarning, match="4 of 16 corners"):
+        body = load_mesh(tmp_path / "two.vtu")
+    assert len(body.x) == 12
+    volume = np.abs(np.linalg.det(body.x[body.cells[:, 1:]] - body.x[body.cells[:, :1]]))
+    assert volume.sum() / 6 == pytest.approx(2, rel=1e-14)
+    assert {name: len(part) for name, part in body.parts.items()} == {"4": 2, REST: 18}
+
+
+def test_a_cell_that_vanishes_is_not_left_out_without_a_word(tmp_path):
+    cells = [("hexahedron", [[0, 1, 2, 3, 4, 5, 6, 7], [4, 5, 6, 7, 4, 5, 6, 7]])]
+    meshio.Mesh(SOLID, cells).write(tmp_path / "flat.vtu")
+    with pytest.raises(InputError, match="number 1 of those with 8 corners has no volume"):
+        load_mesh(tmp_path / "flat.vtu")
+
+
 LINES = {"left": [[0, 1], [1, 2]], "right": [[6, 7], [7, 8]], "low": [[0, 3], [3, 6]]}
 NINE, FOUR = grid(2, 2)
 TRIANGLES = np.concatenate([FOUR[:, part] for part in HALVES])

@@ -2,6 +2,7 @@
 
 import gzip
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -275,3 +276,8 @@ def test_loads_that_are_not_shared_by_mass_are_told(tmp_path):
     with pytest.warns(UserWarning, match="masses 10, 20 carry loads per mass of 1, 0.5, relative"):
         grained(along)
     grained(mass[:, None] * along)
+    atoms = replace(atoms, mass=np.linspace(10, 20, 30))
+    grained(along)  # none of which is a species
+    none = {"force": np.zeros((0, 30, 2)), "node_area": 9.0, "thickness": 3.35}
+    with pytest.raises(InputError, match="dumps: expected one or more, got none"):
+        coarse_grain_dumps([], omega, points, atoms, **none)

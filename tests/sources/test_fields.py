@@ -135,3 +135,29 @@ def test_a_row_on_frames_without_loads(tmp_path, capsys):
     errors = {name: row["E_u test"] for name, row in list(found.items())[2:]}
     assert errors["Mooney-Rivlin"] < 5e-3
     assert min(errors, key=errors.get) == "Mooney-Rivlin"
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ({"reach": -1}, "reach: expected a whole number > 0, got -1"),
+        ({"reach": 1.5}, "reach: expected a whole number > 0, got 1.5"),
+        ({"reach": 10**6}, "none of 21 × 21"),
+        ({"factor": "a"}, "factor: expected a finite number, got 'a'"),
+        ({"positions": -5.0}, r"positions: expected a name or a spacing > 0, got -5.0"),
+    ],
+)
+def test_numbers_of_no_sense_are_refused(tmp_path, how, said):
+    path = written(tmp_path / "a.mat", disps=U, forces=B, coords=NODES.x)
+    with pytest.raises(InputError, match=said):
+        read_fields(path, **how)
+
+
+def test_arrays_that_no_memory_holds_or_that_are_none(tmp_path):
+    with h5py.File(tmp_path / "huge.mat", "w") as file:
+        file.create_dataset("disps", shape=(2, 10**9, 10**6), dtype="f8", chunks=(1, 100, 100))
+    with h5py.File(tmp_path / "none.mat", "w") as file:
+        file["disps"] = h5py.Empty("f8")
+    for path in tmp_path.glob("*.mat"):
+        with pytest.raises(InputError, match="disps: expected an array of at most 2 GiB"):
+            read_fields(path, load=None, positions=1.0)

@@ -1,6 +1,7 @@
 """Files of phonopy: the shipped ones, force constants in their place, and what is refused."""
 
 import shutil
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -92,3 +93,20 @@ def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(tmp_p
     assert found.said["at the supercell's edge"] == "100.0% of Σ |Φ| r²"
     with pytest.warns(UserWarning, match="100% of what moduli are made of"):
         moduli(narrow)
+
+
+@pytest.mark.parametrize("large", [True, False])
+def test_a_folder_of_a_structure_and_forces_alone_is_read(tmp_path, large):
+    phonopy = pytest.importorskip("phonopy")
+    vasp = pytest.importorskip("phonopy.interface.vasp")
+    known = phonopy.load(EXAMPLES / "copper" / "phonopy_disp.yaml", produce_fc=False)
+    vasp.write_vasp(tmp_path / "POSCAR", known.unitcell)
+    if large:
+        vasp.write_vasp(tmp_path / "SPOSCAR", known.supercell)
+    shutil.copy(EXAMPLES / "copper" / "FORCE_SETS", tmp_path)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        found = wp.atoms.from_phonopy(tmp_path)
+    assert any("taken for a supercell" in str(one.message) for one in seen) is not large
+    wanted = moduli(wp.atoms.from_phonopy(EXAMPLES / "copper"))
+    assert moduli(found) == pytest.approx(wanted, rel=1e-6)

@@ -1,13 +1,27 @@
 """The rows of `warp-peri verify`: the fastest, in other units too, and how they are told."""
 
 import json
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
 
 from warp_peri.cli.main import main
 from warp_peri.errors import InputError
-from warp_peri.verification import ROWS, by_material, chosen, measured, page, rows, table, verified
+from warp_peri.verification import (
+    ROWS,
+    by_material,
+    chosen,
+    measured,
+    motion,
+    page,
+    rows,
+    table,
+    verified,
+)
 from warp_peri.verification.statics import (
     CUBIC,
     UnitScale,
@@ -163,6 +177,11 @@ def test_rows_are_chosen_by_parts_of_their_names():
     assert len(chosen()) == len(ROWS)
     with pytest.raises(InputError, match="only: expected a part of a row's name, got 'kirschen'"):
         chosen(["kirschen"])
+    for word in ("", " "):
+        with pytest.raises(InputError, match="only: expected a part of a row's name"):
+            chosen(["LE1", word])
+    with pytest.raises(InputError, match="processes: expected at least 1, got 0"):
+        verified(["LE1"], processes=0)
 
 
 def made(**fields):
@@ -196,6 +215,46 @@ def test_too_low_an_order_and_a_changed_answer_do_not_hold():
     assert not line(1.9, order=None)["holds"]
     assert line(None, scaled=True)["scaled"] == 0
     assert not line(None, scaled=True, change=1e-5)["holds"]
+
+
+def test_an_error_that_grows_with_units_and_what_is_no_number_do_not_hold():
+    def line(value, **how):
+        return measured(rows.Row("a", "b", "c", 1e-11, lambda s: rows.Outcome(value(s))), **how)
+
+    assert line(lambda s: 1e-12)["holds"]
+    assert not line(lambda s: 1e-12 if s.unit == "m" else 1e-8, scaled=True)["holds"]
+    told = line(lambda s: np.nan)
+    assert not told["holds"]
+    assert told["answer"] is None
+    json.dumps(told, allow_nan=False)
+    assert "refused" in table([told])
+
+
+def test_a_crack_that_stands_is_not_below_rayleighs_speed(monkeypatch):
+    pulled = motion.Cracked
+    monkeypatch.setattr(motion, "Cracked", lambda p, b, cracks: pulled(p, 0 * b, cracks=cracks))
+    (one,) = (one for one in ROWS if one.name == "crack in glass below Rayleigh's speed: LPS")
+    assert not measured(one)["holds"]
+
+
+def test_a_page_that_cannot_be_written_is_told_before_anything_is_posed(tmp_path, monkeypatch):
+    monkeypatch.setattr("warp_peri.verification.verified", lambda *_, **__: 1 / 0)
+    (tmp_path / "file").write_text("")
+    for page_ in (tmp_path, tmp_path / "file" / "page.md"):
+        assert main(["verify", "--page", str(page_)]) == 2
+
+
+def test_an_interrupt_ends_the_rows_that_run(tmp_path):
+    """Sent to the command alone, not to its workers as by a terminal."""
+    words = [sys.executable, "-m", "warp_peri", "verify", "--only", "Cook", "cylinder", "LE10"]
+    with subprocess.Popen([*words, "--out", str(tmp_path)], stderr=subprocess.PIPE) as job:
+        seen = b""
+        while b"1 of" not in seen and (more := job.stderr.read1()):
+            seen += more
+        job.send_signal(signal.SIGINT)
+        begin = time.monotonic()
+        assert job.wait(timeout=60) == 130
+    assert time.monotonic() - begin < 10
 
 
 def test_the_command_ends_with_one_where_a_row_misses(capsys, tmp_path, monkeypatch):

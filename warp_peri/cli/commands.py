@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from warp_peri.cli.train import run_coarse_grain as run_coarse_grain
 from warp_peri.cli.train import run_sweep as run_sweep
 from warp_peri.cli.train import run_train as run_train
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import destination, finite, locked, plain
+from warp_peri.files.atomic import destination, finite, locked, plain, write_text
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, symbols
@@ -252,11 +253,14 @@ def run_plan(given: argparse.Namespace) -> dict[str, Any]:
 def run_verify(given: argparse.Namespace) -> Result:
     """Problems that everybody knows, posed to every material that can take them."""
     verification = warp_peri.verification
-    lines = verification.verified(
-        given.only, scaled=given.scale, out=given.out, processes=given.processes
-    )
-    if given.page is not None:
-        given.page.write_text(verification.page(lines), encoding="utf-8")
+    if given.page is not None and given.page.is_dir():
+        raise InputError(f"page: expected a file, {given.page} is a folder")
+    with nullcontext() if given.page is None else locked(given.page):  # not after minutes
+        lines = verification.verified(
+            given.only, scaled=given.scale, out=given.out, processes=given.processes
+        )
+        if given.page is not None:
+            write_text(given.page, verification.page(lines))
     given.told = verification.by_material(lines) + "\n\n" + verification.table(lines)
     return {"rows": lines}
 

@@ -112,9 +112,10 @@ def invariant_tensors(group: np.ndarray) -> np.ndarray:
         for n in range(m, size):
             one = np.zeros((size, size))
             one[m, n] = one[n, m] = 1.0
-            tensor = from_voigt(one)
-            basis.append(np.mean([turned(tensor, g) for g in group], axis=0))
-    flat = np.array(basis).reshape(len(basis), -1)
+            basis.append(from_voigt(one).ravel())
+    pairs = np.einsum("gai,gbj->gabij", group, group).reshape(len(group), d * d, d * d)
+    mean = np.einsum("gmn,gop->monp", pairs, pairs, optimize=True) / len(group)
+    flat = np.array(basis) @ mean.reshape(d**4, d**4).T
     _, sizes, rows = np.linalg.svd(flat, full_matrices=False)
     return np.asarray(rows[sizes > 1e-9 * sizes[0]].reshape(-1, d, d, d, d))
 

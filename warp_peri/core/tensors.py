@@ -165,9 +165,25 @@ def on_fields(
     return found.reshape(*u.shape[: u.dim() - len(operator.shape)], *found.shape[1:]).to(u)
 
 
+def as_tensor(name: str, value: Any) -> torch.Tensor:
+    """A tensor itself, or what NumPy makes of numbers: of a list torch keeps half the digits.
+
+    Masked entries are NaN. Raises InputError for what is no array of numbers.
+    """
+    if isinstance(value, torch.Tensor):
+        return value
+    try:
+        array = np.ma.filled(value, np.nan) if np.ma.is_masked(value) else np.asarray(value)
+        if array.dtype.kind in "fiuc":
+            return torch.as_tensor(array)
+    except (TypeError, ValueError):
+        pass
+    raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}")
+
+
 def pair_of(operator: Any, b: Any, u: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Load and displacement on all nodes as tensors; InputError for what does not fit."""
-    b, u = (torch.as_tensor(field) for field in (b, u))
+    b, u = (as_tensor(name, field) for name, field in (("b", b), ("u", u)))
     operator.check(u, not u.is_complex())
     if b.shape != u.shape or b.is_complex():
         raise InputError(f"b: expected shape {list(u.shape)}, got {b.dtype} of {list(b.shape)}")
@@ -242,7 +258,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     forward mode of what is not linear.
     """
     b, u = pair_of(operator, b, u)
-    named = {n: torch.as_tensor(v).to("cpu", torch.float64) for n, v in (parameters or {}).items()}
+    named = {n: as_tensor(n, v).to("cpu", torch.float64) for n, v in (parameters or {}).items()}
     operator = with_numbers(operator, {n: v.detach().numpy() for n, v in named.items()})
     fields, numbers = [b.cpu().double(), u.cpu().double()], [*named.values(), *operator.networks]
     found: list[Any] = []

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 import torch
 from scipy.sparse.linalg import splu
 
-from warp_peri.core.tensors import differentiable_once, linear, pair_of, refuse_tangents
+from warp_peri.core.tensors import as_tensor, differentiable_once, linear, pair_of, refuse_tangents
 from warp_peri.damage.softening import BondLaw
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
@@ -58,13 +58,16 @@ def pulled(body: Any, u: Any, numbers: dict[str, Any], how: dict[str, Any]) -> M
     Raises InputError as `pull`, for other numbers, for bonds that break at once, which have no
     gradient, and for a second derivative.
     """
-    u = torch.as_tensor(u)
+    u = as_tensor("u", u)
     law = {
         name: numbers.pop(name, getattr(body.law, name)) for name in ("softness", "stretch", "tail")
     }
     if numbers:
         raise InputError(f"parameters: expected {', '.join(law)}, got {', '.join(numbers)}")
-    law = {n: torch.as_tensor(v, dtype=torch.float64) for n, v in law.items()}
+    law = {name: as_tensor(name, value).double() for name, value in law.items()}
+    for name, value in law.items():
+        if value.numel() != 1:
+            raise InputError(f"{name}: expected one number, got shape {list(value.shape)}")
     refuse_tangents(u, *law.values())
     body.law = BondLaw(**{name: float(value.detach()) for name, value in law.items()})
     if body.law.tail == 0:

@@ -22,7 +22,13 @@ from typing import Any
 import numpy as np
 import torch
 
-from warp_peri.core.tensors import by_numbers, differentiable_once, refuse_tangents, with_numbers
+from warp_peri.core.tensors import (
+    as_tensor,
+    by_numbers,
+    differentiable_once,
+    refuse_tangents,
+    with_numbers,
+)
 from warp_peri.dynamics import verlet
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
@@ -59,12 +65,13 @@ def moved(
     """
     if files := sizes.keys() - {"density", "step", "steps", "every"}:
         raise InputError(f"move: expected no {', '.join(sorted(files))} of tensors")
-    numbers, zero, sizes = dict(parameters or {}), 0 * torch.as_tensor(u), {"every": 1} | sizes
+    numbers, zero, sizes = dict(parameters or {}), 0 * as_tensor("u", u), {"every": 1} | sizes
     pulse = np.ones(max(int(sizes["steps"]), 0) + 1) if signal is None else signal
     fields = [zero if field is None else field for field in (u, v, b)]
     given = [*fields, pulse, *numbers.values()]
     refuse_tangents(*given)
-    given = [torch.as_tensor(value).to("cpu", torch.float64) for value in given]
+    names = "u", "v", "b", "signal", *numbers
+    given = [as_tensor(*pair).to("cpu", torch.float64) for pair in zip(names, given)]
     values = {name: value.detach().numpy() for name, value in zip(numbers, given[4:])}
     seen = verlet.recorded_nodes(record, len(operator.points.x))
     waves = _Waves(with_numbers(operator, values), list(numbers), seen, sizes)

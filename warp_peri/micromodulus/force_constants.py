@@ -10,9 +10,11 @@ import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 
 from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
@@ -31,7 +33,9 @@ NEGLIGIBLE = 1e-9
 NEAREST = 1e-5
 """Images whose distances differ by less, relative, count as equally near."""
 LONG = 4e-3
-"""|k| [1/Å] of the waves that elastic constants are read from."""
+"""|k| [1/Å] of waves that have the moduli of moments where Φ keeps its sums."""
+SMALL = 2e-3
+"""|k| [1/Å] of the differences that second moments of ions' fields are taken by."""
 LARGEST_FILE = 2**31
 TINY = float(np.finfo(float).tiny)
 """Divides what is zero."""
@@ -54,27 +58,45 @@ class Polar:
     """What waves of ions' displacement do through their electric field (theory.md, T18).
 
     Attributes:
-        born: effective charges of the atoms of a cell [e], shape [n, 3, 3].
+        born: effective charges of the atoms of a cell [e], shape [n, 3, 3]. Their mean is taken
+            off, since charges of a cell sum to zero.
         dielectric: of clamped ions, shape [3, 3].
-        decay: Λ [1/Å] of the Gaussians; from_supercell sets it.
+        decay: Λ [1/Å] of the Gaussians; from_supercell sets it where it is 0.
     """
 
     born: np.ndarray
     dielectric: np.ndarray
     decay: float = 0.0
 
-    def matrix(self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3]."""
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "born", self.born - self.born.mean(axis=0))
+
+    def matrix(
+        self, k: np.ndarray, cell: np.ndarray, positions: np.ndarray, *, field: bool = True
+    ) -> np.ndarray:
+        """Dipoles with dipoles [eV/Å²] but for what is short-ranged, [K, n, 3, n, 3].
+
+        Without `field`, the macroscopic one, it is smooth at k = 0.
+        """
         least = np.linalg.eigvalsh(self.dielectric)[0]
         furthest = 2 * self.decay * np.sqrt(NEGLECTED / least) + np.linalg.norm(k, axis=1).max()
         most = np.ceil(furthest * np.linalg.norm(cell, axis=1) / (2 * np.pi)).astype(int)
         counts = np.array(list(itertools.product(*(range(-n, n + 1) for n in most))))
         G = 2 * np.pi * counts @ np.linalg.inv(cell).T
         zero = self._sums(np.zeros((1, 3)), G, cell, positions)[0].sum(axis=2)
-        D = np.concatenate([self._sums(one[None], G, cell, positions) for one in k])
+        around = G if field else G[counts.any(axis=1)]
+        D = np.concatenate([self._sums(one[None], around, cell, positions) for one in k])
         atoms = np.arange(len(positions))
-        D[:, atoms, :, atoms, :] -= zero[:, None]  # translations cost nothing
+        # translations cost nothing; a site of low symmetry leaves a part that is not symmetric
+        D[:, atoms, :, atoms, :] -= ((zero + zero.conj().swapaxes(1, 2)) / 2)[:, None]
         return D
+
+    def at_long_waves(self, e: np.ndarray, cell: np.ndarray) -> np.ndarray:
+        """What the macroscopic field adds to D along unit vectors e [K, 3], [K, n, 3, n, 3]."""
+        pull = np.einsum("kb,nba->kna", e, self.born)
+        screened = np.einsum("ki,ij,kj->k", e, self.dielectric, e)
+        factor = 4 * np.pi * COULOMB / abs(np.linalg.det(cell)) / screened
+        return np.asarray(np.einsum("k,kia,kjb->kiajb", factor, pull, pull))
 
     def _sums(
         self, k: np.ndarray, G: np.ndarray, cell: np.ndarray, positions: np.ndarray
@@ -110,6 +132,7 @@ class ForceConstants:
         kinds: numbers that tell atoms apart where `species` do not, shape [n].
         edge: share of Σ |Φ| r² that is at half the supercell's width, where none should be.
         change: of Φ between the two steps of finite differences, over the largest, if known.
+        doubt: independent standard errors of `values`, shape [Q, P, 3, 3]; None where none is told.
     """
 
     cell: np.ndarray
@@ -124,6 +147,7 @@ class ForceConstants:
     kinds: np.ndarray | None = None
     edge: float = 0.0
     change: float | None = None
+    doubt: np.ndarray | None = None
 
     @property
     def dimension(self) -> int:
@@ -195,24 +219,97 @@ class ForceConstants:
         stiff = np.linalg.inv(flexible) * STRESSES["eV/angstrom^3"]
         return np.asarray((stiff + stiff.swapaxes(1, 2)) / 2)
 
-    def elastic(self, allowed: np.ndarray) -> np.ndarray:
-        """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
+    def moments(self, values: np.ndarray | None = None) -> tuple[np.ndarray, ...]:
+        """Moments Σ Φ r⁰, Σ Φ r¹ of each atom and Σ Φ r² of the cell, that of r² as [3, 3, 3, 3].
 
-        Internal relaxation is part of it, the stress that the crystal is held under is not. Force
-        constants that have not decayed in their supercell, or hang on the step that they are made
-        with, are warned of. Raises InputError for long waves that no such tensor has, as those of
-        piezoelectric crystals.
+        Of other values, [..., P, 3, 3], in place of the own ones, if given. Shapes [..., n, 3, n,
+        3], [..., n, 3, 3, 3] with the vector last, and [..., 3, 3, 3, 3] with the vectors last.
+        Ions' fields belong to them, but for the macroscopic one.
         """
-        doubts = self.doubts()
+        n, count, r = len(self.positions), len(self.vectors), self.vectors
+        phi = np.moveaxis(self.values if values is None else values, -3, 0)
+
+        def total(keys: np.ndarray, size: int, weight: np.ndarray) -> np.ndarray:
+            summed = sp.csr_array((weight, (keys, np.arange(count))), shape=(size, count))
+            return np.asarray(summed @ phi.reshape(count, -1)).reshape(size, *phi.shape[1:])
+
+        zeroth = total(self.pairs @ [n, 1], n * n, np.ones(count))
+        zeroth = np.moveaxis(zeroth.reshape(n, n, *phi.shape[1:]), (0, 1), (-4, -2))
+        first = np.stack([total(self.pairs[:, 0], n, part) for part in r.T], axis=-1)
+        first = np.moveaxis(first, 0, -4)
+        second = np.tensordot(phi, r[:, :, None] * r[:, None], (0, 0))
+        if self.polar is not None:
+            ions = self._of_ions
+            zeroth, first, second = zeroth + ions[0], first + ions[1], second + ions[2]
+        turned = np.moveaxis(zeroth, (-4, -3), (-2, -1))
+        return (zeroth + turned) / 2, first, second
+
+    @cached_property
+    def _of_ions(self) -> tuple[np.ndarray, ...]:
+        """Moments of ions' fields, by differences at k = 0."""
+        polar: Any = self.polar
+        n, signs = len(self.positions), np.array([1.0, -1.0])
+        steps = np.einsum("s,cx->scx", signs, np.eye(3)) * SMALL
+        k = steps[:, None, :, None] + steps[None, :, None]  # ± along c, ± along d
+        D = polar.matrix(k.reshape(-1, 3), self.cell, self.positions, field=False)
+        D = D.reshape(2, 2, 3, 3, n, 3, n, 3)
+        first = np.einsum("cciajb->iabc", D[0, 0] - D[1, 1]).imag / (4 * SMALL)
+        second = np.einsum("s,t,stcdiajb->abcd", signs, signs, D).real / (-4 * SMALL**2)
+        return D[0, 1, 0, 0].real, first, second
+
+    def acoustic(
+        self, e: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
+    ) -> np.ndarray:
+        """D_eff(k)/|k|² [TPa] of long waves along unit vectors e, by moments, [K, d, d] (T14).
+
+        Atoms have relaxed. `values` as for `moments`; without `field` ions make no macroscopic one.
+        """
+        d, m, n = self.dimension, self.moving, len(self.positions)
+        zeroth, first, second = self.moments(values)
+        push = np.einsum("iabc,nc->niab", first[:, :m, :d, :d], e).reshape(len(e), n * m, d)
+        A = -0.5 * np.einsum("abcd,nc,nd->nab", second[:d, :d, :d, :d], e, e, optimize=True)
+        if n > 1:
+            stiff = np.broadcast_to(zeroth, (len(e), *zeroth.shape))
+            if self.polar is not None and field:
+                stiff = stiff + self.polar.at_long_waves(e, self.cell)
+            flat = stiff[:, :, :m, :, :m].reshape(len(e), n * m, n * m)
+            A = A - push.swapaxes(1, 2) @ relaxing(flat, m) @ push
+        A = A / self.volume * STRESSES["eV/angstrom^3"]
+        return np.asarray((A + A.swapaxes(1, 2)) / 2)
+
+    def nearest_elastic(
+        self, allowed: np.ndarray, values: np.ndarray | None = None, *, field: bool = True
+    ) -> tuple[np.ndarray, float]:
+        """The nearest elastic tensor of these, and the share of long waves that it misses.
+
+        Arguments are those of `elastic` and `acoustic`.
+        """
         e = directions(60, self.dimension)
-        wanted = self.effective(LONG * e) / LONG**2
+        wanted = self.acoustic(e, values, field=field)
         if self.stress is not None:
             wanted = wanted - acoustic(stress_brackets(self.stress), e)
         from_each = np.einsum("mijkl,nj,nl->nikm", allowed, e, e, optimize=True)
         rows = from_each.reshape(-1, len(allowed))
         c = np.linalg.lstsq(rows, wanted.ravel())[0]
         off = float(np.linalg.norm(rows @ c - wanted.ravel()) / np.linalg.norm(wanted))
+        return np.tensordot(c, allowed, 1), off
+
+    def elastic(self, allowed: np.ndarray) -> np.ndarray:
+        """The elastic tensor [TPa] that long waves have, [d, d, d, d], of tensors [m, d, d, d, d].
+
+        By moments of Φ. Internal relaxation is part of it, the stress that the crystal is held
+        under is not. Force constants that have not decayed in their supercell, or hang on the step
+        that they are made with, are warned of. Raises InputError for long waves that no such tensor
+        has, as those of piezoelectric crystals.
+        """
+        doubts, e = self.doubts(), directions(60, self.dimension)
+        C, off = self.nearest_elastic(allowed)
+        waves, moments = self.effective(LONG * e) / LONG**2, self.acoustic(e)
+        off += float(np.linalg.norm(waves - moments) / np.linalg.norm(waves))
         if off > NOT_ELASTIC:
+            ions = self.polar is not None and self.nearest_elastic(allowed, field=False)[1]
+            if ions is not False and ions <= NOT_ELASTIC:
+                doubts.insert(0, "a piezoelectric crystal: it is one but for its ions' field")
             raise InputError(
                 f"force constants: long waves are {off:.1%} off those of every elastic solid of "
                 "this symmetry; "
@@ -224,7 +321,17 @@ class ForceConstants:
             )
         for doubt in doubts:
             warnings.warn(f"force constants: {doubt}", stacklevel=2)
-        return np.tensordot(c, allowed, 1)
+        return C
+
+    def elastic_doubt(self, allowed: np.ndarray) -> np.ndarray:
+        """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d]."""
+        given = self.doubt if self.doubt is not None else self.values[None][:0]
+        ends = [
+            [self.nearest_elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
+            for one in given
+        ]
+        d = self.dimension
+        return np.array([(a - b) / 2 for a, b in ends]).reshape(-1, d, d, d, d)
 
     def doubts(self) -> list[str]:
         """What moduli of these force constants are not to be trusted for."""
@@ -253,6 +360,19 @@ class ForceConstants:
             return turns
         flat = turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2]
         return point_group(flat, 2)
+
+
+def relaxing(stiff: np.ndarray, moving: int) -> np.ndarray:
+    """How atoms of a cell answer forces that sum to zero, the inverse without translations.
+
+    Args:
+        stiff: Σ Φ over images, shape [..., n m, n m].
+        moving: m, coordinates that an atom moves in.
+    """
+    n = stiff.shape[-1] // moving
+    whole = np.kron(np.ones((n, n)) / n, np.eye(moving))
+    size = np.abs(stiff).max() or 1.0
+    return np.asarray(np.linalg.inv(stiff + size * whole) - whole / size)
 
 
 def from_supercell(
@@ -298,10 +418,8 @@ def from_supercell(
     if polar is not None:
         if thickness is not None:
             raise InputError("polar: expected a solid; the field of a sheet's ions is another")
-        most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
-        decay = 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
-        polar = replace(polar, decay=decay)
-        phi = phi - _dipoles(polar, cell, box, x, X[:, None] - X[list(displaced)], kind)
+        polar, field = field_of_ions(polar, structure, supercell, displaced)
+        phi = phi - field
     shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
     pairs, vectors, values = [], [], []
     for i in range(n):
@@ -315,12 +433,11 @@ def from_supercell(
         pairs.append(np.stack([np.full(len(row), i), kind[strong[row]]], axis=1))
         vectors.append(near[row, image])
         shared = phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None]
-        shared[strong[row] == displaced[i]] -= shared.sum(axis=0)  # translations cost nothing
+        own = strong[row] == displaced[i]
+        shared[own] -= shared.sum(axis=0)  # translations cost nothing
+        shared[own] = (shared[own] + shared[own].swapaxes(1, 2)) / 2
         values.append(shared)
     between, phi = np.concatenate(vectors), np.concatenate(values)
-    moment = np.abs(phi).max(axis=(1, 2)) * np.linalg.norm(between, axis=1) ** 2
-    width = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 3 if thickness is None else 2].max()
-    far = np.linalg.norm(between, axis=1) > EDGE * width
     return ForceConstants(
         cell,
         x,
@@ -332,27 +449,34 @@ def from_supercell(
         polar,
         stress,
         kinds_of(structure)[0],
-        float(moment[far].sum() / max(moment.sum(), TINY)),
+        at_edge(between, phi, box, thickness is not None),
         change,
     )
 
 
-def _dipoles(
-    polar: Polar,
-    cell: np.ndarray,
-    box: np.ndarray,
-    x: np.ndarray,
-    apart: np.ndarray,
-    kind: np.ndarray,
-) -> np.ndarray:
-    """What dipoles add to Φ in a supercell, [n, 3, N, 3]: the mean of all waves that fit into it.
+def at_edge(vectors: np.ndarray, values: np.ndarray, box: np.ndarray, flat: bool) -> float:
+    """Share of Σ |Φ| r² that is at half the width of a box; of a sheet its plane counts."""
+    far = np.linalg.norm(vectors, axis=1)
+    moment = np.abs(values).max(axis=(1, 2)) * far**2
+    width = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 2 if flat else 3].max()
+    return float(moment[far > EDGE * width].sum() / max(moment.sum(), TINY))
 
-    Args:
-        polar, cell, x: of the crystal.
-        box: edges of the supercell as rows.
-        apart: from the n displaced atoms to all, shape [N, n, 3].
-        kind: number in the cell of all atoms, shape [N].
+
+def field_of_ions(
+    polar: Polar, structure: Any, supercell: Any, displaced: Sequence[int]
+) -> tuple[Polar, np.ndarray]:
+    """Charges with the decay that a supercell asks for, and what they add to Φ, [n, 3, N, 3].
+
+    Arguments are those of `from_supercell`.
     """
+    cell, box = np.array(structure.cell), np.array(supercell.cell)
+    x, X = np.array(structure.positions), np.array(supercell.positions)
+    most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
+    decay = polar.decay or 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
+    polar, apart = replace(polar, decay=decay), X[:, None] - X[list(displaced)]
+    off = apart @ np.linalg.inv(cell)
+    kind = np.abs(off - np.rint(off)).max(axis=2).argmin(axis=1)
+    # the mean of all waves that fit into the supercell
     inverse = np.linalg.inv(np.rint(box @ np.linalg.inv(cell)))
     size = int(np.rint(1 / abs(np.linalg.det(inverse))))
     multiples = np.arange(1, size + 1)[:, None, None] * inverse.T  # of each edge, in the cell's
@@ -366,7 +490,7 @@ def _dipoles(
     for j in range(len(x)):
         some = kind == j
         phi[:, :, some] = np.einsum("kNi,kiab->iaNb", phase[:, some], D[:, :, :, j]).real
-    return phi
+    return polar, phi
 
 
 def finite_differences(

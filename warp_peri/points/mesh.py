@@ -472,6 +472,8 @@ def _body_of(read: Any) -> Mesh | Tetrahedra:
             "expected triangles and quadrilaterals, or tetrahedra, hexahedra, prisms and pyramids, "
             "and no other cells, got " + (", ".join(sorted(kinds)) or "nothing")
         )
+    if any(block.dim == 3 for block in read.cells):
+        _join(read, points)
     solids = [np.asarray(c.data)[:, : CORNERS[c.type]] for c in read.cells if c.dim == 3]
     if solids:
         cells = _once(read, [_in_tetrahedra(cells) for cells in solids])
@@ -492,6 +494,29 @@ def _body_of(read: Any) -> Mesh | Tetrahedra:
     return make_mesh(x, _once(read, triangles), _named_groups(read, 1), middle, inner=True)
 
 
+def _join(read: Any, points: np.ndarray) -> None:
+    """Give all cells that share a place its first corner, so that both sides of a face cut alike.
+
+    Warns as _welded. Raises InputError for corners out of range, as `outlined`.
+    """
+    solids = [np.asarray(b.data)[:, : CORNERS[b.type]] for b in read.cells if b.dim == 3]
+    used = np.unique(np.concatenate([cells.ravel() for cells in solids]))
+    if not (used.size and used[0] >= 0 and used[-1] < len(points) and np.isfinite(points).all()):
+        return  # which is told of later
+    shortest = np.inf
+    for cells in solids:
+        a, b = np.array([*itertools.combinations(range(cells.shape[1]), 2)]).T
+        side = np.linalg.norm(points[cells[:, a]] - points[cells[:, b]], axis=2)
+        some = side[side > SAME * side.max(axis=1, keepdims=True)]  # not those of no length
+        shortest = min(shortest, float(some.min(initial=np.inf)))
+    if not shortest < np.inf:
+        return
+    first = np.arange(len(points))
+    first[used] = used[_welded(points[used], SAME * shortest)]
+    for block in read.cells:
+        block.data = first[np.asarray(block.data)]
+
+
 def _in_triangles(faces: np.ndarray) -> np.ndarray:
     """Triangles [n, 3] of faces with three or four corners, [F, 3] or [F, 4].
 
@@ -503,20 +528,30 @@ def _in_triangles(faces: np.ndarray) -> np.ndarray:
 
 
 def _in_tetrahedra(cells: np.ndarray) -> np.ndarray:
-    """Tetrahedra [n, 4] of cells: from the corner of least number to the faces without it."""
+    """Tetrahedra [n, 4] of cells: from the corner of least number to the faces without it.
+
+    Raises InputError for a cell that leaves none.
+    """
     if cells.shape[1] == 4:
         return cells
-    apex, found = cells.min(axis=1, keepdims=True), []
+    apex, found, left = cells.min(axis=1, keepdims=True), [], np.zeros(len(cells), bool)
     for face in FACES[cells.shape[1]]:
         away = (cells[:, face] != apex).all(axis=1)
         across = _in_triangles(cells[away][:, face])
-        found.append(np.hstack([np.tile(apex[away], (len(face) - 2, 1)), across]))
-    return _whole(np.concatenate(found))
+        cut = np.hstack([np.tile(apex[away], (len(face) - 2, 1)), across])
+        whole = _whole(cut)
+        left[np.tile(np.flatnonzero(away), len(face) - 2)[whole]] = True
+        found.append(cut[whole])
+    if not left.all():
+        raise InputError(
+            f"cells: number {np.argmin(left)} of those with {cells.shape[1]} corners has no volume"
+        )
+    return np.concatenate(found)
 
 
 def _whole(cells: np.ndarray) -> np.ndarray:
-    """Cells that have no corner twice."""
-    return np.asarray(cells[(np.diff(np.sort(cells, axis=1), axis=1) > 0).all(axis=1)])
+    """Which cells have no corner twice."""
+    return np.asarray((np.diff(np.sort(cells, axis=1), axis=1) > 0).all(axis=1))
 
 
 def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
@@ -529,7 +564,8 @@ def _halves(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     least = (size * np.sign(size.sum(axis=2, keepdims=True))).min(axis=2)
     second = (least[:, 0] <= 0) & (least[:, 1] > 0)
     halves = np.where(second[:, None, None], cuts[:, 1], cuts[:, 0])
-    return _whole(np.swapaxes(halves, 0, 1).reshape(-1, 3))
+    every = np.swapaxes(halves, 0, 1).reshape(-1, 3)
+    return np.asarray(every[_whole(every)])
 
 
 def _once(read: Any, cells: list[np.ndarray]) -> np.ndarray:
@@ -559,4 +595,5 @@ def _named_groups(read: Any, dim: int) -> dict[str, np.ndarray]:
             if not name.startswith("gmsh:") and kept[number] is not None and len(kept[number]):
                 sets.setdefault(name, []).append(found[kept[number]])
     cut = _in_triangles if dim == 2 else np.asarray
-    return {name: _whole(np.concatenate([*map(cut, facets)])) for name, facets in sets.items()}
+    every = {name: np.concatenate([*map(cut, facets)]) for name, facets in sets.items()}
+    return {name: facets[_whole(facets)] for name, facets in every.items()}

@@ -213,7 +213,7 @@ def largest_strain(
     fields = np.asarray(u).reshape(-1, *points.x.shape)[:, body]
     return max(
         (
-            float(np.abs((unit * (field[near] - field[nodes, None])).sum(axis=-1)).max())
+            float(np.abs((unit * (field[near] - field[nodes, None])).sum(axis=-1)).max(initial=0))
             for field in fields
         ),
         default=0.0,

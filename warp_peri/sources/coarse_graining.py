@@ -20,12 +20,12 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, check_units
-from warp_peri.sources.dic import ON_LATTICE, length_of, spacing_of, surrounded
+from warp_peri.sources.dic import ON_LATTICE, spacing_of, surrounded
 
 EV_PER_CUBIC_ANGSTROM = 0.1602176634
 """1 eV/Å³ in TPa."""
@@ -342,9 +342,14 @@ def read_fields(
         units: of lengths and stresses; the file does not say them.
 
     Raises InputError for a file that cannot be read, lacks a variable (with those that it has), or
-    has another shape; for positions off a square lattice, and a sheet without interior.
+    has another shape; for a factor, reach or spacing that is none; for positions off a square
+    lattice, and a sheet without interior.
     """
     path, asked = Path(path), [name for name in (displacement, load) if name is not None]
+    if not (is_number(factor) and np.isfinite(factor)):
+        raise InputError(f"factor: expected a finite number, got {factor!r}")
+    if isinstance(reach, bool) or not isinstance(reach, (int, np.integer)) or not reach > 0:
+        raise InputError(f"reach: expected a whole number > 0, got {reach!r}")
     if isinstance(positions, str):
         asked.append(positions)
     held = _variables(path, asked)
@@ -352,7 +357,9 @@ def read_fields(
         x = checked(positions, held[positions], float, ("N", 2))
         step = spacing_of(x)
     else:
-        step, many = length_of(positions)[0], len(_components_last(path, held, displacement)[0])
+        if not (is_number(positions) and 0 < positions < np.inf):
+            raise InputError(f"positions: expected a name or a spacing > 0, got {positions!r}")
+        step, many = float(positions), len(_components_last(path, held, displacement)[0])
         x = step * np.argwhere(np.ones(2 * (round(many**0.5),), bool))
     u = _components_last(path, held, displacement, len(x))
     b = None if load is None else factor * _components_last(path, held, load, len(x))
@@ -363,7 +370,8 @@ def read_fields(
     nodes = np.rint(place).astype(int)
     grid = np.zeros(nodes.max(axis=0) + 1, bool)
     grid[*nodes.T] = True
-    interior = surrounded(grid, reach)[*nodes.T]
+    fits = 4 * reach < min(grid.shape)
+    interior = surrounded(grid, reach)[*nodes.T] if fits else np.zeros(len(nodes), bool)
     if not interior.any():
         raise InputError(
             f"{path}: expected nodes with all nodes within {2 * reach} spacings around them, got "
@@ -382,8 +390,11 @@ def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
                 there = [*map(str, file)]
                 for name in names:
                     part = file.get(name)
-                    if isinstance(part, h5py.Dataset) and part.dtype.kind in "fiu":
-                        held[name] = part[()].T
+                    if not isinstance(part, h5py.Dataset) or part.dtype.kind not in "fiu":
+                        continue
+                    if part.shape is None or part.nbytes > LARGEST_ARRAY:
+                        raise ValueError(f"{name}: expected an array of at most 2 GiB")
+                    held[name] = part[()].T
         else:
             for name, array in _matrices(path.read_bytes()):
                 there.append(name)

@@ -159,6 +159,8 @@ class Average:
 
 UNLIKE = 1.1
 """Times that loads per mass of two species may differ without a word."""
+SPECIES = 20
+"""Masses above which they are no species, but each atom's own."""
 
 
 def coarse_grain_dumps(
@@ -192,6 +194,8 @@ def coarse_grain_dumps(
     Raises InputError as its parts do, and for forces or unloaded dumps that do not fit, or whose
     ids differ.
     """
+    if not len(dumps):
+        raise InputError("dumps: expected one or more, got none")
     if len(unloaded) not in (0, 1, len(dumps)):
         raise InputError(f"unloaded: expected 0, 1 or {len(dumps)} dumps, got {len(unloaded)}")
     force = checked("force", force, shape=(len(dumps), "A", 2))
@@ -225,8 +229,10 @@ def coarse_grain_dumps(
 def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
     """Say where the forces of loads are not shared among species as their masses are."""
     kinds = np.unique(mass)
+    if not force.size or len(kinds) > SPECIES:
+        return
     size = [np.sqrt(np.square(force[:, mass == one]).mean()) / one for one in kinds]
-    if len(force) and max(size) > UNLIKE * min(size):
+    if max(size) > UNLIKE * min(size):
         shares = ", ".join(f"{each / max(size):.2g}" for each in size)
         warnings.warn(
             f"force: atoms of masses {', '.join(f'{one:g}' for one in kinds)} carry loads per mass "

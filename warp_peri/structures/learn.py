@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -31,13 +31,13 @@ from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
+from warp_peri.structures.noise import EV_IN_TPA, PULLED, by_strains, joined
+from warp_peri.structures.noise import STRAIN as STRETCH
 from warp_peri.structures.phonons import (
-    EV_IN_TPA,
     Loads,
     check_phonons,
     force_constants,
     forces_of,
-    strained_moduli,
     watched,
     wave_loads,
 )
@@ -237,6 +237,12 @@ WIDEST = {2: 20.0, 3: 6.0}
 """Spacings of nodes over the usual one: beyond, the loads that a law is put to fill the memory."""
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
+RULES = 0.1
+"""Of the largest modulus, that broken rules of force constants may change moduli by."""
+BARS = 2
+"""Standard errors that moduli are taken lower by, where it is told what is proven then."""
+APART = 9.0
+"""χ² of each modulus by two ways, beyond which their errors do not explain their difference."""
 AGREE, TOO_FAR = 0.02, 0.2
 """Relative difference of two ways to the same moduli: worth a word above, refused above."""
 SIZES, DIRECTIONS = 80, 60
@@ -277,6 +283,19 @@ class LearnedCrystal(Shown):
     def tensor(self) -> np.ndarray:
         """C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
         return _of_long_waves(self.atoms, self.material.symmetry)
+
+    @cached_property
+    def errors(self) -> Any:
+        """Independent standard errors of `tensor` [TPa], [Q, d, d, d, d]; None where none is told.
+
+        Of an exact potential the difference of finite strains from long waves.
+        """
+        return errors_of(self.atoms, self.strained, self.material.symmetry)
+
+    @cached_property
+    def unsure(self) -> float:
+        """Largest standard error of a long wave's modulus, over it, of waves in all directions."""
+        return _unsure(self.tensor, self.errors, self.atoms.stress)
 
     @cached_property
     def local(self) -> Symbol:
@@ -349,6 +368,12 @@ class LearnedCrystal(Shown):
             )
             for name, C in columns.items()
         ]
+        if self.errors is not None:
+            bars = with_errors(self.tensor, self.errors)
+            told = ", ".join(f"{name} {bar:.2g}" for name, (_, bar) in bars.items())
+            shown.append(
+                ("standard errors", f"{told} GPa; a sound wave's modulus {self.unsure:.2%}")
+            )
         if held is not None:
             stress = ", ".join(f"{1e3 * held[i, j]:.3g}" for i in range(d) for j in range(i, d))
             shown.append(("stress held", f"{stress} GPa (upper triangle)"))
@@ -356,6 +381,7 @@ class LearnedCrystal(Shown):
         shown += [
             ("nodes", f"{law.spacing:.4g} Å apart, {law.bonds} bonds up to {law.horizon:.4g} Å"),
             ("proven", "nothing" if self.certificate is None else self.certificate.statement),
+            *self._proven_below(),
             (
                 f"within {WITHIN:.0%} down to",
                 f"{_length(self.holds_to['law'])}; local elasticity with the same moduli: "
@@ -367,6 +393,18 @@ class LearnedCrystal(Shown):
             for name, e in self.unseen.items()
         ]
         return [*self.said.items(), *shown]
+
+    def _proven_below(self) -> list[tuple[str, str]]:
+        """What is proven of the law where its moduli are two standard errors lower."""
+        told = self.law.certificate
+        if told is None or not told.holds or self.errors is None:
+            return []
+        left = 1 - BARS * self.unsure
+        words = f"D(k) ≥ {1e3 * told.proven * left:.4g} GPa s(k)" if left > 0 else "nothing"
+        return [
+            (f"proven at moduli less {BARS} standard errors",
+             f"{words}, of the law with all bonds {BARS * self.unsure:.2%} softer")
+        ]  # fmt: skip
 
     def plot(self) -> Any:
         """A matplotlib Figure: dispersion, E over direction, unseen loads."""
@@ -382,6 +420,11 @@ class LearnedCrystal(Shown):
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
             "moduli_GPa": {key: named_moduli(1e3 * v) for key, v in C.items()},
+            "standard_errors_GPa": {
+                name: bar
+                for name, (_, bar) in with_errors(self.tensor, self.errors).items()
+                if self.errors is not None
+            },
             "spacing": self.law.spacing,
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
@@ -389,6 +432,46 @@ class LearnedCrystal(Shown):
             "statement": "" if proof is None else proof.statement,  # in the file's units
             "proven_GPa": None if told is None else 1e3 * told.proven,
         }
+
+
+def with_errors(C: np.ndarray, errors: Any) -> dict[str, tuple[float, float]]:
+    """Moduli [GPa] of C [TPa] by name, each with its standard error; errors [Q, d, d, d, d]."""
+    M = 1e3 * np.sqrt((voigt(0 * C[None] if errors is None else errors) ** 2).sum(axis=0))
+    label = "123456" if C.shape[0] == 3 else "124"
+    return {
+        name: (value, float(M[label.index(name[1]), label.index(name[2])]))
+        for name, value in named_moduli(1e3 * C).items()
+    }
+
+
+def _written(C: np.ndarray, errors: Any) -> str:
+    moduli = with_errors(C, errors).items()
+    return ", ".join(f"{name} {value:.2f} ± {bar:.2g}" for name, (value, bar) in moduli) + " GPa"
+
+
+def _unsure(C: np.ndarray, errors: Any, stress: np.ndarray | None) -> float:
+    """Largest standard error of a sound wave's modulus, over it."""
+    if errors is None or not len(errors):
+        return 0.0
+    e, d = directions(DIRECTIONS, C.shape[0]), C.shape[0]
+    brackets = brackets_from_elastic(C)
+    if stress is not None:
+        brackets = brackets + stress_brackets(stress)
+    size, waves = np.linalg.eigh(acoustic(brackets, e))
+    off = [acoustic(brackets_from_elastic(one), e) for one in errors]
+    share = np.einsum("nip,qnij,njp->qnp", waves, np.reshape(off, (-1, len(e), d, d)), waves)
+    return float((np.sqrt((share**2).sum(axis=0)) / size).max())
+
+
+def errors_of(atoms: ForceConstants, strained: np.ndarray | None, symmetry: Symmetry) -> Any:
+    """Independent standard errors of moduli [TPa], [Q, d, d, d, d]; None where none is told.
+
+    Of an exact potential the difference of finite strains from long waves.
+    """
+    if atoms.doubt is not None:
+        d = atoms.dimension
+        return atoms.elastic_doubt(allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)))
+    return None if strained is None else (strained - _of_long_waves(atoms, symmetry))[None]
 
 
 def _of_long_waves(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
@@ -456,13 +539,12 @@ def from_atoms(
         raise InputError(f"source: expected phonons or loads, got {source!r}")
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     h = _spacing(spacing, reference.spacing, reference.dimension)
-    constants, taken = force_constants(reference, calculator, supercell)
-    said = reference.said | {"force constants": taken} | _doubts(constants)
-    strained = strained_moduli(reference, calculator)
+    constants, strained, taken = known_constants(reference, calculator, supercell, symmetry)
+    said = reference.said | taken
     if strained is not None and (off := _off_long_waves(constants, strained, symmetry)) > AGREE:
         told = (
             f"those of long waves are {off:.1%} off those of finite strains: forces reach further "
-            f"than {taken}, or the calculator is not that precise"
+            f"than {taken['force constants']}, or the calculator is not that precise"
         )
         if off > TOO_FAR:
             raise InputError(f"moduli: {told}")
@@ -474,6 +556,36 @@ def from_atoms(
         samples = load_campaign(reference, constants, calculator, h, reach)
         said |= {"loads": f"{len(samples)}, on {int(samples.interior.sum())} interior nodes"}
     return _learned(constants, h, horizon, symmetry, units, said, strained, samples)
+
+
+def known_constants(
+    reference: Reference,
+    calculator: Any,
+    supercell: Sequence[int] | None = None,
+    symmetry: Symmetry = "auto",
+) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
+    """Force constants, moduli of finite strains [TPa] if there are stresses, and what they say.
+
+    Under noise both are joined by their errors: force constants are moved until their moduli are
+    the likeliest of both. Arguments are those of `from_atoms`.
+    """
+    atoms, told = force_constants(reference, calculator, supercell)
+    noise, d, group = reference.noise, atoms.dimension, _group(atoms, symmetry)
+    allowed = allowed_tensors(group, point_group(group, d), np.eye(d))
+    largest = STRETCH if noise is None else noise.strain
+    found = by_strains(reference.cell, calculator, largest, atoms, allowed)
+    if found is None or noise is None:
+        return atoms, None if found is None else found[0], told | _doubts(atoms)
+    alone = _written(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
+    new, chi, moved = joined(atoms, allowed, *found)
+    check_phonons(new)
+    told["moduli, force constants alone"] = alone
+    told["moduli, finite strains alone"] = (
+        f"{_written(*found)}, strains of {largest * PULLED[0]:.2g} to {largest:.2g}"
+    )
+    believed = "they agree" if chi <= APART else "strains are believed: forces leave the supercell"
+    told["both"] = f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}"
+    return new, found[0], told | _doubts(new)
 
 
 def from_force_constants(
@@ -495,13 +607,24 @@ def from_force_constants(
     check_phonons(atoms)
     cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
     h = _spacing(spacing, usual_spacing(cell, atoms.dimension == 2), atoms.dimension)
-    said = _doubts(atoms)
+    said, group = _doubts(atoms), _group(atoms, symmetry)
+    errors = errors_of(atoms, None, group)
+    if errors is not None and len(errors):
+        share = np.abs(errors).max() / np.abs(_of_long_waves(atoms, group)).max()
+        if share > RULES:
+            raise InputError(
+                f"force constants: the rules that they break (space group, exchange of atoms, "
+                f"rotations) leave moduli unsure by {share:.0%}; expected less than {RULES:.0%}"
+            )
     return _learned(atoms, h, horizon, symmetry, check_units(units), said, None, None)
 
 
 def _doubts(atoms: ForceConstants) -> dict[str, str]:
     """How far force constants are no numbers of the crystal alone."""
     said = {"at the supercell's edge": f"{atoms.edge:.1%} of Σ |Φ| r²"}
+    if atoms.doubt is not None:
+        share = np.linalg.norm(atoms.doubt) / np.linalg.norm(atoms.values)
+        said["force constants' error"] = f"{share:.1e} of Φ"
     if atoms.change is not None:
         steps = f"{STEP:g} to {WIDER * STEP:g} Å"
         said["force constants change"] = (
@@ -539,4 +662,7 @@ def _learned(
         law = from_phonons(atoms, spacing, reach, symmetry=group)
     else:
         law = fit(samples, reach, symmetry=group)
+    found = LearnedCrystal(law, atoms, strained, said)
+    record: dict[str, Any] = {"moduli_error": found.unsure}  # relative, of any sound wave
+    law = replace(law, provenance=law.provenance | record) if found.errors is not None else law
     return LearnedCrystal(law.in_units(units), atoms, strained, said)

@@ -12,10 +12,8 @@ import ase
 import numpy as np
 import scipy.sparse as sp
 from ase.data import atomic_masses
-from ase.optimize import BFGS
 from scipy.spatial import cKDTree
 
-from warp_peri.core.elastic import PAIRS, from_voigt
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import (
     STEP,
@@ -27,10 +25,9 @@ from warp_peri.micromodulus.force_constants import (
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import STRESSES
-from warp_peri.structures.rest import QUIET, STEPS, Reference, stress_of
+from warp_peri.structures.noise import EV_IN_TPA, TIMES, rattled
+from warp_peri.structures.rest import Reference
 
-EV_IN_TPA = STRESSES["eV/angstrom^3"]
 CONE = 2.0
 """Radius of the smoothing, in spacings."""
 PERIOD, PART, COLLAR = 18, {2: 18, 3: 10}, 4
@@ -236,8 +233,6 @@ LOOSE = (
     "structure: parts of it feel no force from the rest; expected one crystal, without loose atoms "
     "or layers"
 )
-STRAIN = 1e-3
-"""Of the finite strains that moduli are checked with."""
 BORN, DIELECTRIC = "born_effective_charges", "dielectric_tensor"
 """ASE's names for what a calculator may give."""
 NEUTRAL = 1e-3
@@ -248,8 +243,10 @@ THZ = 15.633302
 
 def force_constants(
     reference: Reference, calculator: Any, supercell: Sequence[int] | None = None
-) -> tuple[ForceConstants, str]:
-    """Φ of a crystal at rest by finite differences, and what supercell was taken.
+) -> tuple[ForceConstants, dict[str, str]]:
+    """Φ of a crystal at rest by finite differences, and what was taken for it, by name.
+
+    Under noise all atoms are displaced at once, and Φ has its standard errors (`rattled`).
 
     Args:
         reference: at rest.
@@ -273,6 +270,17 @@ def force_constants(
         widths = WIDTHS if polar is None else (WITH_IONS,)
         repeats = _wide_enough(reference, calculator, widths)
     many = cell.repeat(repeats)
+    ions = "" if polar is None else ", and the field of ions by the calculator's Born charges"
+    taken = {
+        "force constants": f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms{ions}"
+    }
+    if reference.noise is not None:
+        found, said = rattled(
+            cell, many, calculator, reference.noise,
+            thickness=reference.thickness, polar=polar, stress=reference.stress,
+        )  # fmt: skip
+        check_phonons(found)
+        return found, taken | said
     forces, x = forces_of(many, calculator), np.array(many.positions)
     phi, change = finite_differences(forces, x, range(len(cell)))
     found = from_supercell(
@@ -286,8 +294,7 @@ def force_constants(
         change=change,
     )
     check_phonons(found)
-    ions = "" if polar is None else ", and the field of ions by the calculator's Born charges"
-    return found, f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms{ions}"
+    return found, taken
 
 
 def born_charges(reference: Reference, calculator: Any) -> Polar | None:
@@ -326,7 +333,8 @@ def forces_of(many: ase.Atoms, calculator: Any) -> Any:
 
 def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:
     cell, d = reference.cell, reference.dimension
-    edges = np.array(cell.cell)
+    edges, noise = np.array(cell.cell), reference.noise
+    step = STEP if noise is None else noise.length
     heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
     rim = 0.0
     repeats: tuple[int, ...] = (1, 1, 1)
@@ -340,18 +348,20 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
             return repeats
         many = cell.repeat(repeats)
         at_rest, x = forces_of(many, calculator), np.array(many.positions)
-        still, rim = at_rest(x), 0.0
+        still, rim, reached = at_rest(x), 0.0, REACHED
         part = (x - x[0]) @ np.linalg.inv(np.array(many.cell))
         far = np.linalg.norm((part - np.rint(part)) @ np.array(many.cell), axis=1)
         for axis in range(d):
             moved = x.copy()
-            moved[0, axis] += STEP
+            moved[0, axis] += step
             change = np.abs(at_rest(moved) - still).max(axis=1)
             if not change.max() > 0:
                 raise InputError(LOOSE)
             outside = far > 0.45 * (counts * heights)[:d].min()
             rim = max(rim, float(change[outside].max(initial=0.0) / change.max()))
-        if rim <= REACHED:
+            if noise is not None:
+                reached = max(reached, TIMES**2 * noise.force / float(change.max()))
+        if rim <= reached:
             return repeats
     warnings.warn(
         f"supercell: at half the width of {' x '.join(map(str, repeats[:d]))} cells forces still "
@@ -378,45 +388,29 @@ def check_phonons(atoms: ForceConstants) -> None:
     least = np.linalg.eigvalsh(D)
     worst = int(least[:, 0].argmin())
     top = least[:, -2 if d == 2 else -1].max()  # above it is what a mean height is held with
-    if least[worst, 0] >= -SOFT * top:
+    error = 0.0
+    if atoms.doubt is not None and least[worst, 0] < 0:
+        wave = np.linalg.eigh(D[worst])[1][:, 0] * weight
+        error = float(np.linalg.norm(_changes(atoms, parts[worst] @ back, wave.reshape(-1, 3))))
+    if least[worst, 0] >= -max(SOFT * top, TIMES * error):
         stiffest = np.linalg.eigvalsh(atoms.dynamical(parts @ back))[:, 0].max()
         if stiffest <= SOFT * np.abs(atoms.values).max():
             raise InputError(LOOSE)
         return
     k, imaginary = parts[worst] @ back, THZ * np.sqrt(-least[worst, 0])
+    told = error > SOFT * top
+    bar = f" ± {THZ * error / (2 * np.sqrt(-least[worst, 0])):.2g}" if told else ""
     raise InputError(
         f"structure: expected a stable crystal, got an imaginary phonon, the worst of "
-        f"{imaginary:.2f}i THz at k = {np.round(parts[worst], 4).tolist()} of the reciprocal edges "
-        f"({np.round(k, 4).tolist()} 1/Å); displace atoms along it in a larger cell and relax"
+        f"{imaginary:.2f}{bar}i THz at k = {np.round(parts[worst], 4).tolist()} of the reciprocal "
+        f"edges ({np.round(k, 4).tolist()} 1/Å); displace atoms along it in a larger cell and relax"
     )
 
 
-def strained_moduli(reference: Reference, calculator: Any) -> np.ndarray | None:
-    """C_ijkl [TPa] by finite strains of the cell, atoms relaxed, [d, d, d, d]; None without stress.
-
-    Differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, so that the stress of a
-    crystal that is held counts as (T19) has it.
-    """
-    d = reference.dimension
-    columns = []
-    for i, j in PAIRS[d]:
-        found = []
-        for sign in (1, -1):
-            strain = np.zeros((3, 3))
-            strain[i, j] += sign * STRAIN / 2
-            strain[j, i] += sign * STRAIN / 2
-            F = np.eye(3) + strain
-            cell = reference.cell.copy()
-            cell.set_cell(np.array(cell.cell) @ F, scale_atoms=True)
-            cell.calc = calculator
-            BFGS(cell, logfile=None).run(fmax=QUIET, steps=STEPS)
-            try:
-                sigma = stress_of(cell, reference.thickness)[:d, :d]
-            except NotImplementedError:
-                return None
-            inside = np.linalg.inv(F[:d, :d])
-            found.append(np.linalg.det(F[:d, :d]) * inside @ sigma @ inside.T)
-        slope = (found[0] - found[1]) / (2 * STRAIN)
-        columns.append([slope[pair] for pair in PAIRS[d]])
-    matrix = np.array(columns)
-    return from_voigt((matrix + matrix.T) / 2)
+def _changes(atoms: ForceConstants, k: np.ndarray, wave: np.ndarray) -> np.ndarray:
+    """By each standard error of Φ, of the eigenvalue that a wave [n, 3] has at k, shape [Q]."""
+    doubt: Any = atoms.doubt
+    phase = np.exp(1j * (atoms.vectors[:, : len(k)] @ k))
+    first, second = (wave[atoms.pairs[:, side]] for side in (0, 1))
+    off = np.einsum("p,pa,qpab,pb->q", phase, first.conj(), doubt, second, optimize=True)
+    return np.asarray(off.real)

@@ -1,4 +1,4 @@
-"""Structures at rest, and phonopy's folders."""
+"""Cells, structures at rest, and phonopy's folders."""
 
 from __future__ import annotations
 
@@ -10,32 +10,41 @@ from pathlib import Path
 from typing import Any
 
 import ase
+import ase.io
 import numpy as np
+from ase.constraints import FixSymmetry
 from ase.data import vdw_radii
 from ase.filters import FrechetCellFilter
+from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
+from ase.spacegroup.symmetrize import refine_symmetry
 from ase.stress import voigt_6_to_full_3x3_stress
+from scipy.linalg import sqrtm
 
-from warp_peri.core.groups import by_spglib
+from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.force_constants import ForceConstants, Polar, from_supercell
-from warp_peri.points.unit_names import STRESSES
 from warp_peri.structures.calculators import LammpsError
-from warp_peri.structures.cells import (
-    FLAT,
-    ON_SITES,
-    VACUUM,
-    exact_cell,
-    gap,
-    oriented,
-    smallest,
-    to_shared_axes,
-)
+from warp_peri.structures.noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
 
+VACUUM = 8.0
+"""A gap between atoms [Å] that counts as vacuum."""
+WIDE = 5.0
+"""A gap [Å] that is no vacuum yet, and wide for a solid."""
+HEIGHT = 40.0
+"""Of the box around a sheet, beside the sheet itself [Å]."""
+FULL, UPON = 0.999, 0.5
+"""Occupancy of a site that an atom fills; distance [Å] that no two atoms are nearer than."""
+FLAT = 1e-3
+"""Smallest singular value of the directions of a cell's edges."""
+ALMOST = 1e-3
+"""Of a turn's matrix, off whole numbers that it is meant to have."""
+SAME, ROUNDING = 1e-4, 1e-6
+"""Energies of an atom in two cells that are one crystal's: apart by less [eV], and relative."""
 USUAL_RADIUS = 2.0
 """Van der Waals radius [Å] of elements that have none in ASE's table."""
-QUIET, STEPS = 1e-5, 1000
-"""Forces [eV/Å] that a structure is relaxed to, and the steps that it may take."""
+QUIET, STEPS, NOISY_STEPS = 1e-5, 1000, 200
+"""Forces [eV/Å] that a structure is relaxed to, and the steps that it may take, under noise too."""
 RESIDUAL_FORCE, RESIDUAL_STRESS = 1e-3, 1e-4
 """Forces [eV/Å] and stress [TPa] that are taken for none."""
 MOVED = 0.01
@@ -53,6 +62,7 @@ class Reference:
         thickness: of a sheet [Å], or None.
         stress: that it is held under [TPa], shape [d, d]; None for one at rest.
         spacing: that its nodes have unless another is asked for [Å].
+        noise: of the calculator's forces; None where it is rounding.
         said: what was found or chosen, by name.
     """
 
@@ -61,11 +71,191 @@ class Reference:
     stress: np.ndarray | None
     spacing: float
     said: dict[str, str]
+    noise: Noise | None = None
 
     @property
     def dimension(self) -> int:
         """2 for a sheet, 3 for a solid."""
         return 3 if self.thickness is None else 2
+
+
+def _check_sites(atoms: ase.Atoms) -> None:
+    """Raise InputError for atoms upon each other, and shared sites, of which ASE keeps one atom."""
+    for site in (atoms.info.get("occupancy") or {}).values():
+        if len(site) > 1 or min(site.values()) < FULL:
+            shared = ", ".join(f"{kind} {part:g}" for kind, part in site.items())
+            raise InputError(
+                f"structure: expected sites that one element fills, got one of {shared}; "
+                "give a cell with every atom on a site of its own"
+            )
+    edges, x = np.array(atoms.cell), np.array(atoms.positions)
+    if not len(atoms) or not (np.isfinite(edges).all() and np.isfinite(x).all()):
+        raise InputError("structure: expected one atom or more, at finite places in a finite cell")
+    edges = edges[np.array(atoms.pbc)]
+    lengths = np.linalg.norm(edges, axis=1)
+    if not lengths.all() or np.linalg.svd(edges / lengths[:, None])[1].min(initial=1.0) < FLAT:
+        raise InputError("structure: expected edges of the cell that span one, got some in a plane")
+    first, second, apart = neighbor_list("ijd", atoms, UPON)
+    if len(apart):
+        n = apart.argmin()
+        raise InputError(
+            f"structure: expected atoms {UPON:g} Å apart or more, got {apart[n]:.2g} Å between "
+            f"atoms {first[n]} and {second[n]} of {len(atoms)}; is a site there twice, or are "
+            "lengths not in Å?"
+        )
+
+
+def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
+    """The structure with a sheet across z, amid a high box, and whether it is one.
+
+    Without turning, axes stay as they are; InputError for a sheet that is not across z then.
+    """
+    _check_sites(atoms)
+    periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
+    if not periodic.any():
+        raise InputError("structure: expected a crystal with a periodic cell, got a free cluster")
+    empty = [a for a in range(3) if not periodic[a] or gap(atoms, a) >= VACUUM]
+    if len(empty) > 1:
+        raise InputError(
+            f"structure: expected a sheet or a solid; along {len(empty)} edges of the cell there "
+            "is vacuum or no period"
+        )
+    ready: ase.Atoms = atoms.copy()
+    ready.set_constraint()
+    ready.calc = None
+    if not empty:
+        widest = max(gap(atoms, a) for a in range(3))
+        if widest >= WIDE:
+            warnings.warn(
+                f"structure: taken for a solid, with a gap of {widest:.3g} Å along an edge; a "
+                f"sheet has {VACUUM:g} Å of vacuum or more",
+                stacklevel=4,
+            )
+        ready.pbc = True
+        return to_shared_axes(ready) if turning else ready, False
+    first, second = ((1, 2), (2, 0), (0, 1))[empty[0]]
+    normal = np.cross(cell[first], cell[second])
+    along = cell[first] / np.linalg.norm(cell[first])
+    up = normal / np.linalg.norm(normal)
+    turn = np.array([along, np.cross(up, along), up])
+    if not turning:
+        if abs(up[2]) < 1 - FLAT**2:
+            raise InputError("hold: expected a sheet across z, whose strains have names in x and y")
+        first, second = (first, second) if up[2] > 0 else (second, first)
+        turn = np.eye(3)
+    x = np.array(ready.positions) @ turn.T
+    if periodic[empty[0]]:  # a sheet that the period cuts is put together at the gap
+        x = _joined(atoms, empty[0], x, turn)
+    edges = np.array([turn @ cell[first], turn @ cell[second], [0, 0, HEIGHT + np.ptp(x[:, 2])]])
+    x[:, 2] += edges[2, 2] / 2 - (x[:, 2].min() + x[:, 2].max()) / 2
+    ready.set_cell(edges)
+    ready.positions[:] = x
+    ready.pbc = True
+    return ready, True
+
+
+def _heights(atoms: ase.Atoms, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Parts of an edge at which atoms are, rising, their order, and how far its faces are apart."""
+    part = np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T)[axis] % 1.0
+    order = np.argsort(part)
+    apart = 1 / np.linalg.norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
+    return part[order], order, float(apart)
+
+
+def gap(atoms: ase.Atoms, axis: int) -> float:
+    """Largest distance between neighbours along an edge [Å]."""
+    part, _, apart = _heights(atoms, axis)
+    return float(np.diff(np.append(part, part[0] + 1)).max() * apart)
+
+
+def _joined(atoms: ase.Atoms, axis: int, x: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    part, order, _ = _heights(atoms, axis)
+    last = int(np.diff(np.append(part, part[0] + 1)).argmax())
+    edge = turn @ np.array(atoms.cell)[axis]
+    whole = np.floor(np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T)[axis])
+    x = x - np.outer(whole, edge)
+    if last < len(part) - 1:
+        x[order[: last + 1]] += edge
+    return x
+
+
+def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
+    """A solid turned to spglib's standard axes, where these share more turns with nodes."""
+    given = np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
+    found = by_spglib("get_symmetry_dataset", given, ON_SITES)
+    if found is None:
+        return atoms
+    group = group_of_structure(*given)
+    turn = np.array(found.std_rotation_matrix)
+
+    def shared(turns: np.ndarray) -> int:
+        return int((np.abs(turns - np.rint(turns)).max(axis=(1, 2)) < 1e-6).sum())
+
+    if shared(turn @ group @ turn.T) > shared(group):
+        atoms = atoms.copy()
+        atoms.set_cell(np.array(atoms.cell) @ turn.T, scale_atoms=True)
+    return atoms
+
+
+def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
+    """The cell without the last digits that break its symmetry, and turns of nodes: 1e-4 Å."""
+    given = np.array(atoms.cell), atoms.get_scaled_positions(), kinds_of(atoms)[0]
+    found = by_spglib("get_symmetry", given, ON_SITES)
+    if found is None:
+        return atoms
+    W, edges = found["rotations"].astype(float), np.array(atoms.cell).T
+    metric = (W.transpose(0, 2, 1) @ (edges.T @ edges) @ W).mean(axis=0)
+    back = np.linalg.inv(edges)
+    edges = np.real(sqrtm(back.T @ metric @ back)) @ edges
+    turns = edges @ W @ np.linalg.inv(edges)
+    whole = np.rint(turns)
+    near = np.abs(turns - whole).max(axis=(1, 2)) < ALMOST
+    U, _, V = np.linalg.svd((turns[near] @ whole[near].transpose(0, 2, 1)).mean(axis=0))
+    exact: ase.Atoms = atoms.copy()
+    exact.set_cell(((U @ V).T @ edges).T, scale_atoms=True)
+    return exact
+
+
+def smallest(atoms: ase.Atoms, flat: bool, calculator: Any) -> ase.Atoms:
+    """The primitive cell in the same axes; a sheet's third edge stays.
+
+    Its atoms keep their moments, charges and tags. Where the calculator has another energy of an
+    atom in it, by whatever else it goes, the cell stays as it is, with a warning.
+    """
+    kinds, first = kinds_of(atoms)
+    small = primitive_cell((np.array(atoms.cell), atoms.get_scaled_positions(), kinds), ON_SITES)
+    if small is None or len(small[2]) >= len(atoms):
+        return atoms
+    edges = np.array(small[0])
+    x = small[1] @ edges
+    if flat:
+        (up,) = np.flatnonzero(np.abs(edges[:, :2]).max(axis=1) < 1e-6)
+        edges = edges[[(up + 1) % 3, (up + 2) % 3, up]]
+        if np.linalg.det(edges) < 0:
+            edges[2] *= -1
+        x[:, 2] %= abs(edges[2, 2])
+    one: ase.Atoms = atoms[first[small[2]]]
+    one.set_cell(edges)
+    one.positions[:] = x
+    try:
+        whole, part = (_energy(cell, calculator) for cell in (atoms, one))
+    except Exception:  # without energies; forces that are not there are told where they are asked
+        return one
+    if abs(whole - part) > min(SAME, ROUNDING * max(abs(whole), abs(part))):
+        warnings.warn(
+            f"structure: the cell of {len(atoms)} atoms is kept: the calculator has {whole:.6g} eV "
+            f"an atom in it and {part:.6g} eV in the smallest, of {len(one)}",
+            stacklevel=3,
+        )
+        return atoms
+    return one
+
+
+def _energy(cell: ase.Atoms, calculator: Any) -> float:
+    """Of an atom [eV]."""
+    cell = cell.copy()
+    cell.calc = calculator
+    return float(cell.get_potential_energy()) / len(cell)
 
 
 def at_rest(
@@ -98,17 +288,27 @@ def at_rest(
     cell.calc = calculator
     before = np.array(cell.cell)
     _check_forces(cell)
-    _relax(cell, flat, held)
+    found = measured(cell, calculator, flat)
+    noise = None if found.rounding else found
+    _relax(cell, flat, held, noise)
     strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
+    if noise is not None:
+        refine_symmetry(cell, noise.sites)
     if not held:  # disorder that has relaxed leaves a smaller cell, its axes a little off
         cell = exact_cell(smallest(cell if flat else to_shared_axes(cell), flat, calculator))
         cell.calc = calculator
+    if noise is not None:  # noise breaks the symmetry, which takes most of it away
+        refine_symmetry(cell, noise.sites)
+        cell.calc = calculator
+        cell.set_constraint(FixSymmetry(cell, ON_SITES))
+        _relax(cell, flat, held, noise)
+        cell.set_constraint()
     size, rule = thickness, "as given"
     if flat and size is None:
         size, rule = thickness_of(cell)
-    stress = _stress_left(cell, size, flat, held)
+    stress = _stress_left(cell, size, flat, held, noise)
     said = {
         "structure": f"{cell.get_chemical_formula()}, {'a sheet' if flat else 'a solid'}",
         "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
@@ -126,7 +326,7 @@ def at_rest(
         said["thickness"] = f"{size:.4g} Å, {rule}"
         said["bending"] = "not in the law: it moves a sheet in its plane only"
     cell.calc = None
-    return Reference(cell, size, stress, usual_spacing(cell, flat), said)
+    return Reference(cell, size, stress, usual_spacing(cell, flat), said, noise)
 
 
 def _check_forces(cell: ase.Atoms) -> None:
@@ -140,19 +340,24 @@ def _check_forces(cell: ase.Atoms) -> None:
         raise InputError(f"calculator: it gives no forces for {kinds} ({kind}: {error})") from None
 
 
-def _relax(cell: ase.Atoms, flat: bool, held: set[str]) -> None:
+def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> None:
+    quiet, left, steps = QUIET, RESIDUAL_FORCE, STEPS
+    if noise is not None:  # a force, or a stress on the cell, that is told from none
+        scatter = max(noise.force, noise.stress / EV_IN_TPA * cell.get_volume())
+        quiet, steps = max(QUIET, 2 * scatter), NOISY_STEPS
+        left = max(RESIDUAL_FORCE, TIMES * quiet)
     free = [name not in held and not (flat and "z" in name) for name in VOIGT]
     try:
         moving: Any = FrechetCellFilter(cell, mask=free) if any(free) else cell
-        done = BFGS(moving, logfile=None).run(fmax=QUIET, steps=STEPS)
+        done = BFGS(moving, logfile=None).run(fmax=quiet, steps=steps)
     except NotImplementedError as error:
         raise InputError(
             f"calculator: it gives no stress ({error}); relax the cell elsewhere and hold all"
         ) from None
     force = float(np.abs(cell.get_forces(apply_constraint=False)).max())
-    if not done and force > RESIDUAL_FORCE:
+    if not done and force > left:
         raise InputError(
-            f"structure: after {STEPS} steps of relaxation a force of {force:.2g} eV/Å is left"
+            f"structure: after {steps} steps of relaxation a force of {force:.2g} eV/Å is left"
         )
 
 
@@ -161,11 +366,11 @@ def stress_of(cell: ase.Atoms, thickness: float | None) -> np.ndarray:
     stress = voigt_6_to_full_3x3_stress(cell.get_stress(apply_constraint=False))
     if thickness is not None:
         stress = stress * (cell.cell[2, 2] / thickness)
-    return np.asarray(stress * STRESSES["eV/angstrom^3"])
+    return np.asarray(stress * EV_IN_TPA)
 
 
 def _stress_left(
-    cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str]
+    cell: ase.Atoms, thickness: float | None, flat: bool, held: set[str], noise: Noise | None
 ) -> np.ndarray | None:
     """The stress of the strains that are held, [d, d]; None where there is none.
 
@@ -179,12 +384,13 @@ def _stress_left(
             "calculator: it gives no stress; the crystal is taken to be at rest", stacklevel=3
         )
         return None
+    none = RESIDUAL_STRESS if noise is None else max(RESIDUAL_STRESS, 2 * TIMES * noise.stress)
     for name, (i, j) in zip(VOIGT, PLACES):
-        if max(i, j) < d and name not in held and abs(stress[i, j]) > RESIDUAL_STRESS:
+        if max(i, j) < d and name not in held and abs(stress[i, j]) > none:
             raise InputError(
                 f"structure: relaxation left a stress {name} of {1e3 * stress[i, j]:.3g} GPa"
             )
-    if np.abs(stress).max() <= RESIDUAL_STRESS:
+    if np.abs(stress).max() <= none:
         return None
     return np.asarray((stress + stress.T) / 2)
 
@@ -238,6 +444,7 @@ def _sheet_spacing(cell: ase.Atoms) -> float:
 
 
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
+POSCARS = ("POSCAR-unitcell", "POSCAR")
 """Of a folder, the first that is there is read."""
 
 
@@ -245,11 +452,15 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     """Force constants of what phonopy computed.
 
     Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN, which
-    are read as phonopy itself reads them. With Born charges the field of the ions is part of every
-    wave (theory.md, T18); a solid of several elements without BORN is warned of.
+    are read as phonopy itself reads them. Without it POSCAR-unitcell or POSCAR is read; the
+    supercell then is that of SPOSCAR, or the most even one with as many atoms, which is warned of.
+    Force constants are brought to what space group, exchange of atoms, translations and rotations
+    ask, and how far they move is their error. With Born charges the field of the ions is part of
+    every wave (theory.md, T18); a solid of several elements without BORN is warned of.
 
     Args:
-        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
+        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one
+            of them or a POSCAR.
         thickness: of a sheet across z [Å]; by default as `from_atoms` has it.
 
     Raises InputError where phonopy is not installed, for files that it does not read or that are
@@ -269,7 +480,11 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     if thickness is not None and "born_filename" in beside:
         raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
     try:
-        found: Any = phonopy.load(file, **beside, log_level=0)
+        told = _opened(file)
+        beside = {
+            n: v for n, v in beside.items() if n != "born_filename" or "nac_params" not in told
+        }
+        found: Any = phonopy.load(**told, **beside, symmetrize_fc=False, log_level=0)
     except Exception as error:  # phonopy raises whatever its parsing runs into
         hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
         raise InputError(f"{path}: phonopy does not read it ({error}){hint}") from None
@@ -304,9 +519,43 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     across = float(np.abs(cell.cell[:2, 2]).max()) < 1e-6
     if thickness is not None and polar is None and not across:
         raise InputError(f"{path}: expected a sheet across z")
-    return from_supercell(
+    made = from_supercell(
         cell, supercell, phi, displaced.tolist(), thickness=thickness, polar=polar
     )
+    return projected(made, supercell)
+
+
+def _opened(file: Path) -> dict[str, Any]:
+    """What phonopy is told to read a crystal: a file of its own, or a POSCAR and a supercell."""
+    if file.name not in POSCARS:
+        return {"phonopy_yaml": file}
+    cell: Any = ase.io.read(file, format="vasp")
+    told: dict[str, Any] = {"unitcell_filename": file, "primitive_matrix": "auto"}
+    if (born := file.parent / "BORN").is_file():
+        lines = [line.split() for line in born.read_text().splitlines() if line.strip()]
+        if len(lines) == 2 + len(cell):  # one of each atom, where symmetry was left aside
+            values = np.array(lines[1:], dtype=float).reshape(-1, 3, 3)
+            ions = {"dielectric": values[0], "born": values[1:], "factor": float(lines[0][0])}
+            told |= {"nac_params": ions, "is_symmetry": False, "primitive_matrix": np.eye(3)}
+    if (large := file.parent / "SPOSCAR").is_file():
+        whole: Any = ase.io.read(large, format="vasp")
+        edges = np.array(whole.cell)
+        return told | {"supercell_matrix": np.rint(edges @ np.linalg.inv(cell.cell)).T.astype(int)}
+    for name in ("FORCE_SETS", "FORCE_CONSTANTS"):
+        if (file.parent / name).is_file():
+            with open(file.parent / name, encoding="ascii", errors="replace") as forces:
+                count = int(forces.readline().split()[-1])
+            break
+    else:
+        raise InputError("expected FORCE_SETS or FORCE_CONSTANTS beside it")
+    size, left = divmod(count, len(cell))
+    if left:
+        raise InputError(f"expected a supercell of {len(cell)} atoms, got one of {count}")
+    counts = [(i, j, size // (i * j)) for i in range(1, size + 1) for j in range(1, size // i + 1)
+              if size % (i * j) == 0]  # fmt: skip
+    best = min(counts, key=lambda n: float(np.ptp(np.log(n * cell.cell.lengths()))))
+    warnings.warn(f"{file}: taken for a supercell of {best} cells, by its atoms", stacklevel=3)
+    return told | {"supercell_matrix": best}
 
 
 def _yaml(path: Path) -> Path:
@@ -314,7 +563,7 @@ def _yaml(path: Path) -> Path:
         return path
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    for name in YAML:
+    for name in (*YAML, *POSCARS):
         if (path / name).is_file():
             return path / name
     raise InputError(f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}")

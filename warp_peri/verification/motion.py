@@ -136,7 +136,7 @@ def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
     shear = np.sqrt(s.stiffness * E / 2 / (1 + nu) / heavy)
     rayleigh = (0.862 + 1.14 * nu) / (1 + nu) * shear
     note, label = f"it runs at {fast / rayleigh:.2f} of Rayleigh's speed", "share of broken bonds"
-    over = max(0.0, float(fast / rayleigh) - 1)
+    over = max(0.0, float(fast / rayleigh) - 1) if fast > 0 else np.nan  # one that stands
     return Outcome(over, None, x, run.details.damage, label, note)
 
 

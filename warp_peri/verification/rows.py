@@ -73,10 +73,10 @@ ROWS = _read()
 def chosen(only: Sequence[str] = ()) -> list[Row]:
     """Rows whose names hold one of some words; all without any.
 
-    Raises InputError for a word that no name holds.
+    Raises InputError for a word that no name holds, or an empty one.
     """
     for word in only:
-        if not any(word.lower() in one.name.lower() for one in ROWS):
+        if not word.strip() or not any(word.lower() in one.name.lower() for one in ROWS):
             known = ", ".join(dict.fromkeys(one.problem for one in ROWS))
             raise InputError(f"only: expected a part of a row's name, got {word!r}; {known}")
     wanted = [word.lower() for word in only]
@@ -104,8 +104,12 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
             others = [one.run(scale).value for scale in SCALES] if scaled else []
     except InputError as refusal:
         return line | {"holds": False, "note": str(refusal)}
-    error = abs(found.value - one.reference) / size
-    holds = error <= one.allowed and (one.least is None or (found.order or 0.0) >= one.least)
+    values = found.value, *others
+    if not np.isfinite(values).all():  # which JSON has no word for
+        return line | {"holds": False, "note": found.note or "its answer is no number"}
+    error, *elsewhere = (abs(value - one.reference) / size for value in values)
+    holds = max(error, *elsewhere, 0.0) <= one.allowed
+    holds = holds and (one.least is None or (found.order or 0.0) >= one.least)
     if scaled:
         line["scaled"] = float(max(abs(other - found.value) / size for other in others))
         holds = holds and line["scaled"] <= SAME
@@ -130,18 +134,30 @@ def verified(
         scaled: as of `measured`.
         out: folder for pictures, and for the lines as verification.json.
         processes: that share the rows.
+
+    Raises InputError as `chosen`, and for less than one process.
     """
     rows = chosen(only)
+    if processes < 1:
+        raise InputError(f"processes: expected at least 1, got {processes}")
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     found: dict[str, Line] = {}
     spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(max(1, processes), spawn, set_threads, (1,)) as pool:
+    others = multiprocessing.active_children()
+    with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
         jobs = [pool.submit(_numbered, ROWS.index(one), scaled, out) for one in rows]
-        for done in as_completed(jobs):
-            line = done.result()
-            found[line["name"]] = line
-            print(f"\r\033[K{len(found)} of {len(rows)}  {line['name']}", end="", file=sys.stderr)
+        try:
+            for done in as_completed(jobs):
+                line = done.result()
+                found[line["name"]] = line
+                told = f"{len(found)} of {len(rows)}  {line['name']}"
+                print(f"\r\033[K{told}", end="", file=sys.stderr)
+        except BaseException:  # nobody waits for rows that take minutes
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - set(others):
+                process.terminate()
+            raise
     print("\r\033[K", end="", file=sys.stderr, flush=True)
     lines = [found[one.name] for one in rows]
     if out is not None:

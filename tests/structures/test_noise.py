@@ -1,0 +1,160 @@
+"""Noisy calculators: noise measured, rules of force constants, moduli with true errors."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import ase
+import ase.build
+import numpy as np
+import pytest
+from ase.calculators.calculator import Calculator
+from ase.calculators.emt import EMT
+
+import warp_peri as wp
+from examples.noisy_calculators import Noisy, study
+from warp_peri.micromodulus import Polar, from_calculator
+from warp_peri.structures.noise import Orbits, measured, projected
+from warp_peri.structures.phonons import check_phonons
+
+ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
+"""Under EMT, by finite strains of 1e-4 [GPa]."""
+
+
+class Rounded(Calculator):
+    """Forces with five decimals."""
+
+    implemented_properties: ClassVar = ["energy", "forces", "stress"]
+
+    def calculate(self, atoms=None, properties=(), changes=()):
+        super().calculate(atoms, properties, changes)
+        one = atoms.copy()
+        one.calc = EMT()
+        forces = np.round(one.get_forces(), 5)
+        energy = one.get_potential_energy()
+        self.results = {"forces": forces, "stress": one.get_stress(), "energy": energy}
+
+
+def test_noise_is_measured_and_rounding_of_forces_is_noise():
+    cell = ase.build.bulk("Al", a=3.994)
+    assert measured(cell, EMT(), False).rounding
+    for calculator, noise in ((Noisy(EMT(), 1e-4), 1e-4), (Rounded(), 1e-5 / 12**0.5)):
+        found = measured(cell, calculator, False)
+        assert not found.rounding
+        assert found.force == pytest.approx(noise, rel=0.25)
+    assert measured(cell, Noisy(EMT(), 1e-4), False).stress == pytest.approx(
+        0.1e-4 * 0.1602, rel=0.5
+    )
+
+
+@pytest.fixture(scope="module")
+def aluminium():
+    return wp.from_atoms(ase.build.bulk("Al"), Noisy(EMT(), 1e-5, 3))
+
+
+def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small(aluminium):
+    figures = aluminium.content()
+    bars = figures["standard_errors_GPa"]
+    for name, true in ALUMINIUM.items():
+        value = figures["moduli_GPa"]["atoms"][name]
+        assert abs(value - true) < 3 * bars[name] < 0.003 * true
+        assert abs(figures["moduli_GPa"]["law"][name] - value) < 1e-3
+    assert set(aluminium.said) >= {"noise", "displacements", "both"}
+    assert "agree" in aluminium.said["both"]
+
+
+def test_the_error_goes_into_the_law_and_into_what_is_proven(aluminium):
+    share = aluminium.law.provenance["moduli_error"]
+    assert 0 < share == aluminium.unsure < 0.003
+    rows = dict(aluminium.rows())
+    told = float(rows["proven at moduli less 2 standard errors"].split()[2])
+    assert told == pytest.approx(1e3 * aluminium.law.certificate.proven * (1 - 2 * share), rel=1e-3)
+
+
+def test_a_sheet_under_noise_has_a_law_too():
+    sheet = ase.build.fcc111("Al", (1, 1, 2), a=3.99, vacuum=10)
+    sheet.pbc = (True, True, False)
+    exact, noisy = (wp.from_atoms(sheet, c) for c in (EMT(), Noisy(EMT(), 1e-5, 1)))
+    off = np.abs(noisy.tensor - exact.tensor).max() / np.abs(exact.tensor).max()
+    assert off < 0.003
+    assert off < 4 * noisy.unsure
+
+
+@pytest.fixture(scope="module")
+def hexagonal():
+    """Force constants of a hexagonal crystal of two atoms, and its supercell."""
+    cell = ase.build.bulk("Ni", "hcp", a=2.47, c=4.03)
+    return from_calculator(cell, EMT(), (3, 3, 2)), cell.repeat((3, 3, 2))
+
+
+def test_numbers_of_orbits_are_all_of_phi_and_give_its_forces(hexagonal):
+    atoms, many = hexagonal
+    cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
+    orbits = Orbits(cell, many)
+    assert orbits.basis.shape[1] < 0.05 * orbits.basis.shape[0]
+    pair, _ = orbits.placed(atoms)
+    phi = np.zeros((orbits.basis.shape[0] // 9, 9))
+    np.add.at(phi, pair, atoms.values.reshape(-1, 9))
+    numbers = orbits.basis.T @ phi.ravel()
+    assert np.abs(orbits.basis @ numbers - phi.ravel()).max() < 1e-4 * np.abs(phi).max()
+    u = 1e-3 * np.random.default_rng(0).standard_normal((len(many), 3))
+    many = many.copy()
+    many.calc = EMT()
+    ends = []
+    for sign in (1, -1):
+        moved = many.copy()
+        moved.positions += sign * u
+        moved.calc = EMT()
+        ends.append(moved.get_forces())
+    found = orbits.forces(orbits.basis, u) @ numbers
+    assert np.abs(found - (ends[0] - ends[1]) / 2).max() < 1e-3 * np.abs(found).max()
+
+
+def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_error(hexagonal):
+    atoms, many = hexagonal
+    noise = np.random.default_rng(1).standard_normal(atoms.values.shape)
+    size = 1e-3 * np.abs(atoms.values).max()
+    broken = replace(atoms, values=atoms.values + size * noise)
+    kept = projected(broken, many)
+    zeroth, first, second = kept.moments()
+    top = np.abs(kept.values).max()
+    assert np.abs(zeroth.sum(axis=2)).max() < 1e-9 * top
+    assert np.abs(first - first.swapaxes(2, 3)).max() < 1e-7 * top
+    assert np.abs(second - second.transpose(2, 3, 0, 1)).max() < 1e-6 * top
+    np.testing.assert_allclose(kept.doubt[0], kept.values - broken.values)
+    assert np.linalg.norm(kept.values - projected(atoms, many).values) < 0.3 * size * np.sqrt(
+        noise.size
+    )
+    kept = replace(kept, edge=0.0)  # a supercell as narrow as this is warned of
+    assert 0 < wp.atoms.from_force_constants(kept).unsure < 0.1
+    wrong = replace(kept, doubt=40 * kept.doubt)
+    with pytest.raises(wp.InputError, match=r"rules that they break .* unsure by \d+%"):
+        wp.atoms.from_force_constants(wrong)
+
+
+def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
+    cell = ase.build.bulk("Cu", "sc", a=2.4)
+    atoms = from_calculator(cell, EMT(), (4, 4, 4))
+    sure = replace(atoms, doubt=1e-3 * atoms.values[None])
+    with pytest.raises(
+        wp.InputError, match=r"imaginary phonon, the worst of [\d.]+ ± [\d.e-]+i THz"
+    ):
+        check_phonons(sure)
+    check_phonons(replace(atoms, doubt=0.5 * atoms.values[None]))
+
+
+def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():
+    """Sites of symmetry 3: charges with an antisymmetric part, as of aluminium in corundum."""
+    turned = np.array([[2.9, 0.2, 0.0], [-0.2, 2.9, 0.0], [0.0, 0.0, 2.8]])
+    polar = Polar(np.array([turned, -turned + 0.1 * np.eye(3)]), 3 * np.eye(3), decay=1.0)
+    assert np.abs(polar.born.sum(axis=0)).max() < 1e-12
+    cell = np.array([[4.0, 0, 0], [-2.0, 12**0.5, 0], [0, 0, 5.0]])
+    x = np.array([[0, 0, 0], [2.0, 1.1, 1.3]])
+    D = polar.matrix(np.array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(6, 6)
+    assert np.abs(D - D.conj().T).max() < 1e-12 * np.abs(D).max()
+
+
+def test_the_study_counts_laws_errors_and_bands():
+    found = study(["Si"], [1e-4], 1)
+    assert all(law["made"] for law in found["laws"]["Si"].values())
+    assert found["error"]["Si"]["0.0001"]["largest"] < 0.02
+    assert set(found["coverage"]) == {"0.0001", "all"}

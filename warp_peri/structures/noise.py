@@ -1,0 +1,499 @@
+"""Force constants and elastic constants, each with its error, of a calculator that is noisy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any
+
+import ase
+import numpy as np
+import scipy.sparse as sp
+from ase.stress import voigt_6_to_full_3x3_stress
+from scipy.spatial.transform import Rotation
+
+from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
+from warp_peri.core.groups import by_spglib, kinds_of
+from warp_peri.errors import InputError
+from warp_peri.micromodulus.force_constants import (
+    TINY,
+    ForceConstants,
+    Polar,
+    at_edge,
+    field_of_ions,
+    from_supercell,
+    relaxing,
+)
+from warp_peri.points.unit_names import STRESSES
+
+EV_IN_TPA = STRESSES["eV/angstrom^3"]
+ON_SITES = 1e-4
+"""Distance [Å] within which atoms are on their sites."""
+SHAKEN, ANGLES, ENOUGH = 0.01, (0.0, 0.0, 25.0, 40.0), 8
+"""Displacement [Å] of the atoms that noise is looked at on, turns of the copies, how many atoms."""
+EXACT = 1e-7
+"""Noise over the force that a displacement of SHAKEN makes, below which it is rounding."""
+BENT = 0.56
+"""Length [Å] whose square divides third differences of the force by first ones, in most solids."""
+LEAST, MOST = 0.003, 0.03
+"""Displacements [Å] that noise may ask for."""
+PULLED, STRAIN, LARGEST = (0.3, 0.6, 1.0), 0.003, 0.01
+"""Sizes of strains over the largest; what that is without noise, and where that asks for MOST."""
+TIMES = 3
+"""Pairs of displaced crystals; numbers asked of each unknown; standard errors that are told."""
+AWAY = 30.0
+"""Noise over the stiffness, of the distance from sites that it may leave an atom at."""
+NONE = 1e-8
+"""Of singular values of the rules: an equation that holds by symmetry."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a calculator's forces scatter by.
+
+    Attributes:
+        force: standard error of a component [eV/Å].
+        stress: of a component [TPa], on the cell at rest; zero where there is none.
+        stiffness: root mean square force over the displacement that made it [eV/Å²].
+    """
+
+    force: float
+    stress: float
+    stiffness: float
+
+    @property
+    def rounding(self) -> bool:
+        """Whether it is too small to matter."""
+        return self.force <= EXACT * SHAKEN * self.stiffness
+
+    @property
+    def length(self) -> float:
+        """Displacement [Å] at which noise and the force's third differences are the same."""
+        wanted = (BENT**2 * self.force / max(self.stiffness, TINY)) ** (1 / 3)
+        return float(np.clip(wanted, LEAST, MOST))
+
+    @property
+    def sites(self) -> float:
+        """Distance [Å] from sites that noise may leave an atom at."""
+        return max(ON_SITES, AWAY * self.force / max(self.stiffness, TINY))
+
+    @property
+    def strain(self) -> float:
+        """Largest strain, by the same rule; sums of long range are rough on smaller ones."""
+        return max(LARGEST * self.length / MOST, STRAIN)
+
+
+def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
+    """Noise of forces and stress: of one displaced crystal, translated and turned.
+
+    Args:
+        cell: the crystal.
+        calculator: with forces.
+        flat: whether it is a sheet across z.
+    """
+    rng, count = np.random.default_rng(0), int(np.ceil((ENOUGH / len(cell)) ** (1 / (3 - flat))))
+    many = cell.repeat((count, count, 1 if flat else count))
+    u = _directions(rng, len(many), SHAKEN)
+    axis = np.array([0, 0, 1.0]) if flat else np.array([1, 2, 3]) / 14**0.5
+    seen: dict[int, list[tuple[np.ndarray, Any]]] = {1: [], -1: []}
+    for sign, angle in ((s, a) for s in seen for a in ANGLES):
+        one = many.copy()
+        one.positions += sign * u + rng.uniform(0, 3, 3) * [1, 1, not flat]
+        turn = Rotation.from_rotvec(angle * axis, degrees=True).as_matrix()
+        one.set_cell(np.array(one.cell) @ turn.T)
+        one.positions[:] = np.array(one.positions) @ turn.T
+        one.calc = calculator
+        try:
+            force, stress = np.array(one.get_forces(apply_constraint=False)) @ turn, None
+        except Exception:  # a calculator may go by axes of its own
+            if not angle:
+                raise
+            continue
+        with suppress(Exception):  # calculators without stress raise whatever they do
+            stress = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False))
+            stress = turn.T @ stress @ turn
+        seen[sign].append((force, stress))
+
+    def scatter(place: int) -> float:
+        sides = [np.array([one[place] for one in seen[sign]]) for sign in seen]
+        return float(np.sqrt(np.mean([np.var(side, axis=0, ddof=1).mean() for side in sides])))
+
+    known = all(stress is not None for _, stress in seen[1] + seen[-1])
+    tight = scatter(1) * np.sqrt(len(many) / len(cell)) * EV_IN_TPA if known else 0.0
+    ends = [np.mean([force for force, _ in seen[sign]], axis=0) for sign in seen]
+    stiffness = float(np.sqrt(np.mean((ends[0] - ends[1]) ** 2) / np.mean(u**2))) / 2
+    return Noise(scatter(0), float(tight), stiffness)
+
+
+def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
+    u = rng.standard_normal((count, 3))
+    return np.asarray(size * u / np.linalg.norm(u, axis=1, keepdims=True))
+
+
+class Orbits:
+    """Numbers that force constants on a supercell have under its space group and exchange.
+
+    Args:
+        cell: the crystal's cell, an ase.Atoms.
+        supercell: of it, an ase.Atoms with its atoms on sites.
+
+    `basis` is the orthonormal basis of Φ, sparse, of rows (i, j, image, 3, 3) and a column for each
+    number.
+    """
+
+    def __init__(self, cell: ase.Atoms, supercell: ase.Atoms) -> None:
+        self.cell, self.supercell = cell, supercell
+        edges, self.box = np.array(cell.cell), np.array(supercell.cell)
+        self.edges, self.x, self.n = edges, np.array(cell.positions), len(cell)
+        whole = np.rint(self.box @ np.linalg.inv(edges))
+        self.size = round(abs(np.linalg.det(whole)))
+        self.adjoint = np.rint(np.linalg.inv(whole) * self.size).astype(int)
+        parts = (np.array(supercell.positions)[:, None] - self.x) @ np.linalg.inv(edges)
+        self.kind = np.abs(parts - np.rint(parts)).max(axis=2).argmin(axis=1)
+        t = np.rint(parts[np.arange(len(parts)), self.kind]).astype(int)
+        self.codes, first = np.unique(self._code(t), return_index=True)
+        self.shifts = t[first]
+        if len(self.codes) != self.size or len(supercell) != self.size * self.n:
+            raise InputError("supercell: expected each site of the structure in it once")
+        self.image = self.number(t)
+        self.place = np.empty((self.n, self.size), int)
+        self.place[self.kind, self.image] = np.arange(len(t))
+        self.basis = self._basis(whole)
+
+    def _code(self, t: np.ndarray) -> np.ndarray:
+        part = (t @ self.adjoint) % self.size
+        return np.asarray(part @ np.array([self.size**2, self.size, 1]))
+
+    def number(self, t: np.ndarray) -> np.ndarray:
+        """Number of the cell of a supercell that a shift by whole edges leads to."""
+        return np.searchsorted(self.codes, self._code(t))
+
+    def turns(self, whole: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, ...]]:
+        """Of the space group, kept by a supercell if given: W, R, images of atoms, their shifts."""
+        parts, kinds = self.cell.get_scaled_positions(wrap=False), kinds_of(self.cell)[0]
+        found = by_spglib("get_symmetry", (self.edges, parts, kinds), ON_SITES)
+        if found is None:
+            raise InputError("symmetry: spglib finds none of this structure")
+        for W, w in zip(found["rotations"], found["translations"]):
+            if whole is not None:
+                kept = whole @ W.T @ np.linalg.inv(whole)
+                if np.abs(kept - np.rint(kept)).max() > 1e-6:
+                    continue
+            to = (parts @ W.T + w)[:, None] - parts
+            off = np.linalg.norm((to - np.rint(to)) @ self.edges, axis=2)
+            image = np.where(kinds[:, None] == kinds, off, np.inf).argmin(axis=1)
+            shift = np.rint(to[np.arange(self.n), image]).astype(int)
+            yield W, self.edges.T @ W @ np.linalg.inv(self.edges.T), image, shift
+
+    def _basis(self, whole: np.ndarray) -> sp.csr_array:
+        n, size = self.n, self.size
+        i, j, c = (a.ravel() for a in np.indices((n, n, size)))
+        t = self.shifts[c]
+        exchanged = (j * n + i) * size + self.number(-t)
+        swap = np.eye(9).reshape(3, 3, 9).swapaxes(0, 1).reshape(9, 9)
+        to, how = [], []
+        for W, R, image, shift in self.turns(whole):
+            there = self.number(t @ W.T + shift[j] - shift[i])
+            moved = (image[i] * n + image[j]) * size + there
+            to += [moved, exchanged[moved]]
+            how += [np.kron(R, R), swap @ np.kron(R, R)]
+        maps, turned = np.array(to), np.array(how)
+        done = np.zeros(len(i), bool)
+        rows, columns, values, count = [], [], [], 0
+        for pair in range(len(i)):
+            if done[pair]:
+                continue
+            images, first = np.unique(maps[:, pair], return_index=True)
+            done[images] = True
+            kept, U = np.linalg.eigh(turned[maps[:, pair] == pair].mean(axis=0))
+            U = U[:, kept > 1 - 1e-6]
+            block = turned[first] @ U / np.sqrt(len(images))
+            at = images[:, None, None] * 9 + np.arange(9)[:, None]
+            rows.append(np.broadcast_to(at, block.shape).ravel())
+            column = count + np.arange(U.shape[1])
+            columns.append(np.broadcast_to(column, block.shape).ravel())
+            values.append(block.ravel())
+            count += U.shape[1]
+        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
+        return sp.csr_array(entries, shape=(9 * len(i), count))
+
+    def placed(self, atoms: ForceConstants) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers of the pairs, here, of all entries of force constants, and their shares of Φ."""
+        i, j = atoms.pairs.T
+        t = (atoms.vectors - (self.x[j] - self.x[i])) @ np.linalg.inv(self.edges)
+        pair = (i * self.n + j) * self.size + self.number(np.rint(t).astype(int))
+        return pair, 1 / np.bincount(pair)[pair, None, None]
+
+    def forces(self, phi: sp.csr_array, u: np.ndarray) -> np.ndarray:
+        """−Φ u on all atoms for each column of Φ, as `basis` has it, u [N, 3], [N, 3, columns]."""
+        n, size, count = self.n, self.size, phi.shape[1]
+        B = phi.tocoo()
+        i, j, c, a, b = np.unravel_index(B.row, (n, n, size, 3, 3))
+        row = np.ravel_multi_index((i, a, B.col), (n, 3, count))
+        column = np.ravel_multi_index((j, c, b), (n, size, 3))
+        spread = sp.csr_array((B.data, (row, column)), shape=(n * 3 * count, n * size * 3))
+        near = self.number(self.shifts[:, None] + self.shifts)  # [cell, shift]
+        moved = u[self.place[:, near]].transpose(0, 2, 3, 1)  # [j, shift, 3, cell]
+        forces = np.empty((len(self.kind), 3, count))
+        pulled = (spread @ moved.reshape(-1, size)).reshape(n, 3, count, size)
+        forces[self.place] = -pulled.transpose(0, 3, 1, 2)
+        return forces
+
+    def rules(self, atoms: ForceConstants) -> tuple[np.ndarray, np.ndarray]:
+        """Equations that the numbers keep, rows [E, numbers] and right sides [E].
+
+        Translations, turns of the crystal (M. Born, K. Huang, 1954) and the stress it is under
+        (Huang's relations). `atoms` has all pairs, and says what ions' fields and a stress add.
+        """
+        furthest = float(np.linalg.norm(atoms.vectors, axis=1).max())
+        held = np.zeros((3, 3))
+        if atoms.stress is not None:
+            held[: atoms.dimension, : atoms.dimension] = atoms.stress / EV_IN_TPA
+
+        def broken(values: np.ndarray) -> np.ndarray:
+            zeroth, first, second = atoms.moments(values)
+            second = second + 2 * atoms.volume * stress_brackets(held)
+            turned = (first - first.swapaxes(-1, -2)) / furthest
+            huang = (second - np.moveaxis(second, (-4, -3), (-2, -1))) / furthest**2
+            parts = (zeroth.sum(axis=-2), turned, huang)
+            return np.concatenate(
+                [part.reshape(*part.shape[: values.ndim - 3], -1) for part in parts], axis=-1
+            )
+
+        pair, share = self.placed(atoms)
+        columns = self.basis.toarray().T.reshape(-1, self.n**2 * self.size, 3, 3)[:, pair] * share
+        known = broken(0 * atoms.values)
+        return (broken(columns) - known).T, -known
+
+
+def _solved(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A⁺ and the null space of the rules, whose size is that of translations."""
+    U, size, rows = np.linalg.svd(A, full_matrices=True)
+    rank = int((size > NONE).sum())
+    return rows[:rank].T @ ((U[:, :rank].T @ y) / size[:rank]), rows[rank:].T
+
+
+def projected(atoms: ForceConstants, supercell: ase.Atoms) -> ForceConstants:
+    """The nearest force constants that keep what physics asks, their change as standard error.
+
+    Args:
+        atoms: force constants.
+        supercell: that they were made on.
+    """
+    cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
+    if atoms.kinds is not None:
+        cell.set_tags(atoms.kinds)
+    orbits = Orbits(cell, supercell)
+    pair, share = orbits.placed(atoms)
+    phi = np.zeros((orbits.n**2 * orbits.size, 9))
+    np.add.at(phi, pair, atoms.values.reshape(-1, 9))
+    numbers = orbits.basis.T @ phi.ravel()
+    A, right = orbits.rules(atoms)
+    numbers = numbers + _solved(A, right - A @ numbers)[0]
+    values = (orbits.basis @ numbers).reshape(-1, 3, 3)[pair] * share
+    return replace(atoms, values=values, doubt=(values - atoms.values)[None])
+
+
+def rattled(
+    cell: ase.Atoms,
+    many: ase.Atoms,
+    calculator: Any,
+    noise: Noise,
+    *,
+    thickness: float | None,
+    polar: Polar | None,
+    stress: np.ndarray | None,
+) -> tuple[ForceConstants, dict[str, str]]:
+    """Force constants with their standard errors of crystals whose atoms all are displaced.
+
+    Args:
+        cell, many: the crystal at rest and its supercell.
+        calculator: with forces.
+        noise: which says how far atoms are displaced.
+        thickness, polar, stress: as for `from_supercell`.
+
+    Returns what was found on the way as well. The rules of physics hold in the fit itself. Beside
+    displacements of one size some of half of it are asked: what forces change by is an error too.
+    """
+    orbits, rng, h = Orbits(cell, many), np.random.default_rng(1), noise.length
+    first = orbits.place[:, orbits.number(np.zeros((1, 3), int))[0]].tolist()
+    every = np.ones((orbits.n, 3, len(many), 3))
+    made = from_supercell(cell, many, every, first, thickness=thickness, stress=stress)
+    phi = orbits.basis
+    if polar is not None:
+        polar, field = field_of_ions(polar, cell, many, first)
+        made = replace(made, polar=polar)
+        layout = field[:, :, orbits.place].transpose(0, 2, 3, 1, 4)
+        phi = sp.hstack([phi, sp.csr_array(layout.reshape(-1, 1))], format="csr")
+    known, free = _solved(*orbits.rules(made))
+    pairs = max(TIMES, int(np.ceil(TIMES * free.shape[1] / (3 * len(many)))))
+    x, rows, forces = np.array(many.positions), [], []
+    moving = many.copy()
+    moving.calc = calculator
+    for size in [h] * pairs + [h / 2]:
+        u = _directions(rng, len(many), size)
+        ends = []
+        for sign in (1, -1):
+            moving.positions[:] = x + sign * u
+            ends.append(np.array(moving.get_forces(apply_constraint=False)).ravel())
+        row = orbits.forces(phi, u).reshape(len(ends[0]), -1)
+        own, ions = np.split(row, [len(known)], axis=1)
+        rows.append(own @ free)
+        forces.append((ends[0] - ends[1]) / 2 - own @ known - ions.sum(axis=1))
+    X, y = np.concatenate(rows[:-1]), np.concatenate(forces[:-1])
+    U, sizes, V = np.linalg.svd(X, full_matrices=False)
+    kept = sizes > NONE * sizes[0]
+    way = V[kept].T / sizes[kept]
+    z = way @ (U.T[kept] @ y)
+    error = float(np.linalg.norm(y - X @ z) / np.sqrt(max(len(y) - kept.sum(), 1)))
+    half = rows[-1] @ z
+    slope = float(half @ forces[-1] / (half @ half)) - 1
+    bent = slope if abs(slope) > TIMES * error / float(np.linalg.norm(half)) else 0.0
+    numbers = np.column_stack([known + free @ z, free @ way * error, bent * (free @ z)])
+    pair, share = orbits.placed(made)
+    values = (orbits.basis @ numbers).T.reshape(numbers.shape[1], -1, 3, 3)[:, pair] * share
+    edge = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
+    found = replace(made, values=values[0], doubt=values[1:], edge=edge)
+    said = {
+        "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants",
+        "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at half of it forces are "
+        f"{slope:+.1%} of linear ones",
+    }
+    return found, said
+
+
+def by_strains(
+    cell: ase.Atoms, calculator: Any, largest: float, atoms: ForceConstants, allowed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """C_ijkl [TPa] by finite strains, atoms relaxed by force constants, and standard errors.
+
+    By differences of the second Piola–Kirchhoff stress S = det F · F⁻¹ σ F⁻ᵗ, so that the stress of
+    a crystal that is held counts as (T19) has it.
+
+    Args:
+        cell: at rest.
+        calculator: with forces and stress; None is returned where it has none.
+        largest: strain.
+        atoms: force constants.
+        allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
+
+    Returns [d, d, d, d] and [Q, d, d, d, d].
+    """
+    d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
+    kinds, e = PAIRS[d], largest * np.array(PULLED)
+    S = np.zeros((2, len(e), len(kinds), len(kinds)))
+    F = np.zeros((2, len(e), len(kinds), n, 3))
+    many = cell.repeat((2, 2, 1 if flat else 2))
+    tall = cell.cell[2, 2] / atoms.thickness if flat else 1.0
+    for row, kind, side in np.ndindex(*S.shape[1:3], 2):
+        i, j = kinds[kind]
+        G = np.eye(3)
+        G[[i, j], [j, i]] += (1 - 2 * side) * e[row] / (1 if i == j else 2)
+        one = many.copy()
+        one.set_cell(np.array(many.cell) @ G, scale_atoms=True)
+        one.calc = calculator
+        try:
+            sigma = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False)) * tall
+        except NotImplementedError:
+            return None
+        back = np.linalg.inv(G)
+        pulled = np.linalg.det(G) * back @ sigma @ back.T * EV_IN_TPA
+        S[side, row, kind] = [pulled[pair] for pair in kinds]
+        F[side, row, kind] = np.reshape(one.get_forces(apply_constraint=False), (-1, n, 3)).mean(0)
+    even = np.linalg.lstsq(np.column_stack([e**0, e**2]), (S.sum(axis=0) / 2).reshape(len(e), -1))[
+        0
+    ]
+    slope, error, gain = _slope((S[0] - S[1]) / 2, e)
+    short, _, wider = _slope((S[0] - S[1])[:2] / 2, e[:2])
+    onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
+    U, sizes, _ = np.linalg.svd(onto, full_matrices=False)
+    C, off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, slope - short))
+    errors = [*np.tensordot((U * sizes * error).T, allowed, 1)]
+    if np.linalg.norm(onto @ (slope - short).ravel()) > TIMES * error * wider / gain * np.sum(
+        sizes
+    ):
+        errors.append(off)
+    # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
+    rest = even[0].reshape(len(kinds), -1).mean(axis=0)
+    if atoms.stress is not None:
+        rest = rest - [atoms.stress[pair] for pair in kinds]
+    strain = np.abs(np.linalg.solve(voigt(C), rest)).max()
+    errors.append(2 * np.abs(even[1]).max() / np.abs(C).max() * strain * C)
+    if n > 1:
+        push, tau, _ = _slope((F[0] - F[1]) / 2, e)
+        Lambda = np.zeros((n, 3, d, d))
+        for kind, (i, j) in enumerate(kinds):
+            Lambda[..., i, j] = Lambda[..., j, i] = push[kind]
+        taken, more = _relaxed(atoms, Lambda, tau, allowed)
+        errors += [*more]
+        for one in () if atoms.doubt is None else atoms.doubt:
+            errors.append(taken - _relaxed(atoms, Lambda, tau, allowed, atoms.values + one)[0])
+        C = C - taken
+    return C, np.array(errors)
+
+
+def _slope(y: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, float, float]:
+    """Slopes of y = a e + b e³, y [E, ...], their standard error, and that over the error of y."""
+    X = np.column_stack([e, e**3])
+    flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
+    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(flat.shape[1] * max(len(e) - 2, 1))
+    gain = float(np.linalg.norm(P[0]))
+    return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
+
+
+def _relaxed(
+    atoms: ForceConstants,
+    push: np.ndarray,
+    error: float,
+    allowed: np.ndarray,
+    values: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """What atoms that relax take off C [TPa], of the symmetry, and its standard errors.
+
+    push: forces on atoms for a strain [eV/Å], shape [n, 3, d, d]; error: of one of its components.
+    """
+    n, d, m = len(push), atoms.dimension, atoms.moving
+    push = (push - push.mean(axis=0))[:, :m].reshape(n * m, d, d)
+    stiff = atoms.moments(values)[0][:, :m, :, :m].reshape(n * m, n * m)
+    moved = np.tensordot(relaxing(stiff, m), push, 1)
+    size = EV_IN_TPA / atoms.volume
+    onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
+    taken = onto @ np.einsum("Iab,Icd->abcd", push, moved).ravel() * size
+    each = np.einsum("mabcd,Icd->mIab", onto.reshape(allowed.shape), moved)
+    U, sizes, _ = np.linalg.svd(each.reshape(len(allowed), -1), full_matrices=False)
+    errors = np.tensordot((U * sizes * (2 * size * error)).T, allowed, 1)
+    return np.tensordot(taken, allowed, 1), errors
+
+
+def joined(
+    atoms: ForceConstants, allowed: np.ndarray, C: np.ndarray, errors: np.ndarray
+) -> tuple[ForceConstants, float, float]:
+    """Force constants moved by their own errors until their moduli agree with others (R. Kalman).
+
+    Args:
+        atoms: force constants with `doubt`.
+        allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
+        C, errors: of finite strains, as `by_strains` gives them.
+
+    Returns them, χ² between both for each modulus, and how far Φ moved. Errors of force constants
+    are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
+    """
+    onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
+    J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
+    spread = onto @ errors.reshape(len(errors), -1).T
+    other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
+    off = other - seen
+    chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)
+    wider = max(1.0, chi**0.5)
+    doubt, J = np.asarray(atoms.doubt) * wider, J * wider
+    gain = J.T @ np.linalg.pinv(J @ J.T + spread @ spread.T)
+    values, step = atoms.values, np.zeros(len(doubt))
+    for _ in range(3):  # moduli bend a little in Φ where atoms of a cell relax
+        step = gain @ (other - seen + J @ step)
+        values = atoms.values + np.tensordot(step, doubt, 1)
+        seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
+    parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
+    after = np.tensordot((vectors * np.sqrt(np.clip(parts, 0, None))).T, doubt, 1)
+    moved = float(np.linalg.norm(values - atoms.values) / np.linalg.norm(atoms.values))
+    return replace(atoms, values=values, doubt=after), chi, moved
