@@ -6,6 +6,7 @@
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
     python tools/benchmark.py crystals [--quick]
     python tools/benchmark.py dressed [--quick]
+    python tools/benchmark.py varying [--quick] [--sides 32 64] --json
     python tools/benchmark.py ranks [--quick]
     python tools/benchmark.py gradient [--quick]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
@@ -406,10 +407,12 @@ def launches(*, quick: bool, threads: int = 2) -> None:
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
     kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
-    kinds.append("gradient")
+    kinds += ["gradient", "varying"]
     parser.add("what", choices=kinds)
     parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
     parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
+    parser.add("--sides", type=int, nargs="+", default=[], help="varying: elements along an edge")
+    parser.add("--json", action="store_true", help="varying: print JSON, as it does in any case")
     parser.add("--model", type=Path, help="of solve and choice (default: learned)")
     parser.add("--out", type=Path, help="solve, choice: write the table as JSON")
     given = parser.parse_args(arguments)
@@ -421,6 +424,7 @@ def main(arguments: list[str] | None = None) -> int:
         "solve": partial(solve_study.solve_study, **files),
         "crystals": benchmark_crystals.crystals,
         "dressed": benchmark_dressed.dressed,
+        "varying": partial(benchmark_dressed.varying, sides=tuple(given.sides)),
         "ranks": benchmark_ranks.ranks,
         "gradient": benchmark_gradient.gradient,
         "choice": partial(solver_choice.solver_choice, **files),

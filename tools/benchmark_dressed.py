@@ -1,8 +1,10 @@
-"""What a force of a dressed sheet costs, even and with maps, beside bonds and a sparse matrix."""
+"""What forces of dressed sheets cost, beside bonds and a sparse matrix; effective tensors."""
 
 import functools
 import json
+import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,8 @@ import numpy as np
 from tools.benchmark_crystals import least
 from tools.graphene_phonons import force_constants
 from warp_peri import Points
-from warp_peri.dressed import DressedSolid, FiniteSolid, from_phonons
+from warp_peri.core.elastic import PAIRS, voigt
+from warp_peri.dressed import DressedSolid, FiniteSolid, effective, from_phonons
 from warp_peri.dressed.sweeps import ByLayers
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus import from_phonons as tensors_from_phonons
@@ -72,3 +75,102 @@ def dressed(*, quick: bool) -> None:
     seconds = least(lambda: operator.pull(planes), rounds)
     table["tensors, 20 bonds"] = {"bonds of L by rows": 1e9 * seconds / side**2}
     print(json.dumps({"side": side, "nanoseconds a node": table}, indent=1))
+
+
+CONTRASTS = (2, 20)
+RESIDUAL = 1e-8
+"""Of every load, relative; of both."""
+
+
+def spheres(side: int) -> np.ndarray:
+    """Six spheres of one seed in a period of side³ elements: 1 inside, 0 elsewhere."""
+    rng = np.random.default_rng(4)
+    x = (np.indices((side,) * 3).reshape(3, -1).T + 0.5) / side
+    found = np.zeros(len(x), bool)
+    for middle, radius in zip(rng.random((6, 3)), rng.uniform(0.15, 0.25, 6)):
+        apart = (x - middle + 0.5) % 1 - 0.5
+        found |= (apart**2).sum(axis=1) < radius**2
+    return found.reshape((side,) * 3).astype(int)
+
+
+def in_mugrid(phases: np.ndarray, contrast: float) -> tuple[np.ndarray, list[int]]:
+    """The same tensor as Voigt's matrix, and iterations, by muGrid: the same elements, mean solid,
+    loads and tolerance."""
+    import muGrid
+    from muGrid.Preconditioners import make_reference_stiffness_preconditioner
+    from muGrid.Solvers import conjugate_gradients
+
+    comm = muGrid.Communicator()
+    operator = muGrid.IsotropicStiffnessOperator(3, [1.0] * 3)
+    engine = muGrid.FFTEngine(list(phases.shape), comm, ghosts=operator)
+    moduli = engine.real_space_field("moduli")  # λ = μ
+    moduli.p[:] = np.where(phases, contrast, 1.0)
+    engine.communicate_ghosts(moduli)
+    mean = float(moduli.p.mean())
+    evened = make_reference_stiffness_preconditioner(
+        engine, nb_components=3, element=muGrid.FEMElement.q1, grid_spacing=[1.0] * 3,
+        lambda_ref=mean, mu_ref=mean,
+    )  # fmt: skip
+    b, u = (engine.real_space_field(name, components=(3,)) for name in "bu")
+
+    def product(given: Any, found: Any) -> None:
+        engine.communicate_ghosts(given)
+        operator.apply(given, moduli, moduli, found)
+
+    C, took = np.empty((6, 6)), []
+    for n, (i, j) in enumerate(PAIRS[3]):
+        E = np.zeros((3, 3))
+        E[i, j] = E[j, i] = 1.0 if i == j else 0.5
+        operator.apply_macro_rhs(moduli, moduli, E.ravel(), b)
+        b.p[:] *= -1
+        u.set_zero()
+        count = [0]
+        conjugate_gradients(
+            comm, engine.real_space_collection, b, u, product, evened, rtol=RESIDUAL,
+            callback=lambda number, *_: count.__setitem__(0, number),  # noqa: B023
+        )  # fmt: skip
+        took.append(count[0])
+        engine.communicate_ghosts(u)
+        stress = np.reshape(operator.average_stress(u, moduli, moduli, E.ravel()), (3, 3))
+        C[:, n] = [stress[pair] / phases.size for pair in PAIRS[3]]
+    return C, took
+
+
+def varying(*, quick: bool, sides: tuple[int, ...] = ()) -> None:
+    """Print iterations and processor seconds of effective tensors in space, as JSON.
+
+    One thread of both; muGrid beside where it is installed, round by round in one process.
+    """
+    set_threads(1)
+    rival = find_spec("muGrid") is not None
+    table = []
+    for side in sides or ((16, 32) if quick else (32, 64, 128)):
+        phases, rounds = spheres(side), 1 if side > 64 else 2
+        for contrast in CONTRASTS:
+            C = isotropic_matrix(1.0, 1.0)
+            seconds: dict[str, list[float]] = {"warp_peri": [], "muGrid": []}
+            row: dict[str, Any] = {"side": side, "contrast": contrast}
+            effective([C, contrast * C], phases[:4, :4, :4])  # compiles
+            for _ in range(rounds):
+                start = time.process_time()
+                ours = effective([C, contrast * C], phases, tolerance=RESIDUAL)
+                seconds["warp_peri"].append(time.process_time() - start)
+                row["iterations"] = ours.iterations
+                if rival:
+                    start = time.process_time()
+                    theirs, row["iterations of muGrid"] = in_mugrid(phases, contrast)
+                    seconds["muGrid"].append(time.process_time() - start)
+                    own = voigt(ours.tensor)
+                    row["apart"] = float(np.abs(theirs - own).max() / own.max())
+            row |= {f"seconds of {name}": min(times) for name, times in seconds.items() if times}
+            if rival:
+                row["ratio"] = row["seconds of warp_peri"] / row["seconds of muGrid"]
+            table.append(row)
+    print(json.dumps({"residual": RESIDUAL, "muGrid": rival, "table": table}, indent=1))
+
+
+def isotropic_matrix(lam: float, mu: float) -> np.ndarray:
+    """Voigt's matrix in space."""
+    C = np.diag([2 * mu] * 3 + [mu] * 3)
+    C[:3, :3] += lam
+    return C

@@ -3,17 +3,19 @@
 from warp_peri.dressed.body import grown, torn
 from warp_peri.dressed.finite import FiniteFit, FiniteSolid, FiniteStrain
 from warp_peri.dressed.law import Dressed, DressedFit, DressedSolid, from_phonons, transferred
-from warp_peri.dressed.maps import DensityLaw, MapFit, fit_density, fit_maps
+from warp_peri.dressed.maps import DensityLaw, Effective, MapFit, effective, fit_density, fit_maps
 
 __all__ = [
     "DensityLaw",
     "Dressed",
     "DressedFit",
     "DressedSolid",
+    "Effective",
     "FiniteFit",
     "FiniteSolid",
     "FiniteStrain",
     "MapFit",
+    "effective",
     "fit_density",
     "fit_maps",
     "from_phonons",

@@ -1,20 +1,23 @@
-"""Maps of moduli from fields: linear least squares under a dressing that is known (Dr13)."""
+"""Maps of moduli: from fields (Dr13), and what a period of them is as a whole (Dr27)."""
 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
+from warp_peri.core.elastic import PAIRS, from_voigt, voigt
 from warp_peri.dressed.body import DressedBody, Grains
 from warp_peri.dressed.law import DressedSolid
+from warp_peri.dressed.sweeps import PeriodicElements
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, is_positive
 from warp_peri.points.samples import Samples
+from warp_peri.statics.conjugate_gradients import SolveRecord, definite
 
 SMOOTHNESS = tuple(10.0**n for n in range(-5, 2))
 """Tried by cross-validation, in parts of the mean stiffness of a value of the map."""
@@ -318,3 +321,189 @@ class _Weight:
         wave = np.fft.fftn(field.reshape(*self.sides, *field.shape[1:]), axes=range(d))
         back = np.fft.ifftn(self.root @ wave, axes=range(d)).real
         return np.asarray(back.reshape(field.shape)[self.place].reshape(columns.shape))
+
+
+STABLE = 1e-12
+"""Least eigenvalue of a phase's moduli over its largest."""
+SYMMETRIC = 1e-8
+"""Relative, by which a matrix may differ from its transpose."""
+EVEN = 1e-12
+"""Force of a mean strain at the nodes, over the largest modulus, below which the solid is even."""
+
+
+@dataclass(frozen=True, eq=False)
+class Effective:
+    """What a varying periodic solid is as a whole, along the axes of its elements.
+
+    Attributes:
+        tensor: effective elastic tensor [stress], shape [d, d, d, d]; of conductivities [d, d].
+        iterations: of conjugate gradients, one number a load: 11, 22, 33, 23, 13, 12 in turn, in
+            the plane 11, 22, 12; of conductivities a gradient along each axis.
+        residual: the largest of the loads', relative.
+    """
+
+    tensor: np.ndarray
+    iterations: tuple[int, ...]
+    residual: float
+    _elements: PeriodicElements = field(repr=False)
+    _answers: np.ndarray = field(repr=False)
+    _units: tuple[float, float] = field(repr=False)
+
+    def fields(self, strain: ArrayLike) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Local fields under a mean strain [d, d], or a mean gradient [d] of conduction.
+
+        Returns what displacement is beyond that of the mean strain at the nodes [length], shape
+        [*sides, d], and means over each element: strain and stress [stress], [*sides, d, d] both.
+        Of conduction they are a potential [*sides], a gradient and κ times it, [*sides, d].
+
+        Raises InputError for another shape.
+        """
+        elements, (stress, spacing) = self._elements, self._units
+        d, vectors = len(elements.sides), elements.components > 1
+        E = checked("strain", strain, float, (d, d) if vectors else (d,))
+        if vectors and np.abs(E - E.T).max() > SYMMETRIC * np.abs(E).max():
+            raise InputError("strain: expected a symmetric mean strain")
+        mean = np.array([E[i, j] * (1 + (i != j)) if vectors else E[j] for i, j in elements.pairs])
+        u = np.tensordot(mean, self._answers, 1)
+        local = elements.strain(u) + mean.reshape(-1, *[1] * d)
+        pulled = elements.stress(local) * stress
+        if not vectors:
+            return u[0] * spacing, np.moveaxis(local, 0, -1), np.moveaxis(pulled, 0, -1)
+        both = np.empty((2, *elements.sides, d, d))
+        for (i, j), e, s in zip(elements.pairs, local, pulled):
+            both[0, ..., i, j] = both[0, ..., j, i] = e / (1 + (i != j))
+            both[1, ..., i, j] = both[1, ..., j, i] = s
+        return np.moveaxis(u, 0, -1) * spacing, both[0], both[1]
+
+
+def effective(
+    solid: DressedBody | ArrayLike,
+    phases: ArrayLike | None = None,
+    *,
+    factors: ArrayLike | None = None,
+    spacing: float = 1.0,
+    tolerance: float = 1e-8,
+) -> Effective:
+    """The effective tensor of a period of elements whose moduli vary, and its local fields.
+
+    Each load is a mean strain, met by conjugate gradients with the mean solid's inverse before
+    them. Iterations do not grow with the period, and with contrast as its root (theory.md, Dr27).
+    Sources: H. Moulinec and P. Suquet, Comput. Methods Appl. Mech. Eng. 157, 1998; F. Willot,
+    C. R. Mécanique 343, 2015; R. J. Leute et al., J. Comput. Phys. 453, 2022.
+
+    Args:
+        solid: a dressed body on a period, with maps or grains; or the moduli of P phases, Voigt's
+            matrices [P, 3, 3] or [P, 6, 6] [stress], or conductivities [P, d, d].
+        phases: number of the phase of each element, [n₁, n₂] or [n₁, n₂, n₃]; of moduli alone.
+        factors: > 0, on the moduli of each element, same shape; of moduli alone.
+        spacing: side of an element [length]; a dressed body has its own.
+        tolerance: of each load's relative residual.
+
+    One G of a dressing changes no effective tensor, for u and G u have the same mean strain;
+    displacement is then that of the base, G u. Raises InputError for a body that is cut, split or
+    not of elements, for moduli that are not stable, and for phases and factors that do not fit.
+    """
+    if isinstance(solid, DressedBody):
+        if phases is not None or factors is not None:
+            raise InputError("phases, factors: expected none beside a dressed body, which has its")
+        tables, shares = _of_body(solid)
+        spacing = solid.points.spacing
+    else:
+        tables, shares = _of_phases(solid, phases, factors)
+    if not (is_positive(spacing) and is_positive(tolerance) and tolerance < 1):
+        raise InputError(
+            "spacing, tolerance: expected a length > 0 and a number between 0 and 1, got "
+            f"{spacing!r:.50}, {tolerance!r:.50}"
+        )
+    scale, weight = float(np.abs(tables).max()), float(shares.max())
+    elements = PeriodicElements(tables / scale, shares / weight)
+    count, loads = shares[0].size, len(elements.pairs)
+    answers = np.zeros((loads, elements.components, *elements.sides))
+    forces, tensor = np.empty_like(answers), elements.mean.copy()
+    took, left = [], 0.0
+    for n, u in enumerate(answers):
+        forces[n] = -elements(elements.affine(n))
+        record = SolveRecord()
+        if np.linalg.norm(forces[n]) > EVEN * count**0.5:
+            u[:], record = definite(elements, elements.evened, forces[n], tolerance)
+        took.append(record.iterations)
+        left = max(left, record.residual)
+        pulled = elements(u) / count
+        for m in range(n + 1):  # the energy of both, whose error is that of u squared
+            crossed = np.vdot(forces[m], u) + np.vdot(forces[n], answers[m])
+            tensor[m, n] += np.vdot(answers[m], pulled) - crossed / count
+            tensor[n, m] = tensor[m, n]
+    tensor *= scale * weight
+    whole = tensor if elements.components == 1 else from_voigt(tensor)
+    units = scale * weight, float(spacing)
+    return Effective(whole, tuple(took), left, elements, answers, units)
+
+
+def _of_body(body: DressedBody) -> tuple[np.ndarray, np.ndarray]:
+    """Voigt matrices of the parts of all grains, and the share of each at the elements."""
+    law, d = body.model, len(body.sides)
+    whole = body.points.box is not None and len(body.grid) == np.prod(body.sides)
+    whole = whole and body.gram is None and bool(body._there.all())
+    if law.base != "elements" or len(law.tensors) > 1 or not whole:
+        raise InputError(
+            "solid: expected elements under one G that fill a period, none cut or broken"
+        )
+    if not body.factors.min() > 0:
+        raise InputError(f"maps: expected numbers > 0, the smallest is {body.factors.min():g}")
+    order = np.ravel_multi_index(tuple(body.grid.T), body.sides)
+    rows = len(PAIRS[d])
+    shear = np.where(np.arange(rows) < d, 1.0, 2**-0.5)
+    tables, shares = [], []
+    for a, factor in enumerate(body.factors):
+        for share, M in body.tensors(a):
+            tables.append(2**d * M[:rows, :rows] * np.outer(shear, shear))
+            placed = np.empty(len(order))
+            placed[order] = share * factor
+            shares.append(placed.reshape(body.sides))
+    return np.array(tables), np.array(shares)
+
+
+def _of_phases(
+    moduli: ArrayLike, phases: ArrayLike | None, factors: ArrayLike | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The moduli of phases, and 1 or a factor where an element is of each; checked."""
+    if phases is None:
+        raise InputError("phases: expected the number of the phase of each element, got None")
+    number = checked("phases", phases, float)
+    d, tables = number.ndim, checked("solid", moduli, float)
+    sizes = {2: (2, 3), 3: (3, 6)}.get(d, ())
+    if tables.ndim == 5 and tables.shape[1:] == (d,) * 4:
+        tables = voigt(tables)
+    if tables.ndim != 3 or tables.shape[1] not in sizes or tables.shape[1] != tables.shape[2]:
+        raise InputError(
+            "solid, phases: expected moduli [P, 3, 3] with phases [n1, n2], or [P, 6, 6] with "
+            "[n1, n2, n3], or conductivities [P, d, d], got "
+            f"{list(tables.shape)} with {list(number.shape)}"
+        )
+    whole = number.astype(int)
+    if (
+        not number.size
+        or (whole != number).any()
+        or not 0 <= whole.min() <= whole.max() < len(tables)
+    ):
+        raise InputError(
+            f"phases: expected whole numbers from 0 to {len(tables) - 1}, got shape "
+            f"{list(number.shape)} and {number.min(initial=0):g} to {number.max(initial=0):g}"
+        )
+    for n, C in enumerate(tables):
+        value = np.linalg.eigvalsh((C + C.T) / 2)
+        if np.abs(C - C.T).max() > SYMMETRIC * np.abs(C).max() or not value[0] > STABLE * value[-1]:
+            raise InputError(
+                f"solid[{n}]: expected a symmetric positive definite matrix, its eigenvalues are "
+                f"{value[0]:.3g} to {value[-1]:.3g}"
+            )
+    shares = (np.arange(len(tables)).reshape(-1, *[1] * d) == whole).astype(float)
+    if factors is not None:
+        scale = checked("factors", factors, float)
+        if scale.shape != number.shape or not scale.min() > 0:
+            raise InputError(
+                f"factors: expected numbers > 0, shape {list(number.shape)}, got "
+                f"{list(scale.shape)}, the smallest {scale.min(initial=np.inf):g}"
+            )
+        shares *= scale
+    return (tables + tables.swapaxes(1, 2)) / 2, shares

@@ -8,17 +8,18 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.fft
 import warp as wp
 from scipy.ndimage import maximum_filter
 
 from warp_peri.core.elastic import PAIRS, named_symmetry, voigt
 from warp_peri.core.grid import Grid
-from warp_peri.core.sweeps import FASTER, SCALARS, entries, row_pieces
+from warp_peri.core.sweeps import FASTER, SCALARS, convolved, entries, inverse, row_pieces
 from warp_peri.errors import InputError
 from warp_peri.kernels.dressed.bonds import bonds as bond_kernels
-from warp_peri.kernels.dressed.elements import elements
+from warp_peri.kernels.dressed.elements import element_planes, elements
 from warp_peri.kernels.micromodulus.rows import rows
-from warp_peri.launch import DEVICE, floats, ints, launch_slices
+from warp_peri.launch import DEVICE, floats, ints, launch_slices, threads
 
 KINDS = ("elements", "bonds")
 EQUAL = 1e-6
@@ -378,3 +379,130 @@ def bond_table(base: Base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     square = entries(w[half, None, None] * d[:, :, None] * d[:, None])
     table = np.concatenate([a[half, None] * d, square], axis=1)
     return base.corners[1:][half], table, np.array([[bulk, -share * shear], [0, 8 * shear]])
+
+
+PLANE_WORK = 10
+"""Of an element in `PeriodicElements`, that of a usual node being 1."""
+
+
+class PeriodicElements:
+    """K of multilinear elements that fill a period, h = 1, and the inverse of an even K (Dr27).
+
+    Args:
+        tables: moduli of P phases as matrices, [P, m, m]: Voigt's of elastic solids, with one
+            component of displacement an axis; conductivities, m = d, with one component.
+        shares: how much of each phase an element has, [P, *sides].
+    """
+
+    def __init__(self, tables: np.ndarray, shares: np.ndarray) -> None:
+        self.sides = shares.shape[1:]
+        d, rows = len(self.sides), len(tables[0])
+        scalar = rows == d
+        self.pairs = tuple((0, j) for j in range(d)) if scalar else PAIRS[d]
+        self.components = 1 if scalar else d
+        self.tables, self.shares = tables, shares
+        upper = list(itertools.combinations_with_replacement(range(rows), 2))
+        used = [(i, j) for i, j in upper if i == j or j < d]  # of crystals along the axes
+        apart = [abs(tables[:, i, j]).max() for i, j in upper if (i, j) not in used]
+        if max(apart, default=0.0) > NOTHING * np.abs(tables).max():
+            used = upper
+        self._kernel = element_planes(wp.float64, d, self.pairs, tuple(used))
+        self._wide = tuple(n + 1 for n in self.sides)
+        self._places = int(np.prod(self._wide))
+        spare = self._kernel.lanes
+        factors = np.zeros((len(shares), self._places + spare))
+        inner = factors[:, : self._places].reshape(-1, *self._wide)
+        inner[(slice(None), *(slice(n) for n in self.sides))] = shares
+        size = (1, self.components * self._places + spare)
+        self._given, self._found = np.zeros(size), np.zeros(size)
+        first, second = np.array(used).T
+        moduli = np.ascontiguousarray(tables[:, first, second])
+        self._arrays = floats(moduli), floats(factors), floats(self._given)
+        self._out = floats(self._found)
+
+    def affine(self, load: int) -> np.ndarray:
+        """Displacement of the mean strain of a row of Voigt's matrix, [c, *sides + 1]."""
+        i, j = self.pairs[load]
+        x = np.indices(self._wide).astype(float)
+        u = np.zeros((self.components, *self._wide))
+        u[i] += x[j]
+        if self.components > 1 and i != j:
+            u[i], u[j] = x[j] / 2, x[i] / 2
+        return u
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """K u of a field [c, *sides], or of one that need not be periodic [c, *sides + 1]."""
+        fields = (self.components, *self._wide)
+        wide, force = (
+            one[0, : self.components * self._places].reshape(fields)
+            for one in (self._given, self._found)
+        )
+        core = (slice(None), *(slice(n) for n in self.sides))
+        if u.shape == fields:
+            wide[:] = u
+        else:
+            wide[core] = u
+            for axis in range(1, wide.ndim):
+                np.moveaxis(wide, axis, 0)[-1] = np.moveaxis(wide, axis, 0)[0]
+        force[:] = 0
+        plane, row = (int(np.prod(self._wide[n:])) for n in (1, 2))
+        count = plane - row if len(self.sides) == 3 else self.sides[1]
+        for begin in (0, 1):  # planes beside one another add to the same nodes
+            launch_slices(
+                self._kernel.swept,
+                (self.sides[0] + 1 - begin) // 2,
+                (begin, plane, row, self._places, count, *self._arrays),
+                (self._out,),
+                samples=1,
+                weight=PLANE_WORK * count,
+            )
+        for axis in range(1, force.ndim):
+            np.moveaxis(force, axis, 0)[0] += np.moveaxis(force, axis, 0)[-1]
+        return np.array(force[core])
+
+    @cached_property
+    def mean(self) -> np.ndarray:
+        """The mean of all moduli, [m, m]."""
+        shares = self.shares.reshape(len(self.shares), -1).mean(axis=1)
+        return np.asarray(np.tensordot(shares, self.tables, 1))
+
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        """K⁻¹ of the mean solid at the waves of the period, packed as torus_symbol packs D."""
+        even = PeriodicElements(self.mean[None], np.ones((1, *self.sides)))
+        c, axes = self.components, tuple(range(len(self.sides)))
+        symbol = np.empty((c * (c + 1) // 2, *self.sides[:-1], self.sides[-1] // 2 + 1))
+        for j in range(c):
+            pulse = np.zeros((c, *self.sides))
+            pulse[(j, *(0,) * len(self.sides))] = 1
+            for i, one in enumerate(even(pulse)[: j + 1]):  # the kernel is even: the wave is real
+                place = i * c - i * (i - 1) // 2 + j - i
+                symbol[place] = scipy.fft.rfftn(one, axes=axes, workers=threads()).real
+        if c == 1:
+            symbol[(0, *(0,) * len(self.sides))] = np.inf
+            return 1 / symbol
+        return inverse(symbol)
+
+    def evened(self, force: np.ndarray) -> np.ndarray:
+        """K⁻¹ of the mean solid of a force [c, *sides], of zero mean."""
+        return convolved(self._inverse, force, self.sides)
+
+    def strain(self, u: np.ndarray) -> np.ndarray:
+        """Mean strain of each element, shears twice, of a field [c, *sides], [m, *sides]."""
+
+        def mean(field: np.ndarray, axis: int) -> np.ndarray:
+            for other in range(field.ndim):
+                ahead = np.roll(field, -1, axis=other)
+                field = ahead - field if other == axis else (ahead + field) / 2
+            return field
+
+        both = self.components > 1
+        return np.array(
+            [mean(u[i], j) + (mean(u[j], i) if both and i != j else 0) for i, j in self.pairs]
+        )
+
+    def stress(self, strain: np.ndarray) -> np.ndarray:
+        """Of strains [m, *sides], elements' means both."""
+        return np.asarray(
+            sum(share * np.tensordot(C, strain, 1) for C, share in zip(self.tables, self.shares))
+        )
