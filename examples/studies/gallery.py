@@ -57,9 +57,9 @@ def page() -> str:
     lines = [
         "# Gallery",
         "",
-        "Look here to see what the library does before you read how. Every figure is made by the",
-        "commands under it, from the root of the repository; `python examples/studies/gallery.py`",
-        "puts them here.",
+        "See what the library does before you read how. Every figure is made by the commands below "
+        "it, from the root of the repository.",
+        "`python examples/studies/gallery.py` puts them here.",
     ]
     for figure in FIGURES:
         lines += ["", f"## {figure.title}", "", figure.shows, ""]

@@ -320,7 +320,10 @@ MODULES = {
 }
 
 
-@pytest.mark.parametrize("name", MODULES)
+LEARNING = [pytest.param(name, marks=[pytest.mark.slow] * ("varied" in name)) for name in MODULES]
+
+
+@pytest.mark.parametrize("name", LEARNING)
 def test_a_module_learns_the_numbers_of_its_material(name, made):
     op = made(name)
     module = wp.Module(op, op.points)

@@ -208,7 +208,7 @@ def test_a_motion_that_does_not_run_back_says_so(made, monkeypatch):
         motion.u.sum().backward()
 
 
-@pytest.mark.parametrize("steps", [1000, 4000])
+@pytest.mark.parametrize("steps", [1000, pytest.param(4000, marks=pytest.mark.slow)])
 def test_few_states_are_kept(steps, made, monkeypatch):
     op, alive, most = made("LPS, bond-based"), {}, [0]
 

@@ -176,6 +176,7 @@ def test_the_first_number_of_a_table(case):
 
 
 @pytest.mark.filterwarnings(UNCERTIFIED, "ignore:λ . μ ended on the lower bound")
+@pytest.mark.slow
 def test_first_numbers_of_fits(data):
     """Of the metric and Table 3, from the page's own data."""
     held([main_model(data)], [rows("you_2021", "The metric", "| linear solid | E_res |")[0][0]])

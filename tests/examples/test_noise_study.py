@@ -28,6 +28,7 @@ def small(tmp_path_factory):
 
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
 @pytest.mark.filterwarnings("ignore:strain", "ignore:noise. it makes the curvature")
+@pytest.mark.slow
 def test_main_job_at_a_temperature(small, tmp_path, monkeypatch, capsys):
     asked = {}
 

@@ -2,9 +2,12 @@
 
 import json
 
+import pytest
+
 from examples import waves_to_map
 
 
+@pytest.mark.slow
 def test_maps_come_out_of_waves_at_the_rim(tmp_path, capsys):
     assert waves_to_map.main(["--json", "--iterations", "10", "--out", str(tmp_path)]) == 0
     numbers = json.loads(capsys.readouterr().out)

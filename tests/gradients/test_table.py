@@ -18,8 +18,15 @@ def made():
     return lambda name: kept.setdefault(name, OPERATORS[name]())
 
 
-@pytest.mark.parametrize("name", MATERIALS)
-@pytest.mark.parametrize("verb", VERBS)
+LONG = ("solve", "dressed, finite strain"), ("move", "LPS in space")
+CELLS = [
+    pytest.param(verb, name, marks=[pytest.mark.slow] * ((verb, name) in LONG), id=f"{verb}-{name}")
+    for verb in VERBS
+    for name in MATERIALS
+]
+
+
+@pytest.mark.parametrize(("verb", "name"), CELLS)
 def test_a_gradient_is_that_of_differences(verb, name, made):
     """1e-8 to what the number is linear in before it is squared, 1e-6 elsewhere."""
     op = made(name)

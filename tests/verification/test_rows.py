@@ -244,6 +244,7 @@ def test_a_page_that_cannot_be_written_is_told_before_anything_is_posed(tmp_path
         assert main(["verify", "--page", str(page_)]) == 2
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_rows_that_run(tmp_path):
     """Sent to the command alone, not to its workers as by a terminal."""
     words = [sys.executable, "-m", "warp_peri", "verify", "--only", "Cook", "cylinder", "LE10"]
