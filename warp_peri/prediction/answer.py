@@ -11,29 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from warp_peri.contract import linear_part, stencil_of
-from warp_peri.core.elastic import acoustic
-from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
-from warp_peri.prediction.placed import (
-    KNOTS,
-    ErrorSpectrum,
-    Factors,
-    Parts,
-    PlacedMembers,
-    Spectrum,
-)
+from warp_peri.prediction.placed import Factors, Parts, PlacedMembers
 from warp_peri.shown import Shown
 from warp_peri.third_order.uniqueness import curvature_bound
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-DIRECTIONS = {2: 24, 3: 60}
-"""Of waves on which a local solid is compared."""
 ACCURATE = 1e-5
 """Relative residual of the one solve that the bound takes."""
 
@@ -269,21 +257,8 @@ class Answer(Shown):
 
         Of the linear part of the rich member; None but on whole lattices of one process.
         """
-        placed, _ = self._placed()
-        points, d = placed.points, placed.points.dimension
-        if hasattr(points, "comm") or not points.is_plain_lattice:
-            return None
-        stencil, _ = stencil_of(linear_part(placed.rich, "predict"), points.spacing, "predict")
-        along = directions(DIRECTIONS[d], d)
-        local = np.linalg.inv(acoustic(stencil.brackets, along))
-        error = []
-        for length in KNOTS:
-            phase = 2 * np.pi / length
-            ratio = local @ stencil.symbol(phase * along) * (points.spacing / phase) ** 2
-            error.append(np.sqrt(((ratio - np.eye(d)) ** 2).sum(axis=(1, 2)).mean() / d))
-        wavelength = points.spacing * KNOTS
-        shares = Spectrum(points, wavelength).shares(self.u)
-        return ErrorSpectrum(wavelength, np.array(error)).of(shares)
+        known = self._placed()[0].local
+        return known and known[1].of(known[0].shares(self.u))
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """The map of the likely error over the nodes."""

@@ -12,8 +12,10 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.contract import placed, taken
+from warp_peri.contract import linear_part, placed, stencil_of, taken
+from warp_peri.core.elastic import acoustic
 from warp_peri.core.record import Entry, OnLinear
+from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number
 from warp_peri.points.every_second import APART, EverySecond
@@ -131,6 +133,8 @@ PULLED = 2.0
 BEYOND = 2.75
 """What is beyond the square of the strain may be, over what its orders go on to: no data have it.
 Chosen on the pool of tools/make_scenes.py."""
+DIRECTIONS = {2: 24, 3: 60}
+"""Of waves on which a local solid is compared."""
 FEW = 9
 """Unknown coarse nodes that are too few to answer on."""
 HALF_PERIOD = 30.0
@@ -243,6 +247,23 @@ class PlacedMembers:
         """What part of a field has which wavelength, by the record; None on ranks but the first."""
         points = whole_of(self.points)
         return points and _spectrum(points, self.family.record, self.points.spacing)
+
+    @cached_property
+    def local(self) -> tuple[Spectrum, ErrorSpectrum] | None:
+        """Waves of these nodes, and what a local solid of the rich member's long ones is off by
+        (Q16); None but on whole lattices of one process."""
+        points, d = self.points, self.points.dimension
+        if self.on_ranks or not points.is_plain_lattice:
+            return None
+        stencil, _ = stencil_of(linear_part(self.rich, "predict"), points.spacing, "predict")
+        along, error = directions(DIRECTIONS[d], d), []
+        local = np.linalg.inv(acoustic(stencil.brackets, along))
+        for length in KNOTS:
+            phase = 2 * np.pi / length
+            ratio = local @ stencil.symbol(phase * along) * (points.spacing / phase) ** 2
+            error.append(np.sqrt(((ratio - np.eye(d)) ** 2).sum(axis=(1, 2)).mean() / d))
+        wavelength = points.spacing * KNOTS
+        return Spectrum(points, wavelength), ErrorSpectrum(wavelength, np.array(error))
 
     def recorded(self, u: np.ndarray) -> tuple[float | None, float]:
         """The relative error that the record gives a field, None without one; and the share of its
