@@ -20,7 +20,7 @@ from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 
 import warp_peri as wp
-from tools.crystals import LEWIS_CATLOW
+from examples.noisy_calculators import rigid_ions
 from warp_peri.cli.main import main
 from warp_peri.core.elastic import voigt
 from warp_peri.core.groups import group_of_structure
@@ -244,29 +244,7 @@ def test_born_charges_of_a_calculator_are_asked_for():
 @pytest.mark.slow
 def test_a_calculator_with_charges_has_the_field_of_its_ions():
     """Magnesium oxide of rigid ions (G. V. Lewis and C. R. A. Catlow, 1985), ± 2 e."""
-    wp.atoms.find_mpi()
-    from ase.calculators.lammpslib import LAMMPSlib
-
-    class RigidIons(LAMMPSlib):
-        implemented_properties = (
-            *LAMMPSlib.implemented_properties, "born_effective_charges", "dielectric_tensor"
-        )  # fmt: skip
-
-        def calculate(self, atoms, properties, changes):
-            super().calculate(atoms, ["energy", "forces", "stress"], changes)
-            charges = np.where(atoms.numbers == 12, 2.0, -2.0)
-            self.results["born_effective_charges"] = charges[:, None, None] * np.eye(3)
-            self.results["dielectric_tensor"] = np.eye(3)
-
-    calculator = RigidIons(
-        lmpcmds=list(LEWIS_CATLOW),
-        atom_types={"Mg": 1, "O": 2},
-        lammps_header=["units metal", "atom_style charge", "atom_modify map array sort 0 0"],
-        amendments=["set type 1 charge 2.0", "set type 2 charge -2.0"],
-        keep_alive=True,
-        log_file=None,
-    )
-    found = wp.from_atoms(ase.build.bulk("MgO", "rocksalt", a=4.2), calculator)
+    found = wp.from_atoms(ase.build.bulk("MgO", "rocksalt", a=4.2), rigid_ions())
     C = 1e3 * voigt(found.tensor)
     assert (C[0, 0], C[0, 1]) == pytest.approx((392.963, 164.309), rel=5e-3)  # strains of a period
     assert "Born charges" in found.said["force constants"]
