@@ -78,6 +78,12 @@ def words(text: str) -> int:
     return len(FENCED.sub("", text).split())
 
 
+def read_words(text: str) -> int:
+    """Words outside code, a formula as one: blanks in LaTeX are no words."""
+    plain = re.sub(r"\$\$.*?\$\$", "X", FENCED.sub("", text), flags=re.DOTALL)
+    return len(re.sub(r"\$[^$\n]*\$", "X", plain).split())
+
+
 def sentences(text: str) -> list[str]:
     """Sentences of the prose: no code, tables, headings, equations, pictures; items one by one."""
     text = re.sub(r"\$\$.*?\$\$", " formula ", FENCED.sub("\n\n", text), flags=re.DOTALL)
@@ -202,6 +208,10 @@ def counted() -> dict[str, float]:
     return {
         "pages": len(texts),
         "words": sum(map(words, texts.values())),
+        "words, a formula as one": sum(map(read_words, texts.values())),
+        "words of the theory, a formula as one": sum(
+            read_words(text) for name, text in texts.items() if name.startswith("theory")
+        ),
         "words of the archive": sum(
             words(text) for name, text in every.items() if name.startswith(ARCHIVE)
         ),
