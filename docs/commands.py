@@ -16,7 +16,7 @@ HEAD = """# Commands
 Look up every command of `warp-peri`, its options and their defaults. `python docs/commands.py`
 makes this page from what `warp-peri COMMAND --help` prints.
 
-```
+```text
 warp-peri COMMAND --help
 warp-peri COMMAND --config settings.toml
 ```
@@ -40,7 +40,7 @@ def page() -> str:
 def _command(name: str, parser: argparse.ArgumentParser, short: dict[str, str]) -> str:
     text = f"\n## {name}\n\n{_plain(parser.description or short.get(name, ''))}\n"
     if parser.epilog:
-        text += f"\n```\n{_stripped(parser.epilog % {'prog': parser.prog})}\n```\n"
+        text += f"\n```text\n{_stripped(parser.epilog % {'prog': parser.prog})}\n```\n"
     for group in parser._action_groups:
         actions = [
             action
