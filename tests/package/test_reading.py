@@ -9,7 +9,6 @@ from types import SimpleNamespace
 import pytest
 
 import warp_peri as wp
-from warp_peri.cli.main import COMMANDS
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 MOST = {
@@ -163,7 +162,7 @@ def test_the_page_of_the_commands_is_what_the_parser_says(monkeypatch):
     commands = beside_the_pages("commands", monkeypatch)
     shown = commands.PAGE.read_text(encoding="utf-8")
     assert shown == commands.page(), "python docs/commands.py writes it anew"
-    assert all(f"\n## {name}\n" in shown for name in COMMANDS)
+    assert {"train", "learn", "dic", "solve"} < {*re.findall(r"^## (\S+)$", shown, re.MULTILINE)}
 
 
 def test_names_of_the_glossary_are_in_the_code():
