@@ -17,8 +17,9 @@ import pytest
 
 import warp_peri as wp
 from examples import own_material
-from tests.package.test_pages import PAGES, ROOT, home  # noqa: F401 (a fixture)
+from tests.package.test_pages import ROOT, TEXT, home  # noqa: F401 (a fixture)
 from tests.support.plates import plate
+from tests.support.problems import lattice, manufactured
 from warp_peri.cli.main import main
 
 NOT_HERE = {
@@ -37,7 +38,7 @@ UNTRIED = {
     "which_law": "a table of times; its laws are those of tests/conformance",
 }
 """Scripts that no test runs, and why; here only their --help."""
-CHEAP = ("influence", "export")
+CHEAP = ("how-to/arrays", "how-to/influence", "export")
 """Pages whose commands take a second; the others are slow."""
 
 
@@ -49,7 +50,11 @@ def commands(text):
     return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
-TYPED = {page.stem: found for page in PAGES if (found := commands(page.read_text("utf-8")))}
+TYPED = {
+    name: found
+    for name, text in TEXT.items()
+    if not name.startswith("archive/") and (found := commands(text))
+}
 RUN = {
     name: ours
     for name, lines in TYPED.items()
@@ -144,17 +149,24 @@ def of_gallery(folder):
     wp.save("runs/graphene_0K/model.json", wp.load("runs/first/model.json"))
 
 
+def of_arrays(folder):
+    """The data set that the page's code saves."""
+    samples = manufactured(wp.load("runs/first/model.json"), lattice(8, 12.5, 5.0), 8, 0, 0.2)
+    wp.save("mine.h5", wp.Dataset({"train": samples}, thickness=3.35, density=2150.0))
+
+
 def of_own_data(folder):
     own_material.make_dumps(folder)
 
 
 GIVEN = {
-    "atoms": of_atoms,
+    "how-to/arrays": of_arrays,
+    "how-to/calculators": of_atoms,
+    "how-to/influence": of_any,
     "bodies": of_bodies,
     "export": of_any,
     "gallery": of_gallery,
-    "influence": of_any,
-    "own_data": of_own_data,
+    "tutorials/dumps": of_own_data,
 }
 
 
