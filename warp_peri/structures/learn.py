@@ -389,7 +389,7 @@ class LearnedCrystal(Shown):
             ),
         ]
         shown += [
-            (f"unseen {name}", f"E_u {e['law']:.2f} %; local elasticity {e['local']:.2f} %")
+            (f"error, {name}", f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %")
             for name, e in self.unseen.items()
         ]
         return [*self.said.items(), *shown]
