@@ -24,7 +24,7 @@ from warp_peri.sources.dic import frames_of_folder, noise_of
 from warp_peri.sources.dump_files import LARGEST_HEADER, MARKS, encoding_of, unpacked
 from warp_peri.storage import save
 
-NO_FORCE = "are scaled: C11 + C22 + C66 at rest is 1, no force is known (--stress gives one)"
+NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
 UNSAID = "as in the tables; no unit was said"
 FITS = "fits"
 """Of the folder, where a second start goes on from."""
@@ -157,7 +157,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         warp_peri.save(given.out / f"{name}.json", candidate.fit.material)
         if not given.json:
             print(
-                f"{candidate.name}: E_u of frames left out {100 * candidate.held_out:.3f} %",
+                f"{candidate.name}: error of displacement {100 * candidate.held_out:.3f} %",
                 flush=True,
             )
 

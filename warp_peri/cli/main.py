@@ -96,7 +96,8 @@ def _parser() -> argparse.ArgumentParser:
         command = subparsers.add_parser(
             name,
             help=sentence,
-            description=f"{sentence}\n\nExample: {example}",
+            description=sentence,
+            epilog=f"Example:\n  {example}",
             formatter_class=_Help,
         )
         command.set_defaults(run=getattr(commands, f"run_{name.replace('-', '_')}"))

@@ -224,7 +224,9 @@ def _kept(given: argparse.Namespace, run: Run, metrics: Result, data: Dataset) -
 def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[str]:
     """What was learned, how good it is in one number, and the next command."""
     path, solved, samples = given.out / "model.json", metrics["E_u"], data[given.set]
-    length = f"{given.horizon:g} {symbols(data.units)[0]}"
+    kind = KINDS[given.law]
+    if given.law != "dressed":  # which has neighbours, not a horizon
+        kind += f", horizon {given.horizon:g} {symbols(data.units)[0]}"
     others = [
         name
         for name, points in data.sets.items()
@@ -240,7 +242,7 @@ def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[st
         out = str(given.out / "solved.h5")
         last = ["solve", str(path), str(given.data), "--set", name, "--out", out]
     return [
-        f"{path}: {KINDS[given.law]}, horizon {length}, learned from {len(samples)} loads",
+        f"{path}: {kind}, learned from {len(samples)} loads",
         f"error of displacement: {error} on set {name!r}, {seen}",
         f"proven: {of}exactly one equilibrium for every load" if proven else "nothing is proven",
         f"next: {shlex.join(['warp-peri', *last])}",
