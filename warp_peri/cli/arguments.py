@@ -187,7 +187,7 @@ input
   what fields|influence|kernel|operator  solved fields, the influence function on one lattice, one
     function for many lattices, or the matrix of the operator
 {MODEL}
-  --data DATA.h5  data file with nodes, loads and collar; fields and operator need it (default: none)
+  --data DATA.h5  data file with nodes and loads; fields and operator need it (default: none)
 {LOADS}
 {AXIS}
 model
