@@ -1,10 +1,12 @@
 """The examples and the command line, run as a user runs them, on data made by LAMMPS."""
 
+import io
 import json
 import re
 import runpy
 import shutil
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
@@ -25,7 +27,9 @@ RESULTS = ("model.json", "metrics.json", "report.md", "influence.png", "loss.png
 def main_run(graphene, tmp_path_factory):
     """The main job, as it stands in docs/learning.md."""
     out = tmp_path_factory.mktemp("runs") / "graphene_0K"
-    assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
+    with redirect_stdout(io.StringIO()) as printed:
+        assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
+    (out / "printed.txt").write_text(printed.getvalue())
     return out
 
 
@@ -51,7 +55,34 @@ def test_main_job_leaves_its_results(main_run):
     assert numbers["micromodulus"]["bonds"] == 20
     assert numbers["micromodulus"]["E_u"]["test"] < numbers["E_u"]["test"]
     assert (main_run / "micromodulus.json").exists()
-    assert "three more numbers" in (main_run / "report.md").read_text()
+
+
+def test_main_job_says_what_there_is_how_good_and_what_next(main_run):
+    """In the terminal and in the report; details lie below a line, eigenvalues in metrics.json."""
+    numbers = json.loads((main_run / "metrics.json").read_text())
+    error = f"{100 * numbers['E_u']['test']:.2f} %"
+    samples = [100 * sample for sample in numbers["E_u_samples"]["test"]]
+    good = f"4 free disks that the fit never saw the displacement has an error of {error}"
+    spread = f"({min(samples):.1f} to {max(samples):.1f} %)"
+    lines = (main_run / "printed.txt").read_text().splitlines()
+    assert len(lines) == 6
+    assert lines[0] == f"graphene at 0 K: {main_run}/model.json"
+    assert f"{good} {spread}" in lines[1]
+    assert lines[2].startswith("Proven: ")
+    assert f"Young's modulus {1e3 * numbers['E']:.0f} GPa" in lines[3]
+    assert lines[5].startswith("next: ")
+    text = (main_run / "report.md").read_text()
+    above, below = text.split("\n----\n")
+    assert f"{good} {spread}" in above
+    assert "## Next" in above
+    assert "LPS with third-order constants" in above
+    assert "Λmin" not in text
+    assert numbers["statement"] in below
+    cells = re.search(r"\| linear peridynamic solid \(LPS\) \|(.*)\|", below)[1].split("|")
+    order = [("E_res", "train"), ("E_res", "val"), *(("E_u", r) for r in ("train", "val", "test"))]
+    assert [float(c) for c in cells] == pytest.approx(
+        [100 * numbers[error][role] for error, role in order], abs=0.0051
+    )
 
 
 def of_the_readme(name):

@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+from glob import glob
 from pathlib import Path
 
 import meshio
@@ -17,7 +18,7 @@ import pytest
 
 import warp_peri as wp
 from examples import own_material
-from tests.package.test_pages import PAGES, ROOT, home  # noqa: F401 (a fixture)
+from tests.package.test_pages import ROOT, TEXT, home  # noqa: F401 (a fixture)
 from tests.support.plates import plate
 from warp_peri.cli.main import main
 
@@ -26,6 +27,7 @@ NOT_HERE = {
     r"(\.venv/bin/)?python examples/": "of minutes: a test imports it, or it stands in UNTRIED",
     r"(\.venv/bin/)?python -m pytest": "this very suite",
     r"mpiexec ": "tests/ranks starts it",
+    r"(ase|tail) ": "a program of others",
 }
 UNTRIED = {
     "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
@@ -49,7 +51,11 @@ def commands(text):
     return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
-TYPED = {page.stem: found for page in PAGES if (found := commands(page.read_text("utf-8")))}
+TYPED = {
+    name: found
+    for name, text in TEXT.items()
+    if not name.startswith("archive/") and (found := commands(text))
+}
 RUN = {
     name: ours
     for name, lines in TYPED.items()
@@ -148,6 +154,10 @@ def of_own_data(folder):
     own_material.make_dumps(folder)
 
 
+def of_dumps(folder):
+    own_material.make_dumps(folder / "runs" / "boron_nitride" / "dumps")
+
+
 GIVEN = {
     "atoms": of_atoms,
     "bodies": of_bodies,
@@ -155,6 +165,8 @@ GIVEN = {
     "gallery": of_gallery,
     "influence": of_any,
     "own_data": of_own_data,
+    "tutorials/crystal": of_atoms,
+    "tutorials/dumps": of_dumps,
 }
 
 
@@ -166,5 +178,6 @@ def test_the_commands_of_a_page_run_in_turn(name, home, monkeypatch, capsys):  #
     monkeypatch.chdir(home)
     GIVEN.get(name, lambda folder: None)(home)
     for line in RUN[name]:
-        status = main(shlex.split(line)[1:])
+        words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # as a shell does
+        status = main([word for found in words for word in found][1:])
         assert status == 0, f"{line}: {capsys.readouterr().err}"
