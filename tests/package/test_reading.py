@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 import warp_peri as wp
+from warp_peri.cli.main import COMMANDS
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 MOST = {
@@ -137,6 +138,13 @@ def test_links_and_anchors_are_found_as_a_browser_finds_them(check):
     )
     assert check.links(text) == ["b.md#c", "q.png", "r.png"]
     assert check.anchors(text) == {"one-two-three", "strains-above-1", "named", "eq-N1"}
+
+
+def test_the_page_of_the_commands_is_what_the_parser_says(monkeypatch):
+    commands = beside_the_pages("commands", monkeypatch)
+    shown = commands.PAGE.read_text(encoding="utf-8")
+    assert shown == commands.page(), "python docs/commands.py writes it anew"
+    assert all(f"\n## {name}\n" in shown for name in COMMANDS)
 
 
 def test_names_of_the_glossary_are_in_the_code():
