@@ -107,7 +107,10 @@ def short(template: str, page: str) -> str:
     def number(found: re.Match[str]) -> str:
         section, start, which, digits = found.groups()
         (row, *_) = cells_of(page, section, f"| {start} |")
-        told = NUMBER.findall(" ".join(row))[int(which)]
+        numbers = NUMBER.findall(" ".join(row))
+        if int(which) >= len(numbers):
+            raise ValueError(f"{found[0]}: expected a number of the row, it has {numbers}")
+        told = numbers[int(which)]
         return readable(f"{float(told):{digits}}" if digits else told)
 
     return CELL.sub(number, template)
