@@ -54,7 +54,9 @@ def numbers_of(page: str, section: str, start: str) -> list[list[float]]:
 
 
 def readable(number: str) -> str:
-    """A number as a page shows it: 9.4e-05 as 9.4·10⁻⁵, a minus as such."""
+    """A number as a page shows it: 9.4e-05 as 9.4·10⁻⁵, 1.2e+02 as 120, a minus as such."""
     digits, _, power = number.partition("e")
+    if power and 0 <= int(power) <= 3:
+        digits, power = f"{float(number):g}", ""
     raised = f"·10{f'{int(power)}'.translate(RAISED)}" if power else ""
     return digits.replace("-", "−") + raised

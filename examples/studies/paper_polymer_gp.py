@@ -16,13 +16,7 @@ from examples.polymer_flow import relative
 from examples.prose import NUMBER, cells_of, rows_of
 from examples.studies import paper_polymer_pictures as pictures
 from examples.studies import paper_polymer_walls as walls
-from examples.studies.paper_polymer_pictures import (
-    COUNTS,
-    HEIGHTS,
-    LAWS,
-    RECIPES,
-    TRAINING,
-)
+from examples.studies.paper_polymer_pictures import COUNTS, HEIGHTS, LAWS, RECIPES, TRAINING
 from examples.studies.polymer_tables import MAXWELL, SEEDS, known_shear, printed_shear, shear_record
 from warp_peri import InputError
 from warp_peri.flow import (

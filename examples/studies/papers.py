@@ -41,8 +41,8 @@ SOURCES = {
 """Each has `parts(runs, kept, figures)`: by name, what its template, beside it, leaves open, as
 text or a function that gives it; and NEEDED: results that it reads, by the command that makes
 them. May have `redraw(page, figures)`: pictures of the rows of its long page."""
-CELL = re.compile(r"\{([^{}>]+) > ([^{}>]+) > (\d+)(?: > (\.\d\w))?\}")
-"""A number of a long page, in the template of a short one: section, row, which, and digits."""
+CELL = re.compile(r"\{([^{}>]+) > ([^{}>]+) > (\d+)(?: > (\.\d\w)(%?))?\}")
+"""A number of a long page, in the template of a short one: section, row, which, digits, in %."""
 MADE = re.compile(r"^\*Made at (?P<where>.+?)(?:: (?P<titles>.+))?\.\*$", re.MULTILINE)
 """A line of the foot of a page; without titles it speaks of all sections that no other names."""
 
@@ -105,13 +105,13 @@ def short(template: str, page: str) -> str:
     """A page of claims, with the numbers of the long page."""
 
     def number(found: re.Match[str]) -> str:
-        section, start, which, digits = found.groups()
+        section, start, which, digits, hundred = found.groups()
         (row, *_) = cells_of(page, section, f"| {start} |")
         numbers = NUMBER.findall(" ".join(row))
         if int(which) >= len(numbers):
             raise ValueError(f"{found[0]}: expected a number of the row, it has {numbers}")
         told = numbers[int(which)]
-        return readable(f"{float(told):{digits}}" if digits else told)
+        return readable(f"{(100 if hundred else 1) * float(told):{digits}}" if digits else told)
 
     return CELL.sub(number, template)
 
