@@ -8,6 +8,7 @@ import json
 import re
 import statistics
 import sys
+import unicodedata
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parent
@@ -19,8 +20,12 @@ LONG = 30
 """A sentence is long above so many words."""
 ROWS = 6
 """A table of a how-to is long above so many rows."""
-HOW_TO = ("Tutorials", "How-to")
-"""Parts of the menu whose pages say how to do something."""
+HOW_TO = ("tutorials/", "how-to/")
+"""Folders whose pages say how to do something."""
+ARCHIVE = "archive/"
+"""Studies behind the pages: not counted, but for their words."""
+NO_CODE = ("papers/", "theory")
+"""Pages that need no code."""
 AVOIDED = {
     "law": r"laws?",
     "carry": r"carr(?:y|ies|ied|ying) (?:to|onto|over)|carried",
@@ -44,20 +49,28 @@ AVOIDED = {
     "read this if, whoever": r"read this if|whoever|look here",
 }
 """What the style of the pages avoids, and how it is found."""
+FRONT = re.compile(r"\A---\n.*?\n---\n", re.DOTALL)
 FENCED = re.compile(r"^```.*?\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
 
 def pages() -> dict[str, str]:
-    """Text of each page by its path below docs/."""
+    """Text of each page by its path below docs/, without front matter."""
     found = sorted(DOCS.rglob("*.md"))
-    return {page.relative_to(DOCS).as_posix(): page.read_text(encoding="utf-8") for page in found}
+    return {
+        page.relative_to(DOCS).as_posix(): FRONT.sub("", page.read_text(encoding="utf-8"))
+        for page in found
+    }
 
 
-def how_to() -> set[str]:
-    """Pages that the menu puts under HOW_TO."""
-    menu = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
-    parts = re.findall(r"^  - ([^:\n]+):\n((?:      - .*\n?)+)", menu, re.MULTILINE)
-    return {page for name, of in parts if name in HOW_TO for page in re.findall(r": (\S+\.md)", of)}
+def read(texts: dict[str, str]) -> dict[str, str]:
+    """Pages that are counted: all but the archive."""
+    return {name: text for name, text in texts.items() if not name.startswith(ARCHIVE)}
+
+
+def menu() -> set[str]:
+    """Pages that the menu names."""
+    text = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
+    return set(re.findall(r"^ +- (?:[^:\n]+: )?(\S+\.md)$", text, re.MULTILINE))
 
 
 def words(text: str) -> int:
@@ -97,26 +110,91 @@ def figures_without_a_page(texts: dict[str, str]) -> list[str]:
     return sorted(path.relative_to(DOCS).as_posix() for path in pictures if path not in shown)
 
 
+def slug(heading: str) -> str:
+    """The anchor that a heading gets."""
+    plain = re.sub(r"\]\([^)]*\)|[\[`*]", "", heading)
+    plain = unicodedata.normalize("NFKD", plain).encode("ascii", "ignore").decode()
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", plain).strip().lower())
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors of a page: headings, equations, and those that are set by hand."""
+    plain = FENCED.sub("", text)
+    found = re.findall(r"^#+ (.*?)(?: *\{#([\w-]+)\})?$", plain, re.MULTILINE)
+    named = {name or slug(heading) for heading, name in found}
+    named |= {f"eq-{tag}" for tag in equations.tags(plain)}
+    return named | set(re.findall(r"\bid=\"([^\"]+)\"", plain))
+
+
+def links(text: str) -> list[str]:
+    """Relative targets of links and pictures outside code."""
+    plain = re.sub(r"\$\$.*?\$\$|`[^`\n]*`|\$[^$\n]*\$", "X", FENCED.sub("", text), flags=re.DOTALL)
+    found = re.findall(r"\]\(<?([^)\s>]+)|(?:src|href)=\"([^\"]+)\"", plain)
+    every = [target[0] or target[1] for target in found]
+    return [target for target in every if not re.match(r"[a-z]+:|/", target)]
+
+
+def broken_links(texts: dict[str, str]) -> list[str]:
+    """Links to files or anchors that are not there, as "page: target"; README and others too."""
+    root, lost = DOCS.parent, []
+    outside = {
+        f"../{name}": (root / name).read_text("utf-8") for name in ("README.md", "CONTRIBUTING.md")
+    }
+    for name, text in {**texts, **outside}.items():
+        for target in links(text):
+            path, _, anchor = target.partition("#")
+            place = (DOCS / name).parent / path if path else DOCS / name
+            there = place.exists()
+            if there and anchor and place.suffix == ".md":
+                there = anchor in anchors(place.read_text(encoding="utf-8"))
+            if not there:
+                lost.append(f"{name}: {target}")
+    return lost
+
+
+def not_in_the_menu(texts: dict[str, str]) -> list[str]:
+    """Pages that the menu does not name, and pages that it names and that are not there.
+
+    Pages of the archive are named by the index of the archive instead.
+    """
+    named, index = menu(), texts.get(f"{ARCHIVE}index.md", "")
+    named |= {f"{ARCHIVE}{target.partition('#')[0]}" for target in links(index)}
+    return sorted({*texts} - named) + sorted(
+        f"{name} (missing)" for name in menu() if name not in texts
+    )
+
+
+def by_folder(texts: dict[str, str]) -> dict[str, int]:
+    """Words of the pages of each folder; the folder of the pages at the top is empty."""
+    found: dict[str, int] = {}
+    for name, text in sorted(texts.items()):
+        folder = name.rpartition("/")[0]
+        found[folder] = found.get(folder, 0) + words(text)
+    return found
+
+
 def counted() -> dict[str, float]:
     """All numbers by name."""
-    texts = pages()
+    every = pages()
+    texts = read(every)
     said = [sentence for text in texts.values() for sentence in sentences(text)]
-    plain = {
-        name: text for name, text in texts.items() if "papers/" not in name and name != "theory.md"
-    }
+    plain = {name: text for name, text in texts.items() if not name.startswith(NO_CODE)}
     code = "".join(found for text in plain.values() for found in FENCED.findall(text))
     code_lines = sum(bool(line.strip()) for line in code.splitlines())
     prose = "\n".join(said)
-    guides = {name: texts[name] for name in how_to()}
+    guides = {name: text for name, text in texts.items() if name.startswith(HOW_TO)}
     told = [sentence for text in guides.values() for sentence in sentences(text)]
-    tags = equations.tags(texts["theory.md"])
-    drawn = re.sub(
-        r"\$\$(.*?)\$\$",
-        r'<div class="arithmatex">\\[\1\\]</div>',
-        texts["theory.md"],
-        flags=re.DOTALL,
-    )
-    anchors = re.findall(r'id="eq-([^"]*)"', equations.on_page_content(drawn))
+    theory = equations.theory(texts)
+    tags = [tag for text in theory.values() for tag in equations.tags(text)]
+    drawn = [
+        equations.on_page_content(
+            re.sub(
+                r"\$\$(.*?)\$\$", r'<div class="arithmatex">\\[\1\\]</div>', text, flags=re.DOTALL
+            )
+        )
+        for text in theory.values()
+    ]
+    anchored = {name for html in drawn for name in re.findall(r'id="eq-([^"]*)"', html)}
     avoided = {
         word: len(re.findall(rf"\b(?:{how})\b" if "%" not in how else how, prose, re.IGNORECASE))
         for word, how in AVOIDED.items()
@@ -124,6 +202,10 @@ def counted() -> dict[str, float]:
     return {
         "pages": len(texts),
         "words": sum(map(words, texts.values())),
+        "words of the archive": sum(
+            words(text) for name, text in every.items() if name.startswith(ARCHIVE)
+        ),
+        **{f"words of {folder or 'the top'}": found for folder, found in by_folder(every).items()},
         "words of the median page": statistics.median(map(words, texts.values())),
         "words of the README": words((DOCS.parent / "README.md").read_text("utf-8")),
         "lines of code for 100 words": round(
@@ -141,10 +223,12 @@ def counted() -> dict[str, float]:
         ),
         "equations": len(tags),
         "equations of one tag only": len({*tags}),
-        "equations with an anchor": len({*anchors}),
+        "equations with an anchor": len(anchored),
         "words to avoid": sum(avoided.values()),
         **{f"to avoid: {word}": count for word, count in avoided.items()},
-        "figures without a page": len(figures_without_a_page(texts)),
+        "figures without a page": len(figures_without_a_page(every)),
+        "broken links": len(broken_links(every)),
+        "pages not in the menu, or missing": len(not_in_the_menu(every)),
     }  # fmt: skip
 
 
@@ -158,8 +242,14 @@ def main() -> None:
     width = max(map(len, found))
     for name, value in found.items():
         print(f"{name:<{width}}  {value:>7g}")
-    for name in figures_without_a_page(pages()):
-        print(f"without a page: {name}")
+    every = pages()
+    for said, names in {
+        "without a page": figures_without_a_page(every),
+        "broken link": broken_links(every),
+        "not in the menu": not_in_the_menu(every),
+    }.items():
+        for name in names:
+            print(f"{said}: {name}")
 
 
 if __name__ == "__main__":

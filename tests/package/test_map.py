@@ -1,4 +1,4 @@
-"""The map of docs/growth.md: every wing is there, in the order of the floors, and its use runs."""
+"""The map of the library on the pages: every wing is there, floor by floor, and its use runs."""
 
 import re
 import shlex
@@ -13,7 +13,8 @@ from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 from warp_peri.points.dataset import save_dataset
 
-PAGE = (ROOT.parent / "docs" / "growth.md").read_text(encoding="utf-8")
+PAGES = [page.read_text(encoding="utf-8") for page in (ROOT.parent / "docs").rglob("*.md")]
+(PAGE,) = [text for text in PAGES if "\n| `files/` |" in text]
 USES = {
     wing: re.findall(r"`([^`]*)`", use)
     for wing, use in re.findall(r"^\| `(?!warp_peri)([a-z_]+)/` \|[^|]*\|(.*)\|$", PAGE, re.M)

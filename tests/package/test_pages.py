@@ -1,10 +1,13 @@
-"""Code of the pages runs in turn, imports what the API page lists, leaves nothing undefined.
+"""Code of the pages runs in turn, imports what the API lists, and prints what stands below it.
 
-What a page takes as the reader's own stands in GIVEN, and by name on the page.
+Pages in folders run as they are, from their top. Others may take what is the reader's own: it
+stands in GIVEN, and by name on the page.
 """
 
 import ast
 import builtins
+import contextlib
+import io
 import re
 from pathlib import Path
 
@@ -16,16 +19,27 @@ from tests.support.problems import kernel, lattice, manufactured, periodic, smoo
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 
 ROOT = Path(__file__).parent.parent.parent
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
-TEXT = {page.stem: page.read_text(encoding="utf-8") for page in PAGES}
+DOCS = ROOT / "docs"
+TEXT = {"README": (ROOT / "README.md").read_text(encoding="utf-8")} | {
+    page.relative_to(DOCS).as_posix().removesuffix(".md"): page.read_text(encoding="utf-8")
+    for page in sorted(DOCS.rglob("*.md"))
+}
+"""Each page by its path below docs/, without suffix, as "how-to/dressed"."""
+BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
 BLOCKS = {
     name: found
     for name, text in TEXT.items()
-    if (found := re.findall(r"```python\n(.*?)```", text, re.DOTALL))
+    if not name.startswith("archive/") and (found := BLOCK.findall(text))
 }
+"""The code of each page, and what stands below it as printed, or nothing."""
 ELSEWHERE = ("README", "own_data", "influence", "learning", "lattices")
 """Run by tests/examples/test_examples.py and test_docs.py, which look at what comes out."""
-PUBLIC = set(re.findall(r"^::: (warp_peri\S*)", TEXT["api"], re.M))
+PUBLIC = {
+    name
+    for page, text in TEXT.items()
+    if page.startswith(("api", "reference/api/"))
+    for name in re.findall(r"^::: (warp_peri\S*)", text, re.MULTILINE)
+}
 HORIZON, WIDEST = 12.5, 25.0
 """Of the model that the data are made with, and of the laws that pages learn from them [Å]."""
 
@@ -148,6 +162,7 @@ SHORTER = {
     ),
 }
 """What would take hours or richer data, and what runs in its place."""
+# Pages that take more than some 5 s.
 SLOW = (
     "tissue", "atoms", "bodies", "cracks", "flow", "predict", "nonlinear", "neural", "noise",
     "dressed",
@@ -182,8 +197,8 @@ def undefined(blocks):
 
 
 @pytest.mark.parametrize("name", BLOCKS)
-def test_imports_are_of_what_the_api_page_lists(name):
-    for block in BLOCKS[name]:
+def test_imports_are_of_what_the_api_lists(name):
+    for block, _ in BLOCKS[name]:
         for node in ast.walk(ast.parse(block)):
             modules = [node.module] if isinstance(node, ast.ImportFrom) else []
             if isinstance(node, ast.Import):
@@ -201,15 +216,30 @@ def test_imports_are_of_what_the_api_page_lists(name):
     ],
 )
 @pytest.mark.filterwarnings("ignore")
-def test_the_blocks_of_a_page_run_in_turn(name, home, monkeypatch):
-    monkeypatch.chdir(home)
-    names = GIVEN[name](home) if name in GIVEN else {}
-    missing = undefined(BLOCKS[name])
+def test_the_blocks_of_a_page_run_in_turn(name, home, tmp_path, monkeypatch):
+    """Each in the names of those before; what it prints is what the page shows below it."""
+    names = {}
+    if "/" in name:
+        (tmp_path / "examples").symlink_to(ROOT / "examples")
+        monkeypatch.chdir(tmp_path)
+    else:
+        monkeypatch.chdir(home)
+        names = GIVEN[name](home) if name in GIVEN else {}
+    missing = undefined([block for block, _ in BLOCKS[name]])
     assert set(missing) == set(names), (
         "what a page does not define is the reader's, and is in GIVEN"
     )
     prose = re.sub(r"```.*?```", "", TEXT[name], flags=re.DOTALL)
     for given in missing:
         assert re.search(rf"`{given}`", prose), f"{name}: nobody says what {given} is"
-    for block in BLOCKS[name]:
-        exec(compile(block.replace(*SHORTER.get(name, ("", ""))), f"{name}.md", "exec"), names)
+    for block, shown in BLOCKS[name]:
+        printed = io.StringIO()
+        with contextlib.redirect_stdout(printed):
+            exec(compile(block.replace(*SHORTER.get(name, ("", ""))), f"{name}.md", "exec"), names)
+        assert not shown or printed.getvalue() == shown, f"{name}: it printed {printed.getvalue()}"
+
+
+def test_pages_that_say_how_show_what_comes_out():
+    for name in BLOCKS:
+        if name.startswith(("tutorials/", "how-to/")):
+            assert any(shown for _, shown in BLOCKS[name]), name

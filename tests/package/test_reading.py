@@ -1,15 +1,15 @@
 """How the pages read: numbers that later changes only better, and equations that links find."""
 
-import contextlib
 import importlib.util
-import io
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import warp_peri as wp
+from warp_peri.cli.main import COMMANDS
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 MOST = {
@@ -68,21 +68,19 @@ def test_every_equation_has_a_number_of_its_own_and_an_anchor(count):
 
 
 def test_every_number_has_the_form_that_links_know(equations):
-    for tag in equations.tags((DOCS / "theory.md").read_text(encoding="utf-8")):
+    for tag in equations.where():
         assert re.fullmatch(equations.TAG, tag), tag
 
 
 def test_equations_that_are_cited_exist(equations):
-    """On pages after a link to the theory, and in docstrings after its file's name."""
-    known = {*equations.tags((DOCS / "theory.md").read_text(encoding="utf-8"))}
-    root, cited = DOCS.parent, {}
-    places = [
-        path for top in ("warp_peri", "kernels", "tests") for path in (root / top).rglob("*.py")
-    ]
+    """On pages after a link to the theory, and in docstrings after "theory, "."""
+    known, root, cited = equations.where(), DOCS.parent, {}
+    tops = ("warp_peri", "kernels", "tests", "examples", "tools")
+    places = [path for top in tops for path in (root / top).rglob("*.py")]
     for path in [*places, *DOCS.rglob("*.md"), root / "README.md"]:
         text = " ".join(path.read_text(encoding="utf-8").split())
         for found in re.findall(
-            rf"theory\.md[^)]*?(?:\),|,)(?: equations)? ({equations.SEVERAL})", text
+            rf"theory(?:/\w+)?(?:\.md[^),]*)?\)?,(?: equations)? ({equations.SEVERAL})", text
         ):
             cited |= dict.fromkeys(re.findall(equations.TAG, found), path.name)
     assert len(cited) > 100
@@ -90,12 +88,17 @@ def test_equations_that_are_cited_exist(equations):
 
 
 def test_a_citation_leads_to_its_equation(equations):
-    html = '<p>(<a href="../theory/">theory</a>), N6 and 48a–48c, best</p>'
-    seen = equations.on_page_content(html)
-    for tag in ("N6", "48a", "48c"):
-        assert f'<a href="../theory/#eq-{tag}">{tag}</a>' in seen
-    seen = equations.on_page_content(r'<p>As (3a)</p><div class="arithmatex">\[x \tag{3a}\]</div>')
+    where = equations.where()
+    html = '<p>(<a href="../../theory/">theory</a>), N6 and 48a–48c, best; (theory, Dr3)</p>'
+    seen = equations.on_page_content(html, SimpleNamespace(url="how-to/dressed/"))
+    for tag in ("N6", "48a", "48c", "Dr3"):
+        assert f'<a href="../../{where[tag]}#eq-{tag}">{tag}</a>' in seen
+    page = SimpleNamespace(url=where["3a"])
+    html = r'<p>As (3a), (N22–N23), (9, 12)</p><div class="arithmatex">\[x \tag{3a}\]</div>'
+    seen = equations.on_page_content(html, page)
     assert seen.count('<a href="#eq-3a">3a</a>') == 1
+    for tag in ("N22", "N23", "9", "12"):
+        assert f'#eq-{tag}">{tag}</a>' in seen
     assert '<div class="equation" id="eq-3a"><div class="arithmatex">\\[x \\]</div>' in seen
     assert '<span class="number">(3a)</span>' in seen
 
@@ -115,27 +118,38 @@ def test_sentences_are_found_as_a_reader_finds_them(check):
     assert check.words(text) < len(text.split())
 
 
-def test_what_a_page_prints_stands_below():
-    """Where a block of code is followed by a block of text, this is what the code prints."""
-    pairs = [
-        (page.name, code, shown)
-        for page in sorted(DOCS.glob("*.md"))
-        for code, shown in re.findall(
-            r"```python\n((?:(?!```).)*)```\n\n```text\n(.*?)```",
-            page.read_text("utf-8"),
-            re.DOTALL,
-        )
-    ]
-    assert "peridynamics.md" in {name for name, *_ in pairs}
-    for name, code, shown in pairs:
-        printed = io.StringIO()
-        with contextlib.redirect_stdout(printed):
-            exec(compile(code, name, "exec"), {})
-        assert printed.getvalue() == shown, name
+def test_links_lead_to_files_and_headings(check, monkeypatch):
+    """A page that the menu names and that is not there yet is the business of another test."""
+    broken = check.broken_links(check.pages())
+    missing = {(DOCS / page).resolve() for page in check.menu() if not (DOCS / page).exists()}
+    lost = []
+    for line in broken:
+        page, target = line.split(": ")
+        if ((DOCS / page).parent / target.partition("#")[0]).resolve() not in missing:
+            lost.append(line)
+    assert not lost
+
+
+def test_links_and_anchors_are_found_as_a_browser_finds_them(check):
+    text = (
+        "# One `two`: three\n\n[a](b.md#c) ![p](q.png) [w](https://x.y) `[no](no.md)`\n\n"
+        '## Strains above 1 %\n\n## By name {#named}\n\n<img src="r.png">\n\n'
+        "$$x \\tag{N1}$$\n\n```\n# no heading\n[no](no.md)\n```\n"
+    )
+    assert check.links(text) == ["b.md#c", "q.png", "r.png"]
+    assert check.anchors(text) == {"one-two-three", "strains-above-1", "named", "eq-N1"}
+
+
+def test_the_page_of_the_commands_is_what_the_parser_says(monkeypatch):
+    commands = beside_the_pages("commands", monkeypatch)
+    shown = commands.PAGE.read_text(encoding="utf-8")
+    assert shown == commands.page(), "python docs/commands.py writes it anew"
+    assert all(f"\n## {name}\n" in shown for name in COMMANDS)
 
 
 def test_names_of_the_glossary_are_in_the_code():
-    text = (DOCS / "glossary.md").read_text(encoding="utf-8")
+    (page,) = DOCS.rglob("glossary.md")
+    text = page.read_text(encoding="utf-8")
     names = re.findall(r"`wp\.([\w.]+)`", text)
     assert len(names) > 20
     for name in names:

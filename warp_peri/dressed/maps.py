@@ -387,7 +387,7 @@ def effective(
     """The effective tensor of a period of elements whose moduli vary, and its local fields.
 
     Each load is a mean strain, met by conjugate gradients with the mean solid's inverse before
-    them. Iterations do not grow with the period, and with contrast as its root (theory.md, Dr27).
+    them. Iterations do not grow with the period, and with contrast as its root (theory, Dr27).
     Sources: H. Moulinec and P. Suquet, Comput. Methods Appl. Mech. Eng. 157, 1998; F. Willot,
     C. R. Mécanique 343, 2015; R. J. Leute et al., J. Comput. Phys. 453, 2022.
 

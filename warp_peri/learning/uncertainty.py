@@ -412,7 +412,7 @@ def _residual_pushes(sweep: _Sweep, *, estimated: bool) -> np.ndarray:
 
 
 def _squares_once(columns: np.ndarray, sweep: _Sweep) -> np.ndarray:
-    """The columns with squares of noise counted once (theory.md, 39).
+    """The columns with squares of noise counted once (theory, 39).
 
     A field put on a sample meets the noise that is there already: 2 eᵗM e′ has twice the variance
     of eᵗM e, which the sample itself has. Pairs of fields say how much of Cov that is.
