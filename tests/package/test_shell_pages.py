@@ -9,7 +9,6 @@ import re
 import shlex
 import subprocess
 import sys
-from glob import glob
 from pathlib import Path
 
 import meshio
@@ -20,6 +19,7 @@ import warp_peri as wp
 from examples import own_material
 from tests.package.test_pages import ROOT, TEXT, home  # noqa: F401 (a fixture)
 from tests.support.plates import plate
+from tests.support.problems import lattice, manufactured
 from warp_peri.cli.main import main
 
 NOT_HERE = {
@@ -27,7 +27,6 @@ NOT_HERE = {
     r"(\.venv/bin/)?python examples/": "of minutes: a test imports it, or it stands in UNTRIED",
     r"(\.venv/bin/)?python -m pytest": "this very suite",
     r"mpiexec ": "tests/ranks starts it",
-    r"(ase|tail) ": "a program of others",
 }
 UNTRIED = {
     "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
@@ -39,7 +38,7 @@ UNTRIED = {
     "which_law": "a table of times; its laws are those of tests/conformance",
 }
 """Scripts that no test runs, and why; here only their --help."""
-CHEAP = ("influence", "export")
+CHEAP = ("how-to/arrays", "how-to/influence", "export")
 """Pages whose commands take a second; the others are slow."""
 
 
@@ -154,23 +153,24 @@ def of_gallery(folder):
     wp.save("runs/graphene_0K/model.json", wp.load("runs/first/model.json"))
 
 
+def of_arrays(folder):
+    """The data set that the page's code saves."""
+    samples = manufactured(wp.load("runs/first/model.json"), lattice(8, 12.5, 5.0), 8, 0, 0.2)
+    wp.save("mine.h5", wp.Dataset({"train": samples}, thickness=3.35, density=2150.0))
+
+
 def of_own_data(folder):
     own_material.make_dumps(folder)
 
 
-def of_dumps(folder):
-    own_material.make_dumps(folder / "runs" / "boron_nitride" / "dumps")
-
-
 GIVEN = {
-    "atoms": of_atoms,
+    "how-to/arrays": of_arrays,
+    "how-to/calculators": of_atoms,
+    "how-to/influence": of_any,
     "bodies": of_bodies,
     "export": of_any,
     "gallery": of_gallery,
-    "influence": of_any,
-    "own_data": of_own_data,
-    "tutorials/crystal": of_atoms,
-    "tutorials/dumps": of_dumps,
+    "tutorials/dumps": of_own_data,
 }
 
 
