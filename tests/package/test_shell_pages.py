@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+from glob import glob
 from pathlib import Path
 
 import meshio
@@ -27,13 +28,13 @@ NOT_HERE = {
     r"(\.venv/bin/)?python examples/": "of minutes: a test imports it, or it stands in UNTRIED",
     r"(\.venv/bin/)?python -m pytest": "this very suite",
     r"mpiexec ": "tests/ranks starts it",
+    r"(ase|tail) ": "a program of others",
 }
 UNTRIED = {
     "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
     "grains": "grains of copper by LAMMPS, minutes; what it calls is tested in tests/dressed",
     "structures": "seventeen crystals; tests/structures runs two of them by the same call",
     "predict": "150 scenes; what it calls is tested in tests/prediction",
-    "polymer_protocols": "tables of minutes; what it calls is tested in tests/flow",
     "speed_accuracy": "times of an hour; tests/learning/test_choice reads what it shipped",
     "which_law": "a table of times; its laws are those of tests/conformance",
 }
@@ -53,7 +54,7 @@ def commands(text):
 TYPED = {
     name: found
     for name, text in TEXT.items()
-    if not name.startswith("archive/") and (found := commands(text))
+    if not name.startswith(("archive/", "papers/")) and (found := commands(text))
 }
 ELSEWHERE = ("tutorials/graphene",)
 """Run by tests/examples/test_examples.py, on graphene's own data."""
@@ -159,8 +160,8 @@ def of_arrays(folder):
     wp.save("mine.h5", wp.Dataset({"train": samples}, thickness=3.35, density=2150.0))
 
 
-def of_own_data(folder):
-    own_material.make_dumps(folder)
+def of_dumps(folder):
+    own_material.make_dumps(folder / "runs" / "boron_nitride" / "dumps")
 
 
 GIVEN = {
@@ -170,7 +171,8 @@ GIVEN = {
     "bodies": of_bodies,
     "export": of_any,
     "gallery": of_gallery,
-    "tutorials/dumps": of_own_data,
+    "tutorials/crystal": of_atoms,
+    "tutorials/dumps": of_dumps,
 }
 
 
