@@ -13,6 +13,8 @@ import numpy as np
 import pytest
 
 from examples import train_graphene
+from tests.package.test_pages import BLOCKS, TEXT
+from tests.package.test_shell_pages import run_as_typed
 from warp_peri import LPS, Bernstein, fit, save
 from warp_peri.cli.main import main as command
 from warp_peri.lps.model import Model
@@ -237,6 +239,24 @@ def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
     assert f"{100 * float(error):.2f}" == printed
     assert statement.startswith("Every static problem on any finite set of nodes")
     assert Model.load("model.json").certified_on == (5.0,)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_tutorial_on_graphene_prints_what_it_shows(
+    main_run, graphene, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    shutil.copy(graphene, tmp_path / "data" / "graphene_0K.h5")
+    run_as_typed("tutorials/graphene", capsys)
+    ((code, shown),) = BLOCKS["tutorials/graphene"]
+    exec(code, {})
+    assert capsys.readouterr().out == shown
+    first = re.search(r"```text\n(.*?)```", TEXT["tutorials/graphene"], re.S)[1].splitlines()
+    printed = (main_run / "printed.txt").read_text().splitlines()
+    assert first[1:4] == printed[1:4]
+    assert first[5][:40] == printed[5][:40]
 
 
 def test_bad_input_of_an_example_is_one_line_and_status_2(tmp_path, monkeypatch, capsys):

@@ -31,7 +31,7 @@ BLOCKS = {
     if not name.startswith("archive/") and (found := BLOCK.findall(text))
 }
 """The code of each page, and what stands below it as printed, or nothing."""
-ELSEWHERE = ("README", "lattices")
+ELSEWHERE = ("README", "tutorials/graphene", "lattices")
 """Run by tests/examples/test_examples.py and test_docs.py, which look at what comes out."""
 PUBLIC = {
     name
@@ -97,7 +97,7 @@ SHORTER = {
 }
 """What would take hours or richer data, and what runs in its place."""
 # Pages that take more than some 5 s.
-SLOW = ("bodies", "cracks", "flow", "predict")
+SLOW = ("bodies", "cracks", "flow", "predict", "tutorials/crystal", "tutorials/torch")
 
 
 def undefined(blocks):

@@ -35,7 +35,6 @@ UNTRIED = {
     "grains": "grains of copper by LAMMPS, minutes; what it calls is tested in tests/dressed",
     "structures": "seventeen crystals; tests/structures runs two of them by the same call",
     "predict": "150 scenes; what it calls is tested in tests/prediction",
-    "polymer_protocols": "tables of minutes; what it calls is tested in tests/flow",
     "speed_accuracy": "times of an hour; tests/learning/test_choice reads what it shipped",
     "which_law": "a table of times; its laws are those of tests/conformance",
 }
@@ -55,13 +54,17 @@ def commands(text):
 TYPED = {
     name: found
     for name, text in TEXT.items()
-    if not name.startswith("archive/") and (found := commands(text))
+    if not name.startswith(("archive/", "papers/")) and (found := commands(text))
 }
+ELSEWHERE = ("tutorials/graphene",)
+"""Run by tests/examples/test_examples.py, on graphene's own data."""
 RUN = {
-    name: ours
+    name: [line for line in lines if line.startswith("warp-peri ")]
     for name, lines in TYPED.items()
-    if (ours := [line for line in lines if line.startswith("warp-peri ")])
+    if name not in ELSEWHERE and any(line.startswith("warp-peri ") for line in lines)
 }
+SHELL = re.compile(r"^```\n(.*?)^```\n(?:\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
+"""A block of commands, and what stands below it as printed."""
 
 
 def test_every_command_is_run_or_says_why_not():
@@ -180,7 +183,21 @@ GIVEN = {
 def test_the_commands_of_a_page_run_in_turn(name, home, monkeypatch, capsys):  # noqa: F811
     monkeypatch.chdir(home)
     GIVEN.get(name, lambda folder: None)(home)
-    for line in RUN[name]:
-        words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # as a shell does
-        status = main([word for found in words for word in found][1:])
-        assert status == 0, f"{line}: {capsys.readouterr().err}"
+    run_as_typed(name, capsys)
+
+
+def run_as_typed(name, capsys):
+    """The commands of a page in turn; a tutorial shows lines that they print, in their order."""
+    for block, shown in SHELL.findall(TEXT[name]):
+        printed = ""
+        for line in commands(f"```\n{block}```"):
+            if line.startswith("warp-peri "):
+                words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # as a shell
+                status = main([word for found in words for word in found][1:])
+                out, error = capsys.readouterr()
+                assert status == 0, f"{line}: {error}"
+                printed += out
+        if name.startswith("tutorials/") and printed:
+            lines = iter(printed.splitlines())
+            for expected in shown.splitlines():
+                assert expected.strip() == "…" or expected in lines, f"{name}: {expected}"

@@ -149,7 +149,7 @@ model
 output
   --out FILE !  file for the displacement: SOLVED.h5, or SOLVED.vtu for a body
 a body with an outline, in place of DATA.h5
-  --body MESH  mesh of the body, as of Gmsh
+  --body MESH  mesh of the body, as of Gmsh (default: none)
   --units LENGTH STRESS  units of the mesh, the numbers and the answer (default: those of the model)
   --hold PART=ux,uy+ =[]  displacement of a part of the boundary; - leaves one component free
   --pull PART=tx,ty+ =[]  force per area on a part of the boundary
@@ -187,7 +187,7 @@ input
   what fields|influence|kernel|operator  solved fields, the influence function on one lattice, one
     function for many lattices, or the matrix of the operator
 {MODEL}
-  --data DATA.h5  data file with nodes, loads and collar, for fields and operator
+  --data DATA.h5  data file with nodes and loads; fields and operator need it (default: none)
 {LOADS}
 {AXIS}
 model

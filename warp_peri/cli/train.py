@@ -35,7 +35,7 @@ HORIZON, DEGREE = 20.0, 10
 SHEET = {"thickness": 3.35, "density": 2200.0}
 """Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
 
-ERRORS = {"E_res": "of forces, which amplify short waves", "E_u": "of displacement, once solved"}
+ERRORS = {"E_res": "residual of forces, larger for short waves", "E_u": "error of displacement"}
 """Errors that training prints, and what they are of."""
 
 CUBIC = ("t3", "tq2", "q3")
@@ -289,7 +289,7 @@ def in_percent(metrics: Result) -> Result:
         if key == "not_evaluated" and not value:
             continue
         if key in ERRORS:
-            shown[f"{key} [%], {ERRORS[key]}"] = {
+            shown[f"{ERRORS[key]} [%]"] = {
                 name: "–" if error is None else 100 * error for name, error in value.items()
             }
         elif key == "residual":
@@ -309,8 +309,8 @@ def in_percent(metrics: Result) -> Result:
     small = [n for n, e in metrics["E_res"].items() if e and solved.get(n) and e > FAR * solved[n]]
     if small:
         shown["note"] = (
-            f"the loads of {', '.join(small)} are small for their displacement, and E_res is "
-            "relative to them; E_u is what a solve is off by"
+            f"the loads of {', '.join(small)} are small for their displacement, and the residual "
+            "is relative to them; the error of a solve is that of displacement"
         )
     return shown
 
