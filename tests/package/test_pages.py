@@ -32,7 +32,7 @@ BLOCKS = {
     if not name.startswith("archive/") and (found := BLOCK.findall(text))
 }
 """The code of each page, and what stands below it as printed, or nothing."""
-ELSEWHERE = ("README", "own_data", "influence", "learning", "lattices")
+ELSEWHERE = ("README", "own_data", "influence", "learning")
 """Run by tests/examples/test_examples.py and test_docs.py, which look at what comes out."""
 PUBLIC = {
     name
@@ -69,17 +69,6 @@ def own_atoms():
     return wp.micromodulus.from_calculator(bulk("Cu", a=3.59, cubic=True), EMT(), (3, 3, 3))
 
 
-def of_bodies(home):
-    x = np.random.default_rng(0).uniform(-90, 90, (500, 2))
-    x = x[np.hypot(*x.T) > 45]
-    return {"model": known_model(), "atoms": x, "force": np.full(x.shape, 1e-4)}
-
-
-def known_model():
-    model = kernel("1/r", HORIZON, spacing=5.0)
-    return wp.transfers.on_lattice(model, spacing=5.0) if not model.certified_on else model
-
-
 def of_dressed(home):
     sheet, _ = periodic((12, 12), 5.0)
     field = 0.01 * smooth(sheet.x, 4, wave_number=0.2)
@@ -88,14 +77,6 @@ def of_dressed(home):
         "samples": wp.Samples(sheet, field, field),
         "density": 1 - 0.02 * np.cos(2 * np.pi * sheet.x[:, 0] / 60.0) ** 2,
     }
-
-
-def of_export(home):
-    import scipy.sparse
-
-    scipy.sparse.save_npz(home / "L.npz", scipy.sparse.eye_array(4).tocsr())
-    data = wp.load(home / "data" / "graphene_0K.h5")["test"]
-    return {"model": known_model(), "points": data.points, "b": data.b, "u": data.u}
 
 
 def of_noise(home):
@@ -138,34 +119,14 @@ def of_tissue(home):
     }
 
 
-def of_flow(home):
-    """Files of stress histories, as the page says them."""
-    from examples import stress_histories
-
-    stress_histories.histories(home / "histories")
-    return {}
-
-
-GIVEN = {
-    "tissue": of_tissue,
-    "flow": of_flow,
-    "bodies": of_bodies,
-    "dressed": of_dressed,
-    "export": of_export,
-    "noise": of_noise,
-}
-SHORTER = {
-    "neural": ("epochs=150", "epochs=1"),
-    "predict": (
-        "wp.Bernstein(15, two_functions=True)\nlinear = wp.LPS(25.0,",
-        "wp.Bernstein(4, two_functions=True)\nlinear = wp.LPS(12.5,",
-    ),
-}
+GIVEN = {"tissue": of_tissue, "dressed": of_dressed, "noise": of_noise}
+SHORTER = {"neural": ("epochs=150", "epochs=1")}
 """What would take hours or richer data, and what runs in its place."""
 # Pages that take more than some 5 s.
 SLOW = (
-    "tissue", "atoms", "bodies", "cracks", "flow", "predict", "nonlinear", "neural", "noise",
-    "dressed",
+    "tissue", "atoms", "nonlinear", "neural", "noise", "dressed",
+    "how-to/free_edges", "how-to/lattices", "how-to/error_bars", "how-to/cracks",
+    "how-to/pressure", "how-to/flow", "how-to/other_codes",
 )  # fmt: skip
 
 

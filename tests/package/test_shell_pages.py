@@ -17,7 +17,7 @@ import pytest
 
 import warp_peri as wp
 from examples import own_material
-from tests.package.test_pages import PAGES, ROOT, home  # noqa: F401 (a fixture)
+from tests.package.test_pages import ROOT, TEXT, home  # noqa: F401 (a fixture)
 from tests.support.plates import plate
 from warp_peri.cli.main import main
 
@@ -37,7 +37,7 @@ UNTRIED = {
     "which_law": "a table of times; its laws are those of tests/conformance",
 }
 """Scripts that no test runs, and why; here only their --help."""
-CHEAP = ("influence", "export")
+CHEAP = ("influence", "how-to/paraview")
 """Pages whose commands take a second; the others are slow."""
 
 
@@ -49,7 +49,11 @@ def commands(text):
     return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
-TYPED = {page.stem: found for page in PAGES if (found := commands(page.read_text("utf-8")))}
+TYPED = {
+    name: found
+    for name, text in TEXT.items()
+    if not name.startswith("archive/") and (found := commands(text))
+}
 RUN = {
     name: ours
     for name, lines in TYPED.items()
@@ -150,9 +154,9 @@ def of_own_data(folder):
 
 GIVEN = {
     "atoms": of_atoms,
-    "bodies": of_bodies,
-    "export": of_any,
     "gallery": of_gallery,
+    "how-to/free_edges": of_bodies,
+    "how-to/paraview": of_any,
     "influence": of_any,
     "own_data": of_own_data,
 }
