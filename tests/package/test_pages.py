@@ -1,7 +1,6 @@
 """Code of the pages runs in turn, imports what the API lists, and prints what stands below it.
 
-Pages in folders run as they are, from their top. Others may take what is the reader's own: it
-stands in GIVEN, and by name on the page.
+Pages run as they are, from their top.
 """
 
 import ast
@@ -11,7 +10,6 @@ import io
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import warp_peri as wp
@@ -31,7 +29,7 @@ BLOCKS = {
     if not name.startswith("archive/") and (found := BLOCK.findall(text))
 }
 """The code of each page, and what stands below it as printed, or nothing."""
-ELSEWHERE = ("README", "tutorials/graphene", "lattices")
+ELSEWHERE = ("README", "tutorials/graphene")
 """Run by tests/examples/test_examples.py and test_docs.py, which look at what comes out."""
 PUBLIC = {
     name
@@ -61,43 +59,11 @@ def home(tmp_path_factory):
     return folder
 
 
-def of_bodies(home):
-    x = np.random.default_rng(0).uniform(-90, 90, (500, 2))
-    x = x[np.hypot(*x.T) > 45]
-    return {"model": known_model(), "atoms": x, "force": np.full(x.shape, 1e-4)}
-
-
-def known_model():
-    model = kernel("1/r", HORIZON, spacing=5.0)
-    return wp.transfers.on_lattice(model, spacing=5.0) if not model.certified_on else model
-
-
-def of_export(home):
-    import scipy.sparse
-
-    scipy.sparse.save_npz(home / "L.npz", scipy.sparse.eye_array(4).tocsr())
-    data = wp.load(home / "data" / "graphene_0K.h5")["test"]
-    return {"model": known_model(), "points": data.points, "b": data.b, "u": data.u}
-
-
-def of_flow(home):
-    """Files of stress histories, as the page says them."""
-    from examples import stress_histories
-
-    stress_histories.histories(home / "histories")
-    return {}
-
-
-GIVEN = {"flow": of_flow, "bodies": of_bodies, "export": of_export}
-SHORTER = {
-    "predict": (
-        "wp.Bernstein(15, two_functions=True)\nlinear = wp.LPS(25.0,",
-        "wp.Bernstein(4, two_functions=True)\nlinear = wp.LPS(12.5,",
-    )
-}
-"""What would take hours or richer data, and what runs in its place."""
-# Pages that take more than some 5 s.
-SLOW = ("bodies", "cracks", "flow", "predict", "tutorials/crystal", "tutorials/torch")
+SLOW = (
+    "how-to/free_edges", "how-to/lattices", "how-to/error_bars", "how-to/cracks",
+    "how-to/pressure", "how-to/flow", "how-to/other_codes", "tutorials/crystal", "tutorials/torch",
+)  # fmt: skip
+"""Pages that take more than some 5 s."""
 
 
 def undefined(blocks):
@@ -147,26 +113,16 @@ def test_imports_are_of_what_the_api_lists(name):
     ],
 )
 @pytest.mark.filterwarnings("ignore")
-def test_the_blocks_of_a_page_run_in_turn(name, home, tmp_path, monkeypatch):
+def test_the_blocks_of_a_page_run_in_turn(name, tmp_path, monkeypatch):
     """Each in the names of those before; what it prints is what the page shows below it."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    monkeypatch.chdir(tmp_path)
+    assert undefined([block for block, _ in BLOCKS[name]]) == []
     names = {}
-    if "/" in name:
-        (tmp_path / "examples").symlink_to(ROOT / "examples")
-        monkeypatch.chdir(tmp_path)
-    else:
-        monkeypatch.chdir(home)
-        names = GIVEN[name](home) if name in GIVEN else {}
-    missing = undefined([block for block, _ in BLOCKS[name]])
-    assert set(missing) == set(names), (
-        "what a page does not define is the reader's, and is in GIVEN"
-    )
-    prose = re.sub(r"```.*?```", "", TEXT[name], flags=re.DOTALL)
-    for given in missing:
-        assert re.search(rf"`{given}`", prose), f"{name}: nobody says what {given} is"
     for block, shown in BLOCKS[name]:
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
-            exec(compile(block.replace(*SHORTER.get(name, ("", ""))), f"{name}.md", "exec"), names)
+            exec(compile(block, f"{name}.md", "exec"), names)
         assert not shown or printed.getvalue() == shown, f"{name}: it printed {printed.getvalue()}"
 
 
