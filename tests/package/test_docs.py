@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import warp_peri
-from tests.support.problems import kernel, lattice, manufactured
+from tests.support.problems import lattice, manufactured
 from warp_peri.cli.main import main
 from warp_peri.lps.shapes import InfluenceFunction, exponential
 
@@ -19,7 +19,6 @@ PAGES = {
 }
 """Text of each page by its path below docs/, without suffix."""
 API = ("api", "reference/api/")
-HORIZON = 12.5
 
 
 def snippets(page):
@@ -54,17 +53,6 @@ def test_csv_files_of_fields_become_a_data_set_that_trains(points, tmp_path, mon
     model = warp_peri.load("runs/mine/model.json")
     assert (model.lam, model.mu) == pytest.approx((0.2, 0.3), rel=1e-5)
     assert model.provenance["influence"]["parameters"]["length"] == pytest.approx(9.0, rel=1e-5)
-
-
-@pytest.mark.parametrize("page", [page for page in ("learning", "lattices") if page in PAGES])
-def test_the_pages_on_learning_and_lattices(page, capsys):
-    model = kernel("1/r", HORIZON, spacing=5.0)
-    train = manufactured(model, lattice(8, HORIZON, 5.0), 8, wave_number=0.2)
-    names = {"model": model, "train": train, "points": train.points}
-    for snippet in snippets(page):
-        exec(compile(snippet, page, "exec"), names)
-    printed = capsys.readouterr().out
-    assert "(4.0,)" in printed if page == "lattices" else "certificate" in printed.lower()
 
 
 def test_the_api_lists_every_public_name():
