@@ -7,7 +7,7 @@ r = E G_c / (2π σ²) at each tip; strength and moduli come from sheets without
 
     python examples/cracked_graphene.py --cracks -25 8 5 8  -5 -8 25 -8 --half 60 50
 
-says at what strain any straight cracks in any rectangle open, on no lattice (theory.md, C20–C24).
+says at what strain any straight cracks in any rectangle open, on no lattice (theory, C20–C24).
 """
 
 import json

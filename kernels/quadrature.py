@@ -1,4 +1,4 @@
-"""Quadrature weights of the families of scattered points, a family a thread (theory.md, 7–8, V4).
+"""Quadrature weights of the families of scattered points, a family a thread (theory, 7–8, V4).
 
 W = Qᵀ (Q Qᵀ)⁻¹ c by Cholesky, solved a second time for what the first left, with the rows of Q
 computed anew at each pass over the bonds: they need no memory.

@@ -1,8 +1,8 @@
 """A spherical void in a crystal held outside: atoms by LAMMPS, and a law with elements around it.
 
-Micromodulus tensors do not bear cut bonds (theory.md, T16), so that a shell of curved quadratic
+Micromodulus tensors do not bear cut bonds (theory, T16), so that a shell of curved quadratic
 elements with the law's own moduli lies around the void. Shell and nodes hand displacement to each
-other until they agree, as the rim and bulk of a sheet do (theory.md, B5).
+other until they agree, as the rim and bulk of a sheet do (theory, B5).
 """
 
 import functools

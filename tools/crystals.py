@@ -267,7 +267,7 @@ def isotropic_lps(atoms: ForceConstants, spacing: float, horizon: float) -> Crys
 def _as_tensors(
     steps: np.ndarray, gamma: np.ndarray, phi: np.ndarray, kappa: float, spacing: float
 ) -> Crystal:
-    """The tensors of Γ + κ φφᵗ: bonds of range 2δ come from products of sines (theory.md, T17)."""
+    """The tensors of Γ + κ φφᵗ: bonds of range 2δ come from products of sines (theory, T17)."""
     both = np.concatenate([steps, -steps])
     slope = np.concatenate([phi, -phi])
     found = {

@@ -1,6 +1,6 @@
 """Other ways of computing the LPS force, for the benchmark: torch scatter, SciPy CSR, Numba.
 
-All take the tables of a periodic point set and compute (4)–(9) of docs/theory.md. They
+All take the tables of a periodic point set and compute (4)–(9) of docs/theory. They
 are written as a careful user would write them: K once per bond class, no memory allocated twice.
 """
 

@@ -1,6 +1,6 @@
 """What a sheet without a crack says of cracks: how one row of its bonds parts, what it stores.
 
-With it go the cracks of a continuum that this row law holds (theory.md, C20–C22).
+With it go the cracks of a continuum that this row law holds (theory, C20–C22).
 """
 
 import tempfile

@@ -60,7 +60,7 @@ def write_fields(
     nodes, NaN elsewhere: stress [TPa] and strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ, of a
     plane with zeros out of it, dilatation, energy density [TPa]. Those are of the linear solid; of
     a nonlinear model also piola, P = Ψ′(H) [TPa], which is to be added to the stress, as XX, XY,
-    XZ, YX, … (theory.md, N2). Of other laws the stress, and with a gradient of their own (crystals)
+    XZ, YX, … (theory, N2). Of other laws the stress, and with a gradient of their own (crystals)
     strain and dilatation, where they have them.
 
     Args:

@@ -28,7 +28,7 @@ GIVEN = ("displacement", "traction", "b", "edge", "coupling")
 
 @dataclass(frozen=True, eq=False)
 class Dirichlet:
-    """Load on the interior, displacement given on the collar (theory.md, 29).
+    """Load on the interior, displacement given on the collar (theory, 29).
 
     Attributes:
         points: a lattice or scattered points, or samples on them.
@@ -81,7 +81,7 @@ class Dirichlet:
 
 @dataclass(frozen=True, eq=False)
 class Periodic:
-    """A load of zero mean on a periodic lattice (theory.md, 59).
+    """A load of zero mean on a periodic lattice (theory, 59).
 
     Attributes:
         points: a lattice with a box, all of its nodes interior; see Points.sheet.
@@ -107,7 +107,7 @@ class Periodic:
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """A body with free edges on a mesh: held in part, pulled in part (theory.md, B1–B7).
+    """A body with free edges on a mesh: held in part, pulled in part (theory, B1–B7).
 
     Attributes:
         mesh: the body, triangles or, of a crystal in space, tetrahedra.

@@ -1,4 +1,4 @@
-"""Bodies of several materials: bond-wise μ and node-wise λ − μ (theory.md, C15)."""
+"""Bodies of several materials: bond-wise μ and node-wise λ − μ (theory, C15)."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Straight cracks whose tips turn into rows of bonds at an angle (theory.md, C24).
+"""Straight cracks whose tips turn into rows of bonds at an angle (theory, C24).
 
 Cracks and the rows ahead of their tips are chains of short pieces, each with one opening and one
 sliding; polynomials meet the rim. Two dislocations bound a piece, so that all fields are closed

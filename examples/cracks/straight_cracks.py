@@ -1,4 +1,4 @@
-"""Any straight cracks in an elastic rectangle: what each tip releases (theory.md, C20–C21).
+"""Any straight cracks in an elastic rectangle: what each tip releases (theory, C20–C21).
 
 Each crack adds a series of powers of its own conformal coordinate, the rectangle two polynomials;
 both satisfy the equations of plane elasticity, and least squares meet the rim and the faces. Cracks

@@ -2,7 +2,7 @@
 
 Zigzag edges are the cheapest, so a crack along another direction kinks towards the nearest zigzag
 one, an angle θ away. The bonds that must break there stand across the new edge: its opening pulls
-them, sliding does not, and the opening is cos³(θ/2) of what it is straight ahead (theory.md, C19).
+them, sliding does not, and the opening is cos³(θ/2) of what it is straight ahead (theory, C19).
 The toughness is fitted on one zigzag crack; the strengths behind Irwin's zones come from sheets
 without a crack, pulled along either axis. For comparison, armchair cracks with a toughness of their
 own, fitted on one of them.

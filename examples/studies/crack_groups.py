@@ -1,7 +1,7 @@
 """Cracks beside and behind each other, near rims: one factor, fitted on one crack, predicts them.
 
 The sheet around is elastic to third order. The rows of bonds ahead of the tips pull by the law of a
-row between two halves of a sheet (theory.md, C20–C23); both come from sheets without a crack. Rows
+row between two halves of a sheet (theory, C20–C23); both come from sheets without a crack. Rows
 are as strong as the factor says.
 """
 

@@ -1,4 +1,4 @@
-"""Nearly incompressible solids on scattered points: θ at fewer nodes (theory.md, 48a–48c)."""
+"""Nearly incompressible solids on scattered points: θ at fewer nodes (theory, 48a–48c)."""
 
 from collections.abc import Sequence
 from itertools import product

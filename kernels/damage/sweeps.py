@@ -2,7 +2,7 @@
 
 Bond b of node i leads to neighbour[i B + b]; a negative one is broken or was never there. The table
 of the ball holds per bond ξ, a = d w, k = 2 d (d + 2) μ w / r² and the limit of its criterion; with
-e = ξ·(u_j − u_i) (theory.md, C1–C4)
+e = ξ·(u_j − u_i) (theory, C1–C4)
 
     θ_i = Σ a e,   f_i = Σ [(λ−μ) a (θ_i + θ_j) + k e] ξ,   w_i = (λ−μ) θ_i²/2 + Σ k e²/4.
 

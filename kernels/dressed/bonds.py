@@ -1,4 +1,4 @@
-"""K u of bonds whose moduli vary from node to node, row by row (theory.md, Dr25).
+"""K u of bonds whose moduli vary from node to node, row by row (theory, Dr25).
 
 Planes and pieces are those of micromodulus/rows.py. Bond p of one half of the family leads
 `offset[p]` places on; its row of the table is a d and the upper triangle of w d ⊗ d. Factors are

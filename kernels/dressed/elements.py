@@ -1,4 +1,4 @@
-"""K u of square elements whose moduli vary, many nodes of a row at a time (theory.md, Dr22).
+"""K u of square elements whose moduli vary, many nodes of a row at a time (theory, Dr22).
 
 Planes and pieces are those of micromodulus/rows.py. A site is the element whose first corner is its
 place; `row` says how many places there are along the second axis. The site sweep turns displacement

@@ -1,4 +1,4 @@
-"""Class-wise sweeps of given fields, the features of the reduced regression (theory.md, 14–16)."""
+"""Class-wise sweeps of given fields, the features of the reduced regression (theory, 14–16)."""
 
 import warp as wp
 

@@ -1,6 +1,6 @@
 """The linear peridynamic solid, top to bottom: weighted volume → dilatation → force.
 
-Equation numbers are those of docs/theory.md; bonds.py says what a bond is. The deviatoric part
+Equation numbers are those of docs/theory; bonds.py says what a bond is. The deviatoric part
 reads the table kw of K W by class and its weighted volume m, the dilatation kd and md; with one
 influence function they are the same arrays.
 

@@ -1,4 +1,4 @@
-"""Bond entries of the matrices Γ, Φ and Ψ (theory.md, 11–13, 41)."""
+"""Bond entries of the matrices Γ, Φ and Ψ (theory, 11–13, 41)."""
 
 from functools import cache
 from types import SimpleNamespace

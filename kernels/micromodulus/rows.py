@@ -1,4 +1,4 @@
-"""L u of a lattice by half families, many nodes of a row at a time (theory.md, T1).
+"""L u of a lattice by half families, many nodes of a row at a time (theory, T1).
 
 A field is laid out in planes: component a of sample s at place q of a box of P places is
 planes[s, a P + q]. Bond p leads from place q to q + offset[p], and its other half to q − offset[p];

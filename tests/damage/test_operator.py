@@ -14,7 +14,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
 
 DILATATIONAL = 0.32260
-"""4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory.md, C6)."""
+"""4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory, C6)."""
 
 
 def swept(operator, u, neighbour):

@@ -111,7 +111,7 @@ def test_a_period_is_the_even_law_and_linear_in_its_maps():
 
 
 def test_the_bound_of_a_map_is_its_smallest_value():
-    """L ≥ min(map) L of the even solid (theory.md, Dr11)."""
+    """L ≥ min(map) L of the even solid (theory, Dr11)."""
     law = solid()
     points = wp.Points.sheet((8, 8), SPACING)
     rng = np.random.default_rng(2)

@@ -51,7 +51,7 @@ def test_bonds_are_the_peridynamic_solid_of_two_spacings():
 
 @pytest.mark.parametrize(("lam", "side"), [(-0.2, 1), (-0.2, -1), (0.5, 1)])
 def test_two_functions_may_break_as_far_as_is_said(lam, side):
-    """θ² ≤ 4 M q (theory.md, Dr26): what one node's bonds store has a negative value beyond."""
+    """θ² ≤ 4 M q (theory, Dr26): what one node's bonds store has a negative value beyond."""
     C = cubic_tensor(2, C11=lam + 1.45, C12=lam, C44=0.725)
     for over in (0.999, 1.001):
         one = bonds(C, 1 / 8 + side * over * dilatation_range(C))

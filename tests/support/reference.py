@@ -1,6 +1,6 @@
 """A slow reference of the linear peridynamic solid: NumPy, one node and one bond at a time.
 
-It shares nothing with the library but the equations of docs/theory.md.
+It shares nothing with the library but the equations of docs/theory.
 """
 
 from math import comb

@@ -1,7 +1,7 @@
 """Elastic tensors: from the tensors of bonds, as Voigt matrices, and what is read off them.
 
 An elastic tensor has the shape [d, d, d, d] here; Voigt's order is 11, 22, 33, 23, 13, 12, and 11,
-22, 12 in the plane, with engineering shear strains (theory.md, T3–T6).
+22, 12 in the plane, with engineering shear strains (theory, T3–T6).
 """
 
 from __future__ import annotations

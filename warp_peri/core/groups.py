@@ -1,6 +1,6 @@
 """Point groups of a crystal, and what of them its lattice of nodes shares.
 
-C(−ξ) = C(ξ) whatever the crystal, so that every group here contains the inversion (theory.md, T5).
+C(−ξ) = C(ξ) whatever the crystal, so that every group here contains the inversion (theory, T5).
 """
 
 from __future__ import annotations
@@ -124,7 +124,7 @@ def _closed(generators: list[np.ndarray], dimension: int) -> np.ndarray:
 
 
 def shared_with_nodes(group: np.ndarray, orientation: np.ndarray) -> np.ndarray:
-    """What a square or cubic lattice of nodes has in common with a crystal (theory.md, T5).
+    """What a square or cubic lattice of nodes has in common with a crystal (theory, T5).
 
     Args:
         group: of the crystal in its own axes, shape [G, d, d].
@@ -240,7 +240,7 @@ def canonical(
     """Which vectors may lie in one cone whose images under the group fill space, shape [K] bool.
 
     A vector is left out when all of it, out to `margin` times the 1-norm of the cone's face, has an
-    image nearer to one direction in general position (theory.md, T12). shape [K, d].
+    image nearer to one direction in general position (theory, T12). shape [K, d].
     """
     d = vectors.shape[1]
     direction = np.array([1.0, 0.6137, 0.2719])[:d]

@@ -374,7 +374,7 @@ def _long_waves(stencil: Stencil, group: np.ndarray) -> tuple[float, int]:
 
 
 def largest(stencil: Stencil, group: np.ndarray, tolerance: float = UPPER_TOLERANCE) -> float:
-    """A bound of Λmax D(k) over all k [stress/length²], proven cell by cell (theory.md, T21).
+    """A bound of Λmax D(k) over all k [stress/length²], proven cell by cell (theory, T21).
 
     Within `tolerance`, relative, of a value that D takes, unless that needs more than MOST_CELLS;
     then it is what was proven so far.

@@ -1,4 +1,4 @@
-"""A linear solid on one lattice as a stencil: L u(x) = Σ C(ξ) (u(x) − u(x + ξ)) (theory.md, T1–T2).
+"""A linear solid on one lattice as a stencil: L u(x) = Σ C(ξ) (u(x) − u(x + ξ)) (theory, T1–T2).
 
 C(−ξ) = C(ξ) is symmetric. Every homogeneous linear material on a lattice is a stencil, and what is
 proven, transferred or solved on lattices is written for stencils alone.

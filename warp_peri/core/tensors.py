@@ -241,7 +241,7 @@ def by_numbers(operator: Any, names: list[str], u: np.ndarray, w: np.ndarray) ->
 
 
 def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
-    """The Solution of any operator in equilibrium, its u a tensor with a gradient (theory.md, 29).
+    """The Solution of any operator in equilibrium, its u a tensor with a gradient (theory, 29).
 
     With g the derivative of a scalar to u and L′ᵗ w = g on the interior, L′ the derivative of the
     force at the answer, b has w, u on the collar g − L′ᵗ w, and a number a −wᵗ ∂(L u)/∂a. What is

@@ -1,4 +1,4 @@
-"""Cracks: bonds that are cut, break or soften, at rest and in motion (theory.md, C)."""
+"""Cracks: bonds that are cut, break or soften, at rest and in motion (theory, C)."""
 
 from warp_peri.damage.cut_solid import contour_integral, opening_volume, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, penny, rectangle

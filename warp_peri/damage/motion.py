@@ -1,7 +1,7 @@
 """Motion of a body whose bonds break: its state, one step, and the ledger of energies.
 
 Velocity Verlet keeps the force of a bond for the second half-kick of the step in which it breaks
-and drops it after (theory.md, C10); work = kinetic + elastic + dissipated is then kept to second
+and drops it after (theory, C10); work = kinetic + elastic + dissipated is then kept to second
 order.
 """
 
@@ -106,7 +106,7 @@ class BreakingBody:
         ramp: share of load and grip at a time; 1 by default.
 
     Attributes:
-        longest_step: Δt proven stable under any breaking (theory.md, C9).
+        longest_step: Δt proven stable under any breaking (theory, C9).
         stretch: critical stretch; None where bonds break by energy.
         exchange: sends for the displacement of nodes that another process moves, and gives what
             waits for it; None where none does.
@@ -245,7 +245,7 @@ def criterion(solid: BrittleSolid, body: LatticeBody) -> tuple[float | None, np.
 
 
 def energy_of_toughness(toughness: float, body: LatticeBody) -> float:
-    """The critical energy of a bond over its weight that has a toughness G_c (theory.md, C8)."""
+    """The critical energy of a bond over its weight that has a toughness G_c (theory, C8)."""
     return toughness / unit_bond_energy(body.classes)
 
 

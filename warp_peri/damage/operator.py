@@ -1,4 +1,4 @@
-"""The operator of a lattice body with broken bonds: matrix, forces and energies (theory.md, C1–C4).
+"""The operator of a lattice body with broken bonds: matrix, forces and energies (theory, C1–C4).
 
 The dilatation is plain: a sum over unbroken bonds with the weighted volume of the whole ball. So
 the energy is a sum of squares of stretches that any breaking leaves positive where K is positive.

@@ -1,7 +1,7 @@
 """Slow growth of cracks: the most stretched bond breaks first, one event after the other.
 
 The body is linear between events, so each state of damage has one load at which the next bond is at
-its limit; what a growing crack spends follows from the largest of them (theory.md, C7).
+its limit; what a growing crack spends follows from the largest of them (theory, C7).
 """
 
 from __future__ import annotations

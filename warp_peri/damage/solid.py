@@ -29,7 +29,7 @@ ROUNDING = 1e-12
 
 
 def check_breakable(model: Model, classes: BondClasses) -> None:
-    """Refuse a model whose bonds must not break (theory.md, C3).
+    """Refuse a model whose bonds must not break (theory, C3).
 
     Raises InputError with what positive and negative bonds across a line carry, for an influence
     function that changes sign on the lattice, or two of them.
@@ -158,7 +158,7 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=2):
         return self.model
 
     def longest_step(self, spacing: float) -> float:
-        """Time step on a lattice that is stable whatever breaks (theory.md, C9)."""
+        """Time step on a lattice that is stable whatever breaks (theory, C9)."""
         classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
         return breaking_time_step(self.model, classes, self.density)
 
@@ -191,7 +191,7 @@ def positive_kernel(model: Model, horizon: float) -> Model:
 
 
 def continuum_stretch(model: Model, toughness: float) -> float:
-    """s₀ of the continuum for a toughness G_c (theory.md, C5, V5), N. Trask and others 2019.
+    """s₀ of the continuum for a toughness G_c (theory, C5, V5), N. Trask and others 2019.
 
     In three dimensions G_c is energy over the area of the crack. λ = μ is the bond-based solid.
     """

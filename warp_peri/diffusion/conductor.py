@@ -57,7 +57,7 @@ class DiffusionGradient:
 
 
 class DiffusionOperator(OnPoints):
-    """−∇·κ∇φ, nonlocal, on the interior of a point set (theory.md, Di1).
+    """−∇·κ∇φ, nonlocal, on the interior of a point set (theory, Di1).
 
     Args:
         law: influence function and conductivity.

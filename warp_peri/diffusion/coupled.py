@@ -1,4 +1,4 @@
-"""Diffusion and mechanics that feel each other: σ = σ_mech + ε φ I (theory.md, Di5)."""
+"""Diffusion and mechanics that feel each other: σ = σ_mech + ε φ I (theory, Di5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A dressed solid on nodes that end, vary and break, at rest (theory.md, Dr1–Dr12, Dr23, Dr24)."""
+"""A dressed solid on nodes that end, vary and break, at rest (theory, Dr1–Dr12, Dr23, Dr24)."""
 
 from __future__ import annotations
 
@@ -291,7 +291,7 @@ class DressedBody(OnPoints):
     """L = Σ_a Gᵗ K_a G on the nodes of one body, K of the sites and strains that are there.
 
     Made by DressedSolid.on. No eigenvalue is negative and no rigid motion costs anything,
-    whatever is missing (theory.md, Dr10).
+    whatever is missing (theory, Dr10).
 
     Args:
         solid: the law.

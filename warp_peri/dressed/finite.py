@@ -1,4 +1,4 @@
-"""Dressed sheets at finite strain: numbers, force, equilibria and fit (theory.md, Dr14–Dr20)."""
+"""Dressed sheets at finite strain: numbers, force, equilibria and fit (theory, Dr14–Dr20)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dressed solids: numbers, and how fields, phonons and other laws teach them (theory.md, Dr)."""
+"""Dressed solids: numbers, and how fields, phonons and other laws teach them (theory, Dr)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
         certificate: what is proven of the symbol of the even solid; None where nothing was asked.
         provenance: how it came to be; plain JSON values.
         dilatation: weight of the bonds along the axes in θ, of a base of bonds; another than 1/8,
-            that of 1/r, is a second influence function (theory.md, Dr26).
+            that of 1/r, is a second influence function (theory, Dr26).
 
     Raises InputError for a base that is not known or that the moduli do not fit, and for steps and
     tensors that are none.
@@ -118,7 +118,7 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
 
     @cached_property
     def crystal(self) -> Crystal:
-        """The same law of the even solid as micromodulus tensors of larger range (theory.md, T)."""
+        """The same law of the even solid as micromodulus tensors of larger range (theory, T)."""
         K = self.parts.stencils
         if len(self.tensors) == 1:
             K = K.sum(axis=0, keepdims=True)
@@ -198,7 +198,7 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
         Args:
             points: lattice nodes with a collar as wide as the horizon, or periodic.
             edges: nodes end where the body does: strains and rows of G that would reach beyond it
-                are left out (theory.md, Dr9). A function of positions [n, d] says which of them lie
+                are left out (theory, Dr9). A function of positions [n, d] says which of them lie
                 inside; elements are integrated over what does (Dr23). Without it cut bonds are
                 refused.
             maps: modulus of each part over that of the even solid, by the part's name ("bulk",
@@ -529,7 +529,7 @@ class DressedFit:
 
 @dataclass(frozen=True)
 class Dressed:
-    """L = Gᵗ K G: a positive base, its short waves lifted to the atoms' by G (theory.md, Dr).
+    """L = Gᵗ K G: a positive base, its short waves lifted to the atoms' by G (theory, Dr).
 
     Attributes:
         base: "elements" (multilinear, any elastic tensor), or "bonds" (isotropic sheets, 1/r on

@@ -387,13 +387,13 @@ def effective(
     """The effective tensor of a period of elements whose moduli vary, and its local fields.
 
     Each load is a mean strain, met by conjugate gradients with the mean solid's inverse before
-    them. Iterations do not grow with the period, and with contrast as its root (theory.md, Dr27).
+    them. Iterations do not grow with the period, and with contrast as its root (theory, Dr27).
     Sources: H. Moulinec and P. Suquet, Comput. Methods Appl. Mech. Eng. 157, 1998; F. Willot,
     C. R. Mécanique 343, 2015; R. J. Leute et al., J. Comput. Phys. 453, 2022.
 
     Args:
         solid: a dressed body on a period, with maps or grains; or the moduli of P phases, Voigt's
-            matrices [P, 3, 3] or [P, 6, 6] [stress], or conductivities [P, d, d].
+            matrices [P, 3, 3] or [P, 6, 6], [stress]; or conductivities [P, d, d].
         phases: number of the phase of each element, [n₁, n₂] or [n₁, n₂, n₃]; of moduli alone.
         factors: > 0, on the moduli of each element, same shape; of moduli alone.
         spacing: side of an element [length]; a dressed body has its own.

@@ -1,4 +1,4 @@
-"""Positive bases, and forces of dressed bodies layer by layer (theory.md, Dr1–Dr4)."""
+"""Positive bases, and forces of dressed bodies layer by layer (theory, Dr1–Dr4)."""
 
 from __future__ import annotations
 

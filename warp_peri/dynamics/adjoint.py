@@ -1,4 +1,4 @@
-"""Waves of tensors: velocity Verlet with its discrete adjoint, from few states (theory.md, 49).
+"""Waves of tensors: velocity Verlet with its discrete adjoint, from few states (theory, 49).
 
 With kicks w_n = Δt/ρ, half of it at both ends, and v between the displacements,
 

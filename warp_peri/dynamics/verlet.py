@@ -1,6 +1,6 @@
 """Explicit dynamics ρ ü = b − L u on a lattice: velocity Verlet, its time step and its energy.
 
-The step is bounded by the symbol (theory.md, 49–51); the energy that leapfrog keeps is (52).
+The step is bounded by the symbol (theory, 49–51); the energy that leapfrog keeps is (52).
 """
 
 from __future__ import annotations
@@ -147,7 +147,7 @@ class Inert:
 
 
 def step(body: Inert, state: State, dt: float) -> State:
-    """One step of velocity Verlet (theory.md, 49): kick, drift, force, kick.
+    """One step of velocity Verlet (theory, 49): kick, drift, force, kick.
 
     Args:
         body: what moves.
@@ -200,7 +200,7 @@ def march(
 
     Returns:
         A motion whose time [ps] is half a step after each `every` steps, and whose energy is what
-        leapfrog conserves (theory.md, 52), a mean over interior nodes [TPa]. With `record` there
+        leapfrog conserves (theory, 52), a mean over interior nodes [TPa]. With `record` there
         is a history "u" too, [R, n, d]: the mean of the displacements around these times.
 
     Raises InputError for scattered points, arrays that do not fit, a step that is too long, which

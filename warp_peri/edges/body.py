@@ -1,4 +1,4 @@
-"""Bodies with free edges at rest, and its gradient to load and material (theory.md, B).
+"""Bodies with free edges at rest, and its gradient to load and material (theory, B).
 
 A kernel that changes sign does not bear families that an edge cuts. The operator stays where its
 families are whole; a rim along the outline is elasticity with the operator's own long-wave moduli.

@@ -1,4 +1,4 @@
-"""The lattice inside a body: laid into it, and its operator (theory.md, B4, B15)."""
+"""The lattice inside a body: laid into it, and its operator (theory, B4, B15)."""
 
 from __future__ import annotations
 

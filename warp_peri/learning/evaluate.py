@@ -1,4 +1,4 @@
-"""Errors of a model on data: equation residual and displacement (theory.md, 30–31)."""
+"""Errors of a model on data: equation residual and displacement (theory, 30–31)."""
 
 from __future__ import annotations
 

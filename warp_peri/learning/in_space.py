@@ -1,4 +1,4 @@
-"""The linear peridynamic solid learned from fields in space, on rows of tensors (theory.md, V7)."""
+"""The linear peridynamic solid learned from fields in space, on rows of tensors (theory, V7)."""
 
 from __future__ import annotations
 

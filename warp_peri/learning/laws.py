@@ -29,7 +29,7 @@ Sets = Samples | Dataset | Sequence[Samples]
 
 @dataclass(frozen=True)
 class LPS:
-    """The linear peridynamic solid, its influence function learned (theory.md, 4–9).
+    """The linear peridynamic solid, its influence function learned (theory, 4–9).
 
     Attributes:
         horizon: δ [Å], at least one spacing.
@@ -91,7 +91,7 @@ class LPS:
 
 @dataclass(frozen=True)
 class ThirdOrder:
-    """A linear solid with third-order elastic constants t3, tq2, q3 (theory.md, N1–N6).
+    """A linear solid with third-order elastic constants t3, tq2, q3 (theory, N1–N6).
 
     Attributes:
         linear: the linear solid, learned with them: by Optimum, of Bernstein polynomials, on

@@ -19,7 +19,7 @@ CONSTRAINTS = ("symbol", "dense")
 
 @dataclass(frozen=True)
 class Bernstein:
-    """Influence functions K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory.md, 4).
+    """Influence functions K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory, 4).
 
     Attributes:
         degree: M ≥ 0.
@@ -82,7 +82,7 @@ class TwoStage:
 class Constrained:
     """Adam and an augmented Lagrangian to the constrained optimum, which Optimum then checks.
 
-    Unlike Algorithm 1 in coordinates that suit its steps (theory.md, 28b), so that it arrives.
+    Unlike Algorithm 1 in coordinates that suit its steps (theory, 28b), so that it arrives.
 
     Attributes:
         seed: of the initial D.

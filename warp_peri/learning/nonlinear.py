@@ -1,4 +1,4 @@
-"""Learning nonlinear solids: the linear optimum with three more columns (theory.md, N11–N12)."""
+"""Learning nonlinear solids: the linear optimum with three more columns (theory, N11–N12)."""
 
 from __future__ import annotations
 

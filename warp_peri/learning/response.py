@@ -1,7 +1,7 @@
-"""The output-error loss and its optimum (theory.md, 38).
+"""The output-error loss and its optimum (theory, 38).
 
 With û the model's displacement at parameters c₀, L(c) û is affine in the products c of (17), and
-û − L₀⁻¹ (L(c) û − b) is the displacement at c to first order (theory.md, 38). Its misfit is a
+û − L₀⁻¹ (L(c) û − b) is the displacement at c to first order (theory, 38). Its misfit is a
 reduced least-squares problem again. Noise in u enters it as it is, not through a second derivative,
 and does not bias the fit.
 """

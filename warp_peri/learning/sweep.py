@@ -145,7 +145,7 @@ class Trial:
         horizon: δ [Å].
         degree: M.
         bonds: bonds of a family, which is what a sweep of the operator costs.
-        E_res_train: error of the equation (theory.md, 30) on the training set, a fraction.
+        E_res_train: error of the equation (theory, 30) on the training set, a fraction.
         E_u_train: error of the solved displacement (31) there.
         E_res_val: as E_res_train, on the validation set.
         E_u_val: as E_u_train, on the validation set.

@@ -1,4 +1,4 @@
-"""Training sets made ready once, in the units of the fit (theory.md, U1–U2).
+"""Training sets made ready once, in the units of the fit (theory, U1–U2).
 
 Nothing in a linear solid has a length or a stress of its own, but starts, steps, bounds and
 tolerances of a search are numbers. They are numbers of Å and TPa, or of units that follow the data

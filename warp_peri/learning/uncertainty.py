@@ -207,7 +207,7 @@ def fit_uncertainty(
 
     Samples of one `seed` (an array of the set) carry the same noise; without it each carries its
     own. Bands hold noise alone, no error of the model. Those of "output" and "corrected" are
-    calibrated (docs/noise.md); where noise hides the curvature of the corrected loss itself, they
+    calibrated (docs/archive/noise.md); where noise hides the curvature of the corrected loss itself, they
     are too narrow, and a warning says so. Noise pulls the "residual" loss to one side, by more than
     its bands are wide unless there is next to none: a warning says how far.
 
@@ -412,7 +412,7 @@ def _residual_pushes(sweep: _Sweep, *, estimated: bool) -> np.ndarray:
 
 
 def _squares_once(columns: np.ndarray, sweep: _Sweep) -> np.ndarray:
-    """The columns with squares of noise counted once (theory.md, 39).
+    """The columns with squares of noise counted once (theory, 39).
 
     A field put on a sample meets the noise that is there already: 2 eᵗM e′ has twice the variance
     of eᵗM e, which the sample itself has. Pairs of fields say how much of Cov that is.

@@ -64,9 +64,9 @@ class Bonds:
 
     Args:
         points: a lattice, or scattered points (spacing 0). Bonds to nodes outside are broken, and
-            the dilatation of nodes that had such bonds is corrected (theory.md, 40–41).
+            the dilatation of nodes that had such bonds is corrected (theory, 40–41).
         horizon: δ [Å].
-        bond_based: λ = μ without a dilatation (theory.md, 42).
+        bond_based: λ = μ without a dilatation (theory, 42).
         quadrature_degree: of the polynomials that the weights are exact for.
         precision: "float64" or "float32".
         device: where the arrays lie and the kernels run, as Warp names it: "cpu", "cuda:0". The
@@ -255,7 +255,7 @@ def check_volumes(bonds: Bonds, model: Model) -> None:
         if bad:
             where = "every node" if bonds.lattice else f"{bad} nodes"
             raise InputError(
-                f"influence function: its weighted volume m (theory.md, 5) is zero at {where}: "
+                f"influence function: its weighted volume m (theory, 5) is zero at {where}: "
                 f"positive and negative parts cancel to {np.abs(m).min() / size.max():.0e}"
             )
 

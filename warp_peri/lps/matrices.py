@@ -1,4 +1,4 @@
-"""The operator as sparse matrices: L = μ Γ − (λ−μ) Ψ Φ (theory.md, 11–13)."""
+"""The operator as sparse matrices: L = μ Γ − (λ−μ) Ψ Φ (theory, 11–13)."""
 
 from __future__ import annotations
 

@@ -57,7 +57,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """λ, μ, α and the Bernstein coefficients of the influence functions (theory.md, 4–9).
+    """λ, μ, α and the Bernstein coefficients of the influence functions (theory, 4–9).
 
     Numbers and arrays, or torch tensors with their gradients.
 
@@ -92,7 +92,7 @@ class Solid:
 
     @property
     def bond_based(self) -> bool:
-        """Whether λ = μ: then no dilatation enters (theory.md, 42), and a collar of δ is enough."""
+        """Whether λ = μ: then no dilatation enters (theory, 42), and a collar of δ is enough."""
         return bool(self.lam == self.mu)
 
     def values(self) -> tuple[Any, ...]:
@@ -116,7 +116,7 @@ LARGEST_MODULUS = 1e100
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Model(Record, format="warp_peri.model"):
-    """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory.md, 4–9, V1–V3).
+    """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory, 4–9, V1–V3).
 
     Attributes:
         lam: Lamé parameter λ [TPa].
@@ -222,7 +222,7 @@ class Model(Record, format="warp_peri.model"):
 
     @property
     def bond_based(self) -> bool:
-        """Whether λ = μ: no dilatation enters (theory.md, 42), and a collar of δ is enough."""
+        """Whether λ = μ: no dilatation enters (theory, 42), and a collar of δ is enough."""
         return self.solid.bond_based
 
     @property
@@ -426,7 +426,7 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndar
         terms = classes.count * kw * classes.r**2
         if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
             raise InputError(
-                "influence function: its weighted volume m (theory.md, 5) is zero on the lattice "
+                "influence function: its weighted volume m (theory, 5) is zero on the lattice "
                 f"of spacing {classes.spacing:g}: positive and negative parts cancel"
             )
         tables.append(model.mu * kw / terms.sum())
@@ -434,7 +434,7 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndar
 
 
 def lps_stencil(model: Model, spacing: float, *, degree: int = DEGREE) -> Stencil:
-    """The LPS on a lattice as a stencil of twice its range, exactly (theory.md, T17).
+    """The LPS on a lattice as a stencil of twice its range, exactly (theory, T17).
 
     Raises InputError as `stiffnesses` does, and for a spacing without bonds.
     """

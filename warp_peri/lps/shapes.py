@@ -1,4 +1,4 @@
-"""Influence functions of any shape: a callable of r with parameters to learn (theory.md, 59–60).
+"""Influence functions of any shape: a callable of r with parameters to learn (theory, 59–60).
 
     shape = InfluenceFunction(lambda r, width: np.exp(-((r / width) ** 2)), {"width": 8.0})
     fit = warp_peri.fit(samples, horizon=20.0, kernel=shape)
@@ -167,7 +167,7 @@ class InfluenceFunction:
         """Bernstein coefficients with α = 0, and how far they are off between the bond lengths.
 
         Least squares over distances down to half the shortest bond, the bond lengths themselves
-        held, with the first degree of DEGREES that is exact, or the last (theory.md, 60).
+        held, with the first degree of DEGREES that is exact, or the last (theory, 60).
 
         Args:
             lengths: bond lengths [Å], shape [R].

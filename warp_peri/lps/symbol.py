@@ -1,4 +1,4 @@
-"""The symbol of the LPS operator on the infinite lattice (theory.md, 18–21).
+"""The symbol of the LPS operator on the infinite lattice (theory, 18–21).
 
 With stiffnesses v_c = μ w_c of the deviatoric part and z_c = μ p_c of the dilatation [TPa/Å²],
 equal when both have one influence function, and κ = (λ−μ)/μ² [1/TPa], it is
@@ -101,7 +101,7 @@ def zone_wedge(spacing: float, intervals: int) -> np.ndarray:
 def long_wave_moduli(
     classes: BondClasses, v: np.ndarray, kappa: float
 ) -> tuple[float, float, float]:
-    """C11, C12, C44 [TPa] of the symbol at long waves (theory.md, 22), from fourth moments of v.
+    """C11, C12, C44 [TPa] of the symbol at long waves (theory, 22), from fourth moments of v.
 
     C44 = (c2/2) Σ v ξ₁²ξ₂²/r², C11 = (c2/2) Σ v ξ₁⁴/r² + λ − μ, C12 = C44 + λ − μ, with c2/2 = 8 of
     a sheet and 15 of a solid. The dilatation is exact on affine fields, hence the plain
@@ -116,7 +116,7 @@ def long_wave_moduli(
 
 
 def moduli(model: Model, classes: BondClasses) -> dict[str, float]:
-    """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory.md, 22)."""
+    """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory, 22)."""
     v, _, kappa = stiffnesses(model, classes)
     return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, v, kappa)))
 
@@ -125,7 +125,7 @@ def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
     """A(n) [TPa/Å²] along the lattice's own axes, shape [d, d] and d times 2R + 1, n = 0 central.
 
     Differentiable in the values of the solid that are float64 tensors. R is the reach of a family
-    in steps, or twice it with a dilatation; λ = μ has none (theory.md, 42).
+    in steps, or twice it with a dilatation; λ = μ has none (theory, 42).
     """
     solid = solid.map(lambda value: torch.as_tensor(value, dtype=torch.float64))
     lam, mu, alpha = (value.reshape(()) for value in (solid.lam, solid.mu, solid.alpha))

@@ -1,4 +1,4 @@
-"""Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory.md, T)."""
+"""Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory, T)."""
 
 from warp_peri.core.elastic import from_voigt
 from warp_peri.micromodulus.force_constants import Polar, from_calculator, read_force_constants

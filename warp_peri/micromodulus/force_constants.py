@@ -1,4 +1,4 @@
-"""Force constants of atoms, and the lattice they amount to when seen from nodes (theory.md, T14).
+"""Force constants of atoms, and the lattice they amount to when seen from nodes (theory, T14).
 
 Lengths in Å, energies in eV as every code of atoms has them; the stiffness of nodes in TPa/Å².
 """
@@ -55,7 +55,7 @@ DECAYED, NEGLECTED = 3.5, 36.0
 
 @dataclass(frozen=True, eq=False)
 class Polar:
-    """What waves of ions' displacement do through their electric field (theory.md, T18).
+    """What waves of ions' displacement do through their electric field (theory, T18).
 
     Attributes:
         born: effective charges of the atoms of a cell [e], shape [n, 3, 3]. Their mean is taken

@@ -1,4 +1,4 @@
-"""A crystal of micromodulus tensors: numbers, file, force on nodes (theory.md, T1–T8, T15, T17)."""
+"""A crystal of micromodulus tensors: numbers, file, force on nodes (theory, T1–T8, T15, T17)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Crystals learned from fields (theory.md, T7–T8)."""
+"""Crystals learned from fields (theory, T7–T8)."""
 
 from __future__ import annotations
 
@@ -258,7 +258,7 @@ class CrystalFit:
 
 @dataclass(frozen=True)
 class Micromodulus:
-    """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory.md, T).
+    """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory, T).
 
     Attributes:
         horizon: length of the longest bond.

@@ -1,4 +1,4 @@
-"""What fields say of a law, and least squares under equalities and cuts (theory.md, T7–T10)."""
+"""What fields say of a law, and least squares under equalities and cuts (theory, T7–T10)."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def _features(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
 
 
 def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
-    """The elastic tensor that the longest waves of fields have (theory.md, T10).
+    """The elastic tensor that the longest waves of fields have (theory, T10).
 
     Smooth test fields v that end before the nodes do see of a solid only its moduli:
     Σ b·v = −Σ u·div(C : grad v), linear in C. Long waves dominate both sides, whatever else the

@@ -1,4 +1,4 @@
-"""Crystals from their answers to waves, and reduced to a plane (theory.md, T9–T17)."""
+"""Crystals from their answers to waves, and reduced to a plane (theory, T9–T17)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every second node of a lattice: what a loose tolerance is answered on (theory.md, Q14, Q15)."""
+"""Every second node of a lattice: what a loose tolerance is answered on (theory, Q14, Q15)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Interpolation between points by local radial basis functions (theory.md, M6)."""
+"""Interpolation between points by local radial basis functions (theory, M6)."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def fitting_spacing(dense: float) -> float:
 
 
 def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = FOR_DATA) -> Samples:
-    """Fields at scattered nodes carried to a lattice, to learn from (theory.md, M6).
+    """Fields at scattered nodes carried to a lattice, to learn from (theory, M6).
 
     Args:
         samples: u and b at scattered nodes.

@@ -28,7 +28,7 @@ class Points(Shown):
         box: periods (Lx, Ly), or (Lx, Ly, Lz), along the axes [Å], more than twice the horizon and
             on a lattice whole multiples of the spacing; None when the points are not periodic.
         outside: nodes that are not part of the body, shape [N] bool, or None: they complete the
-            balls that the quadrature integrates over, and bonds to them are broken (theory.md,
+            balls that the quadrature integrates over, and bonds to them are broken (theory,
             40–42).
         units: names of the units of length and stress that these nodes and their fields are in.
         axis: angle [degrees] from the x axis of the nodes to the axis of the material, a crystal's

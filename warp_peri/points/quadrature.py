@@ -1,4 +1,4 @@
-"""Quadrature weights of families, exact on a singular reproducing space (theory.md, 7–8, V4)."""
+"""Quadrature weights of families, exact on a singular reproducing space (theory, 7–8, V4)."""
 
 from __future__ import annotations
 

@@ -203,7 +203,7 @@ def largest_wave_number(points: Samples) -> float | None:
     """Largest |k| [1/Å] of the samples' loads; None on scattered points or without loads.
 
     Of loads at wave vectors their own; of others the root mean square of |k| over the spectrum of
-    b, from differences of neighbouring nodes (theory.md, M1).
+    b, from differences of neighbouring nodes (theory, M1).
     """
     if WAVE_VECTOR in points.arrays:
         k = checked(WAVE_VECTOR, points.arrays[WAVE_VECTOR])

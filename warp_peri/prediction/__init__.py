@@ -1,4 +1,4 @@
-"""An answer with its error: the richest model is evaluated, and corrects (theory.md, Q1–Q15)."""
+"""An answer with its error: the richest model is evaluated, and corrects (theory, Q1–Q15)."""
 
 from warp_peri.prediction.answer import Answer, Guarantee, Quantity, force, mean, strain, stress
 from warp_peri.prediction.learning import Family

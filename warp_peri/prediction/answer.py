@@ -1,4 +1,4 @@
-"""What a prediction says: displacement, its error by origin, a guarantee (theory.md, Q4)."""
+"""What a prediction says: displacement, its error by origin, a guarantee (theory, Q4)."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class Answer(Shown):
     Attributes:
         u: displacement [length] on all nodes, shape [N, d].
         error: likely error of u on the interior over u, a fraction: with the factors as they were
-            calibrated nine of ten answers are closer (theory.md, Q4).
+            calibrated nine of ten answers are closer (theory, Q4).
         parts: the same by origin: left, waves, data, strain, noise, and axis where the direction of
             a crystal is not stated; error is the root of the sum of their squares.
         kept: whether the error is within the tolerance and nothing is uncovered.

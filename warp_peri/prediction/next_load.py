@@ -1,4 +1,4 @@
-"""Which loads tell most, designed or next (theory.md, Q11)."""
+"""Which loads tell most, designed or next (theory, Q11)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from warp_peri.transfer.lattice import dispersion, wave_vectors
 def mixed_waves(
     x: np.ndarray, box: tuple[float, ...] | np.ndarray, shortest: float, *, seed: int = 0
 ) -> np.ndarray:
-    """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory.md, Q10).
+    """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory, Q10).
 
     Args:
         x: positions [length], shape [N, 2].

@@ -1,4 +1,4 @@
-"""Answers of a family on points: members, their forces, the record of errors (theory.md, Q)."""
+"""Answers of a family on points: members, their forces, the record of errors (theory, Q)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A tolerance in, an answer with its error out (theory.md, Q1–Q5).
+"""A tolerance in, an answer with its error out (theory, Q1–Q5).
 
 The cheapest member is solved, the richest is evaluated, never solved: what its residual asks for is
 both the estimate and the improvement.

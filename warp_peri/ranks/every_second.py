@@ -1,4 +1,4 @@
-"""Every second node of a lattice in tiles on many ranks (theory.md, Q14, Q15).
+"""Every second node of a lattice in tiles on many ranks (theory, Q14, Q15).
 
 Splines are made tile by tile, with nodes of others around it, so far that what lies beyond them is
 below rounding: they have the same bits on any number of ranks.

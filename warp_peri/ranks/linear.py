@@ -1,6 +1,6 @@
 """Linear bodies at rest on many ranks, on a lattice in tiles and on scattered points.
 
-Of scattered points the system is Tᵗ L T u = Tᵗ b (theory.md, M7). A rank assembles the rows of its
+Of scattered points the system is Tᵗ L T u = Tᵗ b (theory, M7). A rank assembles the rows of its
 own nodes, from all nodes that these feel; conjugate gradients are preconditioned by the inverse of
 the diagonal, which is right for short waves, and by multigrid on a coarse lattice for
 long ones (R4).

@@ -1,4 +1,4 @@
-"""Stencils on tiles, and what nearly inverts them: a filter and multigrid (theory.md, R1, R2).
+"""Stencils on tiles, and what nearly inverts them: a filter and multigrid (theory, R1, R2).
 
 A tile has nodes of others around it and its own transform; none crosses ranks, and a tile's has the
 same bits on any number of them.
@@ -110,7 +110,7 @@ def inverse_filter(
     """The inverse of D + SHIFT G p(k) at short range, beside multigrid: its width and symbol.
 
     The kernel of the inverse times a window; with Hann's the symbol is looked at, with Bartlett's,
-    whose transform is not negative, it is positive whatever the symbol (theory.md, R2). Cut off
+    whose transform is not negative, it is positive whatever the symbol (theory, R2). Cut off
     without a window it would not be.
     """
     width = WIDTH[steps.shape[1]]

@@ -1,6 +1,6 @@
 """The processes that mpiexec started: who speaks, how an error ends all, and sums over all nodes.
 
-Sums have the same bits however the nodes lie on ranks (theory.md, R3).
+Sums have the same bits however the nodes lie on ranks (theory, R3).
 """
 
 from __future__ import annotations

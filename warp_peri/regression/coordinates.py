@@ -1,4 +1,4 @@
-"""Numbers of a solid while they are learned, and coordinates of the optimum (theory.md, 26–28).
+"""Numbers of a solid while they are learned, and coordinates of the optimum (theory, 26–28).
 
 A kernel r^(−α) Σ D_k B_k,M gives every bond class of every lattice a table entry K W. Only the span
 of these tables can be told apart; its coordinates q take the place of D, and the scale of K falls
@@ -294,7 +294,7 @@ where it changes the stiffnesses by more than the second, relative to the one th
 
 
 class ShapeCoordinates:
-    """y = (κ, size a of K, parameters of the shape); stiffnesses v = a K W (theory.md, 59).
+    """y = (κ, size a of K, parameters of the shape); stiffnesses v = a K W (theory, 59).
 
     μ = Σ n r² v is no coordinate, so that a search may pass where the weighted volume is zero.
 
@@ -317,7 +317,7 @@ class ShapeCoordinates:
             terms = sigma * classes.weight * shape(classes.r)
             if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
                 raise InputError(
-                    f"influence '{shape.name}': its weighted volume (theory.md, 5) is zero on the "
+                    f"influence '{shape.name}': its weighted volume (theory, 5) is zero on the "
                     f"lattice of spacing {classes.spacing:g} with {dict(shape.parameters)}"
                 )
 

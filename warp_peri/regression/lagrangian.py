@@ -1,4 +1,4 @@
-"""The constrained optimum by Adam and an augmented Lagrangian (theory.md, 28b).
+"""The constrained optimum by Adam and an augmented Lagrangian (theory, 28b).
 
 Conditions have slacks as in Algorithm 1 of You et al. (2021): m(y) − ϖ² = 0. Adam works in
 coordinates x in which the curvature of the Lagrangian, as Gauss and Newton take it, is one in each

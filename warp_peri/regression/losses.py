@@ -1,7 +1,7 @@
-"""The loss of a fit: full, reduced to few rows, and without its noise (theory.md, 10–17, 36–37).
+"""The loss of a fit: full, reduced to few rows, and without its noise (theory, 10–17, 36–37).
 
 With the weights w_c = K(r_c) W_c / m of each bond class, the residual is affine in the products
-μ w_c and (λ−μ) w_c w_d (theory.md, 14–17). One sweep of the data and a QR factorisation give
+μ w_c and (λ−μ) w_c w_d (theory, 14–17). One sweep of the data and a QR factorisation give
 ‖L u − b‖² over all samples and nodes as ‖R c‖².
 """
 
@@ -265,7 +265,7 @@ def corrected(loss: ReducedLoss, R_noise: np.ndarray) -> ReducedLoss:
     """The loss less what the noise adds to it: a square and a constant, both not below zero.
 
     Loads carry no noise, so that ‖F c + l‖² − ‖R_e c‖² is a quadratic form of the products c that
-    has the minimum of ‖√(1−ν) Vᵗ F c + (1−ν)^(−½) Uᵗ l‖² (theory.md, 37). Directions of which
+    has the minimum of ‖√(1−ν) Vᵗ F c + (1−ν)^(−½) Uᵗ l‖² (theory, 37). Directions of which
     less than KNOWN is not noise count nothing. No squares are subtracted, so that digits are kept.
     """
     load, width = loss.R[:, -1], loss.R.shape[1] - 1

@@ -1,4 +1,4 @@
-"""Stage 3: the optimum that the conditions allow, by cutting planes (theory.md, 26–28)."""
+"""Stage 3: the optimum that the conditions allow, by cutting planes (theory, 26–28)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""min ‖r(θ)‖² with e(θ) = 0 and m(θ) ≥ 0 by Gauss–Newton steps (theory.md, 26–28).
+"""min ‖r(θ)‖² with e(θ) = 0 and m(θ) ≥ 0 by Gauss–Newton steps (theory, 26–28).
 
 Each step is a least squares under equalities, which are solved for, and inequalities, by the dual,
 a problem of non-negative ones (Lawson and Hanson 1974, chapter 23).

@@ -1,4 +1,4 @@
-"""From atoms to nodes: smoothed displacement and body force (theory.md, equations 1–3, 3a).
+"""From atoms to nodes: smoothed displacement and body force (theory, equations 1–3, 3a).
 
 And fields on nodes as others left them, in .mat files.
 """

@@ -1,4 +1,4 @@
-"""What is proven of a solid on lattices, and of a model on one domain (theory.md, 20–25)."""
+"""What is proven of a solid on lattices, and of a model on one domain (theory, 20–25)."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def definite_factors(matrix: sp.sparray | sp.spmatrix) -> Any:
 
 
 class MatrixProblem:
-    """L u = b on the unknown nodes, u given on the collar (theory.md, 29).
+    """L u = b on the unknown nodes, u given on the collar (theory, 29).
 
     Args:
         L: the rows of the operator that belong to unknowns, of d components a node [TPa/Å²]:

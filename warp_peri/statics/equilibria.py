@@ -2,7 +2,7 @@
 
 u ← u + L₀⁻¹ (b − f(u)), L₀ the solid at rest, whose inverse is all that is asked of a material
 beside its force. The last steps are mixed (D. G. Anderson, 1965). Where that stalls, clipped
-gradients make it a contraction if a strain is proven (theory.md, N13–N15); then Newton's method
+gradients make it a contraction if a strain is proven (theory, N13–N15); then Newton's method
 with GMRES on the same preconditioned residual; then the load in parts.
 """
 

@@ -1,4 +1,4 @@
-"""A stencil on the nodes of one body: its products, and what inverts it (theory.md, T15).
+"""A stencil on the nodes of one body: its products, and what inverts it (theory, T15).
 
 L_II is a block of the operator of a torus, so the smallest eigenvalue of that operator's symbol
 bounds it from below: above zero, conjugate gradients find the one answer.

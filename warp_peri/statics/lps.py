@@ -114,7 +114,7 @@ class PlacedLPS(LPSOperator):
     def rest(
         self, b: Any, u: Any, solver: Solver = None, *, parameters: Numbers | None = None
     ) -> Solution:
-        """Equilibrium with b on the interior, u given on the collar (theory.md, 29).
+        """Equilibrium with b on the interior, u given on the collar (theory, 29).
 
         Args:
             b: body force density [TPa/Å], shape [N, d] or [S, N, d]; only interior values count.
@@ -397,7 +397,7 @@ def refuse_indefinite(
 
     On plain lattices by the symbol, and where that proves nothing by the smallest eigenvalue. Where
     bonds are broken, its symmetric part decides: a kernel that changes sign seldom bears that
-    (theory.md, B9). Elsewhere nothing is asked.
+    (theory, B9). Elsewhere nothing is asked.
 
     Args:
         points: the nodes.

@@ -255,7 +255,7 @@ def force_constants(
             at half whose width a displaced atom's forces have ended.
 
     A calculator that gives Born charges (ASE's `born_effective_charges` and `dielectric_tensor`)
-    has the field of its ions in every wave, in any supercell (theory.md, T18).
+    has the field of its ions in every wave, in any supercell (theory, T18).
 
     Raises InputError for repeats that are not three counts, a crystal with imaginary phonons, Born
     charges of a sheet, or without the dielectric tensor.

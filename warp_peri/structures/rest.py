@@ -456,7 +456,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     supercell then is that of SPOSCAR, or the most even one with as many atoms, which is warned of.
     Force constants are brought to what space group, exchange of atoms, translations and rotations
     ask, and how far they move is their error. With Born charges the field of the ions is part of
-    every wave (theory.md, T18); a solid of several elements without BORN is warned of.
+    every wave (theory, T18); a solid of several elements without BORN is warned of.
 
     Args:
         path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one

@@ -1,1 +1,1 @@
-"""A linear solid with third-order elastic constants (theory.md, N)."""
+"""A linear solid with third-order elastic constants (theory, N)."""

@@ -1,4 +1,4 @@
-"""A third-order crystal learned by one least squares (theory.md, N28–N29)."""
+"""A third-order crystal learned by one least squares (theory, N28–N29)."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class NonlinearFeatures:
 
 
 def long_wave_equations(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """What long waves say of λ, μ and, beside them, t3, tq2 and q3 (theory.md, 28a).
+    """What long waves say of λ, μ and, beside them, t3, tq2 and q3 (theory, 28a).
 
     An axis that is not stated is taken along x: λ and μ hardly feel it.
 

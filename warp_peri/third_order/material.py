@@ -1,4 +1,4 @@
-"""A linear solid with third-order elastic constants, and its files (theory.md, N1–N6, N22–N25).
+"""A linear solid with third-order elastic constants, and its files (theory, N1–N6, N22–N25).
 
 Of sheets whose long waves are isotropic: crystals with three- or sixfold axes, as graphene. The
 linear part is an LPS, or a crystal of micromodulus tensors.
@@ -48,7 +48,7 @@ Solid = TypeVar("Solid", bound="ThirdOrderSolid")
 
 
 class ThirdOrderSolid(OnLinear):
-    """A linear solid and the energy Ψ of a displacement gradient (theory.md, N1–N6).
+    """A linear solid and the energy Ψ of a displacement gradient (theory, N1–N6).
 
     Attributes:
         linear: the linear solid, which is the tangent at zero; the λ and μ of its long waves are
@@ -129,14 +129,14 @@ class ThirdOrderSolid(OnLinear):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class NonlinearModel(ThirdOrderSolid, format="warp_peri.model", kind="nonlinear"):
-    """A linear peridynamic solid and the energy Ψ of a displacement gradient (theory.md, N1–N6).
+    """A linear peridynamic solid and the energy Ψ of a displacement gradient (theory, N1–N6).
 
     Attributes:
         linear, t3, tq2, q3: as of ThirdOrderSolid.
         smoothing: of the data, for the filtered form; None for the energy form, whose gradient and
             force have the weights of the linear dilatation.
         gradient: weights by bond class [1/Å²] of the gradient and the force of an energy form that
-            was transferred to another lattice (theory.md, N21); None for those of the dilatation.
+            was transferred to another lattice (theory, N21); None for those of the dilatation.
         proven: figures of the guarantee of uniqueness, by spacing.
         errors: on data sets, by name.
         provenance: of the data and the fit.

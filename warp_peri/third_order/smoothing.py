@@ -1,4 +1,4 @@
-"""Bond weights that undo, or redo, the smoothing of the data (theory.md, N6)."""
+"""Bond weights that undo, or redo, the smoothing of the data (theory, N6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Up to which gradient a nonlinear solid has one solution, proven (theory.md, N13–N17).
+"""Up to which gradient a nonlinear solid has one solution, proven (theory, N13–N17).
 
 With stresses of gradients projected to |H| ≤ ε, u ← u + L_LPS⁻¹ (b − L u) contracts in the energy
 norm of the linear solid by C(ε) κ_in κ_out. C bounds Ψ″ on the ball, κ_p² the ratio of |h_p(k)|² to

@@ -1,4 +1,4 @@
-"""Soft tissue: hyperelastic sheets, learned from loads or from displacement (theory.md, H)."""
+"""Soft tissue: hyperelastic sheets, learned from loads or from displacement (theory, H)."""
 
 from warp_peri.tissue.energy_fit import EnergyFit, shortest_margin
 from warp_peri.tissue.equilibrium import Equilibrium, NoEquilibrium

@@ -39,7 +39,7 @@ KINDS = {
     "mooney": 17,
     "yeoh": 18,
 }
-"""Strain energies Φ(E) by number; docs/theory.md lists them in (H5)."""
+"""Strain energies Φ(E) by number; docs/theory lists them in (H5)."""
 NAMED = {number: kind for kind, number in KINDS.items()}
 FIBRES = ("fibre_power", "fibre_exponential")
 STEPPING = ("trace", "shear", "along", *FIBRES)

@@ -33,7 +33,7 @@ def on_lattice(
     shortest_wave: float | None = None,
     largest_horizon: float | None = None,
 ) -> Model:
-    """The same material on another square lattice, certified there (theory.md, M2–M5).
+    """The same material on another square lattice, certified there (theory, M2–M5).
 
     As new_lattice, which says what the arguments are and what is raised; the second call finds the
     result in a folder beside the model's file, or in the user's cache where that cannot be

@@ -1,4 +1,4 @@
-"""Points that are no lattice, and the certified lattice that carries them (theory.md, M6–M7)."""
+"""Points that are no lattice, and the certified lattice that carries them (theory, M6–M7)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A model on another lattice: a fit to its own waves, proven there (theory.md, M2–M7)."""
+"""A model on another lattice: a fit to its own waves, proven there (theory, M2–M7)."""
 
 from __future__ import annotations
 
@@ -138,7 +138,7 @@ def new_lattice(
     shortest_wave: float | None = None,
     largest_horizon: float | None = None,
 ) -> Model:
-    """The same material on another square lattice, certified there (theory.md, M2–M5).
+    """The same material on another square lattice, certified there (theory, M2–M5).
 
     The kernel is fitted to the dispersion D₀(k) of the model on the nearest lattice that it is
     certified on, with the conditions of a fit kept; no data are needed. A coarser, a finer, or the

@@ -23,7 +23,7 @@ from warp_peri.transfer.carrier import Carrier
 
 
 class LPSOperator(NodeOperator):
-    """The operator of a model's material on points of any kind (theory.md, M2–M7).
+    """The operator of a model's material on points of any kind (theory, M2–M7).
 
     On a lattice ``op(u)`` is L u [TPa/Å] of the model there, on interior nodes; in equilibrium it
     is b. On scattered points it is Tᵗ L T u, symmetric and definite, and in equilibrium Tᵗ b: a

@@ -1,4 +1,4 @@
-"""One influence function for many lattices, to be carried to other codes (theory.md, M8)."""
+"""One influence function for many lattices, to be carried to other codes (theory, M8)."""
 
 from __future__ import annotations
 
