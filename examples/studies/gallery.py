@@ -3,9 +3,9 @@
     python examples/studies/gallery.py
 
 Collects what the other examples left in runs/, draws the stress of a held-out disk from exported
-fields, and writes docs/gallery.md, docs/archive/gallery.md and docs/gallery/. Figures that other pages show stay where they
-are. A missing figure is named with its command, and nothing is written. Needs meshio (the extra
-`export`).
+fields, and writes docs/gallery.md, docs/archive/gallery.md and docs/gallery/. Figures that other
+pages show stay where they are. A missing figure is named with its command, and nothing is written.
+Needs meshio (the extra `export`).
 """
 
 import io
