@@ -3,7 +3,7 @@
 The plate is 100 × 40 mm, E 72 GPa, ρ 2440 kg/m³, G_c 135 J/m², pulled at 12 MPa; SI units. Also
 Kalthoff and Winkler's plate with two notches that a projectile hits between them (--kalthoff);
 cracks like some directions of the lattice, so --turn shows what is the lattice's part. Under
-mpiexec the plate is spread over ranks, with the same bits (docs/ranks.md).
+mpiexec the plate is spread over ranks, with the same bits (docs/how-to/ranks.md).
 """
 
 import json

@@ -39,7 +39,7 @@ UNTRIED = {
     "which_law": "a table of times; its laws are those of tests/conformance",
 }
 """Scripts that no test runs, and why; here only their --help."""
-CHEAP = ("how-to/arrays", "how-to/influence", "export")
+CHEAP = ("how-to/arrays", "how-to/influence", "how-to/paraview")
 """Pages whose commands take a second; the others are slow."""
 
 
@@ -167,9 +167,9 @@ def of_dumps(folder):
 GIVEN = {
     "how-to/arrays": of_arrays,
     "how-to/calculators": of_atoms,
+    "how-to/free_edges": of_bodies,
     "how-to/influence": of_any,
-    "bodies": of_bodies,
-    "export": of_any,
+    "how-to/paraview": of_any,
     "gallery": of_gallery,
     "tutorials/crystal": of_atoms,
     "tutorials/dumps": of_dumps,

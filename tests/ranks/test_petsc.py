@@ -16,7 +16,8 @@ from warp_peri.ranks import lattice, petsc
 
 COUNTS = (1, 2, 3)
 built = pytest.mark.skipif(
-    find_spec("petsc4py") is None, reason="petsc4py is not built here: docs/ranks.md says how"
+    find_spec("petsc4py") is None,
+    reason="petsc4py is not built here: docs/archive/ranks.md says how",
 )
 
 

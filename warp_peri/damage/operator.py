@@ -22,7 +22,7 @@ from warp_peri.points.families import BondClasses
 
 PAIR = 2
 """Nodes that the recorded sweeps take at a time. Two threads pay from 4000 nodes on, see
-docs/cracks.md."""
+docs/archive/cracks.md."""
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:

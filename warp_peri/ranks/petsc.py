@@ -38,12 +38,13 @@ def petsc() -> Any:
         from petsc4py import PETSc
     except ImportError as error:
         raise InputError(
-            f"preconditioner: petsc needs petsc4py, which is built as docs/ranks.md says ({error})"
+            "preconditioner: petsc needs petsc4py, which is built as docs/archive/ranks.md says "
+            f"({error})"
         ) from None
     if comm.size != PETSc.COMM_WORLD.size:
         raise InputError(
             f"preconditioner: petsc sees {PETSc.COMM_WORLD.size} of {comm.size} ranks; petsc4py "
-            "was built without MPI, or with another (docs/ranks.md)"
+            "was built without MPI, or with another (docs/archive/ranks.md)"
         )
     return PETSc
 

@@ -53,7 +53,7 @@ class Krylov:
     Attributes:
         preconditioner: "sine" for boxes of nodes, "multigrid" for any nodes, "strip" where λ ≫ μ;
             None chooses. On ranks "multigrid", or "petsc" for a coarse problem by PETSc
-            (docs/ranks.md).
+            (docs/archive/ranks.md).
         tolerance: true residual over right-hand side.
 
     Raises InputError for another preconditioner, or a tolerance outside (0, 1).
