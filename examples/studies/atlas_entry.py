@@ -53,10 +53,10 @@ def entry(
 def filled(name: str, numbers: Mapping[str, Any]) -> Words:
     """atlas/NAME.md with its measurements: the study, a line ---, what readers need."""
     template = Path(__file__).parent / "atlas" / f"{name}.md"
-    study, brief = fill(template, **numbers).rstrip("\n").split("\n\n---\n\n")
-    title, *study_parts = study.split("\n\n", 2)
-    heading, *brief_parts = brief.split("\n\n", 2)
-    return Words(title.removeprefix("# "), *study_parts, heading.removeprefix("## "), *brief_parts)
+    study, short = fill(template, **numbers).rstrip("\n").split("\n\n---\n\n")
+    title, number, text = study.split("\n\n", 2)
+    heading, row, brief = short.split("\n\n", 2)
+    return Words(title.removeprefix("# "), number, text, heading.removeprefix("## "), row, brief)
 
 
 def words(run: Callable[[], Any]) -> str:

@@ -220,7 +220,7 @@ def sheet_with_a_crack(ax: Axes) -> None:
     x = np.stack(np.meshgrid(np.linspace(-0.9, 0.9, 9), np.linspace(-0.5, 0.5, 5)), -1)
     x = x.reshape(-1, 2)
     x[:, 1] += np.where(x[:, 0] < 0.1, 0.09 * np.sign(x[:, 1] + 0.1), 0)
-    ax.scatter(*x.T, s=7, color=NODE, linewidths=0)
+    ax.scatter(x[:, 0], x[:, 1], s=7, color=NODE, linewidths=0)
     ax.plot([-1, -0.4, 0.1], [-0.13, -0.1, -0.13], color=FORCE, linewidth=1.4)
 
 
@@ -232,7 +232,7 @@ def sheet_of_grains(ax: Axes) -> None:
         i, j = np.meshgrid(np.arange(-6, 7), np.arange(-6, 7))
         x = i.reshape(-1, 1) * step + j.reshape(-1, 1) * across + [corner + 0.5, 0]
         x = x[(np.abs(x - [corner + 0.5, 0]) < [0.46, 0.55]).all(axis=1)]
-        ax.scatter(*x.T, s=5, color=NODE if corner else FORCE, linewidths=0)
+        ax.scatter(x[:, 0], x[:, 1], s=5, color=NODE if corner else FORCE, linewidths=0)
 
 
 def softening_stress(ax: Axes) -> None:
@@ -260,7 +260,7 @@ def family_in_a_circle(ax: Axes) -> None:
     near = np.hypot(*x.T) <= 0.5
     for node in x[near]:
         ax.plot([0, node[0]], [0, node[1]], color=FORCE, linewidth=0.5)
-    ax.scatter(*x.T, s=5, color=NODE, linewidths=0)
+    ax.scatter(x[:, 0], x[:, 1], s=5, color=NODE, linewidths=0)
     ax.add_patch(Circle((0, 0), 0.52, fill=False, color=FORCE, linewidth=1.1))
 
 
@@ -332,10 +332,10 @@ def cut_family(ax: Axes, model: wp.Model) -> None:
     low = weight < 0
     for bond, negative in zip(classes.xi / H, low, strict=True):
         there = bond[1] <= 2
-        style = {"color": FORCE if negative else NODE, "linewidth": 1.3 if there else 0.6}
-        ax.plot([0, bond[0]], [0, bond[1]], linestyle="-" if there else ":", **style)
+        (line,) = ax.plot([0, bond[0]], [0, bond[1]], "-" if there else ":")
+        line.set(color=FORCE if negative else NODE, linewidth=1.3 if there else 0.6)
     nodes = np.stack(np.meshgrid(np.arange(-5, 6), np.arange(-4, 3)), -1).reshape(-1, 2)
-    ax.scatter(*nodes.T, s=6, color="0.45", linewidths=0, zorder=3)
+    ax.scatter(nodes[:, 0], nodes[:, 1], s=6, color="0.45", linewidths=0, zorder=3)
     ax.axhline(2.4, color="k", linewidth=1.4)
     ax.add_patch(Circle((0, 0), 4.15, fill=False, color="0.5", linewidth=0.8))
     ax.text(0, 5.0, "free edge, bonds missing", ha="center", va="center")
@@ -408,9 +408,8 @@ def waves_proven(data: wp.Dataset, path: Path) -> None:
     figure.subplots_adjust(0.09, 0.16, 0.935, 0.89)
     ax.axhspan(-9, 0, color=FORCE, alpha=0.12, linewidth=0)
     ax.axhline(0, color="0.4", linewidth=0.8)
-    values = {"with conditions": (kept, NODE), "without conditions": (loose, FORCE)}
     low = high = 0.0
-    for name, (model, colour) in values.items():
+    for model, colour in ((kept, NODE), (loose, FORCE)):
         stiffness = softest(model, k)
         ax.plot(way, stiffness, color=colour)
         low, high = min(low, stiffness.min()), max(high, stiffness.max())
@@ -418,7 +417,8 @@ def waves_proven(data: wp.Dataset, path: Path) -> None:
     ax.text(way[272], 0.8 * low, "without conditions", color=FORCE)
     ax.text(0.05, 0.6 * low, "unstable", color=FORCE, weight="bold")
     ticks = way[[0, 119, 239, 359]]
-    names = ("long waves", "edge of the zone\n(10 Å, along an axis)", "corner\n(7 Å, diagonal)", "long waves")
+    edge, corner = "edge of the zone\n(10 Å, along an axis)", "corner\n(7 Å, diagonal)"
+    names = ("long waves", edge, corner, "long waves")
     ax.set_xticks(ticks, names)
     ax.set(ylabel="smallest stiffness [TPa]", xlim=(0, way[-1]), ylim=(1.15 * low, 1.15 * high))
     ax.set_title("Conditions keep every wave stable", fontsize=9)
@@ -488,7 +488,9 @@ def error_bar(data: wp.Dataset, path: Path) -> None:
     disk = data["test"]
     inside, truth = disk.points.interior, disk.u[0]
     collar = np.where(inside[:, None], 0.0, truth)
-    answer = wp.predict(family, wp.Dirichlet(disk.points, disk.b[0], collar), tolerance=None)
+    answer: Any = wp.predict(
+        family, wp.Dirichlet(disk.points, disk.loads[0], collar), tolerance=None
+    )
     line = np.flatnonzero(inside & (np.abs(disk.x[:, 1]) < 1e-6))
     line = line[np.argsort(disk.x[line, 0])]
     x = disk.x[line, 0]
