@@ -1,5 +1,6 @@
 """One entry of the stability atlas: what fails, a number, a figure, and what a user would see."""
 
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from matplotlib.figure import Figure
 
 from examples.prose import fill
 from warp_peri import InputError, Points
+
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @dataclass(frozen=True)
@@ -53,10 +56,21 @@ def entry(
 def filled(name: str, numbers: Mapping[str, Any]) -> Words:
     """atlas/NAME.md with its measurements: the study, a line ---, what readers need."""
     template = Path(__file__).parent / "atlas" / f"{name}.md"
-    study, brief = fill(template, **numbers).rstrip("\n").split("\n\n---\n\n")
-    title, *study_parts = study.split("\n\n", 2)
-    heading, *brief_parts = brief.split("\n\n", 2)
-    return Words(title.removeprefix("# "), *study_parts, heading.removeprefix("## "), *brief_parts)
+    study, short = fill(template, **numbers).rstrip("\n").split("\n\n---\n\n")
+    title, number, text = study.split("\n\n", 2)
+    heading, row, brief = as_read(short).split("\n\n", 2)
+    return Words(title.removeprefix("# "), number, text, heading.removeprefix("## "), row, brief)
+
+
+def as_read(text: str) -> str:
+    """Percent and powers of ten as pages print them: 13 %, 1.9·10⁵."""
+    text = re.sub(r"(?<=\d)%", " %", text)
+    text = re.sub(
+        r"(?<=\d)e([-+])0*(\d+)",
+        lambda found: "·10" + f"{found[1].strip('+')}{found[2]}".translate(RAISED),
+        text,
+    )
+    return re.sub(r"(?<![\d.])1·10", "10", text)
 
 
 def words(run: Callable[[], Any]) -> str:

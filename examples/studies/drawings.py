@@ -1,11 +1,14 @@
 """Drawings that explain: from atoms to an answer; interior, collar and horizon; which model
-when; why the influence function changes sign; what an error bar says.
+when; speed against accuracy; why the influence function changes sign; what is proven; what an
+error bar says.
 
 The first three are sketches, but the disk of the first is computed: docs/disk.png, by
-`make graphene`. The last two show data: graphene's, with models that are fitted here in seconds.
+`make graphene`. The others show data: speed against accuracy as the library keeps it, and
+graphene's waves and disks, with models that are fitted here in seconds.
 """
 
 import argparse
+import json
 import sys
 import warnings
 from collections.abc import Callable
@@ -25,12 +28,14 @@ from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, Polygon, Rectan
 
 import warp_peri as wp
 from examples.studies.atlas_cracks import SHARES, negative_as_broken
+from examples.studies.atlas_kernels import unconstrained
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from warp_peri.damage import lattice_body, positive_kernel, rectangle
 from warp_peri.damage.operator import bond_weights
 from warp_peri.methods import Optimum, Smoothing
 from warp_peri.points.families import bond_classes
 from warp_peri.prediction import Family
+from warp_peri.regression.losses import reduce, sample_weights
 
 DOCS = Path(__file__).resolve().parent.parent.parent / "docs"
 ATOM, NODE, FORCE, GOOD = "0.55", "#1f4e79", "#b5382a", "#2e7d32"
@@ -215,7 +220,7 @@ def sheet_with_a_crack(ax: Axes) -> None:
     x = np.stack(np.meshgrid(np.linspace(-0.9, 0.9, 9), np.linspace(-0.5, 0.5, 5)), -1)
     x = x.reshape(-1, 2)
     x[:, 1] += np.where(x[:, 0] < 0.1, 0.09 * np.sign(x[:, 1] + 0.1), 0)
-    ax.scatter(*x.T, s=7, color=NODE, linewidths=0)
+    ax.scatter(x[:, 0], x[:, 1], s=7, color=NODE, linewidths=0)
     ax.plot([-1, -0.4, 0.1], [-0.13, -0.1, -0.13], color=FORCE, linewidth=1.4)
 
 
@@ -227,7 +232,7 @@ def sheet_of_grains(ax: Axes) -> None:
         i, j = np.meshgrid(np.arange(-6, 7), np.arange(-6, 7))
         x = i.reshape(-1, 1) * step + j.reshape(-1, 1) * across + [corner + 0.5, 0]
         x = x[(np.abs(x - [corner + 0.5, 0]) < [0.46, 0.55]).all(axis=1)]
-        ax.scatter(*x.T, s=5, color=NODE if corner else FORCE, linewidths=0)
+        ax.scatter(x[:, 0], x[:, 1], s=5, color=NODE if corner else FORCE, linewidths=0)
 
 
 def softening_stress(ax: Axes) -> None:
@@ -255,7 +260,7 @@ def family_in_a_circle(ax: Axes) -> None:
     near = np.hypot(*x.T) <= 0.5
     for node in x[near]:
         ax.plot([0, node[0]], [0, node[1]], color=FORCE, linewidth=0.5)
-    ax.scatter(*x.T, s=5, color=NODE, linewidths=0)
+    ax.scatter(x[:, 0], x[:, 1], s=5, color=NODE, linewidths=0)
     ax.add_patch(Circle((0, 0), 0.52, fill=False, color=FORCE, linewidth=1.1))
 
 
@@ -327,10 +332,10 @@ def cut_family(ax: Axes, model: wp.Model) -> None:
     low = weight < 0
     for bond, negative in zip(classes.xi / H, low, strict=True):
         there = bond[1] <= 2
-        style = {"color": FORCE if negative else NODE, "linewidth": 1.3 if there else 0.6}
-        ax.plot([0, bond[0]], [0, bond[1]], linestyle="-" if there else ":", **style)
+        (line,) = ax.plot([0, bond[0]], [0, bond[1]], "-" if there else ":")
+        line.set(color=FORCE if negative else NODE, linewidth=1.3 if there else 0.6)
     nodes = np.stack(np.meshgrid(np.arange(-5, 6), np.arange(-4, 3)), -1).reshape(-1, 2)
-    ax.scatter(*nodes.T, s=6, color="0.45", linewidths=0, zorder=3)
+    ax.scatter(nodes[:, 0], nodes[:, 1], s=6, color="0.45", linewidths=0, zorder=3)
     ax.axhline(2.4, color="k", linewidth=1.4)
     ax.add_patch(Circle((0, 0), 4.15, fill=False, color="0.5", linewidth=0.8))
     ax.text(0, 5.0, "free edge, bonds missing", ha="center", va="center")
@@ -378,6 +383,98 @@ def sign_and_its_price(data: wp.Dataset, path: Path) -> None:
     plt.close(figure)
 
 
+def softest(model: wp.Model, k: np.ndarray) -> np.ndarray:
+    """Smallest eigenvalue of the symbol over that of the 5-point Laplacian [TPa], at k h."""
+    D = model.stencil(H).symbol(k)
+    laplacian = 4 / H**2 * (np.sin(k / 2) ** 2).sum(axis=1)
+    return np.asarray(np.linalg.eigvalsh(D)[:, 0] / laplacian)
+
+
+def waves_proven(data: wp.Dataset, path: Path) -> None:
+    """The softest wave along a path through the zone, fitted with conditions and without."""
+    horizon, degree = 4.5 * H, 15
+    train = data["train"]
+    grid = reduce(train, horizon, sample_weights([train], normalise=False)[0])
+    free, _, _ = unconstrained(grid, degree)
+    loose = wp.Model(free.lam, free.mu, free.alpha, free.D, horizon)
+    law = wp.LPS(horizon, wp.Bernstein(degree), Optimum(moduli=None))
+    kept = wp.fit(train, law).material
+    corners = np.pi * np.array([[0.02, 0.02], [1.0, 0.0], [1.0, 1.0], [0.02, 0.02]])
+    corners[0, 1] = 0.0
+    steps = np.linspace(0, 1, 120)[:, None]
+    k = np.concatenate([(1 - steps) * a + steps * b for a, b in pairwise(corners)])
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(k, axis=0), axis=1))])
+    figure, ax = plt.subplots(figsize=(7.2, 2.9))
+    figure.subplots_adjust(0.09, 0.16, 0.935, 0.89)
+    ax.axhspan(-9, 0, color=FORCE, alpha=0.12, linewidth=0)
+    ax.axhline(0, color="0.4", linewidth=0.8)
+    low = high = 0.0
+    for model, colour in ((kept, NODE), (loose, FORCE)):
+        stiffness = softest(model, k)
+        ax.plot(way, stiffness, color=colour)
+        low, high = min(low, stiffness.min()), max(high, stiffness.max())
+    ax.text(way[250], 0.6 * high, "with conditions", color=NODE)
+    ax.text(way[272], 0.8 * low, "without conditions", color=FORCE)
+    ax.text(0.05, 0.6 * low, "unstable", color=FORCE, weight="bold")
+    ticks = way[[0, 119, 239, 359]]
+    edge, corner = "edge of the zone\n(10 Å, along an axis)", "corner\n(7 Å, diagonal)"
+    names = ("long waves", edge, corner, "long waves")
+    ax.set_xticks(ticks, names)
+    ax.set(ylabel="smallest stiffness [TPa]", xlim=(0, way[-1]), ylim=(1.15 * low, 1.15 * high))
+    ax.set_title("Conditions keep every wave stable", fontsize=9)
+    ax.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path)
+    plt.close(figure)
+
+
+NAMED = {
+    "transferred, h = 10, δ = 25, LU": ("transferred to nodes 10 Å apart", (2, 6)),
+    "FEM Q1, h = 5, true constants": ("finite elements", (-2, 7)),
+    "tensors, 20 bonds, h = 5": ("crystal model", (-8, -13)),
+    "learned, h = 5, δ = 20, LU": ("LPS", (-3, 7)),
+    "third order, energy form, δ = 20, h = 5": ("third order on LPS, with energy", (7, 2)),
+    "predict at 1 %": ("prediction at 1 %", (7, 2)),
+    "third order, filtered, δ = 25, h = 5": ("third order on LPS, deconvolved", (5, 6)),
+    "neural operator, δ = 20": ("neural operator", (-74, -3)),
+}
+"""Rows of the table of speeds that are drawn: their names, and where these stand [points]."""
+
+
+def fronts(path: Path) -> None:
+    """Error of disks against time, set-up and one load, by the table that the library keeps."""
+    table = json.loads((DOCS.parent / "warp_peri" / "speed_accuracy.json").read_text("utf-8"))
+    rows = [row for row in table["rows"] if row["label"] in NAMED]
+    where = {
+        row["label"]: (1e3 * (row["disks_setup"] + row["disks_solve"]), 100 * row["disks_error"])
+        for row in rows
+    }
+    (atoms,) = (row for row in table["rows"] if row["kind"] == "atoms")
+    exact = 1e3 * (atoms["disks_setup"] + atoms["disks_solve"])
+    best: list[tuple[float, float]] = []
+    for at in sorted(where.values()):
+        if not best or at[1] < best[-1][1]:
+            best.append(at)
+    figure, ax = plt.subplots(figsize=(7.2, 3.4))
+    figure.subplots_adjust(0.085, 0.145, 0.985, 0.9)
+    ax.step(*np.transpose([*best, (exact, best[-1][1])]), color="0.6", linewidth=1, where="post")
+    for label, at in where.items():
+        name, shift = NAMED[label]
+        colour = NODE if at in best else FORCE
+        ax.plot(*at, "o", color=colour, markersize=5)
+        ax.annotate(name, at, shift, textcoords="offset points", color=colour)
+    ax.axvline(exact, color="k", linestyle="--", linewidth=1)
+    ax.text(0.95 * exact, 4.2, "atoms: exact", ha="right", va="top")
+    ax.set(xscale="log", yscale="log", xlim=(2.5, 3000), ylim=(0.08, 5))
+    ax.set_xticks([3, 10, 30, 100, 300, 1000], ["3", "10", "30", "100", "300", "1000"])
+    ax.set_yticks([0.1, 0.2, 0.5, 1, 2, 4], ["0.1", "0.2", "0.5", "1", "2", "4"])
+    ax.minorticks_off()
+    ax.set(xlabel="set-up and one load [ms]", ylabel="error of displacement [%]")
+    ax.set_title("Third order takes the error from 1 % to 0.1 % for a few milliseconds", fontsize=9)
+    ax.spines[["top", "right"]].set_visible(False)
+    figure.savefig(path)
+    plt.close(figure)
+
+
 PART_NAMES = {
     "left": "left over", "waves": "waves", "data": "loads",
     "strain": "strain",
@@ -391,7 +488,9 @@ def error_bar(data: wp.Dataset, path: Path) -> None:
     disk = data["test"]
     inside, truth = disk.points.interior, disk.u[0]
     collar = np.where(inside[:, None], 0.0, truth)
-    answer = wp.predict(family, wp.Dirichlet(disk.points, disk.b[0], collar), tolerance=None)
+    answer: Any = wp.predict(
+        family, wp.Dirichlet(disk.points, disk.loads[0], collar), tolerance=None
+    )
     line = np.flatnonzero(inside & (np.abs(disk.x[:, 1]) < 1e-6))
     line = line[np.argsort(disk.x[line, 0])]
     x = disk.x[line, 0]
@@ -440,7 +539,9 @@ def main(argv: list[str] | None = None) -> int:
         from_atoms_to_answer(out / "atoms_to_answer.png")
         interior_collar_horizon(out / "collar.png")
         which_model(out / "which_model.png")
+        fronts(out / "front.png")
         sign_and_its_price(data, out / "sign.png")
+        waves_proven(data, out / "proof.png")
         error_bar(data, out / "error_bar.png")
     return 0
 

@@ -83,6 +83,8 @@ def undefined(blocks):
                 bound.add(node.name)
             elif isinstance(node, ast.arg):
                 bound.add(node.arg)
+            elif isinstance(node, ast.ExceptHandler) and node.name:
+                bound.add(node.name)
         read = {
             node.id
             for node in ast.walk(tree)
