@@ -49,6 +49,8 @@ AVOIDED = {
     "read this if, whoever": r"read this if|whoever|look here",
 }
 """What the style of the pages avoids, and how it is found."""
+ENTRY = re.compile(r"^::: .*\n(?: {4}.*\n?)*", re.MULTILINE)
+"""A name of the API with its options, which mkdocstrings replaces."""
 FRONT = re.compile(r"\A---\n.*?\n---\n", re.DOTALL)
 FENCED = re.compile(r"^```.*?\n(.*?)^```", re.DOTALL | re.MULTILINE)
 
@@ -74,13 +76,20 @@ def menu() -> set[str]:
 
 
 def words(text: str) -> int:
-    """Words outside code."""
-    return len(FENCED.sub("", text).split())
+    """Words outside code and entries of the API."""
+    return len(ENTRY.sub("", FENCED.sub("", text)).split())
+
+
+def read_words(text: str) -> int:
+    """Words outside code, a formula as one: blanks in LaTeX are no words."""
+    plain = re.sub(r"\$\$.*?\$\$", "X", text, flags=re.DOTALL)
+    return words(re.sub(r"\$[^$\n]*\$", "X", plain))
 
 
 def sentences(text: str) -> list[str]:
     """Sentences of the prose: no code, tables, headings, equations, pictures; items one by one."""
-    text = re.sub(r"\$\$.*?\$\$", " formula ", FENCED.sub("\n\n", text), flags=re.DOTALL)
+    text = ENTRY.sub("\n\n", FENCED.sub("\n\n", text))
+    text = re.sub(r"\$\$.*?\$\$", " formula ", text, flags=re.DOTALL)
     text = re.sub(r"(?<=\n\n)(?: {4}.*\n)+", "\n", text)  # what is printed, indented
     text = re.sub(r"^(?:#|\||!\[|:::|!!!).*$", "\n", text, flags=re.MULTILINE)
     text = re.sub(r"^ *(?:[-*]|\d+\.) ", "\n\n", text, flags=re.MULTILINE)
@@ -138,7 +147,8 @@ def broken_links(texts: dict[str, str]) -> list[str]:
     """Links to files or anchors that are not there, as "page: target"; README and others too."""
     root, lost = DOCS.parent, []
     outside = {
-        f"../{name}": (root / name).read_text("utf-8") for name in ("README.md", "CONTRIBUTING.md")
+        f"../{name}.md": (root / f"{name}.md").read_text("utf-8")
+        for name in ("README", "CONTRIBUTING", "CHANGELOG")
     }
     for name, text in {**texts, **outside}.items():
         for target in links(text):
@@ -202,6 +212,10 @@ def counted() -> dict[str, float]:
     return {
         "pages": len(texts),
         "words": sum(map(words, texts.values())),
+        "words, a formula as one": sum(map(read_words, texts.values())),
+        "words of the theory, a formula as one": sum(
+            read_words(text) for name, text in texts.items() if name.startswith("theory")
+        ),
         "words of the archive": sum(
             words(text) for name, text in every.items() if name.startswith(ARCHIVE)
         ),

@@ -4,6 +4,8 @@ python docs/commands.py
 """
 
 import argparse
+import re
+import textwrap
 from pathlib import Path
 
 from warp_peri.cli.main import _parser
@@ -16,7 +18,7 @@ HEAD = """# Commands
 Look up every command of `warp-peri`, its options and their defaults. `python docs/commands.py`
 makes this page from what `warp-peri COMMAND --help` prints.
 
-```
+```text
 warp-peri COMMAND --help
 warp-peri COMMAND --config settings.toml
 ```
@@ -40,7 +42,7 @@ def page() -> str:
 def _command(name: str, parser: argparse.ArgumentParser, short: dict[str, str]) -> str:
     text = f"\n## {name}\n\n{_plain(parser.description or short.get(name, ''))}\n"
     if parser.epilog:
-        text += f"\n```\n{_stripped(parser.epilog % {'prog': parser.prog})}\n```\n"
+        text += f"\n```text\n{_examples(parser.epilog % {'prog': parser.prog})}\n```\n"
     for group in parser._action_groups:
         actions = [
             action
@@ -76,10 +78,10 @@ def _plain(text: str) -> str:
     return "\n\n".join(paragraphs).replace("<", "&lt;").replace("*", r"\*")
 
 
-def _stripped(text: str) -> str:
-    lines = text.strip("\n").split("\n")
-    margin = min((len(line) - len(line.lstrip()) for line in lines if line.strip()), default=0)
-    return "\n".join(line[margin:].rstrip() for line in lines)
+def _examples(text: str) -> str:
+    """The lines of an epilog, without the heading over them."""
+    lines = [line for line in text.strip().split("\n") if not re.fullmatch(r"\w+:", line.strip())]
+    return textwrap.dedent("\n".join(lines))
 
 
 if __name__ == "__main__":

@@ -13,8 +13,13 @@ from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.cli.main import main
 from warp_peri.points.dataset import save_dataset
 
-PAGES = [page.read_text(encoding="utf-8") for page in (ROOT.parent / "docs").rglob("*.md")]
-(PAGE,) = [text for text in PAGES if "\n| `files/` |" in text]
+PAGES = [
+    page.read_text(encoding="utf-8")
+    for page in sorted(
+        (ROOT.parent / "docs").rglob("*.md"), key=lambda page: "archive" in page.parts
+    )
+]
+PAGE = next(text for text in PAGES if "\n| `files/` |" in text)
 USES = {
     wing: re.findall(r"`([^`]*)`", use)
     for wing, use in re.findall(r"^\| `(?!warp_peri)([a-z_]+)/` \|[^|]*\|(.*)\|$", PAGE, re.M)

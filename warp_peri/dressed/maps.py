@@ -393,7 +393,7 @@ def effective(
 
     Args:
         solid: a dressed body on a period, with maps or grains; or the moduli of P phases, Voigt's
-            matrices [P, 3, 3] or [P, 6, 6] [stress], or conductivities [P, d, d].
+            matrices [P, 3, 3] or [P, 6, 6], [stress]; or conductivities [P, d, d].
         phases: number of the phase of each element, [n₁, n₂] or [n₁, n₂, n₃]; of moduli alone.
         factors: > 0, on the moduli of each element, same shape; of moduli alone.
         spacing: side of an element [length]; a dressed body has its own.
