@@ -15,15 +15,27 @@ from warp_peri import InputError, Points
 
 @dataclass(frozen=True)
 class Entry:
-    """A provoked failure: title, a number to remember, text in Markdown, errors and warnings in
-    their own words, a figure of the measurements, and these as plain numbers."""
+    """A provoked failure: its name, the measurements that its words are filled with, errors and
+    warnings in their own words, a figure, and what it draws as plain numbers."""
+
+    name: str
+    numbers: Mapping[str, Any]
+    seen: list[str]
+    figure: Figure
+    values: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Words:
+    """An entry in Markdown: title, number to remember and text of the study; heading, row
+    (symptom, cause, remedy) and text of the page for readers."""
 
     title: str
     number: str
     text: str
-    seen: list[str]
-    figure: Figure
-    values: dict[str, Any]
+    heading: str
+    row: str
+    brief: str
 
 
 def entry(
@@ -33,11 +45,18 @@ def entry(
     figure: Figure,
     values: dict[str, Any],
 ) -> Entry:
-    """atlas/NAME.md filled with its measurements, and the words that each of `seen` ends in."""
-    template = Path(__file__).parent / "atlas" / f"{name}.md"
-    title, number, text = fill(template, **numbers).rstrip("\n").split("\n\n", 2)
+    """What was measured, and the words that each of `seen` ends in."""
     said = [one if isinstance(one, str) else words(one) for one in seen]
-    return Entry(title.removeprefix("# "), number, text, said, figure, values)
+    return Entry(name, numbers, said, figure, values)
+
+
+def filled(name: str, numbers: Mapping[str, Any]) -> Words:
+    """atlas/NAME.md with its measurements: the study, a line ---, what readers need."""
+    template = Path(__file__).parent / "atlas" / f"{name}.md"
+    study, brief = fill(template, **numbers).rstrip("\n").split("\n\n---\n\n")
+    title, *study_parts = study.split("\n\n", 2)
+    heading, *brief_parts = brief.split("\n\n", 2)
+    return Words(title.removeprefix("# "), *study_parts, heading.removeprefix("## "), *brief_parts)
 
 
 def words(run: Callable[[], Any]) -> str:

@@ -32,7 +32,7 @@ BLOCKS = {
     if not name.startswith("archive/") and (found := BLOCK.findall(text))
 }
 """The code of each page, and what stands below it as printed, or nothing."""
-ELSEWHERE = ("README", "own_data", "influence", "learning", "lattices")
+ELSEWHERE = ("README", "tutorials/graphene", "own_data", "influence", "learning", "lattices")
 """Run by tests/examples/test_examples.py and test_docs.py, which look at what comes out."""
 PUBLIC = {
     name
@@ -165,7 +165,7 @@ SHORTER = {
 # Pages that take more than some 5 s.
 SLOW = (
     "tissue", "atoms", "bodies", "cracks", "flow", "predict", "nonlinear", "neural", "noise",
-    "dressed",
+    "dressed", "tutorials/crystal", "tutorials/torch",
 )  # fmt: skip
 
 
