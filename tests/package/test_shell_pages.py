@@ -51,10 +51,13 @@ def commands(text):
     return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
+GALLERY = "archive/gallery"
+"""Has the command of every figure, and is tried though it lies in the archive."""
 TYPED = {
     name: found
     for name, text in TEXT.items()
-    if not name.startswith(("archive/", "papers/")) and (found := commands(text))
+    if (name == GALLERY or not name.startswith(("archive/", "papers/")))
+    and (found := commands(text))
 }
 ELSEWHERE = ("tutorials/graphene",)
 """Run by tests/examples/test_examples.py, on graphene's own data."""
@@ -170,7 +173,7 @@ GIVEN = {
     "how-to/influence": of_any,
     "bodies": of_bodies,
     "export": of_any,
-    "gallery": of_gallery,
+    GALLERY: of_gallery,
     "tutorials/crystal": of_atoms,
     "tutorials/dumps": of_dumps,
 }
