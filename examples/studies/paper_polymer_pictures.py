@@ -74,10 +74,10 @@ def draw_plates(path: Path, rows: Mapping[str, Mapping[str, Sequence[Sequence[fl
     for ax, (De, fluids) in zip(axes, rows.items()):
         for color, (name, errors) in enumerate(fluids.items()):
             median, least, most = 100 * np.array([(e[0], min(e), max(e)) for e in errors]).T
-            how = {"color": f"C{color}", "capsize": 3, "marker": "o"}
-            ax.errorbar(COUNTS, median, [median - least, most - median], **how)
+            spread = [median - least, most - median]
+            ax.errorbar(COUNTS, median, spread, color=f"C{color}", capsize=3, marker="o")
             label = "dumbbells in every cell" if name == "coupled" else name
-            named(ax, COUNTS[-1], median[-1], label, how["color"])
+            named(ax, COUNTS[-1], median[-1], label, f"C{color}")
         ax.set(title=f"Deborah number {De}", xlabel="dumbbells in an ensemble")
         ax.set(xscale="log", yscale="log", xlim=(700, 4e6))
         ax.set_xticks(COUNTS)
@@ -101,7 +101,7 @@ def draw_rates(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
     save_figure(figure, path)
 
 
-def draw_training(path: Path, rows: Mapping[str, Mapping[float, float]]) -> None:
+def draw_training(path: Path, rows: Mapping[str, Mapping[int, float]]) -> None:
     """Figure 9: largest error of u / U for each number of training points, where a run ended."""
     figure, ax = panels(7.5, 4.2)
     for color, (name, errors) in enumerate(rows.items()):

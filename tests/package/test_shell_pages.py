@@ -51,10 +51,13 @@ def commands(text):
     return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
+GALLERY = "archive/gallery"
+"""Has the command of every figure, and is tried though it lies in the archive."""
 TYPED = {
     name: found
     for name, text in TEXT.items()
-    if not name.startswith(("archive/", "papers/")) and (found := commands(text))
+    if (name == GALLERY or not name.startswith(("archive/", "papers/")))
+    and (found := commands(text))
 }
 ELSEWHERE = ("tutorials/graphene",)
 """Run by tests/examples/test_examples.py, on graphene's own data."""
@@ -170,7 +173,7 @@ GIVEN = {
     "how-to/free_edges": of_bodies,
     "how-to/influence": of_any,
     "how-to/paraview": of_any,
-    "gallery": of_gallery,
+    GALLERY: of_gallery,
     "tutorials/crystal": of_atoms,
     "tutorials/dumps": of_dumps,
 }
@@ -193,6 +196,7 @@ def run_as_typed(name, capsys):
         for line in commands(f"```\n{block}```"):
             if line.startswith("warp-peri "):
                 words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # as a shell
+                words += [["--jobs", "1"]] if words[1] == ["sweep"] else []  # in this process
                 status = main([word for found in words for word in found][1:])
                 out, error = capsys.readouterr()
                 assert status == 0, f"{line}: {error}"
