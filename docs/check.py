@@ -147,7 +147,8 @@ def broken_links(texts: dict[str, str]) -> list[str]:
     """Links to files or anchors that are not there, as "page: target"; README and others too."""
     root, lost = DOCS.parent, []
     outside = {
-        f"../{name}": (root / name).read_text("utf-8") for name in ("README.md", "CONTRIBUTING.md")
+        f"../{name}.md": (root / f"{name}.md").read_text("utf-8")
+        for name in ("README", "CONTRIBUTING", "CHANGELOG")
     }
     for name, text in {**texts, **outside}.items():
         for target in links(text):

@@ -444,7 +444,7 @@ def test_nothing_is_written_over_what_is_read(words, message, trained, data, tmp
 
 def test_an_operator_is_exported_on_certified_lattices(data, tmp_path, capsys):
     model = tmp_path / "bare.json"
-    dataclasses.replace(kernel("1/r", HORIZON), certified_on=()).save(model)
+    dataclasses.replace(kernel("sign-changing", HORIZON), certified_on=()).save(model)
     words = [
         "export",
         "operator",
