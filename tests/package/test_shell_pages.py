@@ -66,8 +66,8 @@ RUN = {
     for name, lines in TYPED.items()
     if name not in ELSEWHERE and any(line.startswith("warp-peri ") for line in lines)
 }
-SHELL = re.compile(r"^```\n(.*?)^```\n(?:\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
-"""A block of commands, and what stands below it as printed."""
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$(?:\n\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
+"""A block with its language, none for commands, and what stands below it as printed."""
 
 
 def test_every_command_is_run_or_says_why_not():
@@ -191,9 +191,9 @@ def test_the_commands_of_a_page_run_in_turn(name, home, monkeypatch, capsys):  #
 
 def run_as_typed(name, capsys):
     """The commands of a page in turn; a tutorial shows lines that they print, in their order."""
-    for block, shown in SHELL.findall(TEXT[name]):
+    for language, block, shown in FENCED.findall(TEXT[name]):
         printed = ""
-        for line in commands(f"```\n{block}```"):
+        for line in [] if language else commands(f"```\n{block}```"):
             if line.startswith("warp-peri "):
                 words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # as a shell
                 words += [["--jobs", "1"]] if words[1] == ["sweep"] else []  # in this process

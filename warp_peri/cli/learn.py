@@ -25,6 +25,7 @@ from warp_peri.sources.dump_files import LARGEST_HEADER, MARKS, encoding_of, unp
 from warp_peri.storage import save
 
 NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
+ONE = "exactly one equilibrium for every load"
 UNSAID = "as in the tables; no unit was said"
 FITS = "fits"
 """Of the folder, where a second start goes on from."""
@@ -45,30 +46,32 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
             found = _from_structure(given, nodes, units)
         save(given.out / "model.json", found.material)
         write_json(given.out / "learn.json", finite(plain(found.content())))
-        given.told = "\n".join(repr(found).split("\n")[1:])
-        write_text(given.out / "report.txt", given.told + "\n")
+        given.first, given.told = _first(given, found), "\n".join(repr(found).split("\n")[1:])
+        write_text(given.out / "report.txt", "\n".join([*given.first, "", given.told, ""]))
         with whole_file(given.out / "law.png") as path:
             drawn = io.BytesIO()
             found.plot().savefig(drawn, format="png", dpi=110)
             path.write_bytes(drawn.getvalue())
         keep(given, given.out / "learn.toml")
-    path, group = given.out / "model.json", found.law.symmetry
-    wave = found.holds_to["law"]
-    given.first = [
-        f"{path}: elastic crystal model of {given.structure.name}"
-        + (f", point group {group}" if isinstance(group, str) else ""),
-        "displacement under waves: error of at most 2 % down to "
-        + (f"{wave:.3g} Å" if np.isfinite(wave) else "no wavelength"),
-        "proven: exactly one equilibrium for every load"
-        if found.certificate and found.certificate.holds
-        else "nothing is proven",
-        f"next: {shlex.join(['warp-peri', 'info', str(path)])}, or wp.load and wp.solve in Python",
-    ]
     seconds = time.perf_counter() - begin
     given.told += (
         f"\n  {seconds:.1f} s; in {given.out}: model.json, learn.json, report.txt, law.png"
     )
-    return {**found.content(), "model": str(path)}
+    return {**found.content(), "model": str(given.out / "model.json")}
+
+
+def _first(given: argparse.Namespace, found: Any) -> list[str]:
+    """What was learned, down to which wave it is good, and the next command."""
+    path, group, wave = given.out / "model.json", found.law.symmetry, found.holds_to["law"]
+    proof = found.certificate
+    return [
+        f"{path}: elastic crystal model of {given.structure.resolve().name}"
+        + (f", point group {group}" if isinstance(group, str) else ""),
+        "displacement under waves: error of at most 2 % down to "
+        + (f"{wave:.3g} Å" if np.isfinite(wave) else "no wavelength"),
+        f"proven: {ONE}" if proof is not None and proof.holds else "nothing is proven",
+        f"next: {shlex.join(['warp-peri', 'info', str(path)])}, or wp.load and wp.solve in Python",
+    ]
 
 
 def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any) -> Any:
