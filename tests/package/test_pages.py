@@ -125,7 +125,7 @@ SHORTER = {"neural": ("epochs=150", "epochs=1")}
 # Pages that take more than some 5 s.
 SLOW = (
     "tissue", "atoms", "nonlinear", "neural", "noise", "dressed",
-    "how-to/free_edges", "how-to/lattices", "how-to/error_bars", "how-to/cracks",
+    "how-to/free_edges", "how-to/lattices", "how-to/error_bars",
     "how-to/pressure", "how-to/flow", "how-to/other_codes",
 )  # fmt: skip
 
