@@ -60,8 +60,8 @@ def home(tmp_path_factory):
 
 
 SLOW = (
-    "how-to/free_edges", "how-to/lattices", "how-to/error_bars", "how-to/cracks",
-    "how-to/pressure", "how-to/flow", "how-to/other_codes", "tutorials/crystal", "tutorials/torch",
+    "how-to/free_edges", "how-to/lattices", "how-to/error_bars", "how-to/pressure", "how-to/flow",
+    "how-to/other_codes", "tutorials/crystal", "tutorials/torch",
 )  # fmt: skip
 """Pages that take more than some 5 s."""
 
