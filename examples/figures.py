@@ -25,6 +25,14 @@ def panels(*size: float, count: int = 1, rows: int = 1, **how: Any) -> tuple[Fig
     return figure, figure.subplots(rows, count, **how)
 
 
+def outer(grid: Any, xlabel: str, ylabel: str) -> None:
+    """Label a grid of axes at its left and lower rim, where no colour bar is in the way."""
+    for ax in grid[:, 0]:
+        ax.set_ylabel(ylabel)
+    for ax in grid[-1]:
+        ax.set_xlabel(xlabel)
+
+
 def curves(
     ax: Axes,
     kind: str,

@@ -42,9 +42,13 @@ SAME_OPTIMUM = 1e-5
 CERTIFICATE = ("symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min")
 """Figures of the certificate that are reported."""
 TEMPLATE = Path(__file__).with_suffix(".md")
-CONDITIONS = {"direct": "the same, symbol > 0", "paper": "the same, conditions (i)–(iii)"}
-LOCAL = {"true": "true moduli", "learned": "moduli as learned"}
-ROLES = {"train": "training", "val": "validation", "test": "disks"}
+CONDITIONS = {"direct": "LPS, positive symbol alone", "paper": "LPS, conditions (i)–(iii)"}
+LOCAL = {
+    "true": "local elasticity, exact constants",
+    "learned": "local elasticity, constants as learned",
+}
+ROLES = {"train": "training loads", "val": "periodic sheet", "test": "free disks"}
+ERRORS = {"E_res": "residual", "E_u": "displacement"}
 
 
 def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = None) -> None:
@@ -139,6 +143,10 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
         "E_res": run.mean("E_res"),
         "E_u": run.mean("E_u"),
         "E_res_abs": run.mean("E_res_abs"),
+        "E_u_samples": {
+            role: [float(error) for error in table["E_u_samples"]]
+            for role, table in run.tables.items()
+        },
         "lambda": model.lam,
         "mu": model.mu,
         "E": model.E,
@@ -174,16 +182,25 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
     return numbers
 
 
-def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
-    """report.md: the errors beside the printed ones, constants, stages, certificate, times."""
-    certificate = numbers["certificate"]
+def write_report(path: Path, numbers: dict[str, Any], data: Path, command: str) -> None:
+    """report.md: what there is, how good, what next; details below a line."""
+    good, proof, moduli = first_lines(numbers)
     text = fill(
         TEMPLATE,
         **numbers,
         command=command,
+        out=shown(path.parent),
+        data=shown(data),
+        loads=len(numbers["E_u_samples"]["train"]),
+        best=best(numbers),
+        good=f"{good}.",
+        proof=f"{proof}.",
+        constants_line=f"{moduli}.",
+        short_table=error_table(numbers, short=True),
         error_table=error_table(numbers),
+        others=others_line(numbers),
         disks=disks_line(numbers),
-        beside=other_line(numbers) + nonlinear_line(numbers.get("nonlinear")),
+        conditions_line=conditions_line(numbers),
         constants=constants_table(numbers),
         moduli_text=", ".join(f"{key} = {value:.4f}" for key, value in numbers["moduli"].items()),
         potential=potential_line(numbers["truth"]),
@@ -191,41 +208,80 @@ def write_report(path: Path, numbers: dict[str, Any], command: str) -> None:
         agreement=agreement_line(numbers["starts"]),
         adam=adam_line(numbers.get("augmented_lagrangian")),
         verdict="holds" if numbers["certified"] else "DOES NOT HOLD",
-        gamma=_condition(certificate["gamma_min"]),
-        inf_sup=_condition(certificate["inf_sup_min"]),
-        difference=_condition(certificate["gamma_minus_2phi_min"]),
         times=", ".join(f"{phase} {value:.1f}" for phase, value in numbers["seconds"].items()),
     )
     write_text(path, text)
 
 
-def error_table(numbers: dict[str, Any]) -> str:
-    """Errors of the run beside those printed in the papers [%]."""
+def shown(path: Path) -> str:
+    """A path as it is typed from where the job runs."""
+    here = Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+
+
+def best(numbers: dict[str, Any]) -> str:
+    """The set that says how good the model is: free disks, or what there is in their place."""
+    return next(role for role in reversed(ROLES) if role in numbers["E_u"])
+
+
+def first_lines(numbers: dict[str, Any]) -> list[str]:
+    """How good the model is, whether it is proven, and its moduli beside the potential's."""
+    role = best(numbers)
+    errors = [100 * error for error in numbers["E_u_samples"][role]]
+    bodies = {
+        "train": f"the {len(errors)} training loads",
+        "val": f"{len(errors)} loads of a periodic sheet that the fit never saw",
+        "test": f"{len(errors)} free disks that the fit never saw",
+    }
+    mean = f"{100 * numbers['E_u'][role]:.2f} % ({min(errors):.1f} to {max(errors):.1f} %)"
+    names = {"E": "Young's modulus", "mu": "shear modulus"}
+    own = {
+        key: f" (potential {1e3 * numbers['truth'][key]:.0f} GPa)" if numbers["truth"] else ""
+        for key in names
+    }
+    moduli = (f"{name} {1e3 * numbers[key]:.0f} GPa{own[key]}" for key, name in names.items())
+    proof = "Proven: the model has exactly one equilibrium for every load"
+    return [
+        f"On {bodies[role]} the displacement has an error of {mean}",
+        proof if numbers["certified"] else "NOTHING IS PROVEN: solves refuse the model",
+        ", ".join(moduli),
+    ]
+
+
+def error_table(numbers: dict[str, Any], *, short: bool = False) -> str:
+    """Errors of each model and those printed in the papers [%].
+
+    `short` leaves displacement under loads that no fit saw, and a row for each kind of model.
+    """
     roles = [role for role in ROLES if role in numbers["E_u"]]
-    columns = [("E_res", role) for role in roles if role != "test"]
-    columns += [("E_u", role) for role in roles]
-    first = f"this run, δ = {numbers['horizon']:g} Å, M = {numbers['degree']}"
-    rows = [[first, *(f"{100 * numbers[error][role]:.2f}" for error, role in columns)]]
-    if beside := numbers.get("nonlinear"):
-        name = f"beside it: three more numbers, {beside['seconds']['learning']:.1f} s to learn"
-        rows.append([name, *(f"{100 * beside[error][role]:.2f}" for error, role in columns)])
+    if short:
+        columns = [("E_u", role) for role in roles if role != "train" or roles == ["train"]]
+    else:
+        columns = [("E_res", role) for role in roles if role != "test"]
+        columns += [("E_u", role) for role in roles]
+    models = {"linear peridynamic solid (LPS)": numbers}
+    if (other := numbers.get("other")) and not short:
+        models[CONDITIONS[other["conditions"]]] = other
     if crystal := numbers.get("micromodulus"):
-        name = f"tensors on {crystal['bonds']} bonds, {crystal['seconds']['all']:.1f} s in all"
-        rows.append([name, *(f"{100 * crystal[error][role]:.2f}" for error, role in columns)])
-    if other := numbers.get("other"):
-        name = CONDITIONS[other["conditions"]]
-        rows.insert(1, [name, *(f"{100 * other[error][role]:.2f}" for error, role in columns)])
+        models[f"crystal model, {crystal['bonds']} bonds"] = crystal
+    if cubic := numbers.get("nonlinear"):
+        models["LPS with third-order constants"] = cubic
     for name, local in numbers.get("local", {}).items():
-        cells = (f"{100 * local[role]:.2f}" if error == "E_u" else "–" for error, role in columns)
-        rows.append([f"local elasticity, {LOCAL[name]}", *cells])
+        if name == "true" or not short:
+            models[LOCAL[name]] = {"E_u": local}
+    rows = [[name, *(_cell(errors, *column, 100) for column in columns)]
+            for name, errors in models.items()]  # fmt: skip
     for name, printed in (PAPER if numbers["temperature"] == 0 else PAPER_300K).items():
-        values = [printed[error].get(role) for error, role in columns]
-        cells = ("–" if value is None else f"{value:.2f}" for value in values)
-        rows.append([f"{name} (as printed)", *cells])
-    return table(["", *(f"{error} {ROLES[role]}" for error, role in columns)], rows)
+        rows.append([f"{name} †", *(_cell(printed, *column, 1) for column in columns)])
+    return table(["", *(f"{ERRORS[error]}, {ROLES[role]}" for error, role in columns)], rows)
 
 
-def other_line(numbers: dict[str, Any]) -> str:
+def _cell(errors: dict[str, Any], error: str, role: str, factor: float) -> str:
+    value = errors.get(error, {}).get(role)
+    return "–" if value is None else f"{factor * value:.2f}"
+
+
+def conditions_line(numbers: dict[str, Any]) -> str:
     """Which conditions to ask for when, where both were."""
     if "other" not in numbers:
         return ""
@@ -233,24 +289,23 @@ def other_line(numbers: dict[str, Any]) -> str:
     paper = bounds.get("paper", numbers["certificate"]["symbol_bound"])
     direct = bounds.get("direct", numbers["certificate"]["symbol_bound"])
     return (
-        f"\nAll printed conditions prove {paper:.3f} TPa: take them for answers that are stable "
-        f"whatever the load. A positive symbol alone proves {direct:.3f} TPa: take it where the "
-        "residual is what counts.\n"
+        f"\nConditions (i)–(iii) prove a stiffness of {paper:.3f} TPa: take them for answers that "
+        f"are stable under any load. A positive symbol alone proves {direct:.3f} TPa: take it "
+        "where the residual is what counts.\n"
     )
 
 
-def nonlinear_line(row: dict[str, Any] | None) -> str:
-    """What the nonlinear model beside the linear one is, where it was learned."""
-    if row is None:
+def others_line(numbers: dict[str, Any]) -> str:
+    """What the other two models are for, where they were learned."""
+    if "nonlinear" not in numbers:
         return ""
+    row = numbers["nonlinear"]
     constants = ", ".join(f"{name} = {value:.3f}" for name, value in row["constants"].items())
     return (
-        f"\nBeside it: the nonlinear solid in the energy form, {constants} TPa on top of a linear "
-        "part with two influence functions; at most one solution has "
-        f"|H| ≤ {100 * row['proven_strain']:.1f} %. {row['seconds']['all']:.1f} s with what it "
-        "predicts (`nonlinear.json`).\n\nTensors on few bonds (`micromodulus.json`) need no "
-        "isotropy: take them for a crystal or for speed, the kernel where one influence "
-        "function is to go to another code, three more numbers where strains exceed 1 %.\n"
+        f"- Strains above 1 %: `nonlinear.json`, an LPS with third-order constants, {constants} "
+        f"TPa. At most one solution has strains up to {100 * row['proven_strain']:.1f} %.\n"
+        "- Directions and speed: `micromodulus.json`, a crystal model that need not be isotropic."
+        "\n"
     )
 
 
@@ -259,15 +314,15 @@ def disks_line(numbers: dict[str, Any]) -> str:
     if "test" not in numbers["E_u"]:
         return ""
     return (
-        f"\nResidual on the disks, absolute: {numbers['E_res_abs']['test']:.2e} TPa/Å "
-        f"(relative {100 * numbers['E_res']['test']:.0f} %: the load there is only what "
-        "the smoothing reaches in from the rim).\n"
+        f"\nThe residual on the disks is {numbers['E_res_abs']['test']:.2e} TPa/Å, "
+        f"{100 * numbers['E_res']['test']:.0f} % of a load that smoothing alone brings in from "
+        "the rim."
     )
 
 
 def constants_table(numbers: dict[str, Any]) -> str:
     """The learned constants beside the potential's own and the paper's [TPa]."""
-    sources = {"learned": numbers, "the potential's own": numbers["truth"] or {}}
+    sources = {"learned": numbers, "potential": numbers["truth"] or {}}
     if "deviation" in numbers:
         sources["standard deviation by noise"] = numbers["deviation"]
     if numbers["temperature"] == 0:
@@ -285,7 +340,7 @@ def potential_line(truth: dict[str, float] | None) -> str:
     if not truth:
         return ""
     lam, mu = truth["lambda"], truth["mu"]
-    return f" The potential's: C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
+    return f" The potential has C11 = {lam + 2 * mu:.4f}, C12 = {lam:.4f}, C44 = {mu:.4f}."
 
 
 def stage_table(stages: list[dict[str, Any]]) -> str:
@@ -294,7 +349,7 @@ def stage_table(stages: list[dict[str, Any]]) -> str:
         [stage["name"], f"{100 * stage['E_res_train']:.2f}", f"{stage['seconds']:.1f}"]
         for stage in stages
     ]
-    return table(["stage", "E_res training [%]", "seconds"], rows)
+    return table(["stage", "residual, training loads [%]", "seconds"], rows)
 
 
 def adam_line(reached: dict[str, float] | None) -> str:
@@ -316,13 +371,3 @@ def agreement_line(starts: dict[str, float]) -> str:
     agree = max(starts.values()) - min(starts.values()) <= SAME_OPTIMUM * min(starts.values())
     verdict = "one optimum" if agree else "DIFFERENT optima, the best is kept"
     return f"\n‖L u − b‖/‖b‖ reached in stage 3: {reached} ({verdict}).\n"
-
-
-def holds(value: float | None) -> bool:
-    """Whether an eigenvalue that must not be negative is known not to be."""
-    return value is not None and value >= 0
-
-
-def _condition(value: float | None) -> str:
-    number = "not defined" if value is None else f"{value:.3e}"
-    return f"{number}, {'holds' if holds(value) else 'does not hold'}"

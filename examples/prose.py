@@ -1,8 +1,15 @@
-"""Reports from Markdown files with {names}: the prose in the file, the numbers from a run."""
+"""Reports from Markdown files with {names}: the prose in the file, the numbers from a run.
 
+Also the way back: the numbers of a table that stands on a page.
+"""
+
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def fill(template: Path, **numbers: Any) -> str:
@@ -22,3 +29,33 @@ def rows_of(rows: Iterable[Sequence[str]]) -> str:
 
 def _line(cells: Sequence[str]) -> str:
     return "".join(f"| {cell} " if cell else "| " for cell in cells) + "|"
+
+
+def cells_of(page: str, section: str, start: str) -> list[list[str]]:
+    """Cells of each row that starts so, behind its start, of the section whose title starts so.
+
+    Raises ValueError where the page has no such section or no such row.
+    """
+    _, *found = page.split(f"\n## {section}")
+    rows = found[0].split("\n## ")[0].splitlines() if found else []
+    cells = [row[len(start) :].strip(" |").split(" | ") for row in rows if row.startswith(start)]
+    if not cells:
+        raise ValueError(f"expected a row {start!r} below a title {section!r}, there is none")
+    return cells
+
+
+def numbers_of(page: str, section: str, start: str) -> list[list[float]]:
+    """All numbers of the rows that `cells_of` gives."""
+    return [
+        [float(number) for cell in row for number in NUMBER.findall(cell)]
+        for row in cells_of(page, section, start)
+    ]
+
+
+def readable(number: str) -> str:
+    """A number as a page shows it: 9.4e-05 as 9.4·10⁻⁵, 1.2e+02 as 120, a minus as such."""
+    digits, _, power = number.partition("e")
+    if power and 0 <= int(power) <= 3:
+        digits, power = f"{float(number):g}", ""
+    raised = f"·10{f'{int(power)}'.translate(RAISED)}" if power else ""
+    return digits.replace("-", "−") + raised

@@ -39,12 +39,13 @@ PRINTED_ROUNDS = 100
 """Of Algorithm 1 (You et al. 2021)."""
 BONDS_20 = 2.5
 """Horizon of 20 bonds, in spacings."""
+EXAMPLE = "\nExample: python examples/train_graphene.py --horizon 15 --degree 8 --out runs/other"
 
 
 def run(given: argparse.Namespace) -> dict[str, Any]:
     """The whole main job; returns what metrics.json holds."""
     begin = time.perf_counter()
-    path = data_file(given)
+    given.data = path = data_file(given)
     data = wp.load(path)
     sets = sets_at(data, given.spacing)
     seconds = {"data": time.perf_counter() - begin}
@@ -61,8 +62,6 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     )
     for reason in trained.refused.values():
         raise InputError(reason)
-    print(f"loss: {trained.fit.loss.name} ({trained.fit.loss.reason})")
-    print_certificate(trained.fit)
     seconds |= trained.seconds
     truth = data.provenance.get("truth") if given.temperature == 0 else None
     local = {} if truth is None else local_rows(sets, trained.fit, truth)
@@ -90,7 +89,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     if "nonlinear" in numbers:
         beside.save(given.out / "nonlinear.json")
         crystal.save(given.out / "micromodulus.json")
-    report.write_report(given.out / "report.md", numbers, given.command)
+    report.write_report(given.out / "report.md", numbers, path, given.command)
     return numbers
 
 
@@ -282,69 +281,60 @@ def noise_at(data: Dataset, spacing: float) -> Samples | None:
     return data["noise"]
 
 
-def print_certificate(learned: Fit) -> None:
-    """Print the dense eigenvalues of (4.6) and whether each condition holds."""
-    figures = learned.certificate.figures()
-    print("certificate:", "holds" if learned.material.certified_on else "DOES NOT HOLD")
-    for key, unit in (
-        ("symbol_min", "TPa, smallest D(k)/s(k) over the zone"),
-        ("symbol_bound", "TPa, the same, proven for the whole zone"),
-        ("gamma_min", "Å⁻², Λmin(Γ) on the training domain: (i)"),
-        ("inf_sup_min", "Λmin(ΦΓ⁻¹Φᵗ) without zeros: (ii)"),
-        ("gamma_minus_2phi_min", "Å⁻², Λmin(Γ − 2ΦᵗΦ): (iii)"),
-    ):
-        value = figures[key]
-        said = f"{'not defined' if value is None else f'{value:.4e}':>11}  {unit}"
-        print(f"  {said}{'' if report.holds(value) else ' DOES NOT HOLD'}")
-
-
 def parser() -> Options:
     """Options of the main job."""
-    parser = Options(__doc__, defaults=True)
-    parser.add("--spacing", type=float, default=5.0, help="of the nodes [Å]; 5 or 2.5")
-    parser.add("--horizon", type=float, default=20.0, help="δ [Å]")
-    parser.add("--degree", type=int, default=10, help="M of the Bernstein polynomials")
-    parser.add("--method", choices=METHODS, default=METHODS[0])
+    parser = Options(__doc__ + EXAMPLE, defaults=True)
+    parser.add("--spacing", type=float, default=5.0, help="distance of the nodes [Å], 5 or 2.5")
+    parser.add("--horizon", type=float, default=20.0, help="horizon δ [Å]")
+    parser.add("--degree", type=int, default=10, help="degree of the Bernstein polynomials")
+    parser.add("--method", choices=METHODS, default=METHODS[0], help="way of the fit")
     parser.add(
         "--conditions",
         choices=("paper", "direct"),
-        help="to keep: all that are printed (4.6), or a positive symbol alone, as in a sweep",
+        help="conditions of the fit: all that are printed (4.6), or a positive symbol alone "
+        "(default: paper; direct for a sweep)",
     )
     parser.add(
         "--as-printed",
         action="store_true",
-        help="Algorithm 1 as it is printed, for hours; with --sweep, Algorithm 2 with it",
+        help="run Algorithm 1 as it is printed, for hours; with --sweep, Algorithm 2 with it",
     )
     parser.add(
         "--loads",
         choices=("waves", "designed"),
         default="waves",
-        help="to learn from at 0 K: seventy waves, or two loads of all waves, each both ways",
+        help="training loads at 0 K: seventy waves, or two loads of all waves, each both ways",
     )
-    parser.add("--linear", action="store_true", help="leave out the nonlinear model's row")
+    parser.add("--linear", action="store_true", help="learn no third-order and no crystal model")
     parser.add(
-        "--temperature", type=float, default=0.0, help="[K]; 300 K takes LAMMPS 15 to 30 minutes"
+        "--temperature",
+        type=float,
+        default=0.0,
+        help="temperature [K]; 300 K takes LAMMPS 15 to 30 minutes",
     )
     parser.add(
         "--reduction",
         choices=("shared", "plain", "iota"),
         default="shared",
-        help="of thermal runs (see tools/make_thermal.py); above 0 K only, as the next two",
+        help="reduction of thermal runs (see tools/make_thermal.py), above 0 K only",
     )
-    parser.add("--factor", type=float, default=1.0, help="on the loads")
-    parser.add("--steps", type=int, default=4000, help="of each thermal run")
-    parser.add("--seed", type=int, default=0, help="of the initial influence function")
-    parser.add("--jobs", type=int, default=-1, help="processes for LAMMPS; -1: all cores")
-    parser.add("--scheduler", metavar="ADDRESS", help="of Dask, whose workers do the work")
+    parser.add("--factor", type=float, default=1.0, help="factor on the loads, above 0 K only")
+    parser.add("--steps", type=int, default=4000, help="steps of each thermal run, above 0 K only")
+    parser.add("--seed", type=int, default=0, help="seed of the first influence function")
+    parser.add("--jobs", type=int, default=-1, help="processes for LAMMPS; -1 for all cores")
+    parser.add("--scheduler", metavar="ADDRESS", help="address of a Dask scheduler")
     parser.add(
         "--sweep",
         action="store_true",
         help="choose horizon and degree (Algorithm 2); --horizon, --degree, --method do not apply",
     )
     parser.add(
-        "--smoothing-radius", type=float, default=SMOOTHING_RADIUS, help="R of made data [Å]"
+        "--smoothing-radius",
+        type=float,
+        default=SMOOTHING_RADIUS,
+        help="radius R of the smoothing of made data [Å]",
     )
-    parser.add("--data", type=Path, help="use this HDF5 file instead of making data")
+    parser.add("--data", type=Path, help="HDF5 file to use instead of making data")
     parser.add(
         "--out",
         type=Path,
@@ -377,12 +367,10 @@ def work(given: argparse.Namespace) -> None:
         return
     with locked(given.out), scheduler(given.scheduler):
         numbers = run(given)
-    text = (given.out / "report.md").read_text(encoding="utf-8")
-    print("\n".join(text.splitlines()[4 : 11 if "nonlinear" in numbers else 10]))
-    print(
-        f"λ = {numbers['lambda']:.4f} TPa, μ = {numbers['mu']:.4f} TPa; "
-        f"everything is in {given.out}/ (start with report.md)"
-    )
+    print(f"graphene at {given.temperature:g} K: {report.shown(given.out)}/model.json")
+    print("\n".join(report.first_lines(numbers)))
+    print(f"figures and details: {report.shown(given.out)}/report.md")
+    print(f"next: source .venv/bin/activate; warp-peri info {report.shown(given.data)}")
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from warp_peri.storage import load, save
     from warp_peri.structures.learn import from_atoms
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Bernstein",

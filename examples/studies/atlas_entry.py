@@ -1,5 +1,6 @@
 """One entry of the stability atlas: what fails, a number, a figure, and what a user would see."""
 
+import re
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,18 +13,32 @@ from matplotlib.figure import Figure
 from examples.prose import fill
 from warp_peri import InputError, Points
 
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
 
 @dataclass(frozen=True)
 class Entry:
-    """A provoked failure: title, a number to remember, text in Markdown, errors and warnings in
-    their own words, a figure of the measurements, and these as plain numbers."""
+    """A provoked failure: its name, the measurements that its words are filled with, errors and
+    warnings in their own words, a figure, and what it draws as plain numbers."""
+
+    name: str
+    numbers: Mapping[str, Any]
+    seen: list[str]
+    figure: Figure
+    values: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Words:
+    """An entry in Markdown: title, number to remember and text of the study; heading, row
+    (symptom, cause, remedy) and text of the page for readers."""
 
     title: str
     number: str
     text: str
-    seen: list[str]
-    figure: Figure
-    values: dict[str, Any]
+    heading: str
+    row: str
+    brief: str
 
 
 def entry(
@@ -33,11 +48,29 @@ def entry(
     figure: Figure,
     values: dict[str, Any],
 ) -> Entry:
-    """atlas/NAME.md filled with its measurements, and the words that each of `seen` ends in."""
-    template = Path(__file__).parent / "atlas" / f"{name}.md"
-    title, number, text = fill(template, **numbers).rstrip("\n").split("\n\n", 2)
+    """What was measured, and the words that each of `seen` ends in."""
     said = [one if isinstance(one, str) else words(one) for one in seen]
-    return Entry(title.removeprefix("# "), number, text, said, figure, values)
+    return Entry(name, numbers, said, figure, values)
+
+
+def filled(name: str, numbers: Mapping[str, Any]) -> Words:
+    """atlas/NAME.md with its measurements: the study, a line ---, what readers need."""
+    template = Path(__file__).parent / "atlas" / f"{name}.md"
+    study, short = fill(template, **numbers).rstrip("\n").split("\n\n---\n\n")
+    title, number, text = study.split("\n\n", 2)
+    heading, row, brief = as_read(short).split("\n\n", 2)
+    return Words(title.removeprefix("# "), number, text, heading.removeprefix("## "), row, brief)
+
+
+def as_read(text: str) -> str:
+    """Percent and powers of ten as pages print them: 13 %, 1.9·10⁵."""
+    text = re.sub(r"(?<=\d)%", " %", text)
+    text = re.sub(
+        r"(?<=\d)e([-+])0*(\d+)",
+        lambda found: "·10" + f"{found[1].strip('+')}{found[2]}".translate(RAISED),
+        text,
+    )
+    return re.sub(r"(?<![\d.])1·10", "10", text)
 
 
 def words(run: Callable[[], Any]) -> str:

@@ -1,11 +1,11 @@
-"""The gallery: one page of figures, each with the command that makes it.
+"""The gallery: nine cards, and in the archive every figure with the command that makes it.
 
     python examples/studies/gallery.py
 
 Collects what the other examples left in runs/, draws the stress of a held-out disk from exported
-fields, and writes docs/gallery.md with docs/gallery/. Figures that other pages show stay where they
-are. A missing figure is named with its command, and nothing is written. Needs meshio (the extra
-`export`).
+fields, and writes docs/gallery.md, docs/archive/gallery.md and docs/gallery/. Figures that other
+pages show stay where they are. A missing figure is named with its command, and nothing is written.
+Needs meshio (the extra `export`).
 """
 
 import io
@@ -24,6 +24,7 @@ from matplotlib.figure import Figure as Canvas
 from PIL import Image
 
 from examples.figures import panels
+from examples.prose import table
 from tools.options import Options
 from warp_peri import InputError
 from warp_peri.errors import exit_status
@@ -37,33 +38,58 @@ MAGNIFIED = 40
 
 @dataclass(frozen=True)
 class Figure:
-    """One figure of the page: a row of gallery.toml."""
+    """One figure: a row of gallery.toml; those with a card lead to a page."""
 
     title: str
     shows: str
     commands: list[str]
     path: str
-    source: str | None
+    source: str | None = None
+    card: str = ""
+    page: str = ""
 
 
 FIGURES = tuple(
-    Figure(**{"source": None, **row})
+    Figure(**row)
     for row in tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))["figure"]
 )
+COLUMNS = 3
+"""Cards in a row."""
+
+
+def cards() -> str:
+    """The page of the gallery in Markdown."""
+    shown = [
+        f"[![{figure.title}]({figure.path}){{ width=400 }}]({figure.page})<br>{figure.card}"
+        for figure in FIGURES
+        if figure.card
+    ]
+    rows = [shown[n : n + COLUMNS] for n in range(0, len(shown), COLUMNS)]
+    return "\n".join([
+        "# Gallery",
+        "",
+        "See nine things that the library does. A picture leads to the page that shows how.",
+        "",
+        table([" "] * COLUMNS, rows),
+        "",
+        "[Every figure](archive/gallery.md), with its command, is in the archive.",
+        "",
+    ])  # fmt: skip
 
 
 def page() -> str:
-    """The page in Markdown."""
+    """The page of all figures in Markdown."""
     lines = [
-        "# Gallery",
+        "# Studies: every figure with its command",
         "",
-        "See what the library does before you read how. Every figure is made by the commands below "
-        "it, from the root of the repository.",
+        "Study behind the [gallery](../gallery.md).",
+        "",
+        "Every figure is made by the commands below it, from the root of the repository.",
         "`python examples/studies/gallery.py` puts them here.",
     ]
     for figure in FIGURES:
         lines += ["", f"## {figure.title}", "", figure.shows, ""]
-        lines += [f"![{figure.title}]({figure.path})", "", "```"]
+        lines += [f"![{figure.title}](../{figure.path})", "", "```"]
         lines += [*figure.commands, "```"]
     return "\n".join(lines) + "\n"
 
@@ -129,7 +155,9 @@ def main(arguments: list[str] | None = None) -> int:
     for figure in FIGURES:
         if figure.source:
             collect(given.runs / figure.source, given.out / figure.path)
-    write_text(given.out / "gallery.md", page())
+    (given.out / "archive").mkdir(exist_ok=True)
+    write_text(given.out / "archive" / "gallery.md", page())
+    write_text(given.out / "gallery.md", cards())
     return 0
 
 

@@ -1,7 +1,8 @@
 """What the printed force error of the network on disks of graphene would need: norms, and training.
 
 Errors of Lu − b in several norms, of the shipped network and of linear solids from the same data;
-and of the network when three of the four disks are among its training samples. See docs/neural.md.
+and of the network when three of the four disks are among its training samples
+(docs/archive/neural.md).
 """
 
 import sys

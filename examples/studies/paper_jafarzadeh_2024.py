@@ -15,7 +15,7 @@ from examples.prose import rows_of
 from examples.studies import paper_jafarzadeh_pictures as pictures
 from tools.make_hgo import SPACING, make_hgo
 from warp_peri import Samples
-from warp_peri.neural import NeuralEquilibrium
+from warp_peri.neural import NeuralEquilibrium, evaluate
 from warp_peri.neural.material import load
 from warp_peri.tissue import rose_of
 
@@ -47,6 +47,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]
     data = runs.parent / "data"
     disk = kept("graphene_disk", lambda: graphene_disk(runs.parent / GRAPHENE))
     pictures.prediction(figures / "jafarzadeh_disk.png", disk, "Å", "TPa/Å")
+    errors = kept("graphene_errors", lambda: graphene_errors(runs.parent / GRAPHENE))
     sheet = kept("hgo_disk", lambda: hgo_disk(data / "hgo"))
     pictures.prediction(figures / "jafarzadeh_sheet.png", sheet, "mm", "MPa/mm")
     squares = make_hgo(data / "hgo", progress=False)
@@ -71,6 +72,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, str]
         "sheet_u": f"{100 * gap(sheet, 'u'):.2f}",
         "sheet_b": f"{100 * gap(sheet, 'b'):.2f}",
         "gradients": rows_of([["size", *(f"{size:.2f}" for size in sizes)]]),
+        "figure_5": rows_of(figure_5(errors)),
         "figure_11": rows_of(figure_11(reports)),
         "epochs": rows_of(epochs(laws, reports)),
         "figure_14": rows_of(figure_14(reports["leaflet"])),
@@ -87,6 +89,24 @@ def graphene_disk(file: Path) -> Field:
     """Displacement and load of a disk of atoms, and what the network says of them."""
     samples = neural_sets.graphene(file)["disks"]
     return predicted(load(WEIGHTS / "graphene.json").double(), samples)
+
+
+def graphene_errors(file: Path) -> dict[str, dict[str, float]]:
+    """Of the shipped network on graphene: load of all sets, displacement of unseen loads."""
+    material, found = load(WEIGHTS / "graphene.json").double(), {}
+    for name, samples in neural_sets.graphene(file).items():
+        found[name] = evaluate(material, samples, solve=name != "train", progress=False)
+    kinds = ("E_res", "E_u", "E_res_abs")
+    return {k: {n: e[k] for n, e in found.items() if e.get(k) is not None} for k in kinds}
+
+
+def figure_5(errors: Mapping[str, Mapping[str, float]]) -> list[list[str]]:
+    """Printed, network: errors in %, and the error of the load on the disks in GPa/Å."""
+    rows = []
+    for name, one, unit in (("*printed*", PRINTED["graphene"], 1.0), ("network", errors, 1e3)):
+        told = percent(one["E_res"], ("train", "val")), percent(one["E_u"], ("val", "disks"))
+        rows.append([name, *told, f"{unit * one['E_res_abs']['disks']:.3g}"])
+    return rows
 
 
 def hgo_disk(folder: Path) -> Field:

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from examples.figures import panels, save_figure
+from examples.figures import outer, panels, save_figure
 from tools.make_hgo import NODES
 from tools.make_leaflet import PROTOCOLS, SIDE, TINE, TINES_AT
 from warp_peri import Samples
@@ -42,14 +42,16 @@ def shown(figure: Figure, ax: Axes, x: Any, value: Any, label: str, limit: float
 def prediction(path: Path, field: Mapping[str, Any], length: str, load: str) -> None:
     """u₁ and b₁: truth, network, and the size of the difference."""
     figure = Figure(figsize=(11, 6), layout="constrained")
-    for row, (name, unit) in zip(figure.subplots(2, 3), (("u", length), ("b", load))):
+    grid = figure.subplots(2, 3)
+    for row, (name, unit) in zip(grid, (("u", length), ("b", load))):
         true, found = (np.array(part)[:, 0] for part in field[name])
         limit = max(np.abs(true).max(), np.abs(found).max())
         shown(figure, row[0], field["x"], true, f"{name}₁ [{unit}]", limit)
         shown(figure, row[1], field["x"], found, f"{name}₁ [{unit}]", limit)
         shown(figure, row[2], field["x"], np.abs(found - true), f"difference [{unit}]", None)
         for ax, title in zip(row, ("truth", "network", "difference")):
-            ax.set(title=f"{title}, {name}₁", xlabel=f"x₁ [{length}]", ylabel=f"x₂ [{length}]")
+            ax.set_title(f"{title}, {name}₁")
+    outer(grid, f"x₁ [{length}]", f"x₂ [{length}]")
     save_figure(figure, path)
 
 
@@ -68,7 +70,7 @@ def square(path: Path, samples: Samples, number: int) -> None:
     left.set(aspect="equal", title="21 × 21 nodes", xlabel="x₁ [mm]", ylabel="x₂ [mm]")
     u = samples.u[number, :, 0]
     shown(figure, right, x, u, "u₁ [mm]", np.abs(u).max())
-    right.set(title=f"training sample {number}", xlabel="x₁ [mm]", ylabel="x₂ [mm]")
+    right.set(title="displacement under a training load", xlabel="x₁ [mm]")
     save_figure(figure, path)
 
 
@@ -94,16 +96,18 @@ def loads(path: Path, sets: Mapping[str, Samples]) -> None:
     """Figure 9: load and displacement of a training and a validation sample."""
     figure = Figure(figsize=(13, 5.6), layout="constrained")
     titles = {"train": "training", "val": "validation"}
-    for row, (name, samples) in zip(figure.subplots(2, 4), sets.items()):
+    grid = figure.subplots(2, 4)
+    for row, (name, samples) in zip(grid, sets.items()):
         parts = [(f"b{'₁₂'[n]} [MPa/mm]", samples.loads[0, :, n]) for n in (0, 1)]
         parts += [(f"u{'₁₂'[n]} [mm]", samples.u[0, :, n]) for n in (0, 1)]
         for ax, (label, field) in zip(row, parts):
             shown(figure, ax, samples.x, field, label, np.abs(field).max())
-            ax.set(title=f"{titles[name]}, {label[:2]}", xlabel="x₁ [mm]", ylabel="x₂ [mm]")
+            ax.set_title(f"{titles[name]}, {label[:2]}")
+    outer(grid, "x₁ [mm]", "x₂ [mm]")
     save_figure(figure, path)
 
 
-def omega(ax: Axes, material: Any) -> None:
+def omega(ax: Axes, material: Any) -> Any:
     """ω over the bond, divided by its largest value, whose sign means nothing."""
     line = np.linspace(-1, 1, 161) * material.horizon
     grid = np.stack(np.meshgrid(line, line, indexing="xy"), axis=-1).reshape(-1, 2)
@@ -112,23 +116,25 @@ def omega(ax: Axes, material: Any) -> None:
     value[np.linalg.norm(grid, axis=1) > material.horizon] = np.nan
     value = value.reshape(161, 161) / value[np.nanargmax(np.abs(value))]
     drawn = ax.imshow(value, origin="lower", extent=(-1, 1, -1, 1), cmap="RdBu_r", vmin=-1, vmax=1)
-    ax.figure.colorbar(drawn, ax=ax, shrink=0.85, label="ω over its largest value")
-    ax.set(xlabel="ξ₁/δ", ylabel="ξ₂/δ")
+    ax.set_xlabel("ξ₁/δ")
+    return drawn
 
 
 def influence(path: Path, material: Any) -> None:
     """Figures 5 and 13, right: ω as an image."""
-    figure = Figure(figsize=(4.6, 3.8), layout="constrained")
-    omega(figure.subplots(), material)
+    figure, ax = panels(4.6, 3.8)
+    figure.colorbar(omega(ax, material), ax=ax, shrink=0.85, label="ω over its largest value")
+    ax.set_ylabel("ξ₂/δ")
     save_figure(figure, path)
 
 
 def roses(path: Path, laws: Mapping[int, Any], roses: Mapping[int, Mapping[str, float]]) -> None:
     """Figure 11, right: ω at each horizon, and under it the dictionary's energy by direction."""
-    figure = Figure(figsize=(12, 7), layout="constrained")
+    figure, shown = Figure(figsize=(12, 7), layout="constrained"), []
     for column, (reach, material) in enumerate(laws.items(), 1):
         ax = figure.add_subplot(2, len(laws), column)
-        omega(ax, material)
+        drawn = omega(ax, material)
+        shown.append(ax)
         ax.set_title(f"network, δ = {reach} spacings")
         ax = figure.add_subplot(2, len(laws), len(laws) + column, projection="polar")
         angles = np.array([float(angle) for angle in roses[reach]])
@@ -139,6 +145,8 @@ def roses(path: Path, laws: Mapping[int, Any], roses: Mapping[int, Mapping[str, 
                 ax.bar(angles[kept] + turn, sign * energy[kept], width=0.15, color=colour)
         ax.set_yticklabels([])
         ax.set_title(f"dictionary, δ = {reach} spacings")
+    shown[0].set_ylabel("ξ₂/δ")
+    figure.colorbar(drawn, ax=shown, shrink=0.85, label="ω over its largest value")
     save_figure(figure, path)
 
 

@@ -13,10 +13,10 @@ import torch
 
 from examples.exact import poiseuille
 from examples.polymer_flow import relative
-from examples.prose import rows_of
+from examples.prose import NUMBER, cells_of, rows_of
 from examples.studies import paper_polymer_pictures as pictures
 from examples.studies import paper_polymer_walls as walls
-from examples.studies.paper_polymer_pictures import COUNTS, HEIGHTS, LAWS, RECIPES
+from examples.studies.paper_polymer_pictures import COUNTS, HEIGHTS, LAWS, RECIPES, TRAINING
 from examples.studies.polymer_tables import MAXWELL, SEEDS, known_shear, printed_shear, shear_record
 from warp_peri import InputError
 from warp_peri.flow import (
@@ -48,8 +48,6 @@ TEMPLATE = Path(__file__).with_suffix(".md")
 CELLS, RE = 128, 10.0
 UNTIL = {1.0: 20.0, 10.0: 60.0}
 """End of the start-up between plates by De."""
-TRAINING = (1000, 3000, 6000)
-"""Training points in the channel, as printed."""
 MOST = (150.0, 40.0)
 """Largest |κ| of the training flows, shear and elongation [1/t0]. Printed is 150 for both, which
 Hookean dumbbells do not bear in elongation at De 1e-2: they stretch without end beyond De ε = ½."""
@@ -77,7 +75,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
             )
             for De, fluid in product(UNTIL, fluids)
         }
-        pictures.draw_plates(figures / "polymer_plates.png", plates)
+        pictures.draw_stress(figures / "polymer_stress.png", plates)
         return rows_of(plate_rows(plates))
 
     def oscillating() -> str:
@@ -86,7 +84,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
 
     def figures_6_and_9() -> str:
         fits = {n: kept(f"training_{n}", partial(training, n)) for n in TRAINING}
-        pictures.draw_training(figures / "polymer_training.png", fits)
+        pictures.draw_rates(figures / "polymer_rates.png", fits)
         return rows_of(training_rows(fits))
 
     def ranges() -> str:
@@ -120,6 +118,22 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
         "nuts": lambda: rows_of(kept("nuts", nuts)["rows"]),
         "walls": lambda: rows_of(map(walls.row_of, kept("walls", walls.study))),
     }
+
+
+def redraw(page: str, figures: Path) -> None:
+    """Figures 5 and 9 from the tables of the page."""
+    plates: dict[str, dict[str, Any]] = {}
+    for De, name in product(UNTIL, (*LAWS, "coupled")):
+        (row,) = cells_of(page, "Figure 5", f"| {De:g} | {name} |")
+        cells = [[float(n) for n in NUMBER.findall(cell)[:-1]] for cell in row]
+        plates.setdefault(f"{De:g}", {})[name] = cells
+    pictures.draw_plates(figures / "polymer_plates.png", plates)
+    training = {}
+    for name in RECIPES:
+        rows = cells_of(page, "Figures 6 and 9", f"| {name} |")
+        ended = {int(points): u for points, _, _, u, *_ in rows if NUMBER.match(u)}
+        training[name] = {points: float(u) for points, u in ended.items()}
+    pictures.draw_training(figures / "polymer_training.png", training)
 
 
 def numbers(values: Iterable[float]) -> list[str]:

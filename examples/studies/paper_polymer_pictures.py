@@ -1,15 +1,18 @@
 """Figures of the page on polymer flow by Gaussian processes: see paper_polymer_gp.py."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from examples.figures import panels, save_figure
 
 COUNTS = (1000, 10_000, 100_000)
 """Dumbbells of an ensemble, as printed."""
+TRAINING = (1000, 3000, 6000)
+"""Training points in the channel, as printed."""
 HEIGHTS = (0.1, 0.25, 0.5)
 """Where forces are shown."""
 LAWS = ("printed recipe", "kinematics known")
@@ -44,55 +47,81 @@ def draw_law(path: Path, law: Mapping[str, Any]) -> None:
     save_figure(figure, path)
 
 
-def draw_plates(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]]) -> None:
-    """Figure 5."""
-    figure, axes = panels(10, 6, count=2, rows=2)
-    for column, De in enumerate(sorted({De for De, *_ in plates})):
-        above, below = axes[:, column]
+def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]]) -> None:
+    """Figure 5, above: stress over time."""
+    figure, axes = panels(10, 3.2, count=2)
+    for ax, De in zip(axes, sorted({De for De, *_ in plates})):
         run = plates[De, LAWS[1], 10_000]
         coupled = plates[De, "coupled", 10_000]
         for i in range(5):
-            above.plot(coupled["t"], np.array(coupled["stress"])[:, i], "C7", linewidth=0.8)
-            above.plot(run["t"], np.array(run["stress"])[:, i], "C1")
-            above.plot(run["t"], np.array(run["exact"])[:, i], "k:", linewidth=1)
-        above.set(title=f"De = {De:g}", xlabel="t / t0", ylabel="σ_xy at five heights")
-        for color, n in enumerate(COUNTS):
-            for name, style in zip((*LAWS, "coupled"), ("--", "-", ":")):
-                run = plates[De, name, n]
-                error = np.median(run["error"], axis=0)
-                below.semilogy(run["t"][1:], error[1:], f"C{color}{style}", label=f"{name}, {n}")
-        below.set(xlabel="t / t0", ylabel="largest error of u / U")
-        above.plot([], [], "C7", label="coupled, 10⁴ dumbbells")
-        above.plot([], [], "C1", label="learned, kinematics known")
-        above.plot([], [], "k:", label="exact law")
-    above.legend(frameon=False, fontsize=8)
-    lines = below.get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", frameon=False, fontsize=8, ncols=3)
+            ax.plot(coupled["t"], np.array(coupled["stress"])[:, i], "C7", linewidth=0.8)
+            ax.plot(run["t"], np.array(run["stress"])[:, i], "C1")
+            ax.plot(run["t"], np.array(run["exact"])[:, i], "k:", linewidth=1)
+        ax.set(title=f"De = {De:g}", xlabel="t / t0", ylabel="σ_xy at five heights")
+    for style, label in (
+        ("C7", "coupled, 10⁴ dumbbells"),
+        ("C1", "learned, kinematics known"),
+        ("k:", "exact law"),
+    ):
+        ax.plot([], [], style, label=label)
+    ax.legend(frameon=False, fontsize=8)
     save_figure(figure, path)
 
 
-def draw_training(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
-    """Figures 6 and 9."""
-    figure, (left, middle, right) = panels(10.5, 4.4, count=3)
+def draw_plates(path: Path, rows: Mapping[str, Mapping[str, Sequence[Sequence[float]]]]) -> None:
+    """Figure 5, below: median, least and largest error of u / U for each number of dumbbells."""
+    figure, axes = panels(9.5, 4.2, count=2, sharey=True)
+    for ax, (De, fluids) in zip(axes, rows.items()):
+        for color, (name, errors) in enumerate(fluids.items()):
+            median, least, most = 100 * np.array([(e[0], min(e), max(e)) for e in errors]).T
+            spread = [median - least, most - median]
+            ax.errorbar(COUNTS, median, spread, color=f"C{color}", capsize=3, marker="o")
+            label = "dumbbells in every cell" if name == "coupled" else name
+            named(ax, COUNTS[-1], median[-1], label, f"C{color}")
+        ax.set(title=f"Deborah number {De}", xlabel="dumbbells in an ensemble")
+        ax.set(xscale="log", yscale="log", xlim=(700, 4e6))
+        ax.set_xticks(COUNTS)
+        ax.set_xticks([], minor=True)
+    axes[0].set_ylabel("largest error of the velocity [% of the wall's]")
+    figure.suptitle("With the kinematics known, a learned fluid errs least")
+    save_figure(figure, path)
+
+
+def draw_rates(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
+    """Figure 6: learned against exact rates, by the printed pairing."""
+    figure, axes = panels(8, 4, count=2)
     for color, (n, fit) in enumerate(fits.items()):
-        truth, rate = np.array(fit["truth"]), np.array(fit["printed pairing"]["rate"])
-        for ax, place in ((left, 0), (middle, 1)):
-            ax.plot(
-                truth[:, place], rate[:, place], f"C{color}x", markersize=3, label=f"{n} points"
-            )
-        for name, style in zip(RECIPES, ("--", "-", "-.", ":")):
-            if fit[name]["error"] is not None:  # else the flow ran away
-                right.semilogy(
-                    fit["t"], fit[name]["error"], f"C{color}{style}", label=f"{n}, {name}"
-                )
-    for ax, name in ((left, "xx"), (middle, "xy")):
+        truth, rate = np.array(fit["truth"]), np.array(fit[RECIPES[0]]["rate"])
+        for place, ax in enumerate(axes):
+            ax.plot(truth[:, place], rate[:, place], f"C{color}x", ms=3, label=f"{n} points")
+    for ax, name in zip(axes, ("xx", "xy")):
         ax.axline((0, 0), slope=1, color="k", linewidth=0.8)
         ax.set(xlabel=f"exact ds_{name}/dt", ylabel=f"learned ds_{name}/dt, printed pairing")
-    left.legend(frameon=False, fontsize=8)
-    right.set(xlabel="t / t0", ylabel="largest error of u / U")
-    lines = right.get_legend_handles_labels()
-    figure.legend(*lines, loc="outside lower center", frameon=False, fontsize=8, ncols=3)
+    axes[0].legend(frameon=False, fontsize=8)
     save_figure(figure, path)
+
+
+def draw_training(path: Path, rows: Mapping[str, Mapping[int, float]]) -> None:
+    """Figure 9: largest error of u / U for each number of training points, where a run ended."""
+    figure, ax = panels(7.5, 4.2)
+    for color, (name, errors) in enumerate(rows.items()):
+        ax.plot([*errors], 100 * np.array([*errors.values()]), f"C{color}o-")
+        named(ax, max(errors), 100 * errors[max(errors)], name, f"C{color}")
+    ax.set(xscale="log", yscale="log", xlim=(800, 30_000), xlabel="training points")
+    ax.set_xticks([*TRAINING], [f"{n}" for n in TRAINING])
+    ax.set_xticks([], minor=True)
+    ax.set_ylabel("largest error of the velocity [% of the mean]")
+    ax.set_title("Only with the kinematics known is the error below 3 %")
+    lost = [name for name, errors in rows.items() if TRAINING[0] not in errors]
+    if lost:
+        away = "\n".join([f"with {TRAINING[0]} points run away:", *lost])
+        ax.annotate(away, (0.03, 0.96), xycoords="axes fraction", va="top", color="0.4")
+    save_figure(figure, path)
+
+
+def named(ax: Axes, x: float, y: float, name: str, color: str) -> None:
+    """Write the name of a line at its end."""
+    ax.annotate(name, (x, y), (8, 0), textcoords="offset points", va="center", color=color)
 
 
 def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> None:

@@ -8,7 +8,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from examples.figures import panels, save_figure
+from examples.figures import outer, panels, save_figure
 from tools.make_graphene import SMOOTHING_RADIUS, read_samples
 from warp_peri import Dataset
 
@@ -69,15 +69,17 @@ def atoms(data: Dataset, cache: Path, path: Path) -> None:
     nodes.set_title(f"{inside.sum()} nodes, 5 Å apart")
     figure.colorbar(drawn, ax=[whole, nodes], label="u₁ [Å]", shrink=0.8)
     for ax in (near, whole, nodes):
-        ax.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]")
+        ax.set_aspect("equal")
+    outer(np.array([[near, whole, nodes]]), "x₁ [Å]", "x₂ [Å]")
     save_figure(figure, path)
 
 
 def fields(data: Dataset, path: Path) -> None:
     """Figure 5: u₁ and b₁ of a training, a validation and a test sample."""
     figure = Figure(figsize=(11, 6), layout="constrained")
-    titles = {"train": "training", "val": "validation", "test": "disk"}
-    for column, (name, title) in zip(figure.subplots(2, 3).T, titles.items()):
+    titles = {"train": "training load", "val": "validation load", "test": "disk"}
+    grid = figure.subplots(2, 3)
+    for column, (name, title) in zip(grid.T, titles.items()):
         samples, number = data[name], SHOWN[name]
         x = samples.x[samples.interior]
         shown = {"u₁ [Å]": samples.u, "b₁ [GPa/Å]": 1e3 * np.asarray(samples.b)}
@@ -88,6 +90,6 @@ def fields(data: Dataset, path: Path) -> None:
             bar = figure.colorbar(drawn, ax=ax, label=label, shrink=0.75)
             bar.locator = MaxNLocator(5, symmetric=True)
             bar.update_ticks()
-            ax.set(aspect="equal", title=f"{title}, load {number}")
-            ax.set(xlabel="x₁ [Å]", ylabel="x₂ [Å]")
+            ax.set(aspect="equal", title=f"{title}, {label[:2]}")
+    outer(grid, "x₁ [Å]", "x₂ [Å]")
     save_figure(figure, path)

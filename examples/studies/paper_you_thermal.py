@@ -345,5 +345,5 @@ def draw_kernels(path: Path, cold: wp.Model, kernels: Mapping[str, Any]) -> None
     for ax, title in ((both, "at 0 and 300 K"), (noises, "at 300 K, by the size of the loads")):
         ax.axhline(0, color="grey", linewidth=0.8)
         ax.set(xlabel="r [Å]", ylabel="K / m [Å⁻⁴]", title=title, ylim=(-most, most))
-        ax.legend(framealpha=1, edgecolor="none", loc="lower right")
+        ax.legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.15))
     save_figure(figure, path)

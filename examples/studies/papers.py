@@ -2,10 +2,13 @@
 
     python examples/studies/papers.py you_2021
     python examples/studies/papers.py you_2021 --section "Figures 2 and 3"
+    python examples/studies/papers.py you_2021 --page
 
 Takes what other commands left in runs/ and names those that are missing. What it computes itself is
-kept in runs/papers/, so that a run that is stopped goes on. Writes docs/papers/NAME.md; with
---section only those whose titles begin so. The foot of a page says which commit made what.
+kept in runs/papers/, so that a run that is stopped goes on. Writes docs/archive/papers_NAME.md with
+every table; with --section only those whose titles begin so. Its foot says which commit made what.
+Then writes docs/papers/NAME.md, the page of claims, whose numbers are read from the long one; with
+--page nothing but that, in seconds.
 """
 
 import json
@@ -22,6 +25,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
+from examples.prose import NUMBER, cells_of, readable
 from examples.studies import paper_jafarzadeh_2024, paper_polymer_gp, paper_slides, paper_you_2021
 from tools.options import Options
 from warp_peri import InputError
@@ -36,7 +40,9 @@ SOURCES = {
 }
 """Each has `parts(runs, kept, figures)`: by name, what its template, beside it, leaves open, as
 text or a function that gives it; and NEEDED: results that it reads, by the command that makes
-them."""
+them. May have `redraw(page, figures)`: pictures of the rows of its long page."""
+CELL = re.compile(r"\{([^{}>]+) > ([^{}>]+) > (\d+)(?: > (\.\d\w)(%?))?\}")
+"""A number of a long page, in the template of a short one: section, row, which, digits, in %."""
 MADE = re.compile(r"^\*Made at (?P<where>.+?)(?:: (?P<titles>.+))?\.\*$", re.MULTILINE)
 """A line of the foot of a page; without titles it speaks of all sections that no other names."""
 
@@ -95,6 +101,21 @@ def whole(texts: Collection[str], made: Mapping[str, Collection[str]]) -> str:
     return "\n\n".join([*(text.rstrip() for text in texts), *foot]) + "\n"
 
 
+def short(template: str, page: str) -> str:
+    """A page of claims, with the numbers of the long page."""
+
+    def number(found: re.Match[str]) -> str:
+        section, start, which, digits, hundred = found.groups()
+        (row, *_) = cells_of(page, section, f"| {start} |")
+        numbers = NUMBER.findall(" ".join(row))
+        if int(which) >= len(numbers):
+            raise ValueError(f"{found[0]}: expected a number of the row, it has {numbers}")
+        told = numbers[int(which)]
+        return readable(f"{(100 if hundred else 1) * float(told):{digits}}" if digits else told)
+
+    return CELL.sub(number, template)
+
+
 def keeper(folder: Path) -> Callable[..., Any]:
     """A function that computes a result once and keeps it as JSON in the folder."""
 
@@ -122,10 +143,28 @@ def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
     parser.add("source", choices=SOURCES)
     parser.add("--section", nargs="+", default=[], metavar="TITLE", help="only these")
+    parser.add("--page", action="store_true", help="the page of claims alone")
     parser.add("--runs", type=Path, default=ROOT / "runs", help="results of the commands")
-    parser.add("--out", type=Path, default=ROOT / "docs" / "papers")
+    parser.add("--out", type=Path, default=ROOT / "docs", help="default: docs/")
     given = parser.parse_args(arguments)
-    source, path = SOURCES[given.source], given.out / f"{given.source}.md"
+    path, figures = given.out / "archive" / f"papers_{given.source}.md", given.out / "papers"
+    source, claims = SOURCES[given.source], figures / f"{given.source}.md"
+    for folder in (path.parent, figures):
+        folder.mkdir(parents=True, exist_ok=True)
+    if not given.page:
+        write_text(path, long(given, path, figures))
+    page = path.read_text(encoding="utf-8")
+    if hasattr(source, "redraw"):
+        source.redraw(page, figures)
+    template = source.TEMPLATE.with_stem(f"{source.TEMPLATE.stem}_claims")
+    write_text(claims, short(template.read_text(encoding="utf-8"), page))
+    print(path, claims, sep="\n")
+    return 0
+
+
+def long(given: Any, path: Path, figures: Path) -> str:
+    """The page with every table, or with some sections made again."""
+    source = SOURCES[given.source]
     template, now = source.TEMPLATE.read_text(encoding="utf-8"), where()
     titles = list(sections(template))[1:]
     again = [title for title in titles if title.startswith(tuple(given.section))]
@@ -138,15 +177,10 @@ def main(arguments: list[str] | None = None) -> int:
         raise InputError("to be run first: " + "; ".join(missing))
     if given.section and not (again and path.exists()):
         raise InputError(f"section: expected one of those of {path}, got {given.section}")
-    given.out.mkdir(parents=True, exist_ok=True)
-    parts = source.parts(given.runs, keeper(given.runs / "papers" / given.source), given.out)
+    parts = source.parts(given.runs, keeper(given.runs / "papers" / given.source), figures)
     if given.section:
-        page = remade(path.read_text(encoding="utf-8"), template, again, parts, now)
-    else:
-        page = whole([filled(template, parts)], {now: []})
-    write_text(path, page)
-    print(path)
-    return 0
+        return remade(path.read_text(encoding="utf-8"), template, again, parts, now)
+    return whole([filled(template, parts)], {now: []})
 
 
 if __name__ == "__main__":

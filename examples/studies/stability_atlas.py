@@ -1,15 +1,20 @@
 """Where the method fails: every failure provoked, measured, drawn, and met by a named error.
 
-Writes docs/stability.md with its figures (or, with --out, the same to a folder) and
-stability.json. The texts are filled with the measurements of the run; the errors and warnings in
-them are caught as a user would see them.
+Writes docs/explanation/where_it_fails.md, the study behind it docs/archive/stability.md, the
+figures, and stability/stability.json with the measurements (or, with --out, the same to a folder).
+The texts are filled with the measurements of the run; the errors and warnings in them are caught
+as a user would see them. With --again the pages are made anew from stability.json.
 """
 
+import json
+import re
 import sys
 import time
-from collections.abc import Callable
+import unicodedata
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
@@ -28,7 +33,7 @@ from examples.studies import (
     atlas_strains,
     atlas_transfer,
 )
-from examples.studies.atlas_entry import Entry
+from examples.studies.atlas_entry import Entry, Words, filled
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from tools.options import Options
 from warp_peri import InputError
@@ -36,7 +41,22 @@ from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json, write_text
 
 STEPS = 100_000
-TEMPLATE = Path(__file__).parent / "atlas" / "page.md"
+TEMPLATES = Path(__file__).parent / "atlas"
+PAGES = {"page": "explanation/where_it_fails.md", "study": "archive/stability.md"}
+"""Templates of whole pages, and where the pages lie."""
+PARTS = {
+    "Fit and transfer": (
+        "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered",
+        "transfer", "supercell", "noisy-strains",
+    ),
+    "Bodies and edges": ("surfaces", "bodies", "crystals", "edges", "small-holes"),
+    "Motion": ("time-step", "energy", "dispersion"),
+    "Large strains": ("strain", "larger-strains", "stretched", "compression", "uneven"),
+    "Cracks": ("broken", "cracks-in-space", "stretch", "edge-tips", "long-steps"),
+    "Numbers and error bars": ("float32", "ranks", "predictions"),
+    "Polymer flow": ("noise-of-its-own", "stretched-and-turned"),
+}  # fmt: skip
+"""Entries of the page for readers, by subject."""
 
 
 def entries(data: wp.Dataset, atoms: Path, steps: int) -> dict[str, Callable[[], Entry]]:
@@ -85,13 +105,55 @@ def entries(data: wp.Dataset, atoms: Path, steps: int) -> dict[str, Callable[[],
     }
 
 
-def section(name: str, entry: Entry, figures: str) -> str:
-    """One entry as Markdown."""
-    seen = "\n".join(f"    {line}" for line in entry.seen)
+def anchor(title: str) -> str:
+    """A link's end of a heading, as the site makes it."""
+    plain_title = unicodedata.normalize("NFKD", title).encode("ascii", "ignore").decode()
+    return re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", plain_title).strip().lower())
+
+
+def study(name: str, words: Words, seen: list[str]) -> str:
+    """One entry of the study as Markdown."""
+    said = "\n".join(f"    {line}" for line in seen)
     return (
-        f"## {entry.title}\n\n**{entry.number}**\n\n{entry.text}\n\n"
-        f"![{entry.title}]({figures}/{name}.png)\n\nWhat a user sees:\n\n{seen}\n"
+        f"## {words.title}\n\n**{words.number}**\n\n{words.text}\n\n"
+        f"![{words.title}](../stability/{name}.png)\n\nWhat a user sees:\n\n{said}\n"
     )
+
+
+def brief(words: Words, seen: list[str]) -> str:
+    """One entry of the page for readers as Markdown."""
+    said = "\n".join(seen)
+    return (
+        f"### {words.heading} {{#{anchor(words.title)}}}\n\n{words.brief}\n"
+        f"[Study](../archive/stability.md#{anchor(words.title)}).\n\n```text\n{said}\n```\n"
+    )
+
+
+def row(words: Words) -> str:
+    """One entry of the table of symptoms."""
+    symptom, cause, remedy = words.row.split(" | ")
+    return f"| {symptom} | [{cause.rstrip('.')}](#{anchor(words.title)}) | {remedy} |"
+
+
+def pages(kept: Mapping[str, Mapping[str, Any]]) -> dict[str, str]:
+    """Both pages, by their places, from measurements and messages by entry."""
+    words = {name: filled(name, one["numbers"]) for name, one in kept.items()}
+    rows = sorted((row(one) for one in words.values()), key=lambda line: line[2] != "`")
+    parts = [
+        f"## {part}\n\n" + "\n".join(brief(words[name], kept[name]["seen"]) for name in names)
+        for part, names in PARTS.items()
+    ]
+    sections = [study(name, words[name], one["seen"]) for name, one in kept.items()]
+    return {
+        PAGES["page"]: fill(TEMPLATES / "page.md", rows="\n".join(rows), parts="\n".join(parts)),
+        PAGES["study"]: fill(TEMPLATES / "study.md", sections="\n".join(sections)),
+    }
+
+
+def write_pages(out: Path, kept: Mapping[str, Mapping[str, Any]]) -> None:
+    for place, text in pages(kept).items():
+        (out / place).parent.mkdir(parents=True, exist_ok=True)
+        write_text(out / place, text)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -99,24 +161,29 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add("--out", type=Path, default=ROOT / "docs", help="default: docs/")
     parser.add("--only", nargs="+", metavar="NAME", help="some entries, no page")
     parser.add("--steps", type=int, default=STEPS, help="of the energy drift")
+    parser.add("--again", action="store_true", help="the pages from what is there, unmeasured")
     given = parser.parse_args(arguments)
-    path = make_data(-1, SMOOTHING_RADIUS)
-    data = wp.load(path)
+    table = given.out / "stability" / "stability.json"
+    if given.again:
+        write_pages(given.out, json.loads(table.read_text(encoding="utf-8")))
+        return 0
+    data = wp.load(make_data(-1, SMOOTHING_RADIUS))
     works = entries(data, DATA.with_suffix(".cache"), given.steps)
     unknown = set(given.only or ()) - set(works)
     if unknown:
         raise InputError(f"--only: expected some of {', '.join(works)}, got {sorted(unknown)}")
-    sections, values = [], {}
+    kept, values = {}, {}
     for name in given.only or works:
         begin = time.perf_counter()
         entry = works[name]()
         save_figure(entry.figure, given.out / "stability" / f"{name}.png")
-        sections.append(section(name, entry, "stability"))
-        values[name] = {"number": entry.number, "seen": entry.seen, "values": entry.values}
-        print(f"{entry.title}: {entry.number} ({time.perf_counter() - begin:.0f} s)", flush=True)
+        kept[name] = {"numbers": plain(entry.numbers), "seen": entry.seen}
+        values[name] = kept[name] | {"values": entry.values}
+        words = filled(name, entry.numbers)
+        print(f"{words.title}: {words.number} ({time.perf_counter() - begin:.0f} s)", flush=True)
     if not given.only:
-        page = fill(TEMPLATE, sections="\n".join(sections))
-        write_text(given.out / "stability.md", page)
+        write_json(table, finite(kept))
+        write_pages(given.out, kept)
         write_json(ROOT / "runs" / "stability" / "stability.json", finite(plain(values)))
     return 0
 

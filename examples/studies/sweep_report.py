@@ -5,6 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import matplotlib.pyplot as plt
+from matplotlib.ticker import NullFormatter, ScalarFormatter
 
 from examples.figures import panels, save_figure
 from examples.prose import fill, rows_of
@@ -52,19 +53,29 @@ def write_sweep(
 
 def draw_errors(path: Path, trials: Sequence[Trial]) -> None:
     """Figure 6: errors by degree, here and printed."""
-    figure, axes = panels(10, 4, count=2)
+    figure, axes = panels(10.5, 4, count=2)
     degrees = [trial.degree for trial in trials]
     known = [M for M in degrees if M in PRINTED_TABLE_3]
-    for ax, names in zip(axes, (("E_res_train", "E_res_val"), ("E_u_train", "E_u_val"))):
-        for number, name in enumerate(names):
-            column = 1 + ERRORS.index(name)
-            ours = [100 * getattr(trial, name) for trial in trials]
+    for ax, kind, title in zip(axes, ("E_res", "E_u"), ("load", "displacement")):
+        for number, (end, name) in enumerate((("train", "training"), ("val", "validation"))):
+            column = 1 + ERRORS.index(f"{kind}_{end}")
+            ours = [100 * getattr(trial, f"{kind}_{end}") for trial in trials]
             printed = [PRINTED_TABLE_3[M][column] for M in known]
-            ax.semilogy(degrees, ours, "o-", color=f"C{number}", label=f"{name}, here")
-            ax.semilogy(known, printed, "s--", color=f"C{number}", label=f"{name}, printed")
-        ax.set(xlabel="degree M, each at its δ*", ylabel="error [%]")
-        ax.legend(frameon=False)
-    figure.suptitle("Errors by degree (figure 6, 0 K)")
+            for x, y, style, where in (
+                (degrees, ours, "o-", "here"),
+                (known, printed, "s--", "printed"),
+            ):
+                ax.semilogy(x, y, style, color=f"C{number}")
+                if x:
+                    label = f"{name}, {where}"
+                    at = {"textcoords": "offset points", "va": "center", "color": f"C{number}"}
+                    ax.annotate(label, (x[-1], y[-1]), (8, 0), **at)
+        ax.set(xlabel="degree of the influence function", ylabel="relative error [%]")
+        ax.set(title=f"error of the {title}", xticks=degrees, xlim=(min(degrees) - 1, 31))
+        ax.yaxis.set_major_formatter(ScalarFormatter())
+        ax.yaxis.set_minor_formatter(NullFormatter())
+        ax.set_yticks([1, 2, 5, 10])
+    figure.suptitle("Errors fall with the degree, and end far below the printed ones (0 K)")
     save_figure(figure, path)
 
 

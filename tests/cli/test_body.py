@@ -12,7 +12,7 @@ import warp_peri as wp
 from tests.conformance.test_laws import finite, hyperelastic, third_order
 from tests.support.plates import plate
 from tests.support.problems import kernel
-from warp_peri.cli.arguments import solve
+from warp_peri.cli.arguments import add_options
 from warp_peri.cli.commands import _solver
 from warp_peri.cli.main import main
 from warp_peri.statics.solution import PRECONDITIONERS
@@ -118,6 +118,6 @@ def test_a_method_is_of_linear_solids_and_body_options_are_of_bodies(files, caps
     with pytest.raises(wp.InputError, match="expected auto for a NonlinearModel"):
         _solver("lu", third_order(None)())
     parser = ArgumentParser()
-    solve(parser)
+    add_options(parser, "solve")
     (method,) = (action for action in parser._actions if action.dest == "method")
     assert set(method.choices) == {"auto", "lu", "gmres", *PRECONDITIONERS}

@@ -3,10 +3,12 @@
 import dataclasses
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
 import tomllib
+from argparse import _SubParsersAction
 from pathlib import Path
 
 import meshio
@@ -20,7 +22,7 @@ from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Dataset, InputError, Samples, load
 from warp_peri.cli.inputs import atom_forces
-from warp_peri.cli.main import main
+from warp_peri.cli.main import _parser, main
 from warp_peri.lps.model import Model
 from warp_peri.micromodulus import fit_symbol
 from warp_peri.points.dataset import load_dataset, save_dataset
@@ -103,6 +105,52 @@ def test_certify_evaluate_solve_and_info(trained, data, tmp_path, capsys):
     sets = answer(capsys, "info", data)["sets"]
     assert sets["noise"]["samples"] == 8
     assert errors["test"]["E_u"] < 0.01
+
+
+COMMAND_PARSERS = next(
+    action for action in _parser()._actions if isinstance(action, _SubParsersAction)
+).choices
+
+
+@pytest.mark.parametrize("name", COMMAND_PARSERS)
+def test_help_is_a_sentence_an_example_and_phrases_in_groups(name):
+    parser = COMMAND_PARSERS[name]
+    assert parser.description.endswith(".")
+    assert parser.description.count(".") == 1
+    assert len(parser.description.split()) <= 25
+    start, program, command, *words = shlex.split(parser.epilog)
+    assert [start, program, command] == ["Example:", "warp-peri", name]
+    assert _parser().parse_args([command, *words]).command == name
+    ours = [group for group in parser._action_groups if group.title not in ("options", None)]
+    titles = [group.title for group in ours if group._group_actions]
+    assert titles[: len({*titles} & {"input", "model", "output"})] == [
+        title for title in ("input", "model", "output") if title in titles
+    ]
+    shown = " ".join(parser.format_help().split())
+    assert shown.startswith(f"usage: warp-peri {name} ")
+    for action in [action for group in ours for action in group._group_actions]:
+        assert len(action.help.split()) >= 2, action.dest
+        if action.option_strings and action.nargs != 0 and not action.required:
+            said = " ".join(parser._get_formatter()._expand_help(action).split())
+            known = "default" in said or action.default == []
+            assert known, f"{action.dest}: nobody says what is taken without it"
+
+
+def test_training_says_what_there_is_how_good_and_what_next(data, tmp_path, capsys):
+    words = ["train", str(data), "--out", str(tmp_path), "--horizon", "2.5", "--degree", "3"]
+    assert main([*words, "--loss", "residual"]) == 0
+    what, good, proof, further, line, *details = capsys.readouterr().out.splitlines()
+    error = json.loads((tmp_path / "metrics.json").read_text())["E_u"]["test"]
+    assert what.startswith(f"{tmp_path}/model.json: linear peridynamic solid (LPS), horizon 2.5 Å")
+    assert good.startswith(f"error of displacement: {100 * error:.2g} % on set 'test'")
+    assert proof == "proven: exactly one equilibrium for every load"
+    assert set(line) == {"-"}
+    assert any(line.startswith("mu: ") for line in details)
+    typed = further.removeprefix("next: warp-peri ")
+    assert typed.startswith(f"solve {tmp_path}/model.json {data} --set test --out ")
+    assert main(shlex.split(typed)) == 0
+    settings = tomllib.loads((tmp_path / "train.toml").read_text())["train"]
+    assert not {"first", "told"} & {*settings}
 
 
 def test_people_read_lines(trained, data, capsys):
@@ -396,7 +444,7 @@ def test_nothing_is_written_over_what_is_read(words, message, trained, data, tmp
 
 def test_an_operator_is_exported_on_certified_lattices(data, tmp_path, capsys):
     model = tmp_path / "bare.json"
-    dataclasses.replace(kernel("1/r", HORIZON), certified_on=()).save(model)
+    dataclasses.replace(kernel("sign-changing", HORIZON), certified_on=()).save(model)
     words = [
         "export",
         "operator",

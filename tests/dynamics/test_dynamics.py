@@ -138,7 +138,10 @@ def test_energy_over_a_hundred_thousand_steps():
         ({"step": 1.0}, "step: expected at most"),
         ({"steps": 0}, "steps: expected a whole number"),
         ({"every": 1.5}, "every: expected a whole number"),
-        ({"model": replace(kernel("1/r", 2.0), certified_on=())}, "certified on no spacing"),
+        (
+            {"model": replace(kernel("sign-changing", 2.0), certified_on=())},
+            "certified on no spacing",
+        ),
     ],
 )
 def test_bad_input_is_refused(change, words):

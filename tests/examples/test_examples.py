@@ -1,16 +1,20 @@
 """The examples and the command line, run as a user runs them, on data made by LAMMPS."""
 
+import io
 import json
 import re
 import runpy
 import shutil
 import sys
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from examples import train_graphene
+from tests.package.test_pages import BLOCKS, TEXT
+from tests.package.test_shell_pages import run_as_typed
 from warp_peri import LPS, Bernstein, fit, save
 from warp_peri.cli.main import main as command
 from warp_peri.lps.model import Model
@@ -23,9 +27,11 @@ RESULTS = ("model.json", "metrics.json", "report.md", "influence.png", "loss.png
 
 @pytest.fixture(scope="module")
 def main_run(graphene, tmp_path_factory):
-    """The main job, as it stands in docs/learning.md."""
+    """The main job, as it stands in docs/archive/learning.md."""
     out = tmp_path_factory.mktemp("runs") / "graphene_0K"
-    assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
+    with redirect_stdout(io.StringIO()) as printed:
+        assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
+    (out / "printed.txt").write_text(printed.getvalue())
     return out
 
 
@@ -51,7 +57,34 @@ def test_main_job_leaves_its_results(main_run):
     assert numbers["micromodulus"]["bonds"] == 20
     assert numbers["micromodulus"]["E_u"]["test"] < numbers["E_u"]["test"]
     assert (main_run / "micromodulus.json").exists()
-    assert "three more numbers" in (main_run / "report.md").read_text()
+
+
+def test_main_job_says_what_there_is_how_good_and_what_next(main_run):
+    """In the terminal and in the report; details lie below a line, eigenvalues in metrics.json."""
+    numbers = json.loads((main_run / "metrics.json").read_text())
+    error = f"{100 * numbers['E_u']['test']:.2f} %"
+    samples = [100 * sample for sample in numbers["E_u_samples"]["test"]]
+    good = f"4 free disks that the fit never saw the displacement has an error of {error}"
+    spread = f"({min(samples):.1f} to {max(samples):.1f} %)"
+    lines = (main_run / "printed.txt").read_text().splitlines()
+    assert len(lines) == 6
+    assert lines[0] == f"graphene at 0 K: {main_run}/model.json"
+    assert f"{good} {spread}" in lines[1]
+    assert lines[2].startswith("Proven: ")
+    assert f"Young's modulus {1e3 * numbers['E']:.0f} GPa" in lines[3]
+    assert lines[5].startswith("next: ")
+    text = (main_run / "report.md").read_text()
+    above, below = text.split("\n----\n")
+    assert f"{good} {spread}" in above
+    assert "## Next" in above
+    assert "LPS with third-order constants" in above
+    assert "Λmin" not in text
+    assert numbers["statement"] in below
+    cells = re.search(r"\| linear peridynamic solid \(LPS\) \|(.*)\|", below)[1].split("|")
+    order = [("E_res", "train"), ("E_res", "val"), *(("E_u", r) for r in ("train", "val", "test"))]
+    assert [float(c) for c in cells] == pytest.approx(
+        [100 * numbers[error][role] for error, role in order], abs=0.0051
+    )
 
 
 def of_the_readme(name):
@@ -74,7 +107,7 @@ def test_defaults_reach_the_figures_of_the_pages(main_run):
     assert min(numbers["conditions"].values()) > 0  # (i) to (iii) of (4.6), by dense eigenvalues
     for local in numbers["local"].values():  # never worse than a solid without a horizon
         assert all(numbers["E_u"][role] <= local[role] for role in local)
-    page = (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "archive" / "learning.md").read_text(encoding="utf-8")
     row = re.search(r"\*\*this library\*\* \|(.*)\|", page)[1]
     printed = [float(cell.strip(" *")) for cell in row.split("|")]
     measured = [percent["E_res"][r] for r in ("train", "val")]
@@ -84,12 +117,12 @@ def test_defaults_reach_the_figures_of_the_pages(main_run):
     assert 100 * beside["E_u"]["test"] <= 0.34
     assert 100 * beside["E_u"]["val"] <= 0.36
     assert beside["proven_strain"] >= 0.05
-    row = re.search(r"\| three more numbers \|(.*)\|", page)[1]
+    row = re.search(r"\| LPS with third-order elastic constants \|(.*)\|", page)[1]
     measured = [100 * beside["E_res"][r] for r in ("train", "val")]
     measured += [100 * beside["E_u"][r] for r in ("train", "val", "test")]
     assert [float(cell) for cell in row.split("|")] == pytest.approx(measured, abs=0.02)
     crystal = numbers["micromodulus"]
-    row = re.search(r"\| tensors on 20 bonds \|(.*)\|", page)[1]
+    row = re.search(r"\| crystal model, 20 bonds \|(.*)\|", page)[1]
     measured = [100 * crystal["E_res"][r] for r in ("train", "val")]
     measured += [100 * crystal["E_u"][r] for r in ("train", "val", "test")]
     assert [float(cell) for cell in row.split("|")] == pytest.approx(measured, abs=0.02)
@@ -206,6 +239,24 @@ def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
     assert f"{100 * float(error):.2f}" == printed
     assert statement.startswith("Every static problem on any finite set of nodes")
     assert Model.load("model.json").certified_on == (5.0,)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_the_tutorial_on_graphene_prints_what_it_shows(
+    main_run, graphene, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    shutil.copy(graphene, tmp_path / "data" / "graphene_0K.h5")
+    run_as_typed("tutorials/graphene", capsys)
+    ((code, shown),) = BLOCKS["tutorials/graphene"]
+    exec(code, {})
+    assert capsys.readouterr().out == shown
+    first = re.search(r"```text\n(.*?)```", TEXT["tutorials/graphene"], re.S)[1].splitlines()
+    printed = (main_run / "printed.txt").read_text().splitlines()
+    assert first[1:4] == printed[1:4]
+    assert first[5][:40] == printed[5][:40]
 
 
 def test_bad_input_of_an_example_is_one_line_and_status_2(tmp_path, monkeypatch, capsys):

@@ -25,20 +25,31 @@ DOCS = ROOT / "docs"
 
 
 def figures():
-    """Of the page as it lies in docs/: heading, picture, commands."""
-    text = (DOCS / "gallery.md").read_text(encoding="utf-8")
+    """Of the page in the archive as it lies in docs/: heading, picture, commands."""
+    text = (DOCS / "archive" / "gallery.md").read_text(encoding="utf-8")
     shown = []
     for part in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
-        (picture,) = re.findall(r"!\[.+\]\((.+)\)", part)
+        (picture,) = re.findall(r"!\[.+\]\(\.\./(.+)\)", part)
         (fence,) = re.findall(r"```\n(.*?)```", part.split(picture, 1)[1], re.DOTALL)
         shown.append((part.splitlines()[0], picture, fence.replace("\\\n", "").splitlines()))
     assert text.count("![") == len(shown)
     return shown
 
 
-def test_the_page_is_what_the_script_writes():
-    assert (DOCS / "gallery.md").read_text(encoding="utf-8") == gallery.page()
+def test_the_pages_are_what_the_script_writes():
+    assert (DOCS / "gallery.md").read_text(encoding="utf-8") == gallery.cards()
+    assert (DOCS / "archive" / "gallery.md").read_text(encoding="utf-8") == gallery.page()
     assert len(figures()) == len(gallery.FIGURES)
+
+
+def test_nine_cards_of_twelve_words_lead_to_pages_of_the_menu():
+    text, menu = gallery.cards(), (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    found = re.findall(r"\[!\[[^]]+\]\(([^)]+)\)\{ width=400 \}\]\(([^)]+)\)<br>([^|]+) \|", text)
+    assert len(found) == len({page for _, page, _ in found}) == 9
+    for picture, page, words in found:
+        assert (DOCS / picture).stat().st_size <= gallery.LARGEST
+        assert f": {page}\n" in menu, page
+        assert 4 <= len(words.split()) <= 12, words
 
 
 @pytest.mark.parametrize(("title", "picture", "commands"), figures())
@@ -123,7 +134,8 @@ def test_collecting_into_an_empty_folder(exported, tmp_path):
             shutil.copy(DOCS / figure.path, tmp_path / figure.path)
     given = ["--runs", str(tmp_path / "runs"), "--out", str(tmp_path)]
     assert gallery.main(given) == 0
-    assert (tmp_path / "gallery.md").read_text(encoding="utf-8") == gallery.page()
+    assert (tmp_path / "archive" / "gallery.md").read_text(encoding="utf-8") == gallery.page()
+    assert (tmp_path / "gallery.md").read_text(encoding="utf-8") == gallery.cards()
     assert all((tmp_path / figure.path).exists() for figure in gallery.FIGURES)
     small = tmp_path / "gallery" / "loss.png"
     assert small.read_bytes() == (tmp_path / "runs" / "graphene_0K" / "loss.png").read_bytes()

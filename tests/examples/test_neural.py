@@ -52,7 +52,7 @@ def test_the_plain_version_is_the_same_force():
 
 
 def test_both_derivatives_of_an_equilibrium(monkeypatch):
-    """docs/neural.md's table on fewer nodes: through more steps, nearer to the adjoint."""
+    """docs/archive/neural.md's table on fewer nodes: through more steps, nearer to the adjoint."""
     monkeypatch.setattr(neural_adjoint, "SIDE", 5)
     monkeypatch.setattr(neural_adjoint, "STEPS", (5, 40))
     found = neural_adjoint.measured()
@@ -130,7 +130,7 @@ def test_the_shipped_weights_of_graphene_on_two_loads(graphene):
 
 @pytest.mark.slow
 def test_the_shipped_weights_of_graphene(graphene):
-    """Held to what docs/neural.md says of them; the training set by every tenth of its solves."""
+    """Held to what docs/archive/neural.md says; the training set by every tenth of its solves."""
     material = load(neural_operator.WEIGHTS / "graphene.json")
     assert material.widths == {"influence": (256, 512), "state": (512, 512)}
     given = argparse.Namespace(json=True, solved=None)
@@ -151,7 +151,7 @@ SHEET = {
     4: {"E_res": (0.0420, 0.0411, 0.0798), "E_u": (0.0023, 0.0025, 0.0046)},
     5: {"E_res": (0.0410, 0.0396, 0.0440), "E_u": (0.0017, 0.0018, 0.0017)},
 }
-"""What docs/neural.md says of validation, test and disks, at each horizon."""
+"""What docs/archive/neural.md says of validation, test and disks, at each horizon."""
 
 
 @pytest.mark.slow

@@ -3,7 +3,6 @@
 The shipped networks of jafarzadeh_2024 are held to their rows in test_neural.py.
 """
 
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 import pytest
 
 from examples import diffusion, pressurised_crack
+from examples.prose import NUMBER, numbers_of
 from examples.studies import (
     atlas_solves,
     manufactured,
@@ -27,11 +27,10 @@ from warp_peri.learning.fit import learn
 from warp_peri.learning.response import as_model
 from warp_peri.methods import TwoStage
 
-PAGES = Path(__file__).parent.parent.parent / "docs" / "papers"
+ROOT = Path(__file__).parent.parent.parent
 WITHIN = 1.3
 UNCERTIFIED = "ignore:spacing. the model is certified on no spacing"
 """What is said of models that the algorithm leaves, or may leave."""
-NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
 
 
 def row(page, section, start):
@@ -49,9 +48,8 @@ def held(measured, told):
 
 def rows(page, section, start):
     """Numbers of every row of a section that starts so."""
-    text = (PAGES / f"{page}.md").read_text(encoding="utf-8").split(f"\n## {section}")[1]
-    lines = [x for x in text.split("\n## ")[0].splitlines() if x.startswith(start)]
-    return [[float(n) for n in NUMBER.findall(line[len(start) :])] for line in lines]
+    path = ROOT / "docs" / "archive" / f"papers_{page}.md"
+    return numbers_of(path.read_text(encoding="utf-8"), section, start)
 
 
 def percent(table, *keys):
@@ -301,7 +299,7 @@ def test_tables_3_and_4_at_300_K_are_in_the_unit_of_the_source():
 
 @pytest.mark.slow
 def test_signal_over_noise_by_smoothing():
-    found = paper_you_thermal.ratios(PAGES.parents[1] / paper_you_2021.CACHE, [(0.1, 1)])
+    found = paper_you_thermal.ratios(ROOT / paper_you_2021.CACHE, [(0.1, 1)])
     held(found["0.1, 700"], row("you_2021", "The signal-to-noise", "| 0.1, 700 |"))
 
 
@@ -309,7 +307,7 @@ def test_signal_over_noise_by_smoothing():
 @pytest.mark.filterwarnings(UNCERTIFIED)
 def test_tables_5_and_6_at_300_K():
     """Runs of LAMMPS that the page has made are read; without them it takes some ten minutes."""
-    data = paper_you_thermal.data_at_300(PAGES.parents[1] / paper_you_2021.CACHE)
+    data = paper_you_thermal.data_at_300(ROOT / paper_you_2021.CACHE)
     grid = paper_you_thermal.one_grid(data, "shared", 1.0)["row"]
     both = {"shared": paper_you_thermal.two_grids(data, "shared")}
     tables = {

@@ -13,7 +13,16 @@ from examples.studies.polymer_tables import printed_shear
 from warp_peri.flow import Ensembles, held, shear
 from warp_peri.flow.laws import IDENTITY
 
-PAGES = Path(__file__).parent.parent.parent / "docs" / "papers"
+DOCS = Path(__file__).parent.parent.parent / "docs"
+
+
+def long(name):
+    return (DOCS / "archive" / f"papers_{name}.md").read_text(encoding="utf-8")
+
+
+def claims(name):
+    template = papers.SOURCES[name].TEMPLATE
+    return template.with_stem(f"{template.stem}_claims").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("d", "exponent"), [(2, 1.0), (2, 3.5), (3, 2.5)])
@@ -48,7 +57,7 @@ def test_a_code_that_weighs_cells_does_not_converge_and_the_quadrature_does():
 def test_a_page_says_what_its_template_says(name):
     """Lines without numbers of a run stand on the page: neither goes on without the other."""
     template = papers.SOURCES[name].TEMPLATE.read_text(encoding="utf-8")
-    page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
+    page = long(name)
     assert list(papers.sections(template)) == list(papers.sections(page))
     lines = [line for line in template.splitlines() if "{" not in line]
     assert [line for line in lines if line not in page.splitlines()] == []
@@ -90,8 +99,7 @@ def test_the_family_of_a_node_is_drawn(tmp_path):
 def test_thirty_sections_each_with_its_command():
     commands = 0
     for name in papers.SOURCES:
-        page = (PAGES / f"{name}.md").read_text(encoding="utf-8")
-        commands += sum("\n```\n" in text for text in papers.sections(page).values())
+        commands += sum("\n```\n" in text for text in papers.sections(long(name)).values())
     assert commands >= 30
 
 
@@ -122,6 +130,48 @@ def test_a_section_is_made_again_and_the_foot_says_where():
     assert papers.foot_of(last) == {"commit x": [], "commit z": ["A", "B", "C"]}
 
 
+@pytest.mark.parametrize("name", papers.SOURCES)
+def test_claims_have_the_numbers_of_the_long_page(name):
+    page = (DOCS / "papers" / f"{name}.md").read_text(encoding="utf-8")
+    assert page == papers.short(claims(name), long(name))
+    assert len(papers.CELL.findall(claims(name))) >= 20
+    assert "{" not in page
+    assert len(page.split()) <= 1200
+
+
+@pytest.mark.parametrize("name", papers.SOURCES)
+def test_every_claim_has_a_verdict_and_a_place(name):
+    """The last cell of a row says whether it holds, and leads to a section of the long page."""
+    words = (re.sub(r"[^\w -]", "", title.lower()) for title in papers.sections(long(name)))
+    titles = {re.sub(r"[ -]+", "-", title) for title in words}
+    tables = re.findall(r"(?:^\|.*\n)+", claims(name), re.MULTILINE)
+    assert len(tables) >= 2
+    for head, _, *rows in (table.splitlines() for table in tables):
+        assert head.endswith("| here | verdict |")
+        for row in rows:
+            found = re.search(r" \| \[([a-z ]+)\]\((\S+)\) \|$", row)
+            assert found, row
+            assert f"- *{found[1]}*:" in claims(name), row
+    anchors = re.findall(rf"\(\.\./archive/papers_{name}\.md#([^)]+)\)", claims(name))
+    assert anchors
+    assert {*anchors} <= titles
+
+
+def test_numbers_are_read_from_a_page_and_shown():
+    page = "# P\n\n## A, first\n\n| x | 1.20 (3e-05 to -4) | runs away |\n"
+    assert papers.short("{A > x > 0}, {A > x > 1}, {A > x > 0 > .2g%}", page) == "1.20, 3·10⁻⁵, 120"
+    for wrong in ("{B > x > 0}", "{A > y > 0}"):
+        with pytest.raises(ValueError, match="expected a row"):
+            papers.short(wrong, page)
+
+
+def test_pictures_are_redrawn_from_the_rows_of_a_page(tmp_path):
+    paper_polymer_gp.redraw(long("polymer_gp"), tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "polymer_plates.png", "polymer_training.png",
+    }  # fmt: skip
+
+
 def test_sections_that_are_not_there_are_refused(tmp_path):
     with pytest.raises(papers.InputError, match="section: expected one of those of"):
         papers.main(["slides", "--section", "Nothing", "--out", str(tmp_path)])
@@ -136,7 +186,7 @@ def test_what_is_to_be_run_first_is_named(tmp_path, capsys):
 def test_the_page_on_the_slides(tmp_path):
     given = ["slides", "--runs", str(tmp_path / "runs"), "--out", str(tmp_path)]
     assert papers.main(given) == 0
-    text = (tmp_path / "slides.md").read_text(encoding="utf-8")
+    text = (tmp_path / "archive" / "papers_slides.md").read_text(encoding="utf-8")
     assert "| 3 | 3.5 | 4 |" in text
     rows = papers.sections(text)["To the local solution at a fixed ratio"].splitlines()
     orders = [float(line.split("|")[-2]) for line in rows if line.startswith(("| bond", "| state"))]

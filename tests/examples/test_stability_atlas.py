@@ -1,6 +1,8 @@
 """The stability atlas: quick entries run; the page has a figure and an error for each."""
 
+import json
 import re
+import shutil
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -13,7 +15,7 @@ from examples.studies import (
     atlas_solves,
     stability_atlas,
 )
-from examples.studies.atlas_entry import words
+from examples.studies.atlas_entry import filled, words
 from tests.micromodulus.crystals import learned
 from tests.support.problems import kernel
 from warp_peri.errors import InputError
@@ -28,17 +30,44 @@ NAMES = (
 )  # fmt: skip
 
 
-def test_the_page_has_every_entry_with_figure_number_and_what_is_seen():
-    page = (DOCS / "stability.md").read_text(encoding="utf-8")
+KEPT = json.loads((DOCS / "stability" / "stability.json").read_text(encoding="utf-8"))
+
+
+def test_the_study_has_every_entry_with_figure_number_and_what_is_seen():
+    page = (DOCS / "archive" / "stability.md").read_text(encoding="utf-8")
     sections = page.split("\n## ")[1:]
     assert len(sections) == len(NAMES)
     for name, section in zip(NAMES, sections):
-        assert f"](stability/{name}.png)" in section
+        assert f"](../stability/{name}.png)" in section
         assert (DOCS / "stability" / f"{name}.png").stat().st_size > 10_000
         number = re.search(r"\*\*(.*?)\*\*", section)[1]
         assert re.search(r"\d", number)
         seen = section.split("What a user sees:")[1]
         assert re.search(r"^    (InputError|UserWarning|certificate): ", seen, re.M)
+
+
+def test_both_pages_are_made_of_what_was_measured(tmp_path):
+    (tmp_path / "stability").mkdir()
+    shutil.copy(DOCS / "stability" / "stability.json", tmp_path / "stability")
+    assert stability_atlas.main(["--again", "--out", str(tmp_path)]) == 0
+    for place in stability_atlas.PAGES.values():
+        assert (tmp_path / place).read_text("utf-8") == (DOCS / place).read_text("utf-8")
+
+
+def test_readers_have_every_entry_once_and_its_message_in_the_table():
+    shown = [name for names in stability_atlas.PARTS.values() for name in names]
+    assert sorted(shown) == sorted(NAMES)
+    assert tuple(KEPT) == NAMES
+    for name in NAMES:
+        entry = filled(name, KEPT[name]["numbers"])
+        assert len(entry.brief.split()) <= 60, name
+        symptom, cause, remedy = entry.row.split(" | ")
+        assert cause
+        assert remedy
+        for quoted in re.findall(r"`([^`]*)`", symptom):
+            if "=" not in quoted or "edges" in quoted:
+                parts = map(re.escape, quoted.split(" … "))
+                assert re.search(".*".join(parts), "\n".join(KEPT[name]["seen"])), quoted
 
 
 def test_steep_kernels_lose_shear_and_keep_their_symbol():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import warp_peri
-from tests.support.problems import kernel, lattice, manufactured
+from tests.support.problems import lattice, manufactured
 from warp_peri.cli.main import main
 from warp_peri.lps.shapes import InfluenceFunction, exponential
 
@@ -19,16 +19,10 @@ PAGES = {
 }
 """Text of each page by its path below docs/, without suffix."""
 API = ("api", "reference/api/")
-HORIZON = 12.5
 
 
 def snippets(page):
     return re.findall(r"```python\n(.*?)```", PAGES[page], re.DOTALL)
-
-
-def only_with(*pages):
-    """Skip a test of pages that have moved on; tests/package/test_pages.py runs the new ones."""
-    return pytest.mark.skipif(not {*pages} <= {*PAGES}, reason="the page is another one now")
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +36,6 @@ def points():
         )
 
 
-@only_with("own_data")
 def test_csv_files_of_fields_become_a_data_set_that_trains(points, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "fields").mkdir()
@@ -50,8 +43,8 @@ def test_csv_files_of_fields_become_a_data_set_that_trains(points, tmp_path, mon
         rows = np.hstack([points.x, points.u[s], points.b[s]])
         name = tmp_path / "fields" / f"load{s}.csv"
         np.savetxt(name, rows, delimiter=",", header="x,y,u_x,u_y,b_x,b_y", comments="")
-    (snippet,) = snippets("own_data")
-    exec(compile(snippet, "own_data.md", "exec"), {})
+    (snippet,) = (found for found in snippets("how-to/arrays") if ".glob(" in found)
+    exec(compile(snippet, "arrays.md", "exec"), {})
     loaded = warp_peri.load("mine.h5")["train"]
     assert loaded.interior.sum() == 13**2
     np.testing.assert_allclose(loaded.u, points.u, rtol=1e-12)
@@ -60,28 +53,6 @@ def test_csv_files_of_fields_become_a_data_set_that_trains(points, tmp_path, mon
     model = warp_peri.load("runs/mine/model.json")
     assert (model.lam, model.mu) == pytest.approx((0.2, 0.3), rel=1e-5)
     assert model.provenance["influence"]["parameters"]["length"] == pytest.approx(9.0, rel=1e-5)
-
-
-@only_with("influence")
-def test_the_page_on_influence_functions(points, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    names = {"train": points}
-    for snippet in snippets("influence"):
-        exec(compile(snippet, "influence.md", "exec"), names)
-    assert "Every static problem" in capsys.readouterr().out
-    assert warp_peri.load("model.json").certified_on == (5.0,)
-    assert names["certificate"].holds
-
-
-@pytest.mark.parametrize("page", [page for page in ("learning", "lattices") if page in PAGES])
-def test_the_pages_on_learning_and_lattices(page, capsys):
-    model = kernel("1/r", HORIZON, spacing=5.0)
-    train = manufactured(model, lattice(8, HORIZON, 5.0), 8, wave_number=0.2)
-    names = {"model": model, "train": train, "points": train.points}
-    for snippet in snippets(page):
-        exec(compile(snippet, page, "exec"), names)
-    printed = capsys.readouterr().out
-    assert "(4.0,)" in printed if page == "lattices" else "certificate" in printed.lower()
 
 
 def test_the_api_lists_every_public_name():

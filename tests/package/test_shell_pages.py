@@ -9,6 +9,7 @@ import re
 import shlex
 import subprocess
 import sys
+from glob import glob
 from pathlib import Path
 
 import meshio
@@ -19,6 +20,7 @@ import warp_peri as wp
 from examples import own_material
 from tests.package.test_pages import ROOT, TEXT, home  # noqa: F401 (a fixture)
 from tests.support.plates import plate
+from tests.support.problems import lattice, manufactured
 from warp_peri.cli.main import main
 
 NOT_HERE = {
@@ -26,6 +28,7 @@ NOT_HERE = {
     r"(\.venv/bin/)?python examples/": "of minutes: a test imports it, or it stands in UNTRIED",
     r"(\.venv/bin/)?python -m pytest": "this very suite",
     r"mpiexec ": "tests/ranks starts it",
+    r"(ase|tail) ": "a program of others",
 }
 UNTRIED = {
     "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
@@ -36,7 +39,7 @@ UNTRIED = {
     "which_law": "a table of times; its laws are those of tests/conformance",
 }
 """Scripts that no test runs, and why; here only their --help."""
-CHEAP = ("influence", "how-to/paraview")
+CHEAP = ("how-to/arrays", "how-to/influence", "how-to/paraview")
 """Pages whose commands take a second; the others are slow."""
 
 
@@ -48,16 +51,23 @@ def commands(text):
     return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
+GALLERY = "archive/gallery"
+"""Has the command of every figure, and is tried though it lies in the archive."""
 TYPED = {
     name: found
     for name, text in TEXT.items()
-    if not name.startswith("archive/") and (found := commands(text))
+    if (name == GALLERY or not name.startswith(("archive/", "papers/")))
+    and (found := commands(text))
 }
+ELSEWHERE = ("tutorials/graphene",)
+"""Run by tests/examples/test_examples.py, on graphene's own data."""
 RUN = {
-    name: ours
+    name: [line for line in lines if line.startswith("warp-peri ")]
     for name, lines in TYPED.items()
-    if (ours := [line for line in lines if line.startswith("warp-peri ")])
+    if name not in ELSEWHERE and any(line.startswith("warp-peri ") for line in lines)
 }
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$(?:\n\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
+"""A block with its language, none for commands, and what stands below it as printed."""
 
 
 def test_every_command_is_run_or_says_why_not():
@@ -147,17 +157,25 @@ def of_gallery(folder):
     wp.save("runs/graphene_0K/model.json", wp.load("runs/first/model.json"))
 
 
-def of_own_data(folder):
-    own_material.make_dumps(folder)
+def of_arrays(folder):
+    """The data set that the page's code saves."""
+    samples = manufactured(wp.load("runs/first/model.json"), lattice(8, 12.5, 5.0), 8, 0, 0.2)
+    wp.save("mine.h5", wp.Dataset({"train": samples}, thickness=3.35, density=2150.0))
+
+
+def of_dumps(folder):
+    own_material.make_dumps(folder / "runs" / "boron_nitride" / "dumps")
 
 
 GIVEN = {
-    "atoms": of_atoms,
-    "gallery": of_gallery,
+    "how-to/arrays": of_arrays,
+    "how-to/calculators": of_atoms,
     "how-to/free_edges": of_bodies,
+    "how-to/influence": of_any,
     "how-to/paraview": of_any,
-    "influence": of_any,
-    "own_data": of_own_data,
+    GALLERY: of_gallery,
+    "tutorials/crystal": of_atoms,
+    "tutorials/dumps": of_dumps,
 }
 
 
@@ -168,6 +186,22 @@ GIVEN = {
 def test_the_commands_of_a_page_run_in_turn(name, home, monkeypatch, capsys):  # noqa: F811
     monkeypatch.chdir(home)
     GIVEN.get(name, lambda folder: None)(home)
-    for line in RUN[name]:
-        status = main(shlex.split(line)[1:])
-        assert status == 0, f"{line}: {capsys.readouterr().err}"
+    run_as_typed(name, capsys)
+
+
+def run_as_typed(name, capsys):
+    """The commands of a page in turn; a tutorial shows lines that they print, in their order."""
+    for language, block, shown in FENCED.findall(TEXT[name]):
+        printed = ""
+        for line in [] if language else commands(f"```\n{block}```"):
+            if line.startswith("warp-peri "):
+                words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # as a shell
+                words += [["--jobs", "1"]] if words[1] == ["sweep"] else []  # in this process
+                status = main([word for found in words for word in found][1:])
+                out, error = capsys.readouterr()
+                assert status == 0, f"{line}: {error}"
+                printed += out
+        if name.startswith("tutorials/") and printed:
+            lines = iter(printed.splitlines())
+            for expected in shown.splitlines():
+                assert expected.strip() == "…" or expected in lines, f"{name}: {expected}"

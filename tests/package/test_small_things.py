@@ -240,7 +240,7 @@ def test_training_prints_errors_in_percent_as_evaluate_does(samples, tmp_path, c
     assert not any(line.startswith("not_evaluated") for line in lines)
     kept = json.loads((tmp_path / "o" / "metrics.json").read_text())
     printed = float(
-        lines[lines.index("E_res [%], of forces, which amplify short waves:") + 1].split(":")[1]
+        lines[lines.index("residual of forces, larger for short waves [%]:") + 1].split(":")[1]
     )
     assert printed == pytest.approx(100 * kept["E_res"]["train"], rel=1e-5)
     start = lines.index("shares of the squared residual [%]:")

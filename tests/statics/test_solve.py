@@ -48,7 +48,7 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
 
 
 def test_uncertified_spacings_are_refused_or_warned_about():
-    model = replace(kernel("1/r", HORIZON), certified_on=())
+    model = replace(kernel("1/r", HORIZON), D=np.array([1.0, -3.0, 3.0]), certified_on=())
     points = lattice(2, HORIZON)
     zero = np.zeros((len(points.x), 2))
     sheet = np.zeros((8, 8, 2))
@@ -60,6 +60,16 @@ def test_uncertified_spacings_are_refused_or_warned_about():
         solve(model, points, zero, zero, allow_uncertified=True)
     with pytest.warns(UserWarning, match="certified on no spacing"):
         solve_periodic(model, sheet, spacing=1.0, allow_uncertified=True)
+
+
+def test_a_model_that_is_certified_nowhere_is_proven_where_it_is_asked():
+    model, points = replace(kernel("1/r", HORIZON), certified_on=()), lattice(2, HORIZON)
+    b, u = np.full((len(points.x), 2), 0.1), np.zeros((len(points.x), 2))
+    known = solve(kernel("1/r", HORIZON), points, b, u)
+    np.testing.assert_array_equal(solve(model, points, b, u), known)
+    assert model.certified_on == ()
+    with pytest.raises(InputError, match="certified on no spacing, not on 1 Å"):
+        at_rest(model, Dirichlet(points, b, u), transfer=False)
 
 
 def passing(a):

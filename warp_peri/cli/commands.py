@@ -260,7 +260,9 @@ def run_verify(given: argparse.Namespace) -> Result:
             given.only, scaled=given.scale, out=given.out, processes=given.processes
         )
         if given.page is not None:
-            write_text(given.page, verification.page(lines))
+            data = given.page.with_suffix(".csv")
+            write_text(given.page, verification.page(lines, data.name))
+            write_text(data, verification.as_csv(lines))
     given.told = verification.by_material(lines) + "\n\n" + verification.table(lines)
     return {"rows": lines}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import io
 import re
+import shlex
 import tempfile
 import time
 import warnings
@@ -23,7 +24,8 @@ from warp_peri.sources.dic import frames_of_folder, noise_of
 from warp_peri.sources.dump_files import LARGEST_HEADER, MARKS, encoding_of, unpacked
 from warp_peri.storage import save
 
-NO_FORCE = "are scaled: C11 + C22 + C66 at rest is 1, no force is known (--stress gives one)"
+NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
+ONE = "exactly one equilibrium for every load"
 UNSAID = "as in the tables; no unit was said"
 FITS = "fits"
 """Of the folder, where a second start goes on from."""
@@ -44,8 +46,8 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
             found = _from_structure(given, nodes, units)
         save(given.out / "model.json", found.material)
         write_json(given.out / "learn.json", finite(plain(found.content())))
-        given.told = "\n".join(repr(found).split("\n")[1:])
-        write_text(given.out / "report.txt", given.told + "\n")
+        given.first, given.told = _first(given, found), "\n".join(repr(found).split("\n")[1:])
+        write_text(given.out / "report.txt", "\n".join([*given.first, "", given.told, ""]))
         with whole_file(given.out / "law.png") as path:
             drawn = io.BytesIO()
             found.plot().savefig(drawn, format="png", dpi=110)
@@ -53,9 +55,23 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
         keep(given, given.out / "learn.toml")
     seconds = time.perf_counter() - begin
     given.told += (
-        f"\n  {seconds:.1f} s; written to {given.out}: model.json, learn.json, report.txt, law.png"
+        f"\n  {seconds:.1f} s; in {given.out}: model.json, learn.json, report.txt, law.png"
     )
     return {**found.content(), "model": str(given.out / "model.json")}
+
+
+def _first(given: argparse.Namespace, found: Any) -> list[str]:
+    """What was learned, down to which wave it is good, and the next command."""
+    path, group, wave = given.out / "model.json", found.law.symmetry, found.holds_to["law"]
+    proof = found.certificate
+    return [
+        f"{path}: elastic crystal model of {given.structure.resolve().name}"
+        + (f", point group {group}" if isinstance(group, str) else ""),
+        "displacement under waves: error of at most 2 % down to "
+        + (f"{wave:.3g} Å" if np.isfinite(wave) else "no wavelength"),
+        f"proven: {ONE}" if proof is not None and proof.holds else "nothing is proven",
+        f"next: {shlex.join(['warp-peri', 'info', str(path)])}, or wp.load and wp.solve in Python",
+    ]
 
 
 def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any) -> Any:
@@ -144,7 +160,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         warp_peri.save(given.out / f"{name}.json", candidate.fit.material)
         if not given.json:
             print(
-                f"{candidate.name}: E_u of frames left out {100 * candidate.held_out:.3f} %",
+                f"{candidate.name}: error of displacement {100 * candidate.held_out:.3f} %",
                 flush=True,
             )
 
@@ -205,6 +221,16 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             },
         }
         result = dict(finite(result))
+        stress = [] if given.stress else ["; stresses in MPa need a force: --stress"]
+        given.first = [
+            f"{given.out / 'material.json'}: material of a sheet, {choice.best.name}",
+            f"error of displacement: {100 * choice.best.held_out:.2g} % on frames left out",
+            f"curves: {given.out / 'curves.png'}, stress over stretch with a 90 % band"
+            if curves
+            else words[-1],
+            f"next: warp-peri info {shlex.quote(str(given.out / 'material.json'))}"
+            + "".join(stress),
+        ]
         write_json(given.out / "dic.json", result)
         keep(given, given.out / "dic.toml")
     return result

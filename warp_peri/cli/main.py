@@ -1,8 +1,4 @@
-"""The command `warp-peri`, also `python -m warp_peri`: from dumps to a certified model and on.
-
-Every command takes --config FILE.toml with its settings; those that write results leave such a file
-beside them. --json prints one object for machines.
-"""
+"""The command `warp-peri`, also `python -m warp_peri`: from dumps to a certified model and on."""
 
 from __future__ import annotations
 
@@ -11,29 +7,18 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from warp_peri.cli import arguments, commands
 from warp_peri.cli.settings_file import parse
 from warp_peri.errors import exit_status
 
-COMMANDS: dict[str, tuple[str, Callable[[argparse.ArgumentParser], None]]] = {
-    "coarse-grain": ("LAMMPS dumps to a data file", arguments.coarse_grain),
-    "learn": ("a crystal's structure and calculator to its law", arguments.learn),
-    "dic": ("frames of image correlation to a sheet's material", arguments.dic),
-    "train": ("a data file to a certified model", arguments.train),
-    "certify": ("what is proven of a model", arguments.certify),
-    "evaluate": ("errors of a model on data sets", arguments.evaluate),
-    "solve": ("displacement from loads", arguments.solve),
-    "predict": ("displacement with its error", arguments.predict),
-    "plan": ("which model and solver a scene needs", arguments.plan),
-    "export": ("for ParaView and other codes", arguments.export),
-    "sweep": ("choose horizon and degree", arguments.sweep),
-    "verify": ("known problems against their references", arguments.verify),
-    "info": ("what a model, a data file or a mesh holds", arguments.info),
-}
-"""What each command is for, and its options; `commands` has a function run_NAME for each."""
+SETTINGS = """\
+Every command takes --config FILE.toml with its settings. Commands that write results leave such a
+file with them. --json prints one object for machines."""
+
+LINE = 72 * "-"
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -74,13 +59,23 @@ def _run(words: Sequence[str] | None, known: dict[str, Any]) -> int:
     return 0
 
 
-class _Defaults(argparse.ArgumentDefaultsHelpFormatter):
-    """Help with the defaults of those options that have one."""
+class _Help(argparse.RawDescriptionHelpFormatter):
+    """Help whose first line has what must be given alone, and whose options say their defaults."""
+
+    def add_usage(self, usage: Any, actions: Any, groups: Any, prefix: Any = None) -> None:
+        needed = [action for action in actions if action.required or not action.option_strings]
+        words = [self._prog]
+        for action in sorted(needed, key=lambda action: bool(action.option_strings)):
+            default = self._get_default_metavar_for_positional(action)
+            words += [*action.option_strings[:1], self._format_args(action, default)]
+        super().add_usage(" ".join([*words, "[options]"]).replace("%", "%%"), [], [], prefix)
 
     def _get_help_string(self, action: argparse.Action) -> str | None:
-        if action.default is None or isinstance(action.const, bool):  # a switch
+        default = action.default
+        if default in (None, [], argparse.SUPPRESS) or action.nargs == 0:
             return action.help
-        return super()._get_help_string(action)
+        shown = " ".join(default) if isinstance(default, list) else default
+        return f"{action.help} (default: {shown})"
 
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
@@ -88,24 +83,37 @@ def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="warp-peri", description=__doc__)
-    subparsers = parser.add_subparsers(dest="command", required=True)
-    for name, (words, add_arguments) in COMMANDS.items():
-        run = getattr(commands, f"run_{name.replace('-', '_')}")
+    sentence = "Learn nonlocal material models from atoms, crystals or camera frames, and solve."
+    example = "Help of a command: warp-peri train --help\n\n" + SETTINGS
+    parser = argparse.ArgumentParser(
+        prog="warp-peri", description=sentence, epilog=example, formatter_class=_Help
+    )
+    subparsers = parser.add_subparsers(
+        dest="command", required=True, metavar="COMMAND", prog="warp-peri"
+    )
+    for name in arguments.COMMANDS:
+        sentence, example = arguments.described(name)
         command = subparsers.add_parser(
-            name, help=words, description=run.__doc__, formatter_class=_Defaults
+            name,
+            help=sentence,
+            description=sentence,
+            epilog=f"Example:\n  {example}",
+            formatter_class=_Help,
         )
-        command.set_defaults(run=run)
-        command.add_argument("--config", metavar="FILE.toml", help="settings of this command")
-        command.add_argument("--json", action="store_true", help="one JSON object")
-        add_arguments(command)
+        command.set_defaults(run=getattr(commands, f"run_{name.replace('-', '_')}"))
+        arguments.add_options(command, name)
+        command.add_argument("--config", metavar="FILE.toml", help="file with settings")
+        command.add_argument("--json", action="store_true", help="print one JSON object")
     return parser
 
 
 def _print(given: argparse.Namespace, result: dict[str, Any]) -> None:
     if given.json:
         print(json.dumps(result))
-    elif given.command == "evaluate":
+        return
+    if first := getattr(given, "first", []):  # what there is, how good, what next; then details
+        print("\n".join(map(_printable, [*first, LINE])))
+    if given.command == "evaluate":
         _print_table(result, given.unit)
     elif hasattr(given, "told"):
         print("\n".join(map(_printable, given.told.split("\n"))))

@@ -15,7 +15,9 @@ import tomli_w
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
 
-NOT_KEPT = ("command", "config", "json", "run", "trust", "from_file", "overwrite")
+NOT_KEPT = (
+    "command", "config", "json", "run", "trust", "from_file", "overwrite", "told", "first"
+)  # fmt: skip
 
 
 def parse(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import shlex
 import warnings
 from typing import TYPE_CHECKING, Any
 
@@ -34,11 +35,20 @@ HORIZON, DEGREE = 20.0, 10
 SHEET = {"thickness": 3.35, "density": 2200.0}
 """Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
 
-ERRORS = {"E_res": "of forces, which amplify short waves", "E_u": "of displacement, once solved"}
+ERRORS = {"E_res": "residual of forces, larger for short waves", "E_u": "error of displacement"}
 """Errors that training prints, and what they are of."""
 
 CUBIC = ("t3", "tq2", "q3")
 """Third-order constants that a law may have."""
+
+KINDS = {
+    "lps": "linear peridynamic solid (LPS)",
+    "tensors": "crystal model",
+    "dressed": "dressed model",
+    "third-order": "LPS with third-order constants",
+}
+HELD_OUT = ("test", "val")
+"""Materials by the word of --law; sets that say how good a model is, the first that is there."""
 
 TYPED_BOX = 1e-3
 """Relative difference of a typed period from that of the dump."""
@@ -207,7 +217,36 @@ def _kept(given: argparse.Namespace, run: Run, metrics: Result, data: Dataset) -
     provenance = {"data_provenance": data.provenance}
     run.save(given.out, metrics, data=given.data, provenance=provenance)
     keep(given, given.out / f"{given.command}.toml")
+    given.first = _first(given, metrics, data)
     return {**metrics, "model": str(given.out / "model.json")}
+
+
+def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[str]:
+    """What was learned, how good it is in one number, and the next command."""
+    path, solved, samples = given.out / "model.json", metrics["E_u"], data[given.set]
+    kind = KINDS[given.law]
+    if given.law != "dressed":  # which has neighbours, not a horizon
+        kind += f", horizon {given.horizon:g} {symbols(data.units)[0]}"
+    others = [
+        name
+        for name, points in data.sets.items()
+        if name != given.set and points.spacing == samples.spacing and solved.get(name) is not None
+    ]
+    name = next((name for name in (*HELD_OUT, *others) if name in others), given.set)
+    seen = "loads that the fit did not see" if name != given.set else "the loads of the fit"
+    error = "not known" if solved.get(name) is None else f"{100 * solved[name]:.2g} %"
+    proven = metrics.get("certified", "statement" in metrics)
+    of = "the linear part has " if given.law == "third-order" else ""
+    last = ["evaluate", str(path), str(given.data)]
+    if name != given.set:
+        out = str(given.out / "solved.h5")
+        last = ["solve", str(path), str(given.data), "--set", name, "--out", out]
+    return [
+        f"{path}: {kind}, learned from {len(samples)} loads",
+        f"error of displacement: {error} on set {name!r}, {seen}",
+        f"proven: {of}exactly one equilibrium for every load" if proven else "nothing is proven",
+        f"next: {shlex.join(['warp-peri', *last])}",
+    ]
 
 
 def training_metrics(run: Run) -> Result:
@@ -250,7 +289,7 @@ def in_percent(metrics: Result) -> Result:
         if key == "not_evaluated" and not value:
             continue
         if key in ERRORS:
-            shown[f"{key} [%], {ERRORS[key]}"] = {
+            shown[f"{ERRORS[key]} [%]"] = {
                 name: "–" if error is None else 100 * error for name, error in value.items()
             }
         elif key == "residual":
@@ -270,8 +309,8 @@ def in_percent(metrics: Result) -> Result:
     small = [n for n, e in metrics["E_res"].items() if e and solved.get(n) and e > FAR * solved[n]]
     if small:
         shown["note"] = (
-            f"the loads of {', '.join(small)} are small for their displacement, and E_res is "
-            "relative to them; E_u is what a solve is off by"
+            f"the loads of {', '.join(small)} are small for their displacement, and the residual "
+            "is relative to them; the error of a solve is that of displacement"
         )
     return shown
 

@@ -207,9 +207,9 @@ def fit_uncertainty(
 
     Samples of one `seed` (an array of the set) carry the same noise; without it each carries its
     own. Bands hold noise alone, no error of the model. Those of "output" and "corrected" are
-    calibrated (docs/noise.md); where noise hides the curvature of the corrected loss itself, they
-    are too narrow, and a warning says so. Noise pulls the "residual" loss to one side, by more than
-    its bands are wide unless there is next to none: a warning says how far.
+    calibrated (docs/archive/noise.md); where noise hides the curvature of the corrected loss
+    itself, they are too narrow, and a warning says so. Noise pulls the "residual" loss to one side,
+    by more than its bands are wide unless there is next to none: a warning says how far.
 
     Args:
         found: the fit, by any loss except "output" on loads that are not single waves.

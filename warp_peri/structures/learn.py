@@ -355,7 +355,7 @@ class LearnedCrystal(Shown):
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
         d, held = self.atoms.dimension, self.atoms.stress
-        columns = {"law": self.law.tensor(), "atoms' long waves": self.tensor}
+        columns = {"model": self.law.tensor(), "atoms' long waves": self.tensor}
         if self.strained is not None:
             columns["finite strains"] = self.strained
         group = self.law.symmetry
@@ -389,7 +389,7 @@ class LearnedCrystal(Shown):
             ),
         ]
         shown += [
-            (f"unseen {name}", f"E_u {e['law']:.2f} %; local elasticity {e['local']:.2f} %")
+            (f"error, {name}", f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %")
             for name, e in self.unseen.items()
         ]
         return [*self.said.items(), *shown]

@@ -119,6 +119,7 @@ def hyperelastic_errors(
     solve: bool = True,
     thickness: np.ndarray | None = None,
     operator: HyperelasticOperator | None = None,
+    near: np.ndarray | None = None,
 ) -> dict[str, Any]:
     """Relative ℓ2 errors on the interior, (30) and (31), as means over samples and one by one.
 
@@ -130,6 +131,8 @@ def hyperelastic_errors(
         solve: whether E_u is asked for.
         thickness: of every node of the samples, shape [N]; an even sheet where none is given.
         operator: of the solid's dictionary on these samples, where there is one already.
+        near: fields of the same points under other loads, shape [M, N, 2]: each search begins at
+            their combination that fits its collar best. It begins at rest where none are given.
 
     Returns:
         E_res where there are loads; E_u over the samples that were solved, not_solved, their
@@ -155,7 +158,8 @@ def hyperelastic_errors(
         fields = np.zeros_like(samples.u)
         for n in range(len(samples)):
             b = None if samples.b is None else samples.b[n]
-            solved = problem.find(solid.coefficients, b, samples.u[n])
+            start = None if near is None else _combined(problem, near, samples.u[n])
+            solved = problem.find(solid.coefficients, b, samples.u[n], start=start)
             if solved is not None:
                 fields[n] = solved.u
                 gap, size = (f[inner] * seen[n] for f in (solved.u - truth[n], truth[n]))
@@ -171,6 +175,14 @@ def hyperelastic_errors(
         }
     warn_beyond(solid, op, fields)
     return errors_of
+
+
+def _combined(problem: StaticProblem, near: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """The fields that fit u on the collar best, and the harmonic extension of what they miss."""
+    collar = ~problem.op.points.interior
+    given = near[:, collar].reshape(len(near), -1)
+    mixed = np.tensordot(np.linalg.lstsq(given.T, u[collar].ravel(), rcond=None)[0], near, 1)
+    return np.asarray(mixed + problem.lift(u - mixed))
 
 
 def _size(field: np.ndarray) -> np.ndarray:

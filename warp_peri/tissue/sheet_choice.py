@@ -296,7 +296,7 @@ def _tried(
     try:
         fit = _fit(name, train, dictionary, degree, None, kept, progress)
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
-        errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness)
+        errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness, near=train.u)
     except OSError:  # a full disk is no fault of the candidate
         raise
     except Exception as error:  # solvers below run into anything; the others go on

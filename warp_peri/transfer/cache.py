@@ -85,14 +85,16 @@ def model_at(
     """The model for a lattice of some spacing [Å]: itself where it is certified, or transferred.
 
     Args:
-        model: certified on some lattice.
+        model: certified on some lattice; one certified on none is proven on this, or refused.
         spacing: h [Å]; 0 for scattered points, which have no transfer.
         largest_horizon: what the points carry [Å].
         transfer: False refuses other spacings.
         allow_uncertified: the model's own numbers, with a warning.
 
-    Raises InputError where the model is certified on no lattice, or refused.
+    Raises InputError where the model is certified on no lattice, and nothing is proven of it here.
     """
+    if spacing and transfer and not (model.certified_on or allow_uncertified):
+        model = _proven(model, spacing)
     at_home = spacing == 0 or model.is_certified_on(spacing)
     if at_home or allow_uncertified or not transfer or not model.certified_on:
         model.check_spacing(spacing, allow_uncertified=allow_uncertified)
@@ -106,6 +108,17 @@ def model_at(
         _said.add(once)
         warnings.warn(f"transferred {record['statement']}", stacklevel=4)
     return transferred
+
+
+def _proven(model: Model, spacing: float) -> Model:
+    """The model with a proof on this lattice, looked for once; as it is where there is none."""
+    key = model.content()["sha256"], f"proof_{spacing:.9g}"
+    if key not in _memory:
+        try:
+            _memory[key] = with_proof(model, spacing)
+        except InputError:  # nothing holds of it here: whoever asks says what that means
+            _memory[key] = model
+    return _memory[key]
 
 
 def carried(model: Model, spacing: float) -> Model:

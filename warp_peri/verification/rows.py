@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import multiprocessing
 import sys
@@ -28,6 +30,12 @@ SAME = 1e-6
 """Relative; by how much an answer may change with units and with the size of the moduli."""
 SCALES = UnitScale("mm", 1e6), UnitScale("angstrom", 1e-6)
 """That are compared with metres."""
+
+COLUMNS = (
+    *("problem", "material", "reference", "source", "answer", "error", "allowed", "order"),
+    *("least", "scaled", "seconds", "holds", "note"),
+)
+"""Of the rows as data."""
 
 
 @dataclass(frozen=True)
@@ -206,12 +214,27 @@ def _percent(line: Line, name: str) -> str:
     return f"{line[name]:.0e}" if line["allowed"] < SAME else f"{100 * line[name]:.2g} %"
 
 
-def page(lines: Sequence[Line]) -> str:
-    """The page of the documentation: its words, of rows.md, around what was measured."""
+def page(lines: Sequence[Line], data: str = "verification.csv") -> str:
+    """The page of the documentation: its words, of rows.md, around what was measured.
+
+    Args:
+        lines: of the rows, as `verified` gives them.
+        data: name of the file beside the page that holds what `as_csv` gives.
+    """
     posed = [line for line in lines if line["holds"] is not None]
     held = f"{sum(line['holds'] for line in posed)} of {len(posed)} rows hold"
-    told = {"held": held, "materials": by_material(lines), "rows": table(lines)}
+    missed = table([line for line in posed if not line["holds"]])
+    told = {"held": held, "data": data, "materials": by_material(lines), "rows": missed}
     return Path(__file__).with_name("rows.md").read_text("utf-8").format(**told)
+
+
+def as_csv(lines: Sequence[Line]) -> str:
+    """All lines as comma-separated values, numbers in full."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, extrasaction="ignore", lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    return text.getvalue()
 
 
 def draw(one: Row, found: Outcome, out: Path) -> None:

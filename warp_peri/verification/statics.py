@@ -178,11 +178,11 @@ def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
     """A material by its name, of moduli [MPa] and for nodes h metres apart.
 
     LPS and bond-based have the influence function 1/r on 28 bonds, dressed ones an identity for
-    G; third order and the dictionary are linear at small strain only.
+    G; third order and the sheet energy are linear at small strain only.
     """
     C, h, d = s.stiffness * C, s.length * h, len(C)
     lam, mu = C[0, 0, 1, 1], C[0, 1, 0, 1]
-    if name == "tensors":
+    if name == "crystal":
         symmetry, reach = {2: ("4mm", 2.5), 3: ("m-3m", 2.0)}[d]
 
         def local(k: np.ndarray) -> np.ndarray:
@@ -193,7 +193,7 @@ def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
         base, symmetry = name.split()[1], {2: "4mm", 3: "m-3m"}[d]
         nothing = np.eye(d), np.zeros((1, d, d, d))
         return DressedSolid(h, base, voigt(C), *nothing, s.units, symmetry).certified()
-    if name == "dictionary":
+    if name == "sheet energy":
         near = ((0, 1), (1, 0), (1, 1), (1, -1))
         terms = Dictionary(3.0, (), near, (Term("neo_hookean"), Term("volumetric")))
         c = np.array([mu, mu, mu, mu, mu / 2, lam / 2])
@@ -331,7 +331,7 @@ def patch(name: str, s: UnitScale, **how: Any) -> Outcome:
     n, C = {2: (9, THIRD), 3: (5, solid(1.0, 0.25))}[d]
     points, law = sheet(n, s, **how), material(name, C, 1 / n, s)
     solver: Any = Direct() if type(law) is Model else Krylov(tolerance=1e-13)
-    solver = {"third order": Newton(tolerance=1e-13), "dictionary": None}.get(name, solver)
+    solver = {"third order": Newton(tolerance=1e-13), "sheet energy": None}.get(name, solver)
     error, shown = given(law, points, uniform, np.zeros_like, s, solver if points.spacing else None)
     return Outcome(error, **shown)
 
