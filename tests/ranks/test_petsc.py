@@ -31,7 +31,7 @@ def asked(preconditioner):
 def test_without_petsc4py_one_line_says_where_its_build_stands(monkeypatch):
     pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
     monkeypatch.setitem(sys.modules, "petsc4py", None)
-    with pytest.raises(wp.InputError, match=r"needs petsc4py, .* docs/ranks\.md"):
+    with pytest.raises(wp.InputError, match=r"needs petsc4py, .* docs/archive/ranks\.md"):
         asked("petsc")
     assert asked(None).method == "multigrid"
     with pytest.raises(wp.InputError, match="expected multigrid or petsc on ranks, got 'sine'"):
