@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,8 @@ SHORT = 4
 """Least mean length of a piece that is worth it."""
 KEPT = 2**25
 """Most numbers that planes keep between evaluations: 256 MB in double precision."""
+BLOCKS = 8
+"""Parts in which nodes are summed over, whatever the number of threads."""
 FASTER = 4
 """How much less a thread has to do with a node here than in its list of neighbours."""
 
@@ -124,6 +127,36 @@ class Rows:
     def take_up(self, plane: wp.array[Any], numbers: wp.array[Any]) -> None:
         """Numbers from their places back to all nodes."""
         self.launch(self.kernels.taken_up, (self.pieces.nodes, plane), numbers)
+
+    def by_pair(
+        self, arrays: Any, pairs: np.ndarray, u: Any, theta: Any, seeds: Any, tau: Any
+    ) -> np.ndarray:
+        """Three sums of each pair of bonds, [3, H], that derivatives to K W are made of.
+
+        Args:
+            arrays: what leads kernels from a node to its bonds.
+            pairs: number of one bond of each pair, shape [H].
+            u, theta: by number, shape [S, N].
+            seeds, tau: planes of h and τ.
+        """
+        planes, plane = self.planes("sums", len(u))
+        self.lay_out(self.pieces.images, u, planes)
+        self.launch(self.kernels.taken_up, (self._onto, theta), plane)
+        whole, lanes = self.pieces.whole, self.kernels.lanes
+        bars = zeros(BLOCKS, 3 * lanes * len(pairs), dtype=self.scalar)
+        ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
+        inputs = ends, whole, ints(pairs), self.offset, arrays, planes, plane, seeds, tau
+        weight = max(len(whole) * len(u) * lanes // FASTER // BLOCKS, 1)
+        launch_slices(self.kernels.by_pair, BLOCKS, inputs, (bars,), weight=weight)
+        self.give_back("sums", planes, plane)
+        sums = bars.numpy().reshape(BLOCKS, -1, 3, lanes)
+        return np.asarray(sums.sum(axis=(0, 3), dtype=float).T)
+
+    @cached_property
+    def _onto(self) -> wp.array[Any]:
+        """Pieces of all nodes and their images from their numbers to their places."""
+        table = np.ascontiguousarray(self.pieces.images.numpy()[:, [1, 0, 2]])
+        return wp.array(table, dtype=wp.vec3i, device=DEVICE)
 
     def sweep(
         self, kernel: Any, pieces: wp.array[Any], inputs: tuple[Any, ...], output: wp.array[Any]
