@@ -124,7 +124,7 @@ class _Waves:
             if felt is None:
                 p -= self.operator.product_transpose(u, pull)
             else:
-                pushed, slopes = self.operator.pulls(felt.last, pull, wanted)
+                pushed, slopes = self.operator.pulls(felt.last, pull)
                 p -= pushed
                 totals = {name: value - slopes[name] for name, value in totals.items()}
             load += self.body.share(number) * pull

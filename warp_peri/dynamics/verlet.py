@@ -152,14 +152,16 @@ class Inert:
 
         `held` is the force of the collar alone.
         """
-        operator, free, load = self.operator, self.interior, self.load
+        operator: Any = self.operator
+        free, load = self.interior, self.load
         if getattr(operator, "is_linear", True):
             constant = held - self.share(before.number) * load  # g at u = 0
             inner = self.dot(before.u[free], after.g), self.dot(constant, after.u[free])
             return sum(inner) / 2
         volume, ends = operator.points.spacing**operator.points.dimension, (before, after)
         own = sum(float(operator.energy(one.u)) for one in ends) / volume
-        return (own - sum(self.share(x.number) * self.dot(load, x.u[free]) for x in ends)) / 2
+        worked = sum(self.share(one.number) * self.dot(load, one.u[free]) for one in ends)
+        return float(own - worked) / 2
 
 
 def step(body: Inert, state: State, dt: float) -> State:
@@ -332,7 +334,8 @@ def marched(
     time = (np.arange(len(energy)) * every + 0.5) * dt
     history = {"energy": np.array(energy)} | ({} if record is None else {"u": np.array(seen)})
     if bent:
-        body.operator.warn_beyond(max(bent))
+        felt: Any = body.operator
+        felt.warn_beyond(max(bent))
     return Motion(time, state.u, body.on_all(state.v), history)
 
 

@@ -6,7 +6,7 @@ that the result does not depend on how many threads there are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
@@ -38,9 +38,6 @@ from warp_peri.points.arrays import plain
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
-APART = 1e-3
-"""Of λ and μ, over μ: nearer ones leave too few digits of what θ has."""
-
 
 @dataclass(frozen=True)
 class Gradient:
@@ -68,7 +65,6 @@ def gradient(
     *,
     displacement: bool = True,
     parameters: bool = True,
-    shapes: bool = True,
 ) -> Gradient:
     """Gradient of a scalar, given its derivative g to L u.
 
@@ -79,35 +75,25 @@ def gradient(
         g: shape [S, I] of vectors.
         displacement: whether to return the derivative to u.
         parameters: whether to return those to λ, μ, α, D.
-        shapes: False for λ and μ alone, on a lattice; no sum over bonds is needed then.
     """
     u, lam, mu, alpha, *coefficients = arrays
     kernels = adjoints(bonds.scalar, bonds.dimension)
     e = evaluation
     law = filled(kernels.Law, e.kw, e.m, e.kd, e.md, lam, mu)
-    tau = bonds.zeros(*u.shape)
     u_bar = empty(*u.shape, dtype=bonds.vec, device=bonds.device) if displacement else None
-    sums, scaled = None, None
+    sums, fields = None, None
     if bonds.laid_out is not None:
-        fields = (u, e.theta) if parameters and shapes else None
-        sums = _by_rows(bonds, bonds.laid_out, law, g, tau if parameters else None, u_bar, fields)
+        of = (u, evaluation.theta) if parameters else None
+        sums = _by_rows(bonds, bonds.laid_out, law, g, u_bar, of)
     else:
-        scaled = _scaled(bonds, evaluation, g)
+        scaled, tau = _scaled(bonds, evaluation, g), bonds.zeros(*u.shape)
         _by_bonds(bonds, law, scaled, tau, u_bar)
+        fields = filled(kernels.Fields, u, evaluation.theta, *scaled, tau)
     if not parameters:
         return Gradient(u_bar)
     c1, c2 = bonds.dimension, 2 * bonds.dimension * (bonds.dimension + 2)
-    if not shapes:  # L u is linear in both, and θ has but λ − μ
-        first, second = (float(value.numpy()[0]) for value in (lam, mu))
-        felt = np.vdot(e.theta.numpy(), tau.numpy()) * float(e.md.numpy()[0]) / c1
-        by_lam = felt / (first - second)
-        whole = np.vdot(e.Lu.numpy(), g.numpy())
-        return Gradient(u_bar, float(by_lam), float((whole - first * by_lam) / second))
     tables = _Tables(bonds, law, alpha, coefficients)
-    if sums is None:
-        shear, bulk = tables.run(filled(kernels.Fields, u, e.theta, *(scaled or ()), tau))
-    else:
-        shear, bulk = tables.take(sums)
+    shear, bulk = tables.run(fields) if sums is None else tables.take(sums)
     by_D, by_alpha = tables.gradients()
     return Gradient(u_bar, -c1 * bulk, c1 * bulk - c2 * shear, by_alpha, *by_D)
 
@@ -149,12 +135,11 @@ def _by_rows(
     rows: Rows,
     law: Any,
     g: wp.array[Any],
-    tau: wp.array[Any] | None,
     u_bar: wp.array[Any] | None,
     fields: tuple[wp.array[Any], wp.array[Any]] | None,
 ) -> np.ndarray | None:
-    """τ by node and ∂/∂u, where arrays are given, on a lattice laid out in rows; with u and θ the
-    sums of Rows.by_pair, of hd where the dilatation has volumes of its own."""
+    """∂/∂u, where an array is given, on a lattice laid out in rows; with u and θ the sums of
+    Rows.by_pair, of hd where the dilatation has volumes of its own."""
     kernels, pieces = rows.kernels, rows.pieces
     planes, dilatation = rows.planes("backward", len(g))
     rows.lay_out(pieces.row_images, g, planes, law.md)
@@ -163,8 +148,6 @@ def _by_rows(
     sums = None
     if fields is not None:
         sums = rows.by_pair(bonds.arrays, bonds.pairs, *fields, planes, dilatation)
-    elif tau is not None:
-        rows.take_up(dilatation, tau)
     if u_bar is not None:
         if law.m is not law.md:
             rows.lay_out(pieces.row_images, g, planes, law.m)
@@ -420,16 +403,11 @@ class NodeOperator(OnPoints):
         found = evaluate(self.bonds, field, *self._evaluated[0])
         return np.asarray(found.Lu.numpy()[0]), (found, field)
 
-    def pulls(
-        self, felt: Any, w: np.ndarray, names: Collection[str]
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    def pulls(self, felt: Any, w: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
         """Lᵗ w on all nodes [N, d] and derivatives of w · force to numbers by name, w [I, d]."""
-        (found, field), bonds, solid = felt, self.bonds, self.model.solid
-        given = field, *self._evaluated[0]
-        apart = abs(solid.lam - solid.mu) > APART * abs(solid.mu)
-        shapes = not (apart and bonds.lattice) or not {"lam", "mu"}.issuperset(names)
+        (found, field), bonds = felt, self.bonds
         g = floats(np.ascontiguousarray(w)[None], bonds.vec)
-        by = gradient(bonds, found, given, g, shapes=shapes)
+        by = gradient(bonds, found, (field, *self._evaluated[0]), g)
         by_u: Any = by.u
         slopes, known = dict(vars(by)), self.learnable
         for name, other in (("lam", "mu"), ("D_dilatation", "D")):

@@ -161,7 +161,7 @@ class TensorOperator(OnPoints):
             bent = middle - planes[(*lead, *nodes.beside(step))]
             bent -= planes[(*lead, *nodes.beside(-step))]
             found.append(np.einsum("si...,sj...->ij", pull, bent, optimize=True))
-        return (np.array(found) + np.transpose(found, (0, 2, 1))) / 2
+        return np.asarray((np.array(found) + np.transpose(found, (0, 2, 1))) / 2)
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15).
