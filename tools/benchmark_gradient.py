@@ -127,7 +127,9 @@ def memory(side: int, steps: int) -> dict[str, float]:
     )
     told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     megabytes, there, back = json.loads(told.stdout.splitlines()[-1])
-    return {"nodes": side**2, "steps": steps, "MB": megabytes, "there": there, "back": back}
+    found = {"nodes": side**2, "steps": steps, "MB": megabytes, "there": there, "back": back}
+    print(json.dumps(found), file=sys.stderr, flush=True)  # the next may take long
+    return found
 
 
 def peak() -> float:

@@ -300,7 +300,7 @@ def test_a_gradient_between_breakings_is_that_of_differences(kind):
         return tuple(map(torch.as_tensor, pair))
 
     leaves = [torch.tensor(one, requires_grad=True) for one in fields]
-    with pytest.warns(UserWarning, match="ends of bonds broke; derivatives are those between"):
+    with pytest.warns(UserWarning, match="ends of bonds broke, and derivatives are those between"):
         number, left = value(*leaves)
     assert left.sum() < (body.neighbour(body.start(cracks=cracks)) >= 0).sum()
     gradients = torch.autograd.grad(number, leaves, create_graph=True)

@@ -109,7 +109,7 @@ def test_third_order_moves_as_a_gradient_of_an_energy(made):
     drifts, steps = [], options["step"] / np.array([1, 2, 4])
     for n, step in enumerate(steps):
         sizes = options | {"step": step, "steps": 40 * 2**n, "every": 2**n}
-        with pytest.warns(UserWarning, match=r"proven stable up to .H. = 3.00%"):
+        with pytest.warns(UserWarning, match=r"the step is stable up to .H. = 3.00%"):
             motion = wp.move(op, wp.Dirichlet(op.points, arrays["b"], arrays["u"]),
                              v=arrays["v"], **sizes)  # fmt: skip
         drifts.append(np.abs(motion.energy - motion.energy[0]).max())

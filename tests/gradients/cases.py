@@ -133,6 +133,20 @@ def move(name, op):
 WAVES = ("LPS", "LPS, bond-based", "LPS, two functions", "LPS in space", "LPS, broken bonds",
          "crystal", "crystal, periodic", "crystal in space", "dressed", "dressed, bonds",
          "dressed, varied", "own", "third order, energy", "crystal, third order")  # fmt: skip
-"""Materials whose waves have a proven step; the others are refused by `move`."""
+"""Materials whose waves have a proven step."""
+NO_STEP = "expected a linear solid or a crystal"
+NO_WAVES = "expected tensors without a gradient, which only waves"
+REFUSED = {
+    "third order, filtered": "form='energy', got 'filtered', whose force is no gradient",
+    "dressed, finite strain": NO_STEP,
+    "neural operator": NO_STEP,
+    "neural operator, frozen": NO_STEP,
+    "hyperelastic": NO_STEP,
+    "scattered": "expected a lattice, got scattered points",
+    "scattered, own weights": "expected a lattice, got scattered points",
+    "conductor": NO_WAVES,
+    "coupled": NO_WAVES,
+}
+"""The others, and what `move` says of them."""
 CASES = {"force": force, "solve": solve, "move": move}
 MATERIALS = list(OPERATORS)

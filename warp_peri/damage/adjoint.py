@@ -13,14 +13,8 @@ import torch
 import warp as wp
 from scipy.sparse.linalg import splu
 
-from warp_peri.core.tensors import (
-    as_tensor,
-    differentiable_once,
-    linear,
-    nonlinear,
-    pair_of,
-    refuse_tangents,
-)
+from warp_peri.core import tensors
+from warp_peri.core.tensors import as_tensor, differentiable_once, linear, pair_of, refuse_tangents
 from warp_peri.damage.softening import BondLaw
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
@@ -135,12 +129,8 @@ _softened: Callable[..., torch.Tensor] = _Softened.apply
 
 
 class Breakings:
-    """Which bonds of a brittle body break in which step, and its motion backwards (theory.md, C10).
-
-    Args:
-        body, state: at the start; bonds that break from then on are written down.
-        dt, steps: Δt, and how many there will be.
-    """
+    """Which bonds of a brittle body break in which of its steps, from a state on, and its motion
+    backwards (theory.md, C10)."""
 
     def __init__(self, body: Any, state: Any, dt: float, steps: int) -> None:
         self.body, self.dt, self.steps = body, dt, steps
@@ -158,15 +148,15 @@ class Breakings:
         It is the gradient between breakings: every bond that broke, breaks in the step in which it
         did. That one would break earlier, later or not at all is not in it; a UserWarning says so.
         """
+        self.body.broke = None
         fields = [as_tensor(*pair).to("cpu", torch.float64) for pair in zip("buv", given)]
         if count := sum(map(len, self.broken.values())):
-            warnings.warn(
-                f"move: {count} ends of bonds broke; derivatives are those between breakings, with "
-                "every bond broken in the step in which it did",
-                stacklevel=4,
-            )
+            told = f"move: {count} ends of bonds broke, and derivatives are those between breakings"
+            warnings.warn(told, stacklevel=4)
         ends = np.array([motion.u, motion.v])
-        both: Any = nonlinear(lambda _: ends, None, (lambda _, g: self.back(*g),), torch.stack(fields))
+        both: Any = tensors.nonlinear(
+            lambda _: ends, None, (lambda _, g: self.back(*g),), torch.stack(fields)
+        )
         return replace(motion, u=both[0], v=both[1])
 
     def back(self, p: np.ndarray, q: np.ndarray) -> np.ndarray:
@@ -181,8 +171,8 @@ class Breakings:
         share = [1.0 if body.ramp is None else float(body.ramp(time)) for time in times.tolist()]
         load = np.zeros_like(p)
         for number in reversed(range(steps)):
-            places = self.broken.get(number, np.zeros(0, int))
-            links[places] = -1 - links[places]
+            if (places := self.broken.get(number)) is not None:
+                links[places] = -1 - links[places]
             for end in (1, 0):  # the second kick, and then the first with the drift
                 kick[:] = dt / (2 * body.solid.density) * free * q
                 operator.sweep(field, table, force, energy)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -37,6 +36,7 @@ class Pieces:
         forces: the interior, by number in `rows`.
         nodes: all nodes, by their own number.
         images, row_images: the same two, and the images of theirs that a periodic set needs.
+        onto: `images` with the first place for the first number, and the other way round.
         needed: where dilatations are needed.
         whole: the nodes that need one, by place.
     """
@@ -45,6 +45,7 @@ class Pieces:
     nodes: wp.array[Any]
     images: wp.array[Any]
     row_images: wp.array[Any]
+    onto: wp.array[Any]
     needed: wp.array[Any]
     whole: wp.array[Any]
 
@@ -131,17 +132,11 @@ class Rows:
     def by_pair(
         self, arrays: Any, pairs: np.ndarray, u: Any, theta: Any, seeds: Any, tau: Any
     ) -> np.ndarray:
-        """Three sums of each pair of bonds, [3, H], that derivatives to K W are made of.
-
-        Args:
-            arrays: what leads kernels from a node to its bonds.
-            pairs: number of one bond of each pair, shape [H].
-            u, theta: by number, shape [S, N].
-            seeds, tau: planes of h and τ.
-        """
+        """Three sums of each pair of bonds [3, H], for ∂/∂(K W): of one bond of each by number, u
+        and θ by node [S, N], and planes of h and τ."""
         planes, plane = self.planes("sums", len(u))
         self.lay_out(self.pieces.images, u, planes)
-        self.launch(self.kernels.taken_up, (self._onto, theta), plane)
+        self.launch(self.kernels.taken_up, (self.pieces.onto, theta), plane)
         whole, lanes = self.pieces.whole, self.kernels.lanes
         bars = zeros(BLOCKS, 3 * lanes * len(pairs), dtype=self.scalar)
         ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
@@ -151,12 +146,6 @@ class Rows:
         self.give_back("sums", planes, plane)
         sums = bars.numpy().reshape(BLOCKS, -1, 3, lanes)
         return np.asarray(sums.sum(axis=(0, 3), dtype=float).T)
-
-    @cached_property
-    def _onto(self) -> wp.array[Any]:
-        """Pieces of all nodes and their images from their numbers to their places."""
-        table = np.ascontiguousarray(self.pieces.images.numpy()[:, [1, 0, 2]])
-        return wp.array(table, dtype=wp.vec3i, device=DEVICE)
 
     def sweep(
         self, kernel: Any, pieces: wp.array[Any], inputs: tuple[Any, ...], output: wp.array[Any]
@@ -261,6 +250,7 @@ def rows_of(
         forces=_pieces(home[families.rows], row_numbers[families.rows], lanes),
         nodes=nodes,
         images=_pieces(image_places, owner, lanes),
+        onto=_pieces(owner, image_places, lanes),
         row_images=_pieces(image_places[interior], row_numbers[owner[interior]], lanes),
         needed=_pieces(places(around), places(around), lanes),
         whole=_pieces(home[families.whole], home[families.whole], lanes),

@@ -167,20 +167,10 @@ class PlacedThirdOrder(OnPoints):
         """
         if self.model.form != "energy":
             raise InputError(
-                "move: expected a solid of third order with form='energy', got 'filtered', whose "
-                "force is no gradient: its waves gain or lose energy"
+                "move: expected form='energy', got 'filtered', whose force is no gradient: its "
+                "waves would gain or lose energy"
             )
         return 2 * largest(*stencil_of(self.model.linear, self.points.spacing, "move"))
-
-    def warn_beyond(self, largest_gradient: float) -> None:
-        """A UserWarning where a motion went beyond the proven strain."""
-        proven = self.model.proven_strain(self.points.spacing)
-        if largest_gradient > proven > 0:
-            warnings.warn(
-                f"strain: the step is proven stable up to |H| = {proven:.2%}, the motion went to "
-                f"{largest_gradient:.2%}",
-                stacklevel=5,
-            )
 
     def stress(self, u: np.ndarray) -> np.ndarray:
         """σ of the linear part and P of Ψ [stress] at the interior nodes, [..., I, 2, 2] (N2)."""
