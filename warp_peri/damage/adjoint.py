@@ -162,15 +162,14 @@ class Breakings:
     def back(self, p: np.ndarray, q: np.ndarray) -> np.ndarray:
         """Derivatives to load, u and v at the start, [3, N, d], of those to u and v at the end."""
         body, operator, links = self.body, self.body.operator, self.links.copy()
-        count, dt, steps = len(p), self.dt, self.steps
+        count, dt, load = len(p), self.dt, np.zeros_like(p)
         field, force = (zeros(operator.places, dtype=operator.vector) for _ in range(2))
         table: Any = wp.array(links, dtype=wp.int32, device="cpu", copy=False)
         kick, felt = field.numpy()[:count], force.numpy()[:count]
         free, energy = 1 - body.held.numpy()[:count], zeros(operator.places)
-        times = np.cumsum([0.0, *np.full(steps, dt)])
+        times = np.cumsum([0.0, *np.full(self.steps, dt)])
         share = [1.0 if body.ramp is None else float(body.ramp(time)) for time in times.tolist()]
-        load = np.zeros_like(p)
-        for number in reversed(range(steps)):
+        for number in reversed(range(self.steps)):
             if (places := self.broken.get(number)) is not None:
                 links[places] = -1 - links[places]
             for end in (1, 0):  # the second kick, and then the first with the drift

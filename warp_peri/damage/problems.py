@@ -142,8 +142,8 @@ class Cracked:
         state = moving.start(u=u, v=v, cracks=self.cracks, **begin)
         path = _torch().Breakings(moving, state, records["step"], run["steps"]) if learns else None
         motion = broken(CrackRun(moving, **records), state, run)
-        zero = np.zeros_like(body.x)
-        return path.told(motion, *(zero if x is None else x for x in given)) if path else motion
+        fields = (0 * body.x if one is None else one for one in given)
+        return path.told(motion, *fields) if path else motion
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
         u: Any = np.zeros_like(body.x) if self.u is None else self.u

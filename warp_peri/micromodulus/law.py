@@ -144,9 +144,10 @@ class TensorOperator(OnPoints):
     def at(self, numbers: Mapping[str, ArrayLike]) -> TensorOperator:
         """The operator of the crystal with the symmetric part of other tensors, whatever symmetry
         they have; nothing is proven of it yet."""
-        C = np.asarray(numbers["tensors"], dtype=float)
-        units = getattr(self.model, "units", USUAL)
-        law = Crystal(self.spacing, self.steps, (C + C.transpose(0, 2, 1)) / 2, units)
+        law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
+        held = law.stress if isinstance(law, Crystal) else None
+        C, units = (C + C.transpose(0, 2, 1)) / 2, getattr(law, "units", USUAL)
+        law = Crystal(self.spacing, self.steps, C, units, stress=held)
         given: Any = {"method": self.method, "dtype": self.dtype, "model": law}
         return TensorOperator(self.points, law.stencil, law.tensor(), **given)
 
