@@ -18,7 +18,10 @@ def made():
     return lambda name: kept.setdefault(name, OPERATORS[name]())
 
 
-LONG = ("solve", "dressed, finite strain"), ("move", "LPS in space"), ("move", "crystal in space")
+LONG = [
+    ("solve", "dressed, finite strain"),
+    *(("move", name) for name in ("LPS in space", "crystal in space", "dressed, bonds")),
+]
 CELLS = [
     pytest.param(verb, name, marks=[pytest.mark.slow] * ((verb, name) in LONG), id=f"{verb}-{name}")
     for verb in VERBS
