@@ -13,7 +13,7 @@ LARGEST = {
     "files of warp_peri": 200,
     "lines of kernels": 5_870,
     "lines of examples and tools": 29_289,
-    "lines of tests": 33_684,
+    "lines of tests": 33_687,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,
@@ -69,7 +69,7 @@ def counted():
         "files of warp_peri": len([*files("warp_peri")]),
         "lines of kernels": lines("kernels"),
         "lines of examples and tools": lines("examples", "tools"),
-        "lines of tests": lines("tests"),
+        "lines of tests": 33_687lines("tests"),
         "names of classes that stand twice": len(twice()),
         "imports of warp_peri inside functions": sum(map(late, trees())),
         "asserts in warp_peri": sum(
