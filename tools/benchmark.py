@@ -8,7 +8,7 @@
     python tools/benchmark.py dressed [--quick]
     python tools/benchmark.py varying [--quick] [--sides 32 64] --json
     python tools/benchmark.py ranks [--quick]
-    python tools/benchmark.py gradient [--quick]
+    python tools/benchmark.py gradient [--quick] [--long] [--json]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
@@ -52,8 +52,9 @@ from warp_peri import Points
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
-from warp_peri.lps.bonds import BLOCKS, Bonds, Tabulated, influence_inputs
+from warp_peri.lps.bonds import Bonds, Tabulated, influence_inputs
 from warp_peri.lps.operator import lps_force
+from warp_peri.lps.rows import BLOCKS
 from warp_peri.methods import Solid
 from warp_peri.points.families import families_of
 from warp_peri.structures.calculators import LammpsError, lammps_class
@@ -412,7 +413,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
     parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
     parser.add("--sides", type=int, nargs="+", default=[], help="varying: elements along an edge")
-    parser.add("--json", action="store_true", help="varying: print JSON, as it does in any case")
+    parser.add("--json", action="store_true", help="gradient, varying: print JSON")
+    parser.add("--long", action="store_true", help="gradient: motions of 100 000 steps too")
     parser.add("--model", type=Path, help="of solve and choice (default: learned)")
     parser.add("--out", type=Path, help="solve, choice: write the table as JSON")
     given = parser.parse_args(arguments)
@@ -426,7 +428,7 @@ def main(arguments: list[str] | None = None) -> int:
         "dressed": benchmark_dressed.dressed,
         "varying": partial(benchmark_dressed.varying, sides=tuple(given.sides)),
         "ranks": benchmark_ranks.ranks,
-        "gradient": benchmark_gradient.gradient,
+        "gradient": partial(benchmark_gradient.gradient, long=given.long, as_json=given.json),
         "choice": partial(solver_choice.solver_choice, **files),
     }
     work[given.what](quick=given.quick)

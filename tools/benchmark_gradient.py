@@ -122,12 +122,14 @@ def memory(side: int, steps: int) -> dict[str, float]:
     """Largest resident memory [MB] and seconds of a motion there and back, in its own process."""
     code = (
         "import json, sys, time; from tools import benchmark_gradient as b; s = time.time();"
-        f"f, g = b.motion({side}, {steps}, ('lam', 'mu')); g(f());"
-        "print(json.dumps([b.peak(), time.time() - s]))"
+        f"f, g = b.motion({side}, {steps}, b.ASKED['fields, λ, μ, α, D']); m = f();"
+        "h = time.time() - s; g(m); print(json.dumps([b.peak(), h, time.time() - s - h]))"
     )
     told = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    megabytes, seconds = json.loads(told.stdout.splitlines()[-1])
-    return {"nodes": side**2, "steps": steps, "MB": megabytes, "seconds": seconds}
+    megabytes, there, back = json.loads(told.stdout.splitlines()[-1])
+    found = {"nodes": side**2, "steps": steps, "MB": megabytes, "there": there, "back": back}
+    print(json.dumps(found), file=sys.stderr, flush=True)  # the next may take long
+    return found
 
 
 def peak() -> float:
@@ -141,26 +143,30 @@ def peak() -> float:
     return size / 2**20 if sys.platform == "darwin" else size / 2**10
 
 
-def gradient(*, quick: bool, long: bool = False) -> None:
-    """The table of what gradients cost, on one thread; `long` adds 10⁵ steps on 200²."""
+def gradient(*, quick: bool, long: bool = False, as_json: bool = False) -> None:
+    """The table of what gradients cost, on one thread; `long` adds 10⁵ steps on 200² nodes, which
+    take some twenty minutes."""
     set_threads(1)
     torch.set_num_threads(1)
     side, rounds = (60, 3) if quick else (200, 7)
     seconds = of_force(side, rounds)
+    ratios = of_motion(side, 20 if quick else 60, 3)
+    sizes = [(side, 100), (side, 1000)] if quick else [(200, 1000), (200, 10_000), (40, 30_000)]
+    kept = [memory(*one) for one in [*sizes, *([(200, 100_000)] if long else [])]]
+    if as_json:
+        print(json.dumps({"seconds": seconds, "backward over forward": ratios, "memory": kept}))
+        return
     print(f"gradient of a torch loss on {side}² nodes, one thread, the processor's time")
     for name, value in seconds.items():
         print(
             f"  {name:16}{1e3 * value:9.1f} ms, 1/{seconds['torch scatter'] / value:.1f} of torch"
         )
     print(f"`move` on {side}² nodes, backward over forward")
-    for name, ratio in of_motion(side, 20 if quick else 60, 3).items():
+    for name, ratio in ratios.items():
         print(f"  to {name:20}{ratio:6.2f}")
-    print("memory of `move` there and back, to fields, λ and μ")
-    sizes = (
-        [(side, 100), (side, 1000)]
-        if quick
-        else [(200, 1000), (200, 4000), (40, 1000), (40, 30_000)]
-    )
-    for one in [*sizes, *([(200, 100_000)] if long else [])]:
-        row = memory(*one)
-        print(f"  {one[0]}² nodes {one[1]:7d} steps {row['MB']:7.0f} MB {row['seconds']:7.0f} s")
+    print("memory of `move` there and back, to fields, λ, μ, α and D")
+    for row in kept:
+        print(
+            f"  {row['nodes']:6.0f} nodes {row['steps']:7.0f} steps {row['MB']:7.0f} MB, "
+            f"{row['there']:.0f} and {row['back']:.0f} s"
+        )

@@ -140,6 +140,35 @@ DISPLACEMENT_ADJOINT = (
     }
 """
 )
+BY_PAIR = (
+    OWN
+    + """
+    const REAL* hx = seeds.data + size_t(s) * planes.shape[1] + base;
+    const REAL* own = theta.data + size_t(s) * theta.shape[1] + base;
+    const REAL* back = tau.data + size_t(s) * theta.shape[1] + base;
+    REAL gx[LANES] = {}, gy[LANES] = {}, t[LANES] = {};
+    for (int l = 0; l < count; ++l) {  // zero beyond: what is summed is linear in these
+        gx[l] = hx[l];
+        gy[l] = hx[half + l];
+        t[l] = back[l];
+    }
+    for (int n = 0; n < pairs.shape[0]; ++n) {
+        const int p = pairs.data[n], step = offset.data[p];
+        const REAL *vx = ux + step, *vy = uy + step, *wx = ux - step, *wy = uy - step;
+        const REAL *far = own + step, *near = own - step;
+        const REAL a = bonds.pattern.data[p].c[0], b = bonds.pattern.data[p].c[1];
+        REAL* sums = bars.data + size_t(block) * bars.shape[1] + 3 * LANES * n;
+        for (int l = 0; l < LANES; ++l) {
+            const REAL ahead = a * (vx[l] - x[l]) + b * (vy[l] - y[l]);
+            const REAL behind = a * (wx[l] - x[l]) + b * (wy[l] - y[l]);
+            const REAL along = a * gx[l] + b * gy[l];
+            sums[l] += along * (ahead + behind);
+            sums[LANES + l] += along * (far[l] - near[l]);
+            sums[2 * LANES + l] += t[l] * (ahead - behind);
+        }
+    }
+"""
+)
 
 
 @cache
@@ -159,6 +188,7 @@ def rows(scalar):
         force=_to_vectors(of, native(FORCE)),
         dilatation_adjoint=_to_numbers(of, native(DILATATION_ADJOINT)),
         displacement_adjoint=_to_vectors(of, native(DISPLACEMENT_ADJOINT)),
+        by_pair=_by_pair(of, native(BY_PAIR)),
     )
 
 
@@ -270,3 +300,48 @@ def _to_vectors(of, body):
         piecewise(s, pieces[first + t], offset, bonds, law, planes, theta, vectors)
 
     return to_vectors
+
+
+def _by_pair(of, body):
+    """Sums behind ∂/∂(K W), (45, 46), of each pair of bonds ±ξ and each lane: Σ ξ·h (stretches of
+    both), Σ ξ·h (θ(ξ) − θ(−ξ)) and Σ τ ξ·(u(ξ) − u(−ξ))."""
+    scalar, BondArrays = of.scalar, of.BondArrays
+
+    @wp.func_native(body)
+    def piecewise(
+        block: wp.int32,
+        s: wp.int32,
+        piece: wp.vec3i,
+        pairs: wp.array(dtype=wp.int32),
+        offset: wp.array(dtype=wp.int32),
+        bonds: BondArrays,
+        planes: wp.array2d(dtype=scalar),
+        theta: wp.array2d(dtype=scalar),
+        seeds: wp.array2d(dtype=scalar),
+        tau: wp.array2d(dtype=scalar),
+        bars: wp.array2d(dtype=scalar),
+    ): ...
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def by_pair(
+        first: wp.int32,
+        ends: wp.array(dtype=wp.int32),
+        pieces: wp.array(dtype=wp.vec3i),
+        pairs: wp.array(dtype=wp.int32),
+        offset: wp.array(dtype=wp.int32),
+        bonds: BondArrays,
+        planes: wp.array2d(dtype=scalar),
+        theta: wp.array2d(dtype=scalar),
+        seeds: wp.array2d(dtype=scalar),
+        tau: wp.array2d(dtype=scalar),
+        bars: wp.array2d(dtype=scalar),
+    ):
+        """Adds what the pieces ends[block] ≤ t < ends[block + 1] of every sample hold."""
+        block = first + wp.tid()
+        for s in range(planes.shape[0]):
+            for t in range(ends[block], ends[block + 1]):
+                piecewise(
+                    block, s, pieces[t], pairs, offset, bonds, planes, theta, seeds, tau, bars
+                )
+
+    return by_pair

@@ -312,7 +312,7 @@ MODULES = {
     "scattered": {"lam", "mu", "alpha", "D"},
     "third order, filtered": {"t3", "tq2", "q3"},
     "crystal, third order": {"t3", "tq2", "q3"},
-    "crystal": set(),
+    "crystal": {"tensors"},
     "hyperelastic": {"coefficients"},
     "dressed, finite strain": {"lam", "mu", "t3", "tq2", "q3"},
     "conductor": {"kappa", "alpha", "D"},

@@ -13,6 +13,5 @@ def pytest_terminal_summary(terminalreporter):
     for verb in VERBS:
         rows = [(name, FOUND[name, verb]) for name in names if (name, verb) in FOUND]
         for name, errors in rows:
-            shown = errors or {"refused": None}
-            cells = (k if v is None else f"{k} {v:.0e}" for k, v in shown.items())
+            cells = (k if v is None else f"{k} {v:.0e}" for k, v in errors.items())
             write(f"{verb:6} {name:{wide}}  {', '.join(cells)}")

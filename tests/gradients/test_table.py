@@ -5,7 +5,7 @@ import torch
 
 import warp_peri as wp
 from tests.conformance.test_gradients import LINEAR, OPERATORS, field
-from tests.gradients.cases import CASES, FOUND, MATERIALS, VERBS, WAVES
+from tests.gradients.cases import CASES, FOUND, MATERIALS, REFUSED, VERBS, WAVES
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 FIELDS = ("b", "u", "v", "signal")
@@ -18,7 +18,10 @@ def made():
     return lambda name: kept.setdefault(name, OPERATORS[name]())
 
 
-LONG = ("solve", "dressed, finite strain"), ("move", "LPS in space")
+LONG = [
+    ("solve", "dressed, finite strain"),
+    *(("move", name) for name in ("LPS in space", "crystal in space", "dressed, bonds")),
+]
 CELLS = [
     pytest.param(verb, name, marks=[pytest.mark.slow] * ((verb, name) in LONG), id=f"{verb}-{name}")
     for verb in VERBS
@@ -31,10 +34,10 @@ def test_a_gradient_is_that_of_differences(verb, name, made):
     """1e-8 to what the number is linear in before it is squared, 1e-6 elsewhere."""
     op = made(name)
     if verb == "move" and name not in WAVES:
-        FOUND[name, verb] = {}
+        FOUND[name, verb] = {f"refused: {REFUSED[name]}": None}
         leaf = torch.from_numpy(field(op)).requires_grad_()
         sizes = {"density": 2000.0, "step": 1e-6, "steps": 2}
-        with pytest.raises(wp.InputError):
+        with pytest.raises(wp.InputError, match=REFUSED[name]):
             wp.move(op, wp.Dirichlet(op.points, None, leaf), **sizes)
         return
     found = FOUND[name, verb] = CASES[verb](name, op)

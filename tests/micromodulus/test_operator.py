@@ -53,9 +53,12 @@ def test_motion_is_stable_below_the_longest_step_and_keeps_its_energy(d):
         warp_peri.move(law, problem, density=8e3, step=1.01 * longest, steps=1)
     with pytest.raises(InputError, match="spacing: the law is for"):
         warp_peri.proofs.critical_time_step(law, spacing=2 * law.spacing, density=8e3)
-    bare = replace(law, certificate=None)
-    with pytest.raises(InputError, match="expected one with a certificate"):
-        warp_peri.move(bare, problem, density=8e3, step=longest, steps=1)
+    bare = replace(law, certificate=None)  # proven when it moves
+    again = warp_peri.move(bare, problem, density=8e3, step=longest / 2, steps=50)
+    assert np.array_equal(again.u, shorter.u)
+    grows = replace(bare, tensors=-law.tensors)
+    with pytest.raises(InputError, match="expected one whose certificate holds"):
+        warp_peri.move(grows, problem, density=8e3, step=longest, steps=1)
 
 
 @pytest.mark.parametrize("d", [2, 3])

@@ -53,6 +53,11 @@ class Grid:
         r = self.reach
         return tuple(slice(r, n - r) for n in self.wide)
 
+    def beside(self, step: np.ndarray) -> tuple[slice, ...]:
+        """Where a step leads from the box of the interior, in the wide one."""
+        r = self.reach
+        return tuple(slice(r + s, n - r + s) for s, n in zip(step.tolist(), self.wide))
+
     @property
     def is_box(self) -> bool:
         """Whether all nodes of a box are unknown."""

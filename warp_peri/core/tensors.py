@@ -397,6 +397,7 @@ class Module(torch.nn.Module):
             [M + 1], as it is used on the points. A λ that is μ and a D_dilatation that is D stay
             so, and are none of their own.
         t3, tq2, q3: parameters of a third-order solid [stress]; its linear part is held.
+        tensors: those of a crystal, or of a dressed solid that is even [stress/length²], [H, d, d].
         networks: of a neural operator, the material itself with its parameters.
 
     Other materials have no parameters and give the gradient in u alone. Parameters are float64;

@@ -110,6 +110,7 @@ class BreakingBody:
         stretch: critical stretch; None where bonds break by energy.
         exchange: sends for the displacement of nodes that another process moves, and gives what
             waits for it; None where none does.
+        broke: is told a state in whose step bonds have broken; None where nobody asks.
 
     Raises InputError for a model that changes sign, another horizon, or arrays that do not fit.
     """
@@ -150,6 +151,7 @@ class BreakingBody:
         )
         self.longest_step = breaking_time_step(solid.model, body.classes, solid.density)
         self.exchange: Callable[[wp.array[Any]], Callable[[], None]] | None = None
+        self.broke: Callable[[BreakingState], None] | None = None
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
         count, d = self.body.x.shape
@@ -288,6 +290,8 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         (state.v, state.work),
     )
     if len(lost):
+        if body.broke is not None:
+            body.broke(state)
         full = state.energy.numpy()[lost]
         operator.again(state.u, state.links, lost, state.force, state.energy)
         state.dissipated[lost] += full - state.energy.numpy()[lost]

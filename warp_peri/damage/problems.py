@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -112,7 +112,8 @@ class Cracked:
                 `watch`, `checkpoint`, `checkpoint_every`, `series`, `allow_unstable` (CrackRun);
                 `no_fail`, `grip`, `ramp` (BreakingBody); `v`, `count_cracks` (its start). The
                 histories are the ledger's, and of regions, sections and what is watched by their
-                names; the details are Broken.
+                names; the details are Broken. Of tensors b, u or v the fields at the end are
+                differentiable between breakings: see damage.adjoint.Breakings.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
             loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16). With
                 `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
@@ -121,17 +122,28 @@ class Cracked:
         body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
+        slow = "events" in options or "loads" in options
         if "loads" not in options:
-            refuse_learning(self, options, "move")
-        if "events" in options or "loads" in options:
+            felt = self if slow else replace(self, b=None, u=None)
+            others = {name: one for name, one in options.items() if slow or name != "v"}
+            refuse_learning(felt, others, "move")
+        if slow:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
             return self._slowly(material, body, options)
         how, begin, records, run = options_of_steps(options)
         offered(material, "density", "move", "a BrittleSolid for steps, or events=…, or loads=…")
-        moving = BreakingBody(material, body, load=self.b, held=self.held, **how)
-        state = moving.start(u=self.u, cracks=self.cracks, **begin)
-        return broken(CrackRun(moving, **records), state, run)
+        given: list[Any] = [self.b, self.u, begin.pop("v", None)]
+        learns = any(map(is_tensor, given))
+        if learns and records.get("checkpoint") is not None:
+            raise InputError("move: expected no checkpoint of tensors")
+        load, u, v = (one.detach().numpy() if is_tensor(one) else one for one in given)
+        moving = BreakingBody(material, body, load=load, held=self.held, **how)
+        state = moving.start(u=u, v=v, cracks=self.cracks, **begin)
+        path = _torch().Breakings(moving, state, records["step"], run["steps"]) if learns else None
+        motion = broken(CrackRun(moving, **records), state, run)
+        fields = (0 * body.x if one is None else one for one in given)
+        return path.told(motion, *fields) if path else motion
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
         u: Any = np.zeros_like(body.x) if self.u is None else self.u

@@ -56,8 +56,7 @@ def moved(
         operator, record, sizes: as of verlet.march; sizes are density, step, steps and every.
         b, u, v: load, displacement and velocity, shape [N, d], tensors or arrays; None for zero.
         signal: of the load, shape [steps + 1], as of verlet.march.
-        parameters: numbers of the material by name, as of wp.Module: of a linear peridynamic
-            solid, or maps of a dressed body. The others stay as they are.
+        parameters: numbers of the material by name, as of wp.Module. The others stay as they are.
 
     Raises InputError as verlet.march, for files, parameters that the material does not have or
     with which waves would grow, a second derivative, a tangent of forward mode, and, in the pass
@@ -124,7 +123,7 @@ class _Waves:
             if felt is None:
                 p -= self.operator.product_transpose(u, pull)
             else:
-                pushed, slopes = self.operator.pulls(felt.last, pull, wanted)
+                pushed, slopes = self.operator.pulls(felt.last, pull)
                 p -= pushed
                 totals = {name: value - slopes[name] for name, value in totals.items()}
             load += self.body.share(number) * pull

@@ -89,7 +89,7 @@ def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
 
 LEARNS = {
     "solve": "a Dirichlet, a Periodic and a Cracked without numbers",
-    "move": "waves on a lattice without growing cracks, and pulls of bonds that soften,",
+    "move": "waves, fields of a BrittleSolid in steps, and pulls of bonds that soften,",
 }
 
 

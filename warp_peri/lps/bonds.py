@@ -19,18 +19,15 @@ from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.tables import tables
 from warp_peri.launch import DEVICE, empty, floats, ints, known_device, launch, launch_slices, zeros
 from warp_peri.lps.model import CANCELLED, Model, Solid
-from warp_peri.lps.rows import Rows, rows_of
+from warp_peri.lps.rows import BLOCKS, Rows, rows_of
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
-BLOCKS = 8
-"""How many there are."""
-
 
 @dataclass(frozen=True)
 class Blocks:
-    """Parts of the nodes with complete families, one after another.
+    """The BLOCKS parts of the nodes with complete families, one after another.
 
     Attributes:
         ends: first node of each block, and the end of the last, shape [BLOCKS + 1].
@@ -151,6 +148,12 @@ class Bonds:
         if not self.lattice or self.dimension != 2 or self.device != DEVICE or self.bond_based:
             return None
         return rows_of(self.families, *self._places, self.scalar)
+
+    @cached_property
+    def pairs(self) -> np.ndarray:
+        """Numbers of one bond of each pair ±ξ of a lattice's pattern, shape [H]."""
+        reverse = self.families.reverse
+        return np.flatnonzero(np.arange(len(self.families.pattern)) < reverse)
 
     @cached_property
     def blocks(self) -> Blocks:

@@ -6,7 +6,7 @@ that the result does not depend on how many threads there are.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +24,6 @@ from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, launch_slices, unrecorded
 from warp_peri.lps.bonds import (
-    BLOCKS,
     Bonds,
     Evaluation,
     Tabulated,
@@ -34,13 +33,10 @@ from warp_peri.lps.bonds import (
     influence_inputs,
 )
 from warp_peri.lps.model import Model, Solid, on_nominal_lattice
-from warp_peri.lps.rows import Rows
+from warp_peri.lps.rows import BLOCKS, Rows
 from warp_peri.points.arrays import plain
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
-
-APART = 1e-3
-"""Of λ and μ, over μ: nearer ones leave too few digits of what θ has."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,6 @@ def gradient(
     *,
     displacement: bool = True,
     parameters: bool = True,
-    shapes: bool = True,
 ) -> Gradient:
     """Gradient of a scalar, given its derivative g to L u.
 
@@ -80,32 +75,25 @@ def gradient(
         g: shape [S, I] of vectors.
         displacement: whether to return the derivative to u.
         parameters: whether to return those to λ, μ, α, D.
-        shapes: False for λ and μ alone, on a lattice; no sum over bonds is needed then.
     """
     u, lam, mu, alpha, *coefficients = arrays
     kernels = adjoints(bonds.scalar, bonds.dimension)
     e = evaluation
     law = filled(kernels.Law, e.kw, e.m, e.kd, e.md, lam, mu)
-    h, hd = _scaled(bonds, evaluation, g)
-    tau = bonds.zeros(*u.shape)
     u_bar = empty(*u.shape, dtype=bonds.vec, device=bonds.device) if displacement else None
+    sums, fields = None, None
     if bonds.laid_out is not None:
-        _by_rows(bonds, bonds.laid_out, law, g, tau if parameters else None, u_bar)
+        of = (u, evaluation.theta) if parameters else None
+        sums = _by_rows(bonds, bonds.laid_out, law, g, u_bar, of)
     else:
-        _by_bonds(bonds, law, (h, hd), tau, u_bar)
+        scaled, tau = _scaled(bonds, evaluation, g), bonds.zeros(*u.shape)
+        _by_bonds(bonds, law, scaled, tau, u_bar)
+        fields = filled(kernels.Fields, u, evaluation.theta, *scaled, tau)
     if not parameters:
         return Gradient(u_bar)
     c1, c2 = bonds.dimension, 2 * bonds.dimension * (bonds.dimension + 2)
-    if not shapes:  # L u is linear in both, and θ has but λ − μ
-        first, second = (float(value.numpy()[0]) for value in (lam, mu))
-        felt = np.vdot(e.theta.numpy(), tau.numpy()) * float(e.md.numpy()[0]) / c1
-        by_lam = felt / (first - second)
-        whole = np.vdot(e.Lu.numpy(), g.numpy())
-        return Gradient(u_bar, float(by_lam), float((whole - first * by_lam) / second))
-    fields = filled(kernels.Fields, u, evaluation.theta, h, hd, tau)
-    tables = _Tables(bonds, law, fields, alpha, coefficients)
-    tables.run()
-    shear, bulk = tables.parts.numpy().sum(axis=0, dtype=float)
+    tables = _Tables(bonds, law, alpha, coefficients)
+    shear, bulk = tables.run(fields) if sums is None else tables.take(sums)
     by_D, by_alpha = tables.gradients()
     return Gradient(u_bar, -c1 * bulk, c1 * bulk - c2 * shear, by_alpha, *by_D)
 
@@ -147,37 +135,35 @@ def _by_rows(
     rows: Rows,
     law: Any,
     g: wp.array[Any],
-    tau: wp.array[Any] | None,
     u_bar: wp.array[Any] | None,
-) -> None:
-    """τ by node and ∂/∂u, where arrays are given, on a lattice laid out in rows."""
+    fields: tuple[wp.array[Any], wp.array[Any]] | None,
+) -> np.ndarray | None:
+    """∂/∂u, where an array is given, on a lattice laid out in rows; with u and θ the sums of
+    Rows.by_pair, of hd where the dilatation has volumes of its own."""
     kernels, pieces = rows.kernels, rows.pieces
     planes, dilatation = rows.planes("backward", len(g))
     rows.lay_out(pieces.row_images, g, planes, law.md)
     law_of_bonds = (bonds.arrays, law, planes)
     rows.sweep(kernels.dilatation_adjoint, pieces.needed, law_of_bonds, dilatation)
+    sums = None
+    if fields is not None:
+        sums = rows.by_pair(bonds.arrays, bonds.pairs, *fields, planes, dilatation)
     if u_bar is not None:
         if law.m is not law.md:
             rows.lay_out(pieces.row_images, g, planes, law.m)
         inputs = (*law_of_bonds, dilatation)
         rows.sweep(kernels.displacement_adjoint, pieces.nodes, inputs, u_bar)
-    if tau is not None:
-        rows.take_up(dilatation, tau)
     rows.give_back("backward", planes, dilatation)
+    return sums
 
 
 class _Tables:
     """The sums over bonds behind ∂/∂(K W), block by block, and from there to α and D."""
 
     def __init__(
-        self,
-        bonds: Bonds,
-        law: Any,
-        fields: Any,
-        alpha: wp.array[Any],
-        coefficients: Sequence[wp.array[Any]],
+        self, bonds: Bonds, law: Any, alpha: wp.array[Any], coefficients: Sequence[wp.array[Any]]
     ) -> None:
-        self.bonds, self.law, self.fields = bonds, law, fields
+        self.bonds, self.law = bonds, law
         self.alpha, self.coefficients = alpha, coefficients
         self.parts = bonds.zeros(BLOCKS, 2)
         self.blocks = bonds.blocks
@@ -187,35 +173,52 @@ class _Tables:
             kernel = influence_kernels.influence_adjoint(len(D) - 1, bonds.scalar)
             self.backwards.append((kernel, influence_inputs(bonds, len(D) - 1), D))
             self.sums.append(bonds.zeros(BLOCKS, len(D) + 1))
-        self.bars: list[wp.array[Any]] = []
+        self.by_class: list[np.ndarray] = []
 
-    def run(self) -> None:
-        """All blocks: ∂/∂(K W) of their bonds; on scattered points onwards to α and D."""
+    def run(self, fields: Any) -> Any:
+        """All blocks: ∂/∂(K W) of their bonds; on scattered points onwards to α and D. Returns what
+        ∂/∂λ and ∂/∂μ are made of, (47)."""
         bonds, blocks = self.bonds, self.blocks
+        reads = (bonds.full, bonds.arrays, bonds.r, self.law, fields)
+        inputs = (blocks.spans, *reads, int(len(self.coefficients) == 1))
         if bonds.lattice:
             size = BLOCKS * len(bonds.families.pattern)
-            self.bars = [bonds.zeros(size) for _ in self.coefficients]
-            outputs = (self.bars[0], self.bars[-1], self.parts)
+            bars = [bonds.zeros(size) for _ in self.coefficients]
+            outputs = (bars[0], bars[-1], self.parts)
             weight = max(len(bonds.full) // BLOCKS, 1)
-            launch_slices(self.kernel, BLOCKS, self._inputs(), outputs, weight=weight)
-            return
-        for kernel in (self.kernel, *(kernel for kernel, *_ in self.backwards)):
-            kernel.module.load(wp.get_device(bonds.device))  # not from two threads at once
-        at_once([self._job(n) for n in range(BLOCKS) if blocks.ends[n] < blocks.ends[n + 1]])
+            launch_slices(self.kernel, BLOCKS, inputs, outputs, weight=weight)
+            for each in bars:
+                by_bond = each.numpy().reshape(BLOCKS, -1).sum(axis=0, dtype=float)
+                self.by_class.append(np.bincount(bonds.families.classes.bond_class, by_bond))
+        else:
+            for kernel in (self.kernel, *(kernel for kernel, *_ in self.backwards)):
+                kernel.module.load(wp.get_device(bonds.device))  # not from two threads at once
+            some = [n for n in range(BLOCKS) if blocks.ends[n] < blocks.ends[n + 1]]
+            at_once([self._job(n, inputs) for n in some])
+        return self.parts.numpy().sum(axis=0, dtype=float)
 
-    def _inputs(self) -> tuple[Any, ...]:
-        bonds = self.bonds
-        reads = (bonds.full, bonds.arrays, bonds.r, self.law, self.fields)
-        return (self.blocks.spans, *reads, int(len(self.coefficients) == 1))
+    def take(self, sums: np.ndarray) -> tuple[float, float]:
+        """The same of a lattice's sums by pairs of bonds, [3, H], (45–47)."""
+        of, c1 = self.bonds.families.classes, self.bonds.dimension
+        names = "kw", "m", "kd", "md", "lam", "mu"
+        kw, m, kd, md, lam, mu = (getattr(self.law, name).numpy().astype(float) for name in names)
+        shear, bulk, pressed = (np.bincount(of.bond_class[self.bonds.pairs], one) for one in sums)
+        shear *= md / m / of.r**2
+        factor, dilatational = 2 * c1 * (c1 + 2) * mu, c1 * (lam - mu)
+        by_w, by_d = -factor * shear, pressed - dilatational * bulk
+        for each, k, volume in ((by_w, kw, m), (by_d, kd, md)):  # which divide all of them
+            each -= k @ each / volume * of.count * of.r**2
+        self.by_class = [by_w + by_d] if len(self.coefficients) == 1 else [by_w, by_d]
+        return float(kw @ shear), float(kd @ bulk)
 
-    def _job(self, block: int) -> Callable[[], None]:
+    def _job(self, block: int, inputs: tuple[Any, ...]) -> Callable[[], None]:
         """One block of scattered points, whose bonds take memory while it runs."""
         first, last = self.blocks.bonds[block]
 
         def run() -> None:
             bars = [self.bonds.zeros(last - first) for _ in self.coefficients]
             outputs = (bars[0], bars[-1], self.parts)
-            launch(self.kernel, 1, (block, *self._inputs()), outputs)
+            launch(self.kernel, 1, (block, *inputs), outputs)
             for n, bar in enumerate(bars):
                 self._backward(n, block, first, last, bar)
 
@@ -230,8 +233,7 @@ class _Tables:
         bonds, by_D, by_alpha = self.bonds, [], 0.0
         for n, sums in enumerate(self.sums):
             if bonds.lattice:
-                bars = self.bars[n].numpy().reshape(BLOCKS, -1).sum(axis=0, dtype=float)
-                by_class = np.bincount(bonds.families.classes.bond_class, bars)
+                by_class = self.by_class[n]
                 self._backward(n, 0, 0, len(by_class), bonds.floats(by_class))
             total = sums.numpy().sum(axis=0, dtype=float)
             by_D.append(total[:-1])
@@ -401,16 +403,11 @@ class NodeOperator(OnPoints):
         found = evaluate(self.bonds, field, *self._evaluated[0])
         return np.asarray(found.Lu.numpy()[0]), (found, field)
 
-    def pulls(
-        self, felt: Any, w: np.ndarray, names: Collection[str]
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    def pulls(self, felt: Any, w: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
         """Lᵗ w on all nodes [N, d] and derivatives of w · force to numbers by name, w [I, d]."""
-        (found, field), bonds, solid = felt, self.bonds, self.model.solid
-        given = field, *self._evaluated[0]
-        apart = abs(solid.lam - solid.mu) > APART * abs(solid.mu)
-        shapes = not (apart and bonds.lattice) or not {"lam", "mu"}.issuperset(names)
+        (found, field), bonds = felt, self.bonds
         g = floats(np.ascontiguousarray(w)[None], bonds.vec)
-        by = gradient(bonds, found, given, g, shapes=shapes)
+        by = gradient(bonds, found, (field, *self._evaluated[0]), g)
         by_u: Any = by.u
         slopes, known = dict(vars(by)), self.learnable
         for name, other in (("lam", "mu"), ("D_dilatation", "D")):

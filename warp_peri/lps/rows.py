@@ -21,6 +21,8 @@ SHORT = 4
 """Least mean length of a piece that is worth it."""
 KEPT = 2**25
 """Most numbers that planes keep between evaluations: 256 MB in double precision."""
+BLOCKS = 8
+"""Parts in which nodes are summed over, whatever the number of threads."""
 FASTER = 4
 """How much less a thread has to do with a node here than in its list of neighbours."""
 
@@ -34,6 +36,7 @@ class Pieces:
         forces: the interior, by number in `rows`.
         nodes: all nodes, by their own number.
         images, row_images: the same two, and the images of theirs that a periodic set needs.
+        onto: `images` with the first place for the first number, and the other way round.
         needed: where dilatations are needed.
         whole: the nodes that need one, by place.
     """
@@ -42,6 +45,7 @@ class Pieces:
     nodes: wp.array[Any]
     images: wp.array[Any]
     row_images: wp.array[Any]
+    onto: wp.array[Any]
     needed: wp.array[Any]
     whole: wp.array[Any]
 
@@ -124,6 +128,24 @@ class Rows:
     def take_up(self, plane: wp.array[Any], numbers: wp.array[Any]) -> None:
         """Numbers from their places back to all nodes."""
         self.launch(self.kernels.taken_up, (self.pieces.nodes, plane), numbers)
+
+    def by_pair(
+        self, arrays: Any, pairs: np.ndarray, u: Any, theta: Any, seeds: Any, tau: Any
+    ) -> np.ndarray:
+        """Three sums of each pair of bonds [3, H], for ∂/∂(K W): of one bond of each by number, u
+        and θ by node [S, N], and planes of h and τ."""
+        planes, plane = self.planes("sums", len(u))
+        self.lay_out(self.pieces.images, u, planes)
+        self.launch(self.kernels.taken_up, (self.pieces.onto, theta), plane)
+        whole, lanes = self.pieces.whole, self.kernels.lanes
+        bars = zeros(BLOCKS, 3 * lanes * len(pairs), dtype=self.scalar)
+        ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
+        inputs = ends, whole, ints(pairs), self.offset, arrays, planes, plane, seeds, tau
+        weight = max(len(whole) * len(u) * lanes // FASTER // BLOCKS, 1)
+        launch_slices(self.kernels.by_pair, BLOCKS, inputs, (bars,), weight=weight)
+        self.give_back("sums", planes, plane)
+        sums = bars.numpy().reshape(BLOCKS, -1, 3, lanes)
+        return np.asarray(sums.sum(axis=(0, 3), dtype=float).T)
 
     def sweep(
         self, kernel: Any, pieces: wp.array[Any], inputs: tuple[Any, ...], output: wp.array[Any]
@@ -228,6 +250,7 @@ def rows_of(
         forces=_pieces(home[families.rows], row_numbers[families.rows], lanes),
         nodes=nodes,
         images=_pieces(image_places, owner, lanes),
+        onto=_pieces(owner, image_places, lanes),
         row_images=_pieces(image_places[interior], row_numbers[owner[interior]], lanes),
         needed=_pieces(places(around), places(around), lanes),
         whole=_pieces(home[families.whole], home[families.whole], lanes),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -136,6 +136,34 @@ class TensorOperator(OnPoints):
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
         return np.reshape(pushed, (*w.shape[:-2], *shape))
 
+    @property
+    def learnable(self) -> dict[str, np.ndarray]:
+        """C(ξ) of one half of the bonds [stress/length²], [H, d, d], along the nodes' axes."""
+        return {"tensors": self.tensors}
+
+    def at(self, numbers: Mapping[str, ArrayLike]) -> TensorOperator:
+        """The operator of the crystal with the symmetric part of other tensors, whatever symmetry
+        they have; nothing is proven of it yet."""
+        law, C = self.model, np.asarray(numbers["tensors"], dtype=float)
+        held = law.stress if isinstance(law, Crystal) else None
+        C, units = (C + C.transpose(0, 2, 1)) / 2, getattr(law, "units", USUAL)
+        law = Crystal(self.spacing, self.steps, C, units, stress=held)
+        given: Any = {"method": self.method, "dtype": self.dtype, "model": law}
+        return TensorOperator(self.points, law.stencil, law.tensor(), **given)
+
+    def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
+        """Derivatives of Σ w · L u to the tensors, of fields [K, N, d] and weights [K, I, d]."""
+        nodes, lead = self.nodes, (slice(None), slice(None))
+        planes, w = nodes.scatter(self.fields(u)), np.asarray(w, dtype=float)
+        pull = np.stack([nodes.scatter_interior(one) for one in w])
+        pull = pull if nodes.periodic else pull[(*lead, *nodes.core)]
+        middle, found = 2 * planes[(*lead, *nodes.core)], []
+        for step in self.steps:
+            bent = middle - planes[(*lead, *nodes.beside(step))]
+            bent -= planes[(*lead, *nodes.beside(-step))]
+            found.append(np.einsum("si...,sj...->ij", pull, bent, optimize=True))
+        return np.asarray((np.array(found) + np.transpose(found, (0, 2, 1))) / 2)
+
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15).
 
@@ -150,7 +178,7 @@ class TensorOperator(OnPoints):
         total = np.zeros(len(fields))
         for sign in (1, -1):
             for step, C in zip(sign * self.steps, self.tensors):
-                part = tuple(slice(r + s, n - r + s) for s, n in zip(step, nodes.wide))
+                part = nodes.beside(step)
                 pull = middle - planes[(slice(None), slice(None), *part)]
                 weight = np.where(asked[part], 0.25, 0.5) * inside  # a bond of two unknowns: twice
                 bent = np.einsum("ij,sj...->si...", C, pull)
@@ -168,14 +196,7 @@ class TensorOperator(OnPoints):
         found = np.zeros((len(fields), d, d, *(n - 2 * r for n in nodes.wide)))
         for step, weight in zip(self.steps, xi @ inverse):
             ahead, behind = (
-                planes[
-                    (
-                        slice(None),
-                        slice(None),
-                        *(slice(r + s * g, n - r + s * g) for s, n in zip(step, nodes.wide)),
-                    )
-                ]
-                for g in (1, -1)
+                planes[(slice(None), slice(None), *nodes.beside(side))] for side in (step, -step)
             )
             for b in range(d):
                 found[:, :, b] += weight[b] * (ahead - behind)

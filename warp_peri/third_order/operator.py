@@ -13,7 +13,9 @@ import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import OnPoints
+from warp_peri.contract import OnPoints, stencil_of
+from warp_peri.core.proof import largest
+from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
@@ -156,6 +158,19 @@ class PlacedThirdOrder(OnPoints):
         H, _ = self.gradients(u)
         own = energy_density(H, self.numbers.cubic).sum(axis=-1)
         return np.asarray(self.straight.energy(u) + self.points.spacing**2 * own)
+
+    def stiffest_wave(self) -> float:
+        """A bound on the eigenvalues of the tangent [stress / length²] up to the proven strain, for
+        time steps: twice that of the linear part (N15).
+
+        Raises InputError for the filtered form, which has no energy that a motion could keep.
+        """
+        if self.model.form != "energy":
+            raise InputError(
+                "move: expected form='energy', got 'filtered', whose force is no gradient: its "
+                "waves would gain or lose energy"
+            )
+        return 2 * largest(*stencil_of(self.model.linear, self.points.spacing, "move"))
 
     def stress(self, u: np.ndarray) -> np.ndarray:
         """σ of the linear part and P of Ψ [stress] at the interior nodes, [..., I, 2, 2] (N2)."""

@@ -20,12 +20,10 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.nonlinear.rows import P_IN, P_OUT, PLANES, rows
 from warp_peri.kernels.nonlinear.sums import SUMS, sums
 from warp_peri.launch import empty, floats, ints, launch_slices, zeros
-from warp_peri.lps.rows import FASTER, Rows, rows_of
+from warp_peri.lps.rows import BLOCKS, FASTER, Rows, rows_of
 from warp_peri.points.families import BondClasses, families_of
 from warp_peri.points.samples import PointsLike
 
-BLOCKS = 8
-"""Parts in which the nodes are summed over, whatever the number of threads."""
 AT_ONCE = 2**22
 """Most numbers in the planes of a field and of its state; more samples follow one another."""
 
