@@ -13,6 +13,7 @@ interpolation.
 
 import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from warp_peri.dressed import DressedSolid
 from warp_peri.errors import exit_status
 from warp_peri.micromodulus import Crystal, tensors_of
 from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.samples import PointsLike
 
 MODEL = ROOT / "runs" / "graphene_0K" / "model.json"
 GRAPHENE, SCENES = (ROOT / "data" / f"graphene_0K{end}.h5" for end in ("", "_scenes"))
@@ -56,26 +58,44 @@ def errors_of_local(samples: Samples, C: np.ndarray) -> np.ndarray:
 def solve_local(samples: Samples, C: np.ndarray) -> np.ndarray:
     """Displacements [S, N, 2] under the loads; u is held on the collar, as it is given.
 
+    Args and errors are as of local_solver.
+    """
+    u = samples.u.copy()
+    u[:, samples.interior] = local_solver(samples, C)(samples.loads, samples.u)
+    return u
+
+
+def local_solver(
+    points: PointsLike, C: np.ndarray
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Assemble and factorise; the result solves for u on the interior, shape [..., I, 2].
+
     Args:
-        samples: on a square lattice, with a collar of five nodes at least.
+        points: a square lattice with a collar of five nodes at least.
         C: Voigt matrix of plane elasticity [stress], along the nodes' axes, shape [3, 3].
     """
-    steps, axes = lattice_steps(samples.points)
+    steps, axes = lattice_steps(points)
     place = FINER * (steps - steps.min(axis=0))
     shape = tuple(place.max(axis=0) + 1)
     body = np.zeros(shape, bool)  # the elements that touch the interior
     for corner in np.ndindex(2 * FINER + 1, 2 * FINER + 1):
-        body[tuple((place[samples.interior] + corner - FINER).T)] = True
+        body[tuple((place[points.interior] + corner - FINER).T)] = True
     free = binary_erosion(body, np.ones((3, 3)))
-    free[tuple(place[~samples.interior].T)] = False
-    used = np.argwhere(body)
-    fine = Points(used * samples.spacing / FINER, free[body], samples.spacing / FINER)
-    u, b = (_refined(field @ axes, place, shape)[:, body] for field in (samples.u, samples.loads))
-    u[:, free[body]] = elastic_solver(fine, order=2, C=C)(b, u)
-    found = np.zeros((len(u), *shape, 2))
-    found[:, body] = u
-    inside = samples.interior[:, None]
-    return np.where(inside, found[:, place[:, 0], place[:, 1]] @ axes.T, samples.u)
+    free[tuple(place[~points.interior].T)] = False
+    spacing = points.spacing / FINER
+    fine = Points(np.argwhere(body) * spacing, free[body], spacing)
+    factorised = elastic_solver(fine, order=2, C=C)
+    unknown = np.zeros(shape, int)
+    unknown[free] = np.arange(np.count_nonzero(free))
+    nodes = unknown[tuple(place[points.interior].T)]
+
+    def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        stacks = (np.reshape(field, (-1, *field.shape[-2:])) for field in (b, u))
+        load, held = (_refined(field @ axes, place, shape)[:, body] for field in stacks)
+        found = factorised(load, held)[:, nodes] @ axes.T
+        return found.reshape(*u.shape[:-2], *found.shape[1:])
+
+    return solve
 
 
 def _refined(field: np.ndarray, place: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -124,7 +144,10 @@ def errors_by_law(
 def study(given: Any) -> str:
     """The table for the files that were asked for."""
     data, materials = wp.load(given.data), {m.stem: wp.load(m) for m in given.model}
-    some = given.sets or [n for n in data if n.rsplit("_")[-1] in USUAL]
+    some = given.sets or sorted(
+        (n for n in data if n.rsplit("_")[-1] in USUAL),
+        key=lambda n: USUAL.index(n.rsplit("_")[-1]),
+    )
     if missing := sorted(set(some) - set(data)):
         raise InputError(f"sets: expected some of {', '.join(data)}, got {', '.join(missing)}")
     true = given.true

@@ -42,7 +42,7 @@ HORIZON, DEGREE = 12.5, 5
 def make_dumps(
     folder: Path,
 ) -> tuple[dict[str, tuple[list[Path], list[Path]]], Path, tuple[float, float]]:
-    """Dumps and forces of every load by set, the dump without load, the periods of the sheet [Å]."""
+    """Dumps and forces of loads by set, the dump without load, and the periods [Å]."""
     potential = potential_file("BNC.tersoff")
     bond = bond_length(potential, elements=ELEMENTS)
     positions, box = sheet(bond, cells=CELLS)
