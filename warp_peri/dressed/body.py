@@ -351,7 +351,7 @@ class DressedBody(OnPoints):
             )
 
     def stiffest_wave(self) -> float:
-        """A bound on the eigenvalues of L over the nodes' masses [stress / length²], for time steps.
+        """A bound on the eigenvalues of L over the masses [stress / length²], for time steps.
 
         Of sheets and blocks with maps alone it is proven, the even solid's times the largest map;
         of others the largest eigenvalue, to a thousandth.
@@ -365,11 +365,10 @@ class DressedBody(OnPoints):
 
     @cached_property
     def masses(self) -> np.ndarray:
-        """Mass of each node over that of a whole cell, [N]: a node has its part of every element
-        that meets there, as much of it as lies inside.
+        """Mass of each node over that of a whole cell: its parts of the elements around it, [N].
 
-        It is one where bonds are the base, each node with a cell of its own, and where there is
-        nothing.
+        An element counts as far as it lies inside. Nodes have whole cells where bonds are the
+        base, and where there is nothing.
         """
         count, corners = self._corner.shape
         if self.model.base != "elements":
