@@ -5,6 +5,8 @@ import pytest
 
 import warp_peri as wp
 from examples.local_elasticity import errors_by_law, errors_of_local, local_solver, moduli_of
+from examples.studies.speed_accuracy import SECONDS_OF, beside
+from warp_peri.choice import shipped_table
 from warp_peri.core.elastic import from_voigt
 from warp_peri.micromodulus import tensors_of
 
@@ -54,3 +56,15 @@ def test_laws_are_told_with_their_own_moduli():
     assert found["local elasticity, true moduli"]["long"] > 0.02
     with pytest.raises(wp.InputError, match="expected a law of sheets that is linear"):
         moduli_of(object(), 5.0)
+
+
+def test_rows_measured_later_have_the_seconds_of_the_table():
+    """On a machine that is twice as slow, by the rows that both have."""
+    rows = shipped_table()["rows"]
+    elements = [row for row in rows if row["kind"].startswith("FEM")]
+    late = next(row for row in rows if row["kind"] == "local elasticity")
+    slow = [row | {key: 2 * row[key] for key in SECONDS_OF} for row in (*elements, late)]
+    others = [row for row in rows if row["label"] != late["label"]]
+    found = beside(others, slow)
+    assert [row["label"] for row in found] == [row["label"] for row in rows]
+    assert found[rows.index(late)] == late | {"slower": 2.0}
