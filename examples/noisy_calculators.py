@@ -44,7 +44,7 @@ class Noisy(Calculator):
     Noise of the stress falls with the root of the number of atoms.
     """
 
-    def __init__(self, inner: Any, noise: float, seed: int = 0) -> None:
+    def __init__(self, inner: Any, noise: float, seed: int | Sequence[int] = 0) -> None:
         super().__init__()
         self.inner, self.noise, self.rng = inner, noise, np.random.default_rng(seed)
         self.implemented_properties = list(inner.implemented_properties)
@@ -103,7 +103,8 @@ def crystal(name: str) -> tuple[Any, Any]:
 def moduli(name: str, noise: float, seed: int) -> dict[str, tuple[float, float]]:
     """Moduli and standard errors [GPa] of a crystal, by force constants and strains."""
     structure, exact = crystal(name)
-    calculator = Noisy(exact, noise, seed) if noise else exact
+    own = [seed, *name.encode()]  # or all crystals would share their draws
+    calculator = Noisy(exact, noise, own) if noise else exact
     reference = at_rest(structure, calculator)
     atoms, strained, _ = known_constants(reference, calculator)
     group = name_of(atoms.group())
