@@ -5,6 +5,7 @@ from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 
+import joblib
 import pytest
 from filelock import FileLock
 
@@ -12,6 +13,16 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores; torch and BL
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from tools.make_graphene import make_graphene
+
+
+@pytest.fixture(scope="session", autouse=True)
+def work_stays_in_its_process():
+    """What spreads over processes runs in turn: the cores are taken, and each process imports."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        yield
+        return
+    with joblib.parallel_config(backend="sequential"):
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -31,5 +42,6 @@ def graphene(tmp_path_factory, pytestconfig) -> Path:
         kept = pytestconfig.cache.mkdir(f"graphene-{made_by.hexdigest()[:16]}")
     with FileLock(kept / "graphene.lock"):
         if not path.exists():
-            make_graphene(path, cache=kept / "samples", progress=False)
+            with joblib.parallel_config(backend="loky"):
+                make_graphene(path, cache=kept / "samples", progress=False)
     return path

@@ -288,6 +288,7 @@ def test_the_page_of_the_documentation_is_that_of_its_data():
     assert path.read_text(encoding="utf-8") == page(lines)
 
 
+@pytest.mark.slow
 def test_rows_are_shared_by_processes_and_leave_pictures(tmp_path):
     lines = verified(["square lattice: LPS", "square lattice: sheet energy"], out=tmp_path)
     assert [line["material"] for line in lines] == ["LPS", "sheet energy"]
