@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg import eigh, eigvalsh
+from scipy.linalg import eigh, eigvalsh, null_space
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.contract import LINEAR, offered, stencil_of
@@ -106,7 +106,8 @@ def certify(
         material: a linear solid, a material with a linear part, or the operator of either.
         spacing: h [Å]; by default that of a law for one lattice, of an operator that of its points.
         points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
-            interior nodes, Φ with the dilatation of interior nodes only.
+            interior nodes, Φ with the dilatation of interior nodes only; of a period without its
+            translations.
 
     Raises InputError for a material without a linear part, when the horizon is below one spacing,
     or the points have another spacing or do not carry the horizon.
@@ -138,6 +139,9 @@ def certify(
     unknown = np.repeat(points.interior, 2)
     gamma = parts.gamma[:, unknown].toarray()
     phi = parts.phi[points.interior][:, unknown].toarray()
+    if points.interior.all():  # a period, which feels no translation
+        free = null_space(np.tile(np.eye(2), len(points.x)))
+        gamma, phi = free.T @ gamma @ free, phi @ free
     gamma_min = float(eigvalsh(gamma, subset_by_index=[0, 0])[0])
     schwarz = eigvalsh(gamma - 2 * phi.T @ phi)
     inf_sup, rank = None, None
