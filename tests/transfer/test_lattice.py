@@ -137,3 +137,10 @@ def test_a_fit_remembers_its_shortest_wave():
     b = np.einsum("sab,snb->sna", dispersion(kernel("1/r", 2.0), 1.0, k), u)
     model = fit(Samples(points, u, b), 2.0, Bernstein(2)).material
     assert model.largest_wave_number == pytest.approx(np.hypot(0.5, 1.1), rel=0.05)
+
+
+def test_a_model_whose_own_proof_fails_is_told_as_the_cause():
+    believed = replace(HOME, lam=2.0, mu=0.8, D=[-0.16, 0.54, 0.21, 0.36, -0.65])
+    believed = replace(believed, D_dilatation=believed.D, certified_on=(1.0,), certificate={})
+    with pytest.raises(InputError, match="model: expected one that is proven on 1 Å.*horizon: "):
+        on_lattice(believed, spacing=0.8, horizon=2.4)

@@ -174,8 +174,16 @@ def new_lattice(
         asked = _asked(home, spacing, shortest_wave)
         band = max(band, asked)
     candidates = _horizons(spacing, largest_horizon) if horizon is None else [horizon]
-    candidate = _fewest(home, spacing, candidates, band, asked, tolerance)
-    return _recorded(home, spacing, band, candidate)
+    try:
+        candidate = _fewest(home, spacing, candidates, band, asked, tolerance)
+        return _recorded(home, spacing, band, candidate)
+    except InputError as error:
+        if certify(model, spacing=home.spacing).holds:
+            raise
+        raise InputError(
+            f"model: expected one that is proven on {home.spacing:g} {symbols(model.units)[0]}, as "
+            f"its certified_on says; nothing can be proven of it there, and so {error}"
+        ) from None
 
 
 @dataclass(frozen=True)
