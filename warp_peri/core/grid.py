@@ -9,6 +9,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.points.lattice import LATTICE_TOLERANCE, lattice_steps
 from warp_peri.points.points import Points
+from warp_peri.points.unit_names import symbols
 
 SPARE = 60
 """Largest box, in places a node; beyond that the nodes lie too far apart to be laid out."""
@@ -155,14 +156,24 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     body = body.reshape(nodes.shape)
     if nodes.periodic:
         body = np.pad(body, nodes.reach, mode="wrap")
-    lacking = int((nodes.unknown & ~complete(body, steps)).sum())
+
+    def cut(some: np.ndarray) -> int:
+        return int((nodes.unknown & ~complete(body, some, nodes.reach)).sum())
+
+    lacking = cut(steps)
+    if lacking:
+        h, r = points.spacing, np.linalg.norm(steps, axis=1)
+        there = max((one for one in np.unique(r) if not cut(steps[r <= one])), default=0.0)
+        length = symbols(points.units)[0]
+        why = why or f"; give one of {h * r.max():g} {length}"
+        why = f" in a collar of {h * there:g} {length}{why}"
     refuse_cut(lacking, len(nodes.interior), why)
 
 
-def complete(body: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def complete(body: np.ndarray, steps: np.ndarray, reach: int) -> np.ndarray:
     """Which places of a box have all their neighbours by some steps and back, of a body in the box
-    with their reach more around it."""
-    r = int(np.abs(steps).max())
+    with a reach more around it."""
+    r = reach
     whole = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
         whole &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]
