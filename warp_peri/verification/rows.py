@@ -12,6 +12,7 @@ import tomllib
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,6 +29,7 @@ from warp_peri.verification.statics import Outcome, UnitScale
 Line = dict[str, Any]
 SAME = 1e-6
 """Relative; by how much an answer may change with units and with the size of the moduli."""
+DIED = "its process was killed before it had an answer"
 SCALES = UnitScale("mm", 1e6), UnitScale("angstrom", 1e-6)
 """That are compared with metres."""
 
@@ -99,9 +101,7 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
         scaled: pose it in other units and with other moduli too.
         out: folder for a picture.
     """
-    told = ("name", "problem", "material", "reference", "source", "allowed", "least")
-    line: Line = {name: getattr(one, name) for name in told}
-    line |= {"answer": None, "error": None, "order": None, "scaled": None, "seconds": 0.0}
+    line = _unanswered(one)
     if one.why:
         return line | {"holds": None, "note": f"does not apply, because {one.why}"}
     begin, size = time.perf_counter(), abs(one.reference) or 1.0
@@ -128,6 +128,13 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
     return line | {"holds": bool(holds), "note": found.note}
 
 
+def _unanswered(one: Row) -> Line:
+    """A row's line as it begins."""
+    told = ("name", "problem", "material", "reference", "source", "allowed", "least")
+    line: Line = {name: getattr(one, name) for name in told}
+    return line | {"answer": None, "error": None, "order": None, "scaled": None, "seconds": 0.0}
+
+
 def _numbered(number: int, scaled: bool, out: Path | None) -> Line:
     return measured(ROWS[number], scaled=scaled, out=out)
 
@@ -143,6 +150,8 @@ def verified(
         out: folder for pictures, and for the lines as verification.json.
         processes: that share the rows.
 
+    A row whose process is killed does not hold; the others go on, one at a time.
+
     Raises InputError as `chosen`, and for less than one process.
     """
     rows = chosen(only)
@@ -153,19 +162,28 @@ def verified(
     found: dict[str, Line] = {}
     spawn = multiprocessing.get_context("spawn")
     others = multiprocessing.active_children()
-    with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
-        jobs = [pool.submit(_numbered, ROWS.index(one), scaled, out) for one in rows]
-        try:
-            for done in as_completed(jobs):
-                line = done.result()
-                found[line["name"]] = line
-                told = f"{len(found)} of {len(rows)}  {line['name']}"
-                print(f"\r\033[K{told}", end="", file=sys.stderr)
-        except BaseException:  # nobody waits for rows that take minutes
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - set(others):
-                process.terminate()
-            raise
+    while left := [one for one in rows if one.name not in found]:
+        broken = False
+        with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
+            jobs = [pool.submit(_numbered, ROWS.index(one), scaled, out) for one in left]
+            try:
+                for done in as_completed(jobs):
+                    if isinstance(done.exception(), BrokenProcessPool):
+                        broken = True  # those that were done before are among the rest
+                        continue
+                    line = done.result()
+                    found[line["name"]] = line
+                    told = f"{len(found)} of {len(rows)}  {line['name']}"
+                    print(f"\r\033[K{told}", end="", file=sys.stderr)
+            except BaseException:  # nobody waits for rows that take minutes
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in set(multiprocessing.active_children()) - set(others):
+                    process.terminate()
+                raise
+        if broken and processes == 1:  # the first that is not done was at work
+            lost = next(one for one in left if one.name not in found)
+            found[lost.name] = _unanswered(lost) | {"holds": False, "note": DIED}
+        processes = 1 if broken else processes  # which of several died, nobody says
     print("\r\033[K", end="", file=sys.stderr, flush=True)
     lines = [found[one.name] for one in rows]
     if out is not None:
