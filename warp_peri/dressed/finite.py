@@ -479,7 +479,10 @@ class FiniteBody(OnPoints):
         asked = solver if isinstance(solver, Newton) else Newton()
         inside = self.points.interior
         if inside.all():
-            raise InputError("interior: expected some nodes that are held, got none")
+            raise InputError(
+                "interior: expected some nodes that are held, got none; a dressed solid at finite "
+                "strain has forces on a period, but solves no periodic problem"
+            )
         b, u = checked_fields(self.points, b, u)
         answers, loads = (field.reshape(-1, *self.points.x.shape) for field in (u, b))
         inverse = self.inverse(len(answers))
