@@ -15,8 +15,6 @@ from warp_peri.points.mesh import load_mesh
 from warp_peri.points.unit_names import Units
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
-MESHES = (".med", ".cgns", ".h5m")
-"""Ends of names of meshes in HDF5: of Salome, CGNS and MOAB."""
 
 
 def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
@@ -36,7 +34,7 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
     except OSError as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else error.strerror
         raise InputError(f"{path}: {reason}") from None
-    if head == HDF5 and path.suffix.lower() not in MESHES:
+    if head == HDF5 and path.suffix.lower() not in (".med", ".h5m"):  # meshes, of Salome and MOAB
         return load_dataset(path, units=units)
     if path.suffix.lower() == ".json" or head.lstrip()[:1] == b"{":
         loaded = load_record(path)

@@ -183,7 +183,7 @@ def test_rounding_is_called_rounding(samples):
     exact = diagnose(MODEL, samples)
     nearly = replace(samples, b=samples.b * (1 + 1e-14 * random.normal(size=samples.b.shape)))
     for told in (exact, diagnose(MODEL, nearly)):
-        assert told.shares == {"rounding": 1.0}
+        assert told.causes == ["rounding"]
         assert "100 % of its square is rounding" in told.sentence
     seen = replace(samples, b=samples.b * (1 + 1e-9 * random.normal(size=samples.b.shape)))
     assert "rounding" not in diagnose(MODEL, seen).shares

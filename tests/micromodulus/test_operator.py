@@ -232,8 +232,8 @@ def test_a_body_that_nothing_moves_loses_no_energy():
 
 def test_the_collar_that_is_there_and_the_one_that_is_asked_are_told():
     law, points = random_law(2, reach=3.0), lattice(2, 12, 2)
-    told = f"got 44 of 144 nodes with cut bonds in a collar of {np.sqrt(8) * law.spacing:g} Å"
+    told = f"got 44 of 144 nodes with cut bonds in a collar {np.sqrt(8) * law.spacing:g} wide"
     with pytest.raises(InputError, match=f"{told}: .*; give a collar 4.5 wide"):
         law.on(points)
-    with pytest.raises(InputError, match=f"{told}; give one of 4.5 Å"):
+    with pytest.raises(InputError, match=f"{told}; give one 4.5 wide"):
         Linear(law.stencil, points)

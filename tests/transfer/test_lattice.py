@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice
-from warp_peri import Bernstein, InputError, Samples
+from warp_peri import Bernstein, InputError, Model, Samples
 from warp_peri.learning.fit import learn as fit
 from warp_peri.lps.model import stiffnesses
 from warp_peri.points.families import bond_classes
@@ -140,7 +140,7 @@ def test_a_fit_remembers_its_shortest_wave():
 
 
 def test_a_model_whose_own_proof_fails_is_told_as_the_cause():
-    believed = replace(HOME, lam=2.0, mu=0.8, D=[-0.16, 0.54, 0.21, 0.36, -0.65])
-    believed = replace(believed, D_dilatation=believed.D, certified_on=(1.0,), certificate={})
-    with pytest.raises(InputError, match="model: expected one that is proven on 1 Å.*horizon: "):
+    D = [-0.159, 0.541, 0.215, 0.355, -0.654]
+    believed = Model(2.0, 0.8, 1.0, D, horizon=3.0, certified_on=(1.0,))
+    with pytest.raises(InputError, match=r"model: nothing can be proven of it on 1 Å.*; horizon: "):
         on_lattice(believed, spacing=0.8, horizon=2.4)

@@ -9,7 +9,6 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.points.lattice import LATTICE_TOLERANCE, lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.points.unit_names import symbols
 
 SPARE = 60
 """Largest box, in places a node; beyond that the nodes lie too far apart to be laid out."""
@@ -156,17 +155,14 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     body = body.reshape(nodes.shape)
     if nodes.periodic:
         body = np.pad(body, nodes.reach, mode="wrap")
-
-    def cut(some: np.ndarray) -> int:
-        return int((nodes.unknown & ~complete(body, some, nodes.reach)).sum())
-
-    lacking = cut(steps)
+    lacking = int((nodes.unknown & ~complete(body, steps, nodes.reach)).sum())
     if lacking:
-        h, r = points.spacing, np.linalg.norm(steps, axis=1)
-        there = max((one for one in np.unique(r) if not cut(steps[r <= one])), default=0.0)
-        length = symbols(points.units)[0]
-        why = why or f"; give one of {h * r.max():g} {length}"
-        why = f" in a collar of {h * there:g} {length}{why}"
+        r, lengths = np.linalg.norm(steps, axis=1), np.unique(np.linalg.norm(steps, axis=1))
+        whole = (complete(body, steps[r <= one], nodes.reach)[nodes.unknown] for one in lengths)
+        fit = sum(bool(each.all()) for each in whole)
+        wide = points.spacing * float(np.append(0, lengths)[fit])
+        why = why or f"; give one {points.spacing * r.max():g} wide"
+        why = f" in a collar {wide:g} wide{why}"
     refuse_cut(lacking, len(nodes.interior), why)
 
 

@@ -480,8 +480,7 @@ class FiniteBody(OnPoints):
         inside = self.points.interior
         if inside.all():
             raise InputError(
-                "interior: expected some nodes that are held, got none; a dressed solid at finite "
-                "strain has forces on a period, but solves no periodic problem"
+                "interior: expected nodes that are held: no periodic problem is solved"
             )
         b, u = checked_fields(self.points, b, u)
         answers, loads = (field.reshape(-1, *self.points.x.shape) for field in (u, b))

@@ -289,7 +289,7 @@ class Diagnosis:
     Attributes:
         residual: ‖L u − b‖ / ‖b‖ over all samples.
         shares: of its square, by the name of the cause (see WORDS); they add up to 1. Noise is
-            told only where fields of it were given. A residual that is rounding has no other.
+            told only where fields of it were given.
     """
 
     residual: float
@@ -305,13 +305,11 @@ class Diagnosis:
     @property
     def sentence(self) -> str:
         """The largest cause in words, and the next one."""
-        name, *others = self.causes
-        words = (
+        name, second = (*self.causes, "unexplained")[:2]
+        return (
             f"The model leaves {100 * self.residual:.3g} % of the loads; "
-            f"{100 * self.shares[name]:.0f} % of its square is {WORDS[name]}."
-        )
-        return words + "".join(
-            f" Next comes {second}, {100 * self.shares[second]:.0f} %." for second in others[:1]
+            f"{100 * self.shares[name]:.0f} % of its square is {WORDS[name]}. "
+            f"Next comes {second}, {100 * self.shares[second]:.0f} %."
         )
 
     @property
@@ -364,7 +362,7 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     total = float((left**2).sum())
     inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))
     if total <= ROUNDING**2 * max(size, float((inner**2).sum())):
-        return Diagnosis(float(np.sqrt(total / size)), {"rounding": 1.0})
+        return Diagnosis(float(np.sqrt(total / size)), {"rounding": 1.0, "unexplained": 0.0})
     shares: dict[str, float] = {}
     if noise is not None:
         c = products(model, bond_classes(samples.spacing, model.horizon))

@@ -441,8 +441,7 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
     which the corners count; or triangles and quadrilaterals (cut in two), straight or of second
     order, whose edges' midpoints are kept on the outline. Parts of the outline are the lines'
     physical names, sets or numbers of groups, of a surface those of its triangles and
-    quadrilaterals; what is named inside the body is left out with a warning. Another says that a
-    file has lines or faces and names none.
+    quadrilaterals; what is named inside the body is left out with a warning.
 
     Raises InputError for a file that is not read, without meshio (the extra `bodies`), with cells
     of other kinds or none, for triangles that are not plane, and as `points.cells.outlined`.

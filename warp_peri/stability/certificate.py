@@ -106,8 +106,7 @@ def certify(
         material: a linear solid, a material with a linear part, or the operator of either.
         spacing: h [Å]; by default that of a law for one lattice, of an operator that of its points.
         points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
-            interior nodes, Φ with the dilatation of interior nodes only; of a period without its
-            translations.
+            interior nodes, Φ with the dilatation of interior nodes only.
 
     Raises InputError for a material without a linear part, when the horizon is below one spacing,
     or the points have another spacing or do not carry the horizon.

@@ -253,7 +253,7 @@ class Linear:
             right = self.grid.scatter(np.where(asked, one, 0.0)[None])
             if self.grid.periodic:
                 right = right[(slice(None), slice(None), *self.grid.core)]
-                over = {"axis": tuple(range(2, right.ndim)), "keepdims": True}
+                over: Any = {"axis": tuple(range(2, right.ndim)), "keepdims": True}
                 largest = np.abs(right).max(**over)
                 right = right - right.mean(**over)
                 right = np.where(np.abs(right).max(**over) > ROUNDING * largest, right, 0.0)

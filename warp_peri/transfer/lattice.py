@@ -180,10 +180,8 @@ def new_lattice(
     except InputError as error:
         if certify(model, spacing=home.spacing).holds:
             raise
-        raise InputError(
-            f"model: expected one that is proven on {home.spacing:g} {symbols(model.units)[0]}, as "
-            f"its certified_on says; nothing can be proven of it there, and so {error}"
-        ) from None
+        at = f"{home.spacing:g} {symbols(model.units)[0]}, in its certified_on"
+        raise InputError(f"model: nothing can be proven of it on {at}; {error}") from None
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,7 +29,6 @@ from warp_peri.verification.statics import Outcome, UnitScale
 Line = dict[str, Any]
 SAME = 1e-6
 """Relative; by how much an answer may change with units and with the size of the moduli."""
-DIED = "its process was killed before it had an answer"
 SCALES = UnitScale("mm", 1e6), UnitScale("angstrom", 1e-6)
 """That are compared with metres."""
 
@@ -101,7 +100,9 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
         scaled: pose it in other units and with other moduli too.
         out: folder for a picture.
     """
-    line = _unanswered(one)
+    told = ("name", "problem", "material", "reference", "source", "allowed", "least")
+    line: Line = {name: getattr(one, name) for name in told}
+    line |= {"answer": None, "error": None, "order": None, "scaled": None, "seconds": 0.0}
     if one.why:
         return line | {"holds": None, "note": f"does not apply, because {one.why}"}
     begin, size = time.perf_counter(), abs(one.reference) or 1.0
@@ -128,13 +129,6 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
     return line | {"holds": bool(holds), "note": found.note}
 
 
-def _unanswered(one: Row) -> Line:
-    """A row's line as it begins."""
-    told = ("name", "problem", "material", "reference", "source", "allowed", "least")
-    line: Line = {name: getattr(one, name) for name in told}
-    return line | {"answer": None, "error": None, "order": None, "scaled": None, "seconds": 0.0}
-
-
 def _numbered(number: int, scaled: bool, out: Path | None) -> Line:
     return measured(ROWS[number], scaled=scaled, out=out)
 
@@ -150,7 +144,7 @@ def verified(
         out: folder for pictures, and for the lines as verification.json.
         processes: that share the rows.
 
-    A row whose process is killed does not hold; the others go on, one at a time.
+    A row whose process is killed does not hold; others go on, one at a time.
 
     Raises InputError as `chosen`, and for less than one process.
     """
@@ -163,14 +157,12 @@ def verified(
     spawn = multiprocessing.get_context("spawn")
     others = multiprocessing.active_children()
     while left := [one for one in rows if one.name not in found]:
-        broken = False
         with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
             jobs = [pool.submit(_numbered, ROWS.index(one), scaled, out) for one in left]
             try:
                 for done in as_completed(jobs):
                     if isinstance(done.exception(), BrokenProcessPool):
-                        broken = True  # those that were done before are among the rest
-                        continue
+                        continue  # some process was killed, and rows that were done may follow
                     line = done.result()
                     found[line["name"]] = line
                     told = f"{len(found)} of {len(rows)}  {line['name']}"
@@ -180,10 +172,11 @@ def verified(
                 for process in set(multiprocessing.active_children()) - set(others):
                     process.terminate()
                 raise
-        if broken and processes == 1:  # the first that is not done was at work
-            lost = next(one for one in left if one.name not in found)
-            found[lost.name] = _unanswered(lost) | {"holds": False, "note": DIED}
-        processes = 1 if broken else processes  # which of several died, nobody says
+        lost = [one for one in left if one.name not in found]
+        if lost and processes == 1:  # the first of them was at work
+            note = {"holds": False, "note": "its process was killed before it had an answer"}
+            found[lost[0].name] = measured(replace(lost[0], why="unposed")) | note
+        processes = 1  # which of several was killed, nobody says
     print("\r\033[K", end="", file=sys.stderr, flush=True)
     lines = [found[one.name] for one in rows]
     if out is not None:
