@@ -34,7 +34,7 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
     except OSError as error:
         reason = "no such file" if isinstance(error, FileNotFoundError) else error.strerror
         raise InputError(f"{path}: {reason}") from None
-    if head == HDF5:
+    if head == HDF5 and path.suffix.lower() not in (".med", ".h5m"):  # meshes, of Salome and MOAB
         return load_dataset(path, units=units)
     if path.suffix.lower() == ".json" or head.lstrip()[:1] == b"{":
         loaded = load_record(path)

@@ -273,3 +273,12 @@ def test_rest_is_the_root_nearest_to_one():
     law = SpringLaw(fit_process(X, wave + 1e-3, noise=np.full(40, 1e-8)))
     assert np.abs(law.stress(law.rest[None])).max() < 1e-9
     assert law.rest[0] == pytest.approx(1.0, abs=0.1)
+
+
+def test_a_law_shows_what_it_is_and_no_arrays(spring, exact):
+    law = spring[0]
+    for one in (law, law.tabulated((4, 4, 4)), learn_rate(exact[0], kinematics=False)):
+        lines = repr(one).splitlines()
+        assert lines[0] == type(one).__name__
+        assert lines[1].split(maxsplit=1) == ["law", one.name]
+        assert "array(" not in repr(one)

@@ -176,3 +176,14 @@ def test_what_is_unexplained_is_named_last():
     unknown = Diagnosis(0.2, {**shares, "unexplained": 0.8})
     assert unknown.causes[:2] == ["unexplained", "heterogeneity"]
     assert "Try smaller and smoother loads" in unknown.advice
+
+
+def test_rounding_is_called_rounding(samples):
+    random = np.random.default_rng(0)
+    exact = diagnose(MODEL, samples)
+    nearly = replace(samples, b=samples.b * (1 + 1e-14 * random.normal(size=samples.b.shape)))
+    for told in (exact, diagnose(MODEL, nearly)):
+        assert told.causes == ["rounding"]
+        assert "100 % of its square is rounding" in told.sentence
+    seen = replace(samples, b=samples.b * (1 + 1e-9 * random.normal(size=samples.b.shape)))
+    assert "rounding" not in diagnose(MODEL, seen).shares

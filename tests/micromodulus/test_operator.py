@@ -14,6 +14,7 @@ from warp_peri.launch import set_threads, threads
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
+from warp_peri.statics.linear import Linear
 
 SIZE = {2: 12, 3: 6}
 CASES = [(d, kind) for d in (2, 3) for kind in ("cube", "ball", "period")]
@@ -230,3 +231,12 @@ def test_a_body_that_nothing_moves_loses_no_energy():
     step = 0.9 * critical_time_step(law, spacing=law.spacing, density=8960.0)
     problem = warp_peri.Dirichlet(points, None, np.zeros_like(points.x))
     assert warp_peri.move(law, problem, density=8960.0, step=step, steps=3).drift == 0
+
+
+def test_the_collar_that_is_there_and_the_one_that_is_asked_are_told():
+    law, points = random_law(2, reach=3.0), lattice(2, 12, 2)
+    told = f"got 44 of 144 nodes with cut bonds in a collar {np.sqrt(8) * law.spacing:g} wide"
+    with pytest.raises(InputError, match=f"{told}: .*; give a collar 4.5 wide"):
+        law.on(points)
+    with pytest.raises(InputError, match=f"{told}; give one 4.5 wide"):
+        Linear(law.stencil, points)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from tests.support.plates import plate
+from warp_peri import load
 from warp_peri.errors import InputError
 from warp_peri.points.mesh import REST, load_mesh, make_mesh
 from warp_peri.points.outlines import Circle, Polygon, box, mesh_outline
@@ -110,3 +111,24 @@ def test_bad_files_and_outlines_are_named(tmp_path):
         mesh_outline(box(10, 10), size=-1)
     with pytest.raises(InputError, match="a name for each of 4 sides"):
         mesh_outline(Polygon(((0, 0), (1, 0), (1, 1), (0, 1)), ("a", "b")), size=1)
+
+
+CELLS = [("line", [[0, 1], [1, 2]]), ("triangle", [[0, 1, 2], [0, 2, 3]])]
+
+
+def test_a_file_of_salome_is_a_mesh(tmp_path):
+    tags = [np.array([-1, -2]), np.array([0, 0])]
+    file = meshio.Mesh(SQUARE, CELLS, cell_data={"cell_tags": tags})
+    file.cell_tags = {-1: ["bottom"], -2: ["right"]}
+    file.write(tmp_path / "square.med")
+    mesh = load(tmp_path / "square.med")
+    assert set(mesh.parts) == {"bottom", "right", REST}
+
+
+@pytest.mark.parametrize("suffix", ["vtu", "xdmf"])
+def test_sets_that_a_format_lost_are_missed(tmp_path, suffix):
+    points = np.column_stack([SQUARE, np.zeros(4)])
+    meshio.Mesh(points, CELLS).write(tmp_path / f"square.{suffix}")
+    with pytest.warns(UserWarning, match="none of the 2 lines in the file is in a group"):
+        mesh = load(tmp_path / f"square.{suffix}")
+    assert set(mesh.parts) == {REST}

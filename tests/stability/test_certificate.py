@@ -7,7 +7,7 @@ import pytest
 import scipy.sparse as sp
 
 from tests.support import reference
-from tests.support.problems import KERNELS, ell, kernel, lattice
+from tests.support.problems import KERNELS, ell, kernel, lattice, periodic
 from warp_peri import InputError, Model, certify
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import stiffnesses
@@ -141,3 +141,22 @@ def test_a_mode_that_changes_sign_across_a_symmetric_body_is_found():
     chain = sp.diags_array(np.append(0.5, np.linspace(1.0, 2.0, half - 1)))
     body = sp.csc_array(sp.block_array([[chain, sp.eye_array(half)], [sp.eye_array(half), chain]]))
     assert smallest_eigenvalue(body) == pytest.approx(-0.5, rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [8, 12, 20])
+def test_the_figures_of_a_period_are_those_without_its_translations(size):
+    model = kernel("positive", 3.0)
+    points, _ = periodic((size, size))
+    figures = certify(model, spacing=1.0, points=points)
+    parts = matrices(model, points)
+    gamma, phi = parts.gamma.toarray(), parts.phi.toarray()
+    values, fields = np.linalg.eigh(gamma)
+    assert np.abs(values[:2]).max() < 1e-12 * values[-1]
+    assert figures.gamma_min == pytest.approx(values[2], rel=1e-9)
+    least = np.linalg.eigvalsh(gamma - 2 * phi.T @ phi)
+    assert figures.gamma_minus_2phi_min == pytest.approx(least[2], rel=1e-9)
+    half = phi @ fields[:, 2:] / np.sqrt(values[2:])
+    pencil = np.linalg.eigvalsh(half @ half.T)
+    pencil = pencil[pencil > 1e-9 * pencil[-1]]
+    assert figures.inf_sup_min == pytest.approx(pencil[0], rel=1e-6)
+    assert figures.inf_sup_rank == len(pencil)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
+from tests.micromodulus.crystals import learned
+from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
 from warp_peri import Dirichlet, InputError, Model, Periodic, Points
 from warp_peri.lps.model import stiffnesses
@@ -48,7 +49,7 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
 
 
 def test_uncertified_spacings_are_refused_or_warned_about():
-    model = replace(kernel("1/r", HORIZON), D=np.array([1.0, -3.0, 3.0]), certified_on=())
+    model = Model(LAM, MU, 1.0, np.array([1.0, -3.0, 3.0]), horizon=HORIZON)
     points = lattice(2, HORIZON)
     zero = np.zeros((len(points.x), 2))
     sheet = np.zeros((8, 8, 2))
@@ -133,3 +134,22 @@ def test_a_picture_says_which_of_several_loads_it_shows():
     assert one.plot().get_title() == ""
     shown = both.plot(1).collections[0].get_array()
     np.testing.assert_allclose(shown, one.plot().collections[0].get_array(), rtol=1e-8)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_a_constant_load_moves_nothing_on_a_period(size):
+    crystal = learned(2)
+    for law, spacing in ((kernel("1/r", HORIZON), 1.0), (crystal, crystal.spacing)):
+        points = Points.sheet((20, 20), spacing)
+        b = size * np.array([0.1, -0.37]) * np.ones_like(points.x)
+        answer = at_rest(law, Periodic(points, b))
+        assert np.array_equal(answer.u, np.zeros_like(b))
+        assert answer.residual == 0
+
+
+def test_a_small_load_on_a_large_mean_is_answered():
+    points, law = Points.sheet((20, 20), 1.0), kernel("1/r", HORIZON)
+    wave = np.sin(2 * np.pi * points.x / 20)
+    known = at_rest(law, Periodic(points, wave)).u
+    found = at_rest(law, Periodic(points, 1e6 + wave)).u
+    np.testing.assert_allclose(found, known, rtol=0, atol=1e-8 * np.abs(known).max())

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice
-from warp_peri import Bernstein, InputError, Samples
+from warp_peri import Bernstein, InputError, Model, Samples
 from warp_peri.learning.fit import learn as fit
 from warp_peri.lps.model import stiffnesses
 from warp_peri.points.families import bond_classes
@@ -137,3 +137,10 @@ def test_a_fit_remembers_its_shortest_wave():
     b = np.einsum("sab,snb->sna", dispersion(kernel("1/r", 2.0), 1.0, k), u)
     model = fit(Samples(points, u, b), 2.0, Bernstein(2)).material
     assert model.largest_wave_number == pytest.approx(np.hypot(0.5, 1.1), rel=0.05)
+
+
+def test_a_model_whose_own_proof_fails_is_told_as_the_cause():
+    D = [-0.159, 0.541, 0.215, 0.355, -0.654]
+    believed = Model(2.0, 0.8, 1.0, D, horizon=3.0, certified_on=(1.0,))
+    with pytest.raises(InputError, match=r"model: nothing can be proven of it on 1 Å.*; horizon: "):
+        on_lattice(believed, spacing=0.8, horizon=2.4)

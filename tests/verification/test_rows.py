@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -300,3 +301,24 @@ def test_rows_are_shared_by_processes_and_leave_pictures(tmp_path):
 def test_a_unit_has_its_length():
     assert UnitScale("mm").length == pytest.approx(1e3)
     assert UnitScale("angstrom").length == pytest.approx(1e10)
+
+
+def killed(number, scaled, out):
+    """The second of the rows that the test chooses kills its process."""
+    if number == ROWS.index(QUICK[1]):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return measured(ROWS[number], scaled=scaled, out=out)
+
+
+QUICK = [one for one in POSED if one.problem == "patch test, square lattice"][:3]
+
+
+@pytest.mark.parametrize("processes", [1, 2])
+def test_a_row_whose_process_is_killed_is_told_and_the_others_are_kept(monkeypatch, processes):
+    monkeypatch.setattr(rows, "_numbered", killed)
+    monkeypatch.setattr(rows, "chosen", lambda only: QUICK)
+    lines = verified(processes=processes)
+    assert [line["name"] for line in lines] == [one.name for one in QUICK]
+    assert [line["holds"] for line in lines] == [True, False, True]
+    assert "killed" in lines[1]["note"]
+    assert "does not hold" in table(lines)

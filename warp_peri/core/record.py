@@ -147,6 +147,8 @@ class Record(Shown):
         def dimension(self) -> int: ...
 
     def __init_subclass__(cls, format: str = "", version: int = 1, kind: str | None = None) -> None:
+        if "__repr__" not in vars(cls):  # a dataclass would write one with all of its arrays
+            cls.__repr__ = Record.__repr__  # type: ignore[method-assign]
         if not format:  # what several formats share, or one with tables that no file has
             return
         cls.FORMAT, cls.VERSION, cls.KIND = format, version, kind

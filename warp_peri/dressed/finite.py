@@ -479,7 +479,9 @@ class FiniteBody(OnPoints):
         asked = solver if isinstance(solver, Newton) else Newton()
         inside = self.points.interior
         if inside.all():
-            raise InputError("interior: expected some nodes that are held, got none")
+            raise InputError(
+                "interior: expected nodes that are held: no periodic problem is solved"
+            )
         b, u = checked_fields(self.points, b, u)
         answers, loads = (field.reshape(-1, *self.points.x.shape) for field in (u, b))
         inverse = self.inverse(len(answers))

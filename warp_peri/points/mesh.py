@@ -594,6 +594,13 @@ def _named_groups(read: Any, dim: int) -> dict[str, np.ndarray]:
         for name, kept in read.cell_sets.items():
             if not name.startswith("gmsh:") and kept[number] is not None and len(kept[number]):
                 sets.setdefault(name, []).append(found[kept[number]])
+    unnamed = sum(len(block.data) for block in read.cells if block.dim == dim)
+    if unnamed and not sets:
+        warnings.warn(
+            f"none of the {unnamed} {'faces' if dim == 2 else 'lines'} in the file is in a group: "
+            f"all parts are '{REST}'; vtu, vtk and xdmf keep no sets, .msh, .inp and .med do",
+            stacklevel=5,
+        )
     cut = _in_triangles if dim == 2 else np.asarray
     every = {name: np.concatenate([*map(cut, facets)]) for name, facets in sets.items()}
     return {name: facets[_whole(facets)] for name, facets in every.items()}

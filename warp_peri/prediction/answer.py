@@ -26,8 +26,8 @@ ACCURATE = 1e-5
 """Relative residual of the one solve that the bound takes."""
 
 
-@dataclass(frozen=True)
-class Guarantee:
+@dataclass(frozen=True, repr=False)
+class Guarantee(Shown):
     """What is proven of an answer: it speaks of the model, not of the atoms.
 
     Attributes:
@@ -47,6 +47,11 @@ class Guarantee:
     without_solve: float
     displacement: float
     statement: str
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        names = ("relative", "displacement", "contraction", "largest_gradient")
+        return [("proven", self.statement), *((n, f"{getattr(self, n):.3g}") for n in names)]
 
 
 def smallest_laplacian(points: Any) -> float:

@@ -125,17 +125,19 @@ def _predict(
     inside, load = placed.points.interior, placed.load(b)
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
     coarse = _on_coarse(placed, load, b, given, share, tolerance, noise)
-    if coarse is not None and coarse.answers:
-        stage = coarse
-    elif coarse is not None and coarse.error <= min(share / ROUGH, ASTRAY):
-        stage = _corrected(placed, load, coarse.u, tolerance, noise, coarse)
-        stage.corrections += coarse.corrections
-        stage.on = "from every second node, "
-    else:
+    stage, known = coarse, np.inf if coarse is None else coarse.error
+    if stage is None or (not stage.answers and known > min(share / ROUGH, ASTRAY)):
         start = np.where(inside[:, None], 0.0, given)
         start[inside] = placed.inverse(load - placed.straight(start), share)
         stage = _corrected(placed, load, start, tolerance, noise)
     kept = tolerance is None or stage.error <= tolerance
+    near = known <= min(SOLVED / ROUGH, ASTRAY) and (stage is coarse or not kept)
+    if coarse is not None and not coarse.answers and near:  # a strict tolerance is not to do worse
+        other = _corrected(placed, load, coarse.u, tolerance, noise, coarse)
+        other.corrections += coarse.corrections
+        other.on = "from every second node, "
+        stage = other if stage is coarse else min(stage, other, key=_Stage.bar)
+        kept = tolerance is None or stage.error <= tolerance
     uncovered += _beyond(placed, stage)
     why = _reason(stage, tolerance, kept, uncovered)
     only_axis = all(one == AXIS for one in uncovered)
@@ -262,7 +264,8 @@ def _corrected(
                 enough = _size(parts) <= tolerance or (floor > tolerance and done > 0)
             if enough or last:
                 stage = _Stage(u, parts, fields, done, unseen)
-                if tolerance is None and best[2] < done:  # corrections may lead away
+                missed = tolerance is None or stage.error > tolerance
+                if missed and best[2] < done:  # corrections may lead away
                     u, left, done = best
                     fields = placed.doubts(u, left, told, slowed)
                     parts = _parts(fields, placed, placed.norm(u[inside]) or 1.0, noise)

@@ -102,8 +102,10 @@ class RowOperator:
         there = np.zeros((1, *self._box), np.int8)
         there.flat[grid.place] = 1
         body = Halo(comm, self._tiles.everywhere(), self.stencil.reach)(there)[0] > 0
-        counts = int((self.mask & ~complete(body, steps)).sum()), len(grid.interior)
-        refuse_cut(*np.sum(comm.allgather(counts), axis=0).tolist())
+        cut = self.mask & ~complete(body, steps, self.stencil.reach)
+        lacking, count = np.sum(comm.allgather((int(cut.sum()), len(grid.interior))), axis=0)
+        width = self.stencil.spacing * np.linalg.norm(steps, axis=1).max()
+        refuse_cut(lacking, count, f"; give a collar {width:g} wide")
 
     @property
     def proven(self) -> str | None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.linalg import eigh, eigvalsh
+from scipy.linalg import eigh, eigvalsh, null_space
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.contract import LINEAR, offered, stencil_of
@@ -138,6 +138,9 @@ def certify(
     unknown = np.repeat(points.interior, 2)
     gamma = parts.gamma[:, unknown].toarray()
     phi = parts.phi[points.interior][:, unknown].toarray()
+    if points.interior.all():  # a period, which feels no translation
+        free = null_space(np.tile(np.eye(2), len(points.x)))
+        gamma, phi = free.T @ gamma @ free, phi @ free
     gamma_min = float(eigvalsh(gamma, subset_by_index=[0, 0])[0])
     schwarz = eigvalsh(gamma - 2 * phi.T @ phi)
     inf_sup, rank = None, None

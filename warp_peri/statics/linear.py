@@ -41,6 +41,8 @@ STIFF = 30.0
 """λ/μ from which the strip at the edge costs less than the iterations that it saves."""
 SINGULAR = 1e-13
 """A bound of the smallest eigenvalue below this fraction of the largest is no bound."""
+ROUNDING = 1e-14
+"""Of a load's component, which is its mean where no more is left without that."""
 WAVES = 1 << 17
 """Of a torus, whose eigenvalues are taken at once."""
 
@@ -251,7 +253,10 @@ class Linear:
             right = self.grid.scatter(np.where(asked, one, 0.0)[None])
             if self.grid.periodic:
                 right = right[(slice(None), slice(None), *self.grid.core)]
-                right = right - right.mean(axis=tuple(range(2, right.ndim)), keepdims=True)
+                over: Any = {"axis": tuple(range(2, right.ndim)), "keepdims": True}
+                largest = np.abs(right).max(**over)
+                right = right - right.mean(**over)
+                right = np.where(np.abs(right).max(**over) > ROUNDING * largest, right, 0.0)
             else:
                 right = right - self.pull(self.grid.scatter(field[None]))
             z, took = self._inverted(right[0], method, tolerance)

@@ -174,8 +174,14 @@ def new_lattice(
         asked = _asked(home, spacing, shortest_wave)
         band = max(band, asked)
     candidates = _horizons(spacing, largest_horizon) if horizon is None else [horizon]
-    candidate = _fewest(home, spacing, candidates, band, asked, tolerance)
-    return _recorded(home, spacing, band, candidate)
+    try:
+        candidate = _fewest(home, spacing, candidates, band, asked, tolerance)
+        return _recorded(home, spacing, band, candidate)
+    except InputError as error:
+        if certify(model, spacing=home.spacing).holds:
+            raise
+        at = f"{home.spacing:g} {symbols(model.units)[0]}, in its certified_on"
+        raise InputError(f"model: nothing can be proven of it on {at}; {error}") from None
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,8 @@ import tomllib
 import warnings
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -143,6 +144,8 @@ def verified(
         out: folder for pictures, and for the lines as verification.json.
         processes: that share the rows.
 
+    A row whose process is killed does not hold; others go on, one at a time.
+
     Raises InputError as `chosen`, and for less than one process.
     """
     rows = chosen(only)
@@ -153,19 +156,27 @@ def verified(
     found: dict[str, Line] = {}
     spawn = multiprocessing.get_context("spawn")
     others = multiprocessing.active_children()
-    with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
-        jobs = [pool.submit(_numbered, ROWS.index(one), scaled, out) for one in rows]
-        try:
-            for done in as_completed(jobs):
-                line = done.result()
-                found[line["name"]] = line
-                told = f"{len(found)} of {len(rows)}  {line['name']}"
-                print(f"\r\033[K{told}", end="", file=sys.stderr)
-        except BaseException:  # nobody waits for rows that take minutes
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - set(others):
-                process.terminate()
-            raise
+    while left := [one for one in rows if one.name not in found]:
+        with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
+            jobs = [pool.submit(_numbered, ROWS.index(one), scaled, out) for one in left]
+            try:
+                for done in as_completed(jobs):
+                    if isinstance(done.exception(), BrokenProcessPool):
+                        continue  # some process was killed, and rows that were done may follow
+                    line = done.result()
+                    found[line["name"]] = line
+                    told = f"{len(found)} of {len(rows)}  {line['name']}"
+                    print(f"\r\033[K{told}", end="", file=sys.stderr)
+            except BaseException:  # nobody waits for rows that take minutes
+                pool.shutdown(wait=False, cancel_futures=True)
+                for process in set(multiprocessing.active_children()) - set(others):
+                    process.terminate()
+                raise
+        lost = [one for one in left if one.name not in found]
+        if lost and processes == 1:  # the first of them was at work
+            note = {"holds": False, "note": "its process was killed before it had an answer"}
+            found[lost[0].name] = measured(replace(lost[0], why="unposed")) | note
+        processes = 1  # which of several was killed, nobody says
     print("\r\033[K", end="", file=sys.stderr, flush=True)
     lines = [found[one.name] for one in rows]
     if out is not None:
