@@ -117,12 +117,7 @@ def test_a_folder_of_a_structure_and_forces_alone_is_read(tmp_path, large):
 @pytest.mark.filterwarnings("ignore:primitive_matrix")
 @pytest.mark.parametrize(
     ("code", "name"),
-    [
-        ("abacus", "STRU"),
-        ("qe", "copper.in"),
-        ("aims", "geometry.in"),
-        ("siesta", "copper.fdf"),
-    ],
+    [("abacus", "STRU"), ("qe", "copper.in"), ("aims", "geometry.in"), ("siesta", "copper.fdf")],
 )
 def test_unit_cells_of_other_codes_are_read_in_their_units(tmp_path, code, name):
     """Written by phonopy itself, lengths and forces as each code has them."""

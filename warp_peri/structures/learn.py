@@ -578,7 +578,7 @@ def known_constants(
     if found is None or noise is None:
         return atoms, None if found is None else found[0], told | _doubts(atoms)
     alone = _written(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
-    new, chi, moved = joined(atoms, allowed, *found)
+    new, chi, moved = joined(atoms, allowed, *found, rough=rough)
     check_phonons(new)
     told["moduli, force constants alone"] = alone
     told["moduli, finite strains alone"] = (

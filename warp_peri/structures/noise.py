@@ -376,11 +376,16 @@ def rattled(
     edge = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
     found = replace(made, values=values[0], doubt=values[1:], edge=edge)
     said = {
-        "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants"
-        + (f"; rough by {noise.rough:.1e} eV/Å" if noise.rough else ""),
+        "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants",
         "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at half of it forces are "
         f"{slope:+.1%} of linear ones",
     }
+    if noise.rough:
+        said["rough"] = (
+            f"forces on {SHAKEN:g} Å are {noise.rough:.1e} eV/Å off twice those on half of it: "
+            "moduli are those of the largest steps, and how they change down to the smallest is "
+            "in their errors"
+        )
     return found, said
 
 
@@ -405,7 +410,7 @@ def by_strains(
         atoms: force constants.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
         rough: whether slopes depend on the size of strains: those of the whole size are taken then,
-            and how the smallest differ is an error.
+            and how the smallest differ is the last error.
 
     Returns [d, d, d, d] and [Q, d, d, d, d].
     """
@@ -440,9 +445,8 @@ def by_strains(
     U, sizes, _ = np.linalg.svd(onto, full_matrices=False)
     C, off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, slope - short))
     errors = [*np.tensordot((U * sizes * error).T, allowed, 1)]
-    if np.linalg.norm(onto @ (slope - short).ravel()) > TIMES * error * wider / gain * np.sum(
-        sizes
-    ):
+    seen = TIMES * error * wider / gain * np.sum(sizes)
+    if not rough and np.linalg.norm(onto @ (slope - short).ravel()) > seen:
         errors.append(off)
     # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
     rest = even[0].reshape(len(kinds), -1).mean(axis=0)
@@ -460,7 +464,7 @@ def by_strains(
         for one in () if atoms.doubt is None else atoms.doubt:
             errors.append(taken - _relaxed(atoms, Lambda, tau, allowed, atoms.values + one)[0])
         C = C - taken
-    return C, np.array(errors)
+    return C, np.array([*errors, off] if rough else errors)
 
 
 def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:
@@ -470,7 +474,9 @@ def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, floa
     """
     X = e[:, None] if secant else np.column_stack([e, e**3])
     flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
-    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(flat.shape[1] * max(len(e) - X.shape[1], 1))
+    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(
+        flat.shape[1] * max(len(e) - X.shape[1], 1)
+    )
     gain = float(np.linalg.norm(P[0]))
     return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
 
@@ -500,7 +506,12 @@ def _relaxed(
 
 
 def joined(
-    atoms: ForceConstants, allowed: np.ndarray, C: np.ndarray, errors: np.ndarray
+    atoms: ForceConstants,
+    allowed: np.ndarray,
+    C: np.ndarray,
+    errors: np.ndarray,
+    *,
+    rough: bool = False,
 ) -> tuple[ForceConstants, float, float]:
     """Force constants moved by their own errors until their moduli agree with others (R. Kalman).
 
@@ -508,6 +519,7 @@ def joined(
         atoms: force constants with `doubt`.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
         C, errors: of finite strains, as `by_strains` gives them.
+        rough: whether the last error is of both, so that joining does not make it smaller.
 
     Returns them, χ² between both for each modulus, and how far Φ moved. Errors of force constants
     are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
@@ -515,6 +527,7 @@ def joined(
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
     J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
     spread = onto @ errors.reshape(len(errors), -1).T
+    spread, both = np.split(spread, [len(errors) - rough], axis=1)
     other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
     off = other - seen
     chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)
@@ -528,5 +541,6 @@ def joined(
         seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
     parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
     after = np.tensordot((vectors * np.sqrt(np.clip(parts, 0, None))).T, doubt, 1)
+    after = np.concatenate([after, np.tensordot((np.linalg.pinv(J) @ both).T, doubt, 1)])
     moved = float(np.linalg.norm(values - atoms.values) / np.linalg.norm(atoms.values))
     return replace(atoms, values=values, doubt=after), chi, moved

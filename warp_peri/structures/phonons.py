@@ -360,7 +360,8 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
             outside = far > 0.45 * (counts * heights)[:d].min()
             rim = max(rim, float(change[outside].max(initial=0.0) / change.max()))
             if noise is not None:
-                reached = max(reached, TIMES**2 * noise.force / float(change.max()))
+                least = max(noise.force, noise.rough)
+                reached = max(reached, TIMES**2 * least / float(change.max()))
         if rim <= reached:
             return repeats
     warnings.warn(
