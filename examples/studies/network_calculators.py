@@ -91,7 +91,8 @@ def of_matscipy(name: str, calculator: Any) -> np.ndarray:
     tool = needed("matscipy.elasticity", "matscipy")
     cell = ase.build.bulk(name, **CRYSTALS[name])
     cell.calc = calculator
-    BFGS(FrechetCellFilter(cell), logfile=None).run(fmax=QUIET / 10, steps=200)
+    moving: Any = FrechetCellFilter(cell)
+    BFGS(moving, logfile=None).run(fmax=QUIET / 10, steps=200)
     quiet = {"verbose": False, "graphics": False, "logfile": None}
     symmetry = "trigonal_high" if name == "Mg" else "cubic"
     C, _ = tool.fit_elastic_constants(

@@ -200,6 +200,7 @@ def secant(strain):
     return 160.2176634 * (ends[0] - ends[1]) / (2 * strain)
 
 
+@pytest.mark.filterwarnings("ignore:force constants:UserWarning")  # what is rough has no end
 def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_error():
     cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST)
     found = measured(cell, Dimpled(), False)

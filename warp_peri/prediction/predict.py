@@ -96,9 +96,8 @@ def predict(
     """
     if tolerance is not None and not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, or None, got {tolerance!r:.40}")
-    if getattr(material, "provenance", {}).get("moduli_error") and not isinstance(
-        material, Members
-    ):
+    record = getattr(material, "provenance", {})
+    if record.get("moduli_error") and not isinstance(material, Members):
         plain = Factors(1.0, 1.0, 0.0)
         material = Members(material, material, (material, material), factors=plain)
     if hasattr(problem, "mesh"):

@@ -474,9 +474,8 @@ def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, floa
     """
     X = e[:, None] if secant else np.column_stack([e, e**3])
     flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
-    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(
-        flat.shape[1] * max(len(e) - X.shape[1], 1)
-    )
+    free = flat.shape[1] * max(len(e) - X.shape[1], 1)
+    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(free)
     gain = float(np.linalg.norm(P[0]))
     return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
 
