@@ -13,7 +13,6 @@ import json
 import sys
 import time
 import warnings
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +23,7 @@ import ase.build
 import numpy as np
 from ase.filters import FrechetCellFilter
 from ase.optimize import BFGS
+from ase.units import GPa
 
 import warp_peri as wp
 from tools.options import Options
@@ -59,7 +59,7 @@ def network() -> Any:
 
 def law(name: str, calculator: Any) -> dict[str, Any]:
     """The law, or why there is none; moduli [GPa], their errors, amplitudes, seconds."""
-    begin, clock = time.perf_counter(), time.process_time()
+    begin = time.perf_counter(), time.process_time()
     try:
         found = wp.from_atoms(ase.build.bulk(name, **CRYSTALS[name]), calculator)
     except wp.InputError as error:
@@ -73,8 +73,8 @@ def law(name: str, calculator: Any) -> dict[str, Any]:
             "errors_GPa": figures["standard_errors_GPa"],
             "said": {key: found.said[key] for key in TOLD if key in found.said},
         }
-    seconds = {"seconds": time.perf_counter() - begin, "processor": time.process_time() - clock}
-    return made | seconds
+    end = time.perf_counter(), time.process_time()
+    return made | {"seconds": end[0] - begin[0], "processor": end[1] - begin[1]}
 
 
 def of_matcalc(name: str, calculator: Any) -> np.ndarray:
@@ -93,50 +93,40 @@ def of_matscipy(name: str, calculator: Any) -> np.ndarray:
     cell.calc = calculator
     moving: Any = FrechetCellFilter(cell)
     BFGS(moving, logfile=None).run(fmax=QUIET / 10, steps=200)
-    quiet = {"verbose": False, "graphics": False, "logfile": None}
+    how: dict[str, Any] = {"verbose": False, "graphics": False, "logfile": None, "fmax": QUIET}
     symmetry = "trigonal_high" if name == "Mg" else "cubic"
-    C, _ = tool.fit_elastic_constants(
-        cell, symmetry, N_steps=5, delta=0.005, optimizer=BFGS, fmax=QUIET, **quiet
-    )
-    return np.array(C) * 160.2176634
+    C, _ = tool.fit_elastic_constants(cell, symmetry, 5, 0.005, BFGS, **how)
+    return np.array(C) / GPa
 
 
-RIVALS: dict[str, Callable[[str, Any], np.ndarray]] = {
-    "matcalc": of_matcalc,
-    "matscipy": of_matscipy,
-}
+RIVALS: dict[str, Any] = {"matcalc": of_matcalc, "matscipy": of_matscipy}
 
 
 def beside(tool: str, name: str, calculator: Any) -> dict[str, Any]:
     """Moduli [GPa] of another tool, or what it says, and seconds."""
-    begin = time.perf_counter()
+    begin, places = time.perf_counter(), ("C11", "C12", "C13", "C33", "C44")
     try:
         with contextlib.redirect_stdout(sys.stderr):
             C = RIVALS[tool](name, calculator)
-    except wp.InputError:
-        raise
+        told: Any = {"moduli_GPa": {key: C[int(key[1]) - 1, int(key[2]) - 1] for key in places}}
     except Exception as error:  # tools raise whatever they run into
-        return {"why": f"{type(error).__name__}: {error}", "seconds": time.perf_counter() - begin}
-    places = {"C11": (0, 0), "C12": (0, 1), "C13": (0, 2), "C33": (2, 2), "C44": (3, 3)}
-    moduli = {key: float(C[at]) for key, at in places.items()}
-    return {"moduli_GPa": moduli, "seconds": time.perf_counter() - begin}
+        told = {"why": f"{type(error).__name__}: {error}"}
+    return told | {"seconds": time.perf_counter() - begin}
 
 
 def shown(found: dict[str, dict[str, Any]]) -> str:
     """A table in Markdown."""
     tools = [tool for tool in RIVALS if tool in next(iter(found.values()))]
-    lines = ["| | moduli ± standard error [GPa] | s |" + "".join(f" {t} | s |" for t in tools)]
-    lines.append("|" + "---|" * (3 + 2 * len(tools)))
+    lines = ["| | moduli ± standard error [GPa] | s |" + "".join(f" {t} | s |" for t in tools),
+             "|" + "---|" * (3 + 2 * len(tools))]  # fmt: skip
     for name, one in found.items():
-        told = one.get("why") or ", ".join(
-            f"{key} {value:.1f} ± {one['errors_GPa'].get(key, 0):.1f}"
-            for key, value in one["moduli_GPa"].items()
-        )
+        C, bars = one.get("moduli_GPa", {}), one.get("errors_GPa", {})
+        told = ", ".join(f"{key} {C[key]:.1f} ± {bars[key]:.1f}" for key in C) or one["why"]
         line = f"| {name} | {told} | {one['seconds']:.0f} |"
         for tool in tools:
-            C = one[tool].get("moduli_GPa", {})
-            rival = [f"{C[key]:.1f}" for key in one.get("moduli_GPa", C) if key in C]
-            line += f" {', '.join(rival) or one[tool]['why']} | {one[tool]['seconds']:.0f} |"
+            theirs = one[tool].get("moduli_GPa", {})
+            rival = ", ".join(f"{theirs[key]:.1f}" for key in C or theirs if key in theirs)
+            line += f" {rival or one[tool]['why']} | {one[tool]['seconds']:.0f} |"
         lines.append(line)
     return "\n".join(lines)
 
@@ -144,9 +134,7 @@ def shown(found: dict[str, dict[str, Any]]) -> str:
 def main(words: list[str] | None = None) -> None:
     """Print the table, or JSON."""
     parser = Options(__doc__)
-    parser.add(
-        "crystals", nargs="*", default=list(CRYSTALS), metavar="NAME", help="; ".join(CRYSTALS)
-    )
+    parser.add("crystals", nargs="*", default=list(CRYSTALS), metavar="NAME")
     parser.add("--with", nargs="+", default=[], choices=list(RIVALS), dest="tools", help="beside")
     parser.add("--json", action="store_true", help="print all figures as JSON")
     given = parser.parse_args(words)
