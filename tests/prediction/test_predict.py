@@ -9,6 +9,7 @@ import pytest
 import warp_peri as wp
 from tests.dressed.solids import solid as dressed
 from tests.micromodulus.crystals import lattice as plain_lattice
+from tests.micromodulus.crystals import learned
 from tests.micromodulus.test_learning import waves
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
@@ -408,3 +409,37 @@ def test_a_stricter_tolerance_does_not_give_a_worse_answer():
         for answer, other in zip(wp.predict(poor, asked, tolerance), best):
             assert not answer.kept
             assert answer.error <= 1.01 * other.error
+
+
+def test_standard_errors_of_moduli_belong_to_the_data():
+    """A load of a crystal whose moduli are softer by the error is answered with more by as much."""
+    share = 0.03
+    crystal = replace(learned(2), provenance={"moduli_error": share})
+    points = plain_lattice(2, 9, 6)
+    b = 1e-3 * smooth(points.x / points.spacing, 1, 0, wave_number=0.3)[0]
+    posed = wp.Dirichlet(points, b, 0 * b)
+    answer = wp.predict(crystal, posed, None)
+    softer = wp.solve(crystal, wp.Dirichlet(points, b / (1 - share), 0 * b))
+    planted = far(softer.u, answer.u, points)
+    assert answer.parts["data"] == pytest.approx(share, rel=1e-6)
+    assert planted == pytest.approx(share, rel=0.1)
+    quantity = answer.of(lambda u: u[points.interior].sum(axis=0))
+    assert quantity.bar == pytest.approx(share * np.abs(quantity.value), rel=0.1)
+    assert not wp.predict(crystal, posed, 0.05).kept
+    assert any("moduli" in one for one in answer.uncovered)
+    sure = replace(crystal, provenance={})
+    with pytest.raises(wp.InputError, match="one law alone knows nothing of its error"):
+        wp.predict(sure, posed, None)
+
+
+def test_a_family_has_the_standard_error_of_its_crystal_beside_its_own_data(family):
+    points, _, _ = problem(family, 1.0)
+    b = np.zeros_like(points.x)
+    b[:, 0] = 1e-4
+    posed = wp.Dirichlet(points, b, 0 * b)
+    sure = wp.predict(replace(family, record=None), posed, None)
+    linear = replace(family.rich.linear, provenance={"moduli_error": 0.05})
+    unsure = replace(family, record=None, rich=replace(family.rich, linear=linear))
+    told = wp.predict(unsure, posed, None).parts
+    assert told["data"] == pytest.approx(np.hypot(sure.parts["data"], 0.05), rel=1e-3)
+    assert told["waves"] == pytest.approx(sure.parts["waves"], rel=1e-6)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
+from ase.neighborlist import neighbor_list
 
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
@@ -158,3 +159,60 @@ def test_the_study_counts_laws_errors_and_bands():
     assert all(law["made"] for law in found["laws"]["Si"].values())
     assert found["error"]["Si"]["0.0001"]["largest"] < 0.02
     assert set(found["coverage"]) == {"0.0001", "all"}
+
+
+class Dimpled(Calculator):
+    """EMT, noise, and bonds that are stiffer on their first hundredth of an angstrom."""
+
+    implemented_properties: ClassVar = ["energy", "forces", "stress"]
+    REST, WIDTH, STIFF = 2.8246, 0.01, 0.5
+
+    def __init__(self, noise=3e-6):
+        super().__init__()
+        self.noise, self.rng = noise, np.random.default_rng(0)
+
+    def calculate(self, atoms=None, properties=(), changes=()):
+        super().calculate(atoms, properties, changes)
+        one = atoms.copy()
+        one.calc = EMT()
+        i, r, way = neighbor_list("idD", one, 1.15 * self.REST)
+        z = (r - self.REST) / self.WIDTH
+        depth = 0.5 * self.STIFF * self.WIDTH**2 * np.exp(-(z**2))
+        pull = (2 * depth * z / self.WIDTH / r)[:, None] * way  # on atom i, towards its neighbour
+        forces = one.get_forces() + self.noise * self.rng.standard_normal((len(one), 3))
+        np.add.at(forces, i, pull)
+        virial = 0.5 * np.einsum("pa,pb->ab", pull, way) / one.get_volume()
+        self.results = {
+            "energy": one.get_potential_energy() - depth.sum() / 2,
+            "forces": forces,
+            "stress": one.get_stress() + virial[(0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)],
+        }
+
+
+def secant(strain):
+    """C11 of the dimpled crystal from two strains [GPa]."""
+    ends = []
+    for e in (strain, -strain):
+        cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST, cubic=True)
+        cell.set_cell(np.array(cell.cell) * [1 + e, 1, 1], scale_atoms=True)
+        cell.calc = Dimpled(0.0)
+        ends.append(cell.get_stress()[0])
+    return 160.2176634 * (ends[0] - ends[1]) / (2 * strain)
+
+
+@pytest.mark.filterwarnings("ignore:force constants:UserWarning")  # what is rough has no end
+def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_error():
+    cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST)
+    found = measured(cell, Dimpled(), False)
+    assert found.rough > 100 * found.force
+    assert found.length == 0.03
+    assert measured(cell, Noisy(EMT(), 3e-6), False).rough == 0
+    crystal = wp.from_atoms(cell, Dimpled())
+    figures = crystal.content()
+    value, bar = figures["moduli_GPa"]["atoms"]["C11"], figures["standard_errors_GPa"]["C11"]
+    small, large = secant(1e-3), secant(1e-2)
+    assert small > 1.2 * large  # the dimple is there
+    assert abs(value - large) < bar
+    assert abs(value - small) < 3 * bar < small
+    assert "largest steps" in crystal.said["rough"]
+    assert crystal.certificate.holds

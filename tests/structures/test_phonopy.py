@@ -110,3 +110,44 @@ def test_a_folder_of_a_structure_and_forces_alone_is_read(tmp_path, large):
     assert any("taken for a supercell" in str(one.message) for one in seen) is not large
     wanted = moduli(wp.atoms.from_phonopy(EXAMPLES / "copper"))
     assert moduli(found) == pytest.approx(wanted, rel=1e-6)
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # phonopy leaves files open
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore:primitive_matrix")
+@pytest.mark.parametrize(
+    ("code", "name"),
+    [("abacus", "STRU"), ("qe", "copper.in"), ("aims", "geometry.in"), ("siesta", "copper.fdf")],
+)
+def test_unit_cells_of_other_codes_are_read_in_their_units(tmp_path, code, name):
+    """Written by phonopy itself, lengths and forces as each code has them."""
+    phonopy = pytest.importorskip("phonopy")
+    interface = pytest.importorskip("phonopy.interface.calculator")
+    file_io = pytest.importorskip("phonopy.file_IO")
+    known = phonopy.load(EXAMPLES / "copper" / "phonopy_disp.yaml", produce_fc=False)
+    units = interface.get_calculator_physical_units(code)
+    cell = known.unitcell.copy()
+    cell.cell = known.unitcell.cell / units.distance_to_A
+    numbers = {
+        "qe": {"pp_filenames": {"Cu": "Cu.upf"}},
+        "abacus": {"pps": {"Cu": "Cu.upf"}, "orbitals": {}, "abfs": {}},
+    }
+    told = getattr(interface, f"{code.capitalize()}StructureInfo", interface.StructureInfo)
+    info = told(unitcell_filename=name, **numbers.get(code, {}))
+    interface.write_crystal_structure(tmp_path / name, cell, code, info)
+    if code == "qe":  # the part of a file that is the same for each supercell
+        text = (tmp_path / name).read_text()
+        (tmp_path / name).write_text(f"&system ibrav = 0, nat = 4, ntyp = 1 /\n{text}")
+    (tmp_path / "supercell-001.in").write_text("displaced")
+    dataset = file_io.parse_FORCE_SETS(filename=EXAMPLES / "copper" / "FORCE_SETS")
+    lines = [str(dataset["natom"]), str(len(dataset["first_atoms"]))]
+    for one in dataset["first_atoms"]:
+        moved = one["displacement"] / units.distance_to_A
+        lines += ["", str(one["number"] + 1), " ".join(f"{x:.12f}" for x in moved)]
+        scaled = one["forces"] / units.force_to_eVperA
+        lines += [" ".join(f"{x:.12f}" for x in force) for force in scaled]
+    (tmp_path / "FORCE_SETS").write_text("\n".join(lines) + "\n")
+    with pytest.warns(UserWarning, match="taken for a supercell"):
+        found = wp.atoms.from_phonopy(tmp_path)
+    wanted = moduli(wp.atoms.from_phonopy(EXAMPLES / "copper"))
+    assert moduli(found) == pytest.approx(wanted, rel=1e-5)

@@ -236,6 +236,7 @@ class Answer(Shown):
             None if fields.strain is None else change(fields.strain),
             change(fields.axis),
             fields.pull,
+            change(fields.moduli),
         )
         squares = combined(changes, factors, np.abs)
         return Quantity(at, left, np.sqrt(sum(value**2 for value in squares.values())))
@@ -309,6 +310,8 @@ def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) 
     share = parts.pull * factors.floor / np.sqrt(2)
     found = {"left": factors.left * size(parts.left), "waves": share * size(parts.waves)}
     found["data"] = share * size(parts.data)
+    if parts.moduli is not None:
+        found["data"] = np.hypot(found["data"], size(parts.moduli))
     if parts.strain is not None:
         found["strain"] = factors.floor * size(parts.strain)
     if parts.axis is not None:

@@ -153,6 +153,8 @@ class Parts:
             the gradient; times BEYOND. Of a linear member what it missed of its data, by strain.
         axis: by the crystal at its other extreme, where its axis is not stated, or at the one that
             the family's data have, where they contradict what is stated.
+        moduli: the answer times the standard error of its moduli, where the law's record has one;
+            it belongs to the data.
         pull: what waves and data are multiplied with: half way, in logarithms, to what the record
             says of such wavelengths (Q6).
     """
@@ -163,6 +165,7 @@ class Parts:
     strain: np.ndarray | None = None
     axis: np.ndarray | None = None
     pull: float = 1.0
+    moduli: np.ndarray | None = None
 
 
 class PlacedMembers:
@@ -333,7 +336,9 @@ class PlacedMembers:
             axis = self.inverse(non - self.turned(u), ROUGH)
         size = self.norm(u[self.points.interior]) or 1.0
         members = spread(self.norm(waves), self.norm(data)) / size
-        return Parts(left, waves, data, strain, axis, pulled(members, told))
+        unsure = self.family.moduli_error
+        moduli = unsure * u[self.points.interior] if unsure else None
+        return Parts(left, waves, data, strain, axis, pulled(members, told), moduli)
 
 
 class OnCoarse:
@@ -541,6 +546,11 @@ class Members(OnLinear, format="warp_peri.family", version=2):
     def linear(self) -> Any:
         """The linear part of the rich member."""
         return getattr(self.rich, "linear", self.rich)
+
+    @property
+    def moduli_error(self) -> float:
+        """Relative standard error of the rich member's moduli, by its record; 0 without."""
+        return float(getattr(self.linear, "provenance", {}).get("moduli_error", 0.0))
 
     def on(self, points: PointsLike, **options: Any) -> Any:
         """The rich member on points."""

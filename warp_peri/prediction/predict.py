@@ -17,7 +17,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked_fields, is_positive
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Answer, combined
-from warp_peri.prediction.placed import GROWN, ROUGH, Parts, PlacedMembers
+from warp_peri.prediction.placed import GROWN, ROUGH, Factors, Members, Parts, PlacedMembers
 
 SOLVED, SHARE = 0.03, 0.3
 """The first linear solve goes to this relative residual, or to this share of the tolerance; the
@@ -43,6 +43,7 @@ FAMILY = (
 )
 FREE_EDGE = "free edges: the family was learned inside a body, and atoms at an edge are other ones"
 BROKEN = "broken bonds: the family knows none"
+ALONE = "waves: a law of force constants alone tells the error of its moduli, and no other"
 AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
 
 
@@ -80,7 +81,8 @@ def predict(
 
     Args:
         material: a family, from fit(samples, prediction.learning.Family(…)), or the PlacedMembers
-            of one where the same points are asked again.
+            of one where the same points are asked again. A crystal of `from_atoms` whose moduli
+            have standard errors tells those alone, and says so.
         problem: Dirichlet(points, b, u), or Body(mesh, …) for the linear part.
         tolerance: largest displacement error, relative to the displacement of the interior; None
             for the best answer, with its error.
@@ -94,6 +96,10 @@ def predict(
     """
     if tolerance is not None and not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, or None, got {tolerance!r:.40}")
+    record = getattr(material, "provenance", {})
+    if record.get("moduli_error") and not isinstance(material, Members):
+        plain = Factors(1.0, 1.0, 0.0)
+        material = Members(material, material, (material, material), factors=plain)
     if hasattr(problem, "mesh"):
         return _of_body(material, problem, tolerance, options)
     kinds = "a problem: Dirichlet(points, b, u) or Body(mesh, …)"
@@ -208,7 +214,8 @@ def _screened(
     if placed.nonlinear:
         strain = factors.floor * placed.series(gradient, slowed) * bent
     waves = factors.floor * told
-    return {"left": factors.left * moved, "waves": waves, "data": 0.0, "strain": strain}
+    data = placed.family.moduli_error
+    return {"left": factors.left * moved, "waves": waves, "data": data, "strain": strain}
 
 
 def _corrected(
@@ -299,7 +306,7 @@ def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple
 
 def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
     """What the error of a problem does not speak of."""
-    found = []
+    found = [ALONE] if placed.family.second is placed.family.rich else []
     if not placed.on_ranks and placed.points.outside is not None:
         found += [FREE_EDGE, BROKEN]
     if placed.turned is not None and placed.points.axis is None:
@@ -366,7 +373,7 @@ def _of_body(
     parts = {
         "left": factors.screen * gradient,
         "waves": share * doubts[0],
-        "data": share * float(np.sqrt((doubts[1] ** 2 + doubts[2] ** 2) / 2)),
+        "data": math.hypot(share * math.hypot(*doubts[1:]) / 2**0.5, family.moduli_error),
         "strain": 0.0,
         "noise": 0.0,
     }

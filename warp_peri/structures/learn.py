@@ -573,11 +573,12 @@ def known_constants(
     noise, d, group = reference.noise, atoms.dimension, _group(atoms, symmetry)
     allowed = allowed_tensors(group, point_group(group, d), np.eye(d))
     largest = STRETCH if noise is None else noise.strain
-    found = by_strains(reference.cell, calculator, largest, atoms, allowed)
+    rough = noise is not None and noise.rough > 0
+    found = by_strains(reference.cell, calculator, largest, atoms, allowed, rough=rough)
     if found is None or noise is None:
         return atoms, None if found is None else found[0], told | _doubts(atoms)
     alone = _written(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
-    new, chi, moved = joined(atoms, allowed, *found)
+    new, chi, moved = joined(atoms, allowed, *found, rough=rough)
     check_phonons(new)
     told["moduli, force constants alone"] = alone
     told["moduli, finite strains alone"] = (

@@ -44,6 +44,8 @@ TIMES = 3
 """Pairs of displaced crystals; numbers asked of each unknown; standard errors that are told."""
 AWAY = 30.0
 """Noise over the stiffness, of the distance from sites that it may leave an atom at."""
+ROUGH = 0.05
+"""Of the force, that is not linear in displacements of SHAKEN, from which a surface is rough."""
 NONE = 1e-8
 """Of singular values of the rules: an equation that holds by symmetry."""
 
@@ -56,11 +58,14 @@ class Noise:
         force: standard error of a component [eV/Å].
         stress: of a component [TPa], on the cell at rest; zero where there is none.
         stiffness: root mean square force over the displacement that made it [eV/Å²].
+        rough: what the force on twice a small displacement is off twice that force [eV/Å]; zero
+            of surfaces that are smooth. Those of networks may have a dimple at perfect crystals.
     """
 
     force: float
     stress: float
     stiffness: float
+    rough: float = 0.0
 
     @property
     def rounding(self) -> bool:
@@ -69,8 +74,11 @@ class Noise:
 
     @property
     def length(self) -> float:
-        """Displacement [Å] at which noise and the force's third differences are the same."""
-        wanted = (BENT**2 * self.force / max(self.stiffness, TINY)) ** (1 / 3)
+        """Displacement [Å] at which noise and the force's third differences are the same.
+
+        What is rough counts as noise, so that steps are wider than a dimple.
+        """
+        wanted = (BENT**2 * max(self.force, self.rough) / max(self.stiffness, TINY)) ** (1 / 3)
         return float(np.clip(wanted, LEAST, MOST))
 
     @property
@@ -122,8 +130,20 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     known = all(stress is not None for _, stress in seen[1] + seen[-1])
     tight = scatter(1) * np.sqrt(len(many) / len(cell)) * EV_IN_TPA if known else 0.0
     ends = [np.mean([force for force, _ in seen[sign]], axis=0) for sign in seen]
-    stiffness = float(np.sqrt(np.mean((ends[0] - ends[1]) ** 2) / np.mean(u**2))) / 2
-    return Noise(scatter(0), float(tight), stiffness)
+    odd = (ends[0] - ends[1]) / 2
+    stiffness = float(np.sqrt(np.mean(odd**2) / np.mean(u**2)))
+    found = Noise(scatter(0), float(tight), stiffness)
+    if found.rounding:
+        return found
+    short = []
+    for sign in seen:
+        many.positions += sign * u / 2
+        many.calc = calculator
+        short.append(np.array(many.get_forces(apply_constraint=False)))
+        many.positions -= sign * u / 2
+    bent = float(np.sqrt(np.mean((short[0] - short[1] - odd) ** 2)))
+    rough = bent > max(ROUGH * stiffness * SHAKEN / 3**0.5, 2 * TIMES * found.force)
+    return replace(found, rough=bent if rough else 0.0)
 
 
 def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
@@ -360,11 +380,23 @@ def rattled(
         "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at half of it forces are "
         f"{slope:+.1%} of linear ones",
     }
+    if noise.rough:
+        said["rough"] = (
+            f"forces on {SHAKEN:g} Å are {noise.rough:.1e} eV/Å off twice those on half of it: "
+            "moduli are those of the largest steps, and how they change down to the smallest is "
+            "in their errors"
+        )
     return found, said
 
 
 def by_strains(
-    cell: ase.Atoms, calculator: Any, largest: float, atoms: ForceConstants, allowed: np.ndarray
+    cell: ase.Atoms,
+    calculator: Any,
+    largest: float,
+    atoms: ForceConstants,
+    allowed: np.ndarray,
+    *,
+    rough: bool = False,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """C_ijkl [TPa] by finite strains, atoms relaxed by force constants, and standard errors.
 
@@ -377,6 +409,8 @@ def by_strains(
         largest: strain.
         atoms: force constants.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
+        rough: whether slopes depend on the size of strains: those of the whole size are taken then,
+            and how the smallest differ is the last error.
 
     Returns [d, d, d, d] and [Q, d, d, d, d].
     """
@@ -404,15 +438,15 @@ def by_strains(
     even = np.linalg.lstsq(np.column_stack([e**0, e**2]), (S.sum(axis=0) / 2).reshape(len(e), -1))[
         0
     ]
-    slope, error, gain = _slope((S[0] - S[1]) / 2, e)
-    short, _, wider = _slope((S[0] - S[1])[:2] / 2, e[:2])
+    slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
+    few = 1 if rough else 2
+    short, _, wider = _slope((S[0] - S[1])[:few] / 2, e[:few], rough)
     onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
     U, sizes, _ = np.linalg.svd(onto, full_matrices=False)
     C, off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, slope - short))
     errors = [*np.tensordot((U * sizes * error).T, allowed, 1)]
-    if np.linalg.norm(onto @ (slope - short).ravel()) > TIMES * error * wider / gain * np.sum(
-        sizes
-    ):
+    seen = TIMES * error * wider / gain * np.sum(sizes)
+    if not rough and np.linalg.norm(onto @ (slope - short).ravel()) > seen:
         errors.append(off)
     # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
     rest = even[0].reshape(len(kinds), -1).mean(axis=0)
@@ -421,7 +455,7 @@ def by_strains(
     strain = np.abs(np.linalg.solve(voigt(C), rest)).max()
     errors.append(2 * np.abs(even[1]).max() / np.abs(C).max() * strain * C)
     if n > 1:
-        push, tau, _ = _slope((F[0] - F[1]) / 2, e)
+        push, tau, _ = _slope((F[0] - F[1]) / 2, e, rough)
         Lambda = np.zeros((n, 3, d, d))
         for kind, (i, j) in enumerate(kinds):
             Lambda[..., i, j] = Lambda[..., j, i] = push[kind]
@@ -430,14 +464,18 @@ def by_strains(
         for one in () if atoms.doubt is None else atoms.doubt:
             errors.append(taken - _relaxed(atoms, Lambda, tau, allowed, atoms.values + one)[0])
         C = C - taken
-    return C, np.array(errors)
+    return C, np.array([*errors, off] if rough else errors)
 
 
-def _slope(y: np.ndarray, e: np.ndarray) -> tuple[np.ndarray, float, float]:
-    """Slopes of y = a e + b e³, y [E, ...], their standard error, and that over the error of y."""
-    X = np.column_stack([e, e**3])
+def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:
+    """Slopes of y = a e + b e³, y [E, ...], their standard error, and that over the error of y.
+
+    Of a secant b is zero.
+    """
+    X = e[:, None] if secant else np.column_stack([e, e**3])
     flat, P = y.reshape(len(e), -1), np.linalg.pinv(X)
-    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(flat.shape[1] * max(len(e) - 2, 1))
+    free = flat.shape[1] * max(len(e) - X.shape[1], 1)
+    left = np.linalg.norm(flat - X @ P @ flat) / np.sqrt(free)
     gain = float(np.linalg.norm(P[0]))
     return (P[0] @ flat).reshape(y.shape[1:]), float(left) * gain, gain
 
@@ -467,7 +505,12 @@ def _relaxed(
 
 
 def joined(
-    atoms: ForceConstants, allowed: np.ndarray, C: np.ndarray, errors: np.ndarray
+    atoms: ForceConstants,
+    allowed: np.ndarray,
+    C: np.ndarray,
+    errors: np.ndarray,
+    *,
+    rough: bool = False,
 ) -> tuple[ForceConstants, float, float]:
     """Force constants moved by their own errors until their moduli agree with others (R. Kalman).
 
@@ -475,6 +518,7 @@ def joined(
         atoms: force constants with `doubt`.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
         C, errors: of finite strains, as `by_strains` gives them.
+        rough: whether the last error is of both, so that joining does not make it smaller.
 
     Returns them, χ² between both for each modulus, and how far Φ moved. Errors of force constants
     are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
@@ -482,6 +526,7 @@ def joined(
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
     J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
     spread = onto @ errors.reshape(len(errors), -1).T
+    spread, both = np.split(spread, [len(errors) - rough], axis=1)
     other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
     off = other - seen
     chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)
@@ -495,5 +540,6 @@ def joined(
         seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
     parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
     after = np.tensordot((vectors * np.sqrt(np.clip(parts, 0, None))).T, doubt, 1)
+    after = np.concatenate([after, np.tensordot((np.linalg.pinv(J) @ both).T, doubt, 1)])
     moved = float(np.linalg.norm(values - atoms.values) / np.linalg.norm(atoms.values))
     return replace(atoms, values=values, doubt=after), chi, moved

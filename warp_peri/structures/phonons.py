@@ -222,7 +222,8 @@ WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
 """Of supercells [Å], tried in turn."""
 REACHED = 1e-5
 """Force at half the width of a supercell, over the largest, that is none."""
-MOST_ATOMS = 6000
+MOST_ATOMS, NOISY_ATOMS = 6000, 700
+"""In a supercell; where forces are noisy strains tell moduli better than what is further away."""
 WITH_IONS = 14.0
 """Width of a supercell [Å] where Born charges take off what reaches further."""
 GRID = {2: 24, 3: 8}
@@ -336,12 +337,12 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
     edges, noise = np.array(cell.cell), reference.noise
     step = STEP if noise is None else noise.length
     heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
-    rim = 0.0
+    rim, most = 0.0, MOST_ATOMS if noise is None else NOISY_ATOMS
     repeats: tuple[int, ...] = (1, 1, 1)
     for width in widths:
         counts = np.ceil(width / heights).astype(int)
         counts[d:] = 1
-        if repeats != (1, 1, 1) and np.prod(counts) * len(cell) > MOST_ATOMS:
+        if repeats != (1, 1, 1) and np.prod(counts) * len(cell) > most:
             break
         repeats = tuple(counts.tolist())
         if len(widths) == 1:
@@ -360,7 +361,8 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
             outside = far > 0.45 * (counts * heights)[:d].min()
             rim = max(rim, float(change[outside].max(initial=0.0) / change.max()))
             if noise is not None:
-                reached = max(reached, TIMES**2 * noise.force / float(change.max()))
+                least = max(noise.force, noise.rough)
+                reached = max(reached, TIMES**2 * least / float(change.max()))
         if rim <= reached:
             return repeats
     warnings.warn(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -444,27 +445,38 @@ def _sheet_spacing(cell: ase.Atoms) -> float:
 
 
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
-POSCARS = ("POSCAR-unitcell", "POSCAR")
-"""Of a folder, the first that is there is read."""
+CELLS = {
+    "POSCAR-unitcell": "vasp",
+    "POSCAR": "vasp",
+    "STRU": "abacus",
+    "geometry.in": "aims",
+    "*.fdf": "siesta",
+    "*.in": "qe",
+}
+"""Names of files with a unit cell, and phonopy's of their code: of a folder, the first there."""
+LARGE = ("supercell", "header")
+"""What names of files begin with that hold no unit cell."""
 
 
 def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None) -> ForceConstants:
     """Force constants of what phonopy computed.
 
     Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN, which
-    are read as phonopy itself reads them. Without it POSCAR-unitcell or POSCAR is read; the
-    supercell then is that of SPOSCAR, or the most even one with as many atoms, which is warned of.
+    are read as phonopy itself reads them. Without it the unit cell of VASP (POSCAR), ABACUS (STRU),
+    Quantum ESPRESSO (*.in), FHI-aims (geometry.in) or SIESTA (*.fdf) is read; the supercell then is
+    that of SPOSCAR, or the most even one with as many atoms, which is warned of. Each code's units
+    are those that phonopy has for it.
     Force constants are brought to what space group, exchange of atoms, translations and rotations
     ask, and how far they move is their error. With Born charges the field of the ions is part of
     every wave (theory, T18); a solid of several elements without BORN is warned of.
 
     Args:
-        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one
-            of them or a POSCAR.
+        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, a unit cell as above, or the
+            folder that has one of them.
         thickness: of a sheet across z [Å]; by default as `from_atoms` has it.
 
-    Raises InputError where phonopy is not installed, for files that it does not read or that are
-    not in eV and Å, for forces that are not there, and for Born charges of a sheet.
+    Raises InputError where phonopy is not installed, for files that it does not read, for forces
+    that are not there, and for Born charges of a sheet.
     """
     try:
         import phonopy
@@ -480,7 +492,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     if thickness is not None and "born_filename" in beside:
         raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
     try:
-        told = _opened(file)
+        told = _opened(file, calculator.read_crystal_structure)
         beside = {
             n: v for n, v in beside.items() if n != "born_filename" or "nac_params" not in told
         }
@@ -489,20 +501,15 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
         raise InputError(f"{path}: phonopy does not read it ({error}){hint}") from None
     units: Any = vars(calculator)["get_calculator_physical_units"](found.calculator)
-    if units.distance_to_A != 1 or units.force_constants_unit != "eV/angstrom^2":
-        raise InputError(
-            f"{path}: expected files in eV and Å, those of {found.calculator} are in "
-            f"{units.length_unit} and {units.force_constants_unit}; convert them first"
-        )
     if found.force_constants is None:
         raise InputError(f"{path}: expected FORCE_CONSTANTS or FORCE_SETS beside it, found neither")
-    small, large = found.primitive, found.supercell
+    small, large, x = found.primitive, found.supercell, units.distance_to_A
     cell, supercell = (
-        ase.Atoms(part.numbers, positions=part.positions, cell=part.cell, pbc=True)
+        ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
         for part in (small, large)
     )
     displaced = np.asarray(small.p2s_map)
-    phi = np.asarray(found.force_constants)
+    phi = units.force_to_eVperA / x * np.asarray(found.force_constants)
     phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
     if gap(cell, 2) >= VACUUM and thickness is None:
         thickness = thickness_of(cell)[0]
@@ -525,12 +532,20 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     return projected(made, supercell)
 
 
-def _opened(file: Path) -> dict[str, Any]:
-    """What phonopy is told to read a crystal: a file of its own, or a POSCAR and a supercell."""
-    if file.name not in POSCARS:
+def _code(file: Path) -> str | None:
+    """Phonopy's name of the code whose unit cell a file has by its name; None of phonopy's own."""
+    return next((code for name, code in CELLS.items() if fnmatch(file.name, name)), None)
+
+
+def _opened(file: Path, read: Callable[[Path, str], tuple[Any, Any]]) -> dict[str, Any]:
+    """What phonopy is told to read a crystal: a file of its own, or a unit cell and a supercell."""
+    code = _code(file)
+    if code is None:
         return {"phonopy_yaml": file}
-    cell: Any = ase.io.read(file, format="vasp")
-    told: dict[str, Any] = {"unitcell_filename": file, "primitive_matrix": "auto"}
+    cell: Any = read(file, code)[0]
+    if cell is None or not len(cell):
+        raise InputError(f"expected a unit cell of {code}")
+    told: dict[str, Any] = {"unitcell": cell, "calculator": code, "primitive_matrix": "auto"}
     if (born := file.parent / "BORN").is_file():
         lines = [line.split() for line in born.read_text().splitlines() if line.strip()]
         if len(lines) == 2 + len(cell):  # one of each atom, where symmetry was left aside
@@ -553,7 +568,8 @@ def _opened(file: Path) -> dict[str, Any]:
         raise InputError(f"expected a supercell of {len(cell)} atoms, got one of {count}")
     counts = [(i, j, size // (i * j)) for i in range(1, size + 1) for j in range(1, size // i + 1)
               if size % (i * j) == 0]  # fmt: skip
-    best = min(counts, key=lambda n: float(np.ptp(np.log(n * cell.cell.lengths()))))
+    lengths = np.linalg.norm(cell.cell, axis=1)
+    best = min(counts, key=lambda n: float(np.ptp(np.log(n * lengths))))
     warnings.warn(f"{file}: taken for a supercell of {best} cells, by its atoms", stacklevel=3)
     return told | {"supercell_matrix": best}
 
@@ -563,7 +579,13 @@ def _yaml(path: Path) -> Path:
         return path
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    for name in (*YAML, *POSCARS):
-        if (path / name).is_file():
-            return path / name
-    raise InputError(f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}")
+    for name in (*YAML, *CELLS):
+        there = [one for one in sorted(path.glob(name)) if not one.name.startswith(LARGE)]
+        if len(there) > 1:
+            names = ", ".join(one.name for one in there)
+            raise InputError(f"{path}: expected one unit cell, got {names}; give the file")
+        if there:
+            return there[0]
+    raise InputError(
+        f"{path}: expected a file of phonopy or a folder with {' or '.join((*YAML, *CELLS))}"
+    )
