@@ -124,14 +124,19 @@ def elastic(name: str, atoms: ForceConstants) -> np.ndarray:
     return atoms.elastic(allowed_tensors(symmetry, point_group(symmetry, len(one)), one))
 
 
+def felt(C: np.ndarray, atoms: ForceConstants) -> np.ndarray:
+    """What waves feel: the moduli, and beside them the stress of the atoms at rest (T19)."""
+    if atoms.stress is None:
+        return C
+    return np.asarray(C + np.einsum("ik,jl->ijkl", np.eye(len(C)), atoms.stress))
+
+
 def rivals(
     name: str, atoms: ForceConstants, h: float
 ) -> dict[str, tuple[Symbol, Crystal | None, np.ndarray]]:
     """Symbol, law if it has nodes, and moduli of what else the crystal may be taken for."""
     C = elastic(name, atoms)
-    whole = C
-    if atoms.stress is not None:  # waves feel it beside the moduli (T19)
-        whole = C + np.einsum("ik,jl->ijkl", np.eye(len(C)), atoms.stress)
+    whole = felt(C, atoms)
     steps, tensors = q1_tensors(whole)
     elements, lps = Crystal(h, steps, tensors / h**2, UNITS), isotropic_lps(atoms, h, 2 * h)
     return {
@@ -211,11 +216,22 @@ def by_fields(name: str) -> dict[str, dict[str, Any]]:
         if symmetry == "m-3m":
             solid = LPS(2 * h, Bernstein(2), method=Optimum(moduli=held))
             laws[key] = tensors_of(wp.fit(train, solid).material, h)
-    return {
+    if law.dimension == 2:
+        laws["isotropic, fields"] = tensors_of(wp.fit(train, LPS(law.horizon)).material, h)
+    found = {
         key: {"moduli": one.moduli("GPa")}
         | {on: loads.errors_of(one)[1] for on, loads in zip(ON_LOADS, unseen)}
         for key, one in laws.items()
     }
+    tensors = {"true moduli": elastic(name, atoms)} | {
+        f"moduli of {key}": one.tensor() for key, one in laws.items() if key.endswith("fields")
+    }
+    for key, C in tensors.items():
+        symbol = local(felt(C, atoms))
+        found[f"local, {key}"] = {"moduli": named_moduli(1e3 * C)} | {
+            on: loads.errors(symbol)[1] for on, loads in zip(ON_LOADS, unseen)
+        }
+    return found
 
 
 def told(name: str, found: dict[str, Any]) -> str:
@@ -297,7 +313,7 @@ def main(arguments: list[str] | None = None) -> None:
     if given.fields:
         for key, row in (rows := by_fields(given.crystal)).items():
             if not given.json:
-                print(f"{key:24s} E_u {row['waves']:.2f} {row['short']:.2f}  {row['moduli']}")
+                print(f"{key:38s} E_u {row['waves']:.2f} {row['short']:.2f}  {row['moduli']}")
         if given.json:
             print(json.dumps(rows))
         return

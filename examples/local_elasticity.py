@@ -1,14 +1,21 @@
 """Local elasticity on the nodes of a set: the solid without a horizon that a law is held against.
 
-    python examples/local_elasticity.py
+    python examples/local_elasticity.py                 on scenes that no fit saw
+    python examples/local_elasticity.py --data data/graphene_0K.h5 --model M.json N.json
+    python examples/local_elasticity.py --data runs/boron_nitride/bn.h5 \\
+        --model runs/boron_nitride/model/model.json --true 0.2572 0.2849
 
-Prints E_u [%] of the main job's model and of local elasticity with the potential's moduli on scenes
-that no fit saw (tools/make_scenes.py makes them). Biquadratic elements half a spacing wide; loads
-and displacements of the collar go to points between the nodes by ten-point interpolation.
+Prints E_u [%] by set of laws of sheets, of local elasticity with the moduli that are true, and with
+those of each law's long waves. The scenes are of tools/make_scenes.py. Biquadratic elements half a
+spacing wide; loads and displacements of the collar go to points between the nodes by ten-point
+interpolation.
 """
 
+import json
 import sys
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
@@ -20,10 +27,18 @@ import warp_peri as wp
 from examples.prose import table
 from examples.studies.fem_rival import elastic_solver
 from tools.options import Options
-from warp_peri import Points, Samples
+from warp_peri import InputError, Points, Samples
+from warp_peri.core.elastic import plane_isotropic, voigt
+from warp_peri.dressed import DressedSolid
 from warp_peri.errors import exit_status
+from warp_peri.micromodulus import Crystal, tensors_of
 from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.samples import PointsLike
 
+MODEL = ROOT / "runs" / "graphene_0K" / "model.json"
+GRAPHENE, SCENES = (ROOT / "data" / f"graphene_0K{end}.h5" for end in ("", "_scenes"))
+USUAL = ("train", "val", "test", "1", "3")
+"""Ends of the names of the sets that are taken where none is asked for."""
 FINER = 4
 """Points of elements, which are two of them wide, in a spacing."""
 BETWEEN = np.zeros(19)
@@ -32,37 +47,55 @@ BETWEEN[9] = 1.0
 """Ten-point interpolation half way, on points twice as dense."""
 
 
-def errors_of_local(samples: Samples, lam: float, mu: float) -> np.ndarray:
+def errors_of_local(samples: Samples, C: np.ndarray) -> np.ndarray:
     """E_u of local elasticity by sample: relative ℓ2 errors on the interior, shape [S]."""
     inside = samples.interior
-    wrong, true = solve_local(samples, lam, mu)[:, inside] - samples.u[:, inside], samples.u
+    wrong, true = solve_local(samples, C)[:, inside] - samples.u[:, inside], samples.u
     size = np.linalg.norm(true[:, inside].reshape(len(true), -1), axis=1)
     return np.linalg.norm(wrong.reshape(len(wrong), -1), axis=1) / size
 
 
-def solve_local(samples: Samples, lam: float, mu: float) -> np.ndarray:
+def solve_local(samples: Samples, C: np.ndarray) -> np.ndarray:
     """Displacements [S, N, 2] under the loads; u is held on the collar, as it is given.
 
-    Args:
-        samples: on a square lattice, with a collar of six nodes at least.
-        lam, mu: of plane elasticity [stress].
+    Args and errors are as of local_solver.
     """
-    steps, axes = lattice_steps(samples.points)
+    u = samples.u.copy()
+    u[:, samples.interior] = local_solver(samples, C)(samples.loads, samples.u)
+    return u
+
+
+def local_solver(
+    points: PointsLike, C: np.ndarray
+) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    """Assemble and factorise; the result solves for u on the interior, shape [..., I, 2].
+
+    Args:
+        points: a square lattice with a collar of five nodes at least.
+        C: Voigt matrix of plane elasticity [stress], along the nodes' axes, shape [3, 3].
+    """
+    steps, axes = lattice_steps(points)
     place = FINER * (steps - steps.min(axis=0))
     shape = tuple(place.max(axis=0) + 1)
     body = np.zeros(shape, bool)  # the elements that touch the interior
     for corner in np.ndindex(2 * FINER + 1, 2 * FINER + 1):
-        body[tuple((place[samples.interior] + corner - FINER).T)] = True
+        body[tuple((place[points.interior] + corner - FINER).T)] = True
     free = binary_erosion(body, np.ones((3, 3)))
-    free[tuple(place[~samples.interior].T)] = False
-    used = np.argwhere(body)
-    fine = Points(used * samples.spacing / FINER, free[body], samples.spacing / FINER)
-    u, b = (_refined(field @ axes, place, shape)[:, body] for field in (samples.u, samples.loads))
-    u[:, free[body]] = elastic_solver(fine, order=2, lam=lam, mu=mu)(b, u)
-    found = np.zeros((len(u), *shape, 2))
-    found[:, body] = u
-    inside = samples.interior[:, None]
-    return np.where(inside, found[:, place[:, 0], place[:, 1]] @ axes.T, samples.u)
+    free[tuple(place[~points.interior].T)] = False
+    spacing = points.spacing / FINER
+    fine = Points(np.argwhere(body) * spacing, free[body], spacing)
+    factorised = elastic_solver(fine, order=2, C=C)
+    unknown = np.zeros(shape, int)
+    unknown[free] = np.arange(np.count_nonzero(free))
+    nodes = unknown[tuple(place[points.interior].T)]
+
+    def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
+        stacks = (np.reshape(field, (-1, *field.shape[-2:])) for field in (b, u))
+        load, held = (_refined(field @ axes, place, shape)[:, body] for field in stacks)
+        found = factorised(load, held)[:, nodes] @ axes.T
+        return found.reshape(*u.shape[:-2], *found.shape[1:])
+
+    return solve
 
 
 def _refined(field: np.ndarray, place: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
@@ -77,24 +110,67 @@ def _refined(field: np.ndarray, place: np.ndarray, shape: tuple[int, ...]) -> np
     return grid
 
 
-def scenes(model: Path, data: Path) -> str:
-    """A row for each scene at 1 and 3 % strain: E_u of the model and of local elasticity [%]."""
-    material, sets = wp.load(model), wp.load(data)
-    truth = wp.load(ROOT / "data" / "graphene_0K.h5").provenance["truth"]
-    rows = []
-    for name in (name for name in sets if name.rsplit("_")[-1] in ("1", "3")):
-        local = errors_of_local(sets[name], truth["lambda"], truth["mu"]).mean()
-        errors = wp.evaluate(material, sets[name], allow_uncertified=True)["E_u"], local
-        rows.append([name.replace("_", ", ") + " %", *(f"{100 * error:.2f}" for error in errors)])
-    return table(["scene, strain", "linear solid", "local elasticity"], rows)
+def moduli_of(material: Any, spacing: float) -> np.ndarray:
+    """Voigt matrix [3, 3] of the long waves of a law of sheets, of its linear part if it has one.
+
+    Raises InputError for a law that has none.
+    """
+    law = getattr(material, "linear", material)
+    law = tensors_of(law, spacing) if isinstance(law, wp.Model) else law
+    if not isinstance(law, Crystal | DressedSolid) or law.dimension != 2:
+        raise InputError(f"model: expected a law of sheets that is linear, got {law!r:.80}")
+    return voigt(law.tensor())
+
+
+def errors_by_law(
+    materials: dict[str, Any], sets: dict[str, Samples], true: np.ndarray
+) -> dict[str, dict[str, float]]:
+    """E_u by law and set: each law, local elasticity with its moduli, and with the true ones."""
+    found: dict[str, dict[str, float]] = {}
+    for name, samples in sets.items():
+
+        def local(label: str, C: np.ndarray, name: str = name, samples: Samples = samples) -> None:
+            label = f"local elasticity, {label}"
+            found.setdefault(label, {})[name] = float(errors_of_local(samples, C).mean())
+
+        for label, material in materials.items():
+            allowed = {"allow_uncertified": True} if isinstance(material, wp.Model) else {}
+            found.setdefault(label, {})[name] = wp.evaluate(material, samples, **allowed)["E_u"]
+            local(f"moduli of {label}", moduli_of(material, samples.spacing))
+        local("true moduli", true)
+    return found
+
+
+def study(given: Any) -> str:
+    """The table for the files that were asked for."""
+    data, materials = wp.load(given.data), {m.stem: wp.load(m) for m in given.model}
+    some = given.sets or sorted(
+        (n for n in data if n.rsplit("_")[-1] in USUAL),
+        key=lambda n: USUAL.index(n.rsplit("_")[-1]),
+    )
+    if missing := sorted(set(some) - set(data)):
+        raise InputError(f"sets: expected some of {', '.join(data)}, got {', '.join(missing)}")
+    true = given.true
+    if true is None:  # of the file, or of graphene at rest, of which the scenes are
+        truth = data.provenance.get("truth") or wp.load(GRAPHENE).provenance["truth"]
+        true = truth["lambda"], truth["mu"]
+    found = errors_by_law(materials, {name: data[name] for name in some}, plane_isotropic(*true))
+    if given.json:
+        return json.dumps(found)
+    cells = [[law, *(f"{100 * e:.2f}" for e in row.values())] for law, row in found.items()]
+    return table(["", *some], cells)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = Options(__doc__, defaults=True)
-    parser.add("--model", type=Path, default=ROOT / "runs" / "graphene_0K" / "model.json")
-    parser.add("--data", type=Path, default=ROOT / "data" / "graphene_0K_scenes.h5")
+    parser = Options(__doc__, json=True)
+    parser.add("--model", type=Path, nargs="+", default=[MODEL], metavar="FILE", help="laws")
+    parser.add("--data", type=Path, default=SCENES, metavar="FILE", help="samples of a sheet")
+    parser.add("--sets", nargs="+", metavar="NAME", help="of the file")
+    parser.add(
+        "--true", type=float, nargs=2, metavar=("LAMBDA", "MU"), help="by default the file's"
+    )
     given = parser.parse_args(arguments)
-    return exit_status(lambda: print(scenes(given.model, given.data)))
+    return exit_status(lambda: print(study(given)))
 
 
 if __name__ == "__main__":

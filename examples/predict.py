@@ -31,6 +31,7 @@ from examples.figures import panels, save_figure
 from examples.studies.fem_rival import elastic_solver
 from examples.train_graphene import DATA, make_data
 from tools.options import Options
+from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.launch import set_threads
@@ -97,7 +98,7 @@ Solve = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 def elements(samples: wp.Samples, truth: dict[str, float]) -> Solve:
     """Finite elements with the true constants, ready to solve for u on the interior."""
-    return elastic_solver(samples, order=1, lam=truth["lambda"], mu=truth["mu"])
+    return elastic_solver(samples, order=1, C=plane_isotropic(truth["lambda"], truth["mu"]))
 
 
 def one_scene(

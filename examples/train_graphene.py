@@ -23,6 +23,7 @@ from examples.studies import sweep_report
 from tools.options import Options
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.cluster import scheduler
+from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.learning import METHODS, methods
@@ -114,7 +115,9 @@ def local_rows(
     learned = fit.moduli[0]
     pairs = {"true": (truth["lambda"], truth["mu"]), "learned": (learned["C12"], learned["C44"])}
     return {
-        name: {role: errors_of_local(points, *pair) for role, points in sets.items()}
+        name: {
+            role: errors_of_local(points, plane_isotropic(*pair)) for role, points in sets.items()
+        }
         for name, pair in pairs.items()
     }
 

@@ -1,6 +1,7 @@
 """Scenes that no constant of `predict` has seen, with truth from atoms: a data set of its own.
 
     python tools/make_scenes.py
+    python tools/make_scenes.py --seed 4747 --strains .014 .02    # loads of your own
 
 Sums of many waves on the sheet and random loads round the disk, at bond strains from 1 to 10 %, on
 the nodes of the data set, on other shapes of the interior, and on nodes turned against the crystal.
@@ -99,6 +100,7 @@ def make_scenes(
     *,
     sheet: Sequence[Load] = SHEET,
     disk: Sequence[Load] = DISK,
+    strains: Sequence[float] = STRAINS,
     jobs: int = -1,
     progress: bool = True,
 ) -> Path:
@@ -111,9 +113,9 @@ def make_scenes(
             "sheet": (bodies[0], sheet),
             "disk": (bodies[1], disk),
         }
-        _solve_missing(groups.values(), STRAINS, cache, jobs, progress)
+        _solve_missing(groups.values(), strains, cache, jobs, progress)
         sets: dict[str, Samples] = {}
-        for strain in STRAINS:
+        for strain in strains:
             for name, (body, loads) in groups.items():
                 found = [read_sample(strained_file(cache, body, one, strain)) for one in loads]
                 samples = [sample for sample in found if sample is not None]
@@ -124,7 +126,7 @@ def make_scenes(
                 sets[f"{other}_{percent}"] = shape(nodes, other)
                 if not body.cells:
                     sets[f"turned_{percent}"] = turned(body, samples)
-        given = {"source": "tools/make_scenes.py", "temperature": 0.0, "strains": list(STRAINS)}
+        given = {"source": "tools/make_scenes.py", "temperature": 0.0, "strains": list(strains)}
         save_dataset(path, Dataset(sets, base.THICKNESS, base.mass_density(bodies[0].bond), given))
     return path
 
@@ -133,6 +135,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
     parser.add("--out", type=Path, metavar="FILE", help=f"default {OUT}, or {POOL}")
     parser.add("--pool", action="store_true", help="loads that were scored before, in one")
+    parser.add("--seed", type=int, help="six sheets and six disks of other loads, from this number")
+    parser.add(
+        "--strains", type=float, nargs="+", default=STRAINS, help="largest of bonds, growing"
+    )
     parser.add("--jobs", type=int, default=-1, help="processes; -1: one for each core")
     parser.add("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
@@ -141,8 +147,12 @@ def main(arguments: list[str] | None = None) -> int:
     def work() -> None:
         sheet, disk = pool() if given.pool else (SHEET, DISK)
         out = given.out or (POOL if given.pool else OUT)
-        progress = not given.quiet
-        print(make_scenes(out, sheet=sheet, disk=disk, jobs=given.jobs, progress=progress))
+        if given.seed is not None:
+            sheet = [MixedLoad(given.seed + n, shortest) for n, shortest in enumerate(WAVES)]
+            disk = [RandomRim(given.seed + n) for n in range(len(DISK))]
+            out = given.out or OUT.with_stem(f"{OUT.stem}_{given.seed}")
+        how = {"strains": given.strains, "jobs": given.jobs, "progress": not given.quiet}
+        print(make_scenes(out, sheet=sheet, disk=disk, **how))
 
     return exit_status(work, "finished samples are kept", name="make_scenes")
 

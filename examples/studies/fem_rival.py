@@ -8,11 +8,12 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from warp_peri import InputError
+from warp_peri.core.elastic import from_voigt
 from warp_peri.points.samples import PointsLike
 
 
 def elastic_solver(
-    points: PointsLike, *, order: int, lam: float, mu: float
+    points: PointsLike, *, order: int, C: np.ndarray
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Assemble and factorise; the result solves for u [Å] on the interior, shape [..., I, 2].
 
@@ -20,7 +21,7 @@ def elastic_solver(
         points: a lattice. With order 2 the nodes are those of elements two spacings wide, so that
             the unknowns are the same nodes.
         order: 1 or 2 of the quadrilateral elements.
-        lam, mu: plane Lamé parameters [TPa].
+        C: Voigt matrix of plane elasticity [TPa], along the nodes' axes, shape [3, 3].
 
     The load is interpolated by the elements (consistent mass matrix).
 
@@ -28,11 +29,16 @@ def elastic_solver(
     """
     try:
         import skfem
-        from skfem.models.elasticity import linear_elasticity
     except ImportError:
         raise InputError(
             "finite elements need scikit-fem: pip install 'warp_peri[compare]'"
         ) from None
+
+    tensor = from_voigt(C)
+
+    @skfem.BilinearForm
+    def stiffness(u, v, w):
+        return (np.tensordot(tensor, u.grad, 2) * v.grad).sum(axis=(0, 1))
 
     @skfem.BilinearForm
     def mass(u, v, w):
@@ -42,7 +48,7 @@ def elastic_solver(
     mesh = skfem.MeshQuad(points.x[mesh_nodes].T.copy(), cells)
     element = skfem.ElementQuad1() if order == 1 else skfem.ElementQuad2()
     basis = skfem.Basis(mesh, skfem.ElementVector(element), intorder=2 * order)
-    K = linear_elasticity(lam, mu).assemble(basis)
+    K = stiffness.assemble(basis)
     M = mass.assemble(basis)
     component = np.zeros(basis.N, int)
     for dofs in (basis.nodal_dofs, basis.facet_dofs, basis.interior_dofs):

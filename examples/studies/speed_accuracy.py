@@ -1,14 +1,18 @@
 """Error against time to solution: learned models, their rivals and the atoms themselves.
 
-    python examples/studies/speed_accuracy.py [--data FILE.h5] [--out runs/speed_accuracy] [--again]
+    python examples/studies/speed_accuracy.py [--data FILE.h5] [--out runs/speed_accuracy]
+    python examples/studies/speed_accuracy.py --again       # draws what is there
+    python examples/studies/speed_accuracy.py --elements    # measures elements again, beside it
 
 Errors are E_u on the held-out disks, on disks of 1 to 10 % of bond strain, and on periodic loads of
 high frequency whose wave vectors no fit saw: of the training waves (p, q) those with odd p + q are
 held out, and of these the shorter half counts. Set-up and solve are timed apart, the best of
 several; the solve is that of one load, and a hundred are timed with the set-up. All rows are of one
-run, fits included: an output folder that has some is refused without --again. Nodes 4 Å apart come
-from the samples that the data set was made from. Needs the extras `compare` for finite elements
-and `bench` for Numba.
+run, fits included: an output folder that has some is refused without --again. With --elements what
+the shipped table lacks of elements is put into it: seconds of a processor, over the ratio by which
+its other elements take longer than there.
+Nodes 4 Å apart come from the samples that the data set was made from. Needs the extras `compare`
+for finite elements and `bench` for Numba.
 """
 
 import functools
@@ -20,7 +24,7 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +33,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 import numpy as np
 import torch
 
+from examples.local_elasticity import local_solver, moduli_of
 from examples.studies import speed_laws
 from examples.studies.fem_rival import elastic_solver
 from examples.studies.speed_chart import chart, markdown, training_chart
 from examples.studies.speed_laws import (
     MANY,
-    Solver,
     by_cg,
     by_lu,
     by_numba,
@@ -48,6 +52,8 @@ from tools import make_graphene as making
 from tools import samples
 from tools.options import Options
 from warp_peri import LPS, Bernstein, InputError, Model, Points, Samples, fit, load
+from warp_peri.choice import shipped_table
+from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file, write_json
 from warp_peri.methods import Optimum
@@ -64,6 +70,7 @@ CASES = (
     (5.0, 20.0, 0, "λ, μ, α only"),
 )
 """Spacing and horizon [Å], degree, and kind of the models."""
+USUAL = (5.0, 20.0, DEGREE, "learned")
 RICH = {
     "from δ = 25": (5.0, 25.0, 15, "rich"),
     "from two functions": (5.0, 20.0, DEGREE, "two functions"),
@@ -160,7 +167,7 @@ def transfers(
 ) -> Iterator[tuple[tuple[float, float, int], str, Model]]:
     """Spacing, horizon and degree, kind, and model of each transfer."""
     for kind, spacing, horizon in TRANSFERS:
-        home = fitted(data, out, *RICH.get(kind, (5.0, 20.0, DEGREE, "learned")))
+        home = fitted(data, out, *RICH.get(kind, USUAL))
         model = on_lattice(home, spacing=spacing, horizon=horizon)
         yield (spacing, model.horizon, model.degree), kind, model
 
@@ -217,9 +224,16 @@ def line(row: dict[str, Any]) -> str:
 
 
 def measure(
-    data: dict[str, Samples], truth: dict[str, float], out: Path, file: Path
+    data: dict[str, Samples],
+    truth: dict[str, float],
+    out: Path,
+    file: Path,
+    *,
+    elements_alone: bool = False,
 ) -> list[dict[str, Any]]:
-    """One row for each model, precision and solver."""
+    """One row for each model, precision and solver; `elements_alone` for those without bonds, by
+    the clock of the processor."""
+    clock = time.process_time if elements_alone else time.perf_counter
     rows: list[dict[str, Any]] = []
     strained = functools.cache(
         lambda spacing: speed_laws.strained_disks(file.with_name(SCENES), spacing)
@@ -241,19 +255,23 @@ def measure(
             points = data[group + SUFFIX[spacing]]
             chosen = np.arange(len(points)) if name == "disks" else high(points)
             rounds = 1 if method in SLOW else 3
-            record = timed(functools.partial(prepare, points), points, chosen, rounds)
+            record = timed(functools.partial(prepare, points), points, chosen, rounds, clock)
             row |= {f"{name}_{key}": value for key, value in record.items()}
         disks = data["test" + SUFFIX[spacing]]
         if method not in SLOW:
             row["smooth_error"] = smooth_error(data["val" + SUFFIX[spacing]], prepare)
             stack = method in ("rest", "predict")
-            row["hundred"] = hundred(functools.partial(prepare, disks), disks, stack=stack)
+            how = functools.partial(prepare, disks)
+            row["hundred"] = hundred(how, disks, stack=stack, clock=clock)
             row["strained"] = [
                 [size, smooth_error(points, prepare)] for size, points in strained(spacing)
             ]
         rows.append(row | more)
         print(line(row), flush=True)
 
+    if elements_alone:
+        elements(add, truth, fitted(data, out, *USUAL))
+        return rows
     for spacing, horizon, degree, kind in CASES:
         before = set(SECONDS)
         model = fitted(data, out, spacing, horizon, degree, kind)
@@ -277,17 +295,7 @@ def measure(
         name = f"{kind}, h = {case[0]:g}, δ = {case[1]:.3g}"
         solver = functools.partial(by_lu(np.float64), model)
         add(f"{name}, LU", kind, case, "lu", solver, agrees=agreement(model))
-    finite = (
-        ("FEM Q1, h = 5, true constants", 5.0, 1),
-        ("FEM Q1, h = 2.5, true constants", 2.5, 1),
-        ("FEM Q2, elements of 5 Å on the nodes of 2.5 Å", 2.5, 2),
-    )
-    for label, spacing, order in finite:
-
-        def elements(points: Samples, order: int = order) -> Solver:
-            return elastic_solver(points, order=order, **truth)
-
-        add(label, f"FEM Q{order}", (spacing, 0.0, order), f"Q{order}", elements)
+    elements(add, truth, fitted(data, out, *USUAL))
     train = data["train"]
     for label, kind, horizon, method, prepare, seconds in speed_laws.rows(seen(train), data["val"]):
         count = len(train) if kind == "network" else len(seen(train))
@@ -310,6 +318,41 @@ def measure(
     )
     rows.append(atoms())
     return rows
+
+
+def elements(add: Callable[..., None], truth: dict[str, float], learned: Model) -> None:
+    """Rows of local elasticity: elements on the nodes, and so fine that no mesh errs."""
+    true = plane_isotropic(truth["lam"], truth["mu"])
+    for label, spacing, order in (
+        ("FEM Q1, h = 5, true constants", 5.0, 1),
+        ("FEM Q1, h = 2.5, true constants", 2.5, 1),
+        ("FEM Q2, elements of 5 Å on the nodes of 2.5 Å", 2.5, 2),
+    ):
+        how = functools.partial(elastic_solver, order=order, C=true)
+        add(label, f"FEM Q{order}", (spacing, 0.0, order), f"Q{order}", how)
+    for label, C in (("true moduli", true), ("learned moduli", moduli_of(learned, 5.0))):
+        how = functools.partial(local_solver, C=C)
+        add(f"local elasticity, {label}", "local elasticity", (5.0, 0.0, 2), "local", how)
+
+
+SECONDS_OF = "disks_setup", "disks_solve", "waves_setup", "waves_solve", "hundred"
+
+
+def beside(rows: list[dict[str, Any]], told: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of a table, and after its elements those measured later that it lacks.
+
+    Seconds of these are over `slower`, the median ratio of those of rows that both have.
+    """
+    known = {row["label"]: number for number, row in enumerate(rows)}
+    both = [(row, rows[known[row["label"]]]) for row in told if row["label"] in known]
+    slower = float(np.median([row[key] / old[key] for row, old in both for key in SECONDS_OF]))
+    new = [
+        row | {key: row[key] / slower for key in SECONDS_OF} | {"slower": slower}
+        for row in told
+        if row["label"] not in known
+    ]
+    place = 1 + max(known[row["label"]] for row, _ in both)
+    return [*rows[:place], *new, *rows[place:]]
 
 
 def machine() -> dict[str, str]:
@@ -350,18 +393,25 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add("--data", type=Path, default=Path("data/graphene_0K.h5"))
     parser.add("--out", type=Path, default=Path("runs/speed_accuracy"))
     parser.add("--again", action="store_true", help="draw what is there once more")
+    parser.add("--elements", action="store_true", help="rows of elements, into the shipped table")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     table = given.out / "speed_accuracy.json"
     if given.again:
         content = json.loads(table.read_text(encoding="utf-8"))
         rows = content["rows"]
+    elif given.elements:
+        data, truth = point_sets(given.data)
+        content = shipped_table()
+        told = measure(data, truth, given.out, given.data, elements_alone=True)
+        content["rows"] = rows = beside(content["rows"], told)
+        write_json(table, content)
     else:
         if list(given.out.glob("h*.json")):
             raise InputError(f"{given.out}: expected a folder without fits, so that all are timed")
         data, truth = point_sets(given.data)
         rows = measure(data, truth, given.out, given.data)
-        large = seconds_per_node(fitted(data, given.out, 5.0, 20.0, DEGREE, "learned"))
+        large = seconds_per_node(fitted(data, given.out, *USUAL))
         content = {"rows": rows, **wavelengths(data["train"]), "seconds_per_node": large}
         write_json(table, content | {"machine": machine()})
     chart(rows, given.out / "speed_accuracy.png")

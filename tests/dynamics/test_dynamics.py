@@ -13,8 +13,11 @@ from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import bond_classes
+from warp_peri.problems import Dirichlet
 from warp_peri.proofs import critical_time_step
+from warp_peri.solving import move
 from warp_peri.transfer.operator import LPSOperator
+from warp_peri.verification.statics import THIRD, UnitScale, material
 
 DENSITY = 2147.0
 STABLE = ("1/r", "steep", "positive", "two functions")
@@ -117,6 +120,20 @@ def test_energy_is_that_of_the_definition():
     energy = INERTIA * DENSITY / 2 * half @ half + start @ (A @ end) / 2 - load @ (start + end) / 2
     assert motion.energy[0] == pytest.approx(energy / inside.sum(), rel=1e-12)
     np.testing.assert_allclose(motion.u[inside].ravel(), end, rtol=1e-12)
+
+
+def test_to_move_as_a_whole_changes_no_energy():
+    """A thousand times as far as a crystal swings, with a load or without."""
+    law = material("tensors", THIRD, 1.0, UnitScale())
+    points = replace(periodic((8, 8))[0], units=law.units, axis=0.0)
+    step = 0.9 * critical_time_step(law, spacing=1.0, density=DENSITY)
+    v = 10 * (1 + 0.01 * noise(points)) / (1000 * step)
+    load = 1e-3 * law.elastic_tensor().max() * noise(points)
+    for b in (None, load - load.mean(axis=0)):
+        how = {"density": DENSITY, "step": step, "steps": 1000, "every": 10, "v": v}
+        run = move(law, Dirichlet(points, b, 0.01 * noise(points)), **how)
+        assert np.abs(run.u.mean(axis=0)).min() > 5
+        assert run.drift < 1e-12
 
 
 @pytest.mark.slow

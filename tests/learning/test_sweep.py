@@ -8,7 +8,8 @@ import pytest
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from warp_peri import InputError, Model
 from warp_peri.learning.sweep import Trial, choose
-from warp_peri.methods import sweep
+from warp_peri.learning.two_stage import Checkpoint
+from warp_peri.methods import TwoStage, sweep
 
 sweeps = sys.modules["warp_peri.learning.sweep"]  # the package holds the function of that name
 
@@ -97,6 +98,29 @@ def test_units_and_what_a_set_is_for_tell_a_trial_from_others(sets, tmp_path):
     sweep(train, val, tmp_path, noise=quiet, **options)
     sweep(train, val, tmp_path, test=quiet, **options)
     assert len(list(tmp_path.glob("*.model.json"))) == 5
+
+
+@pytest.mark.filterwarnings("ignore:strain:UserWarning", "ignore:λ . μ ended on the lower bound")
+def test_a_sweep_goes_on_inside_a_fit(sets, tmp_path, monkeypatch):
+    """Algorithm 1 of hours, stopped after its second round, ends where it would have ended."""
+    method = TwoStage("relu", epochs=50, inner_epochs=5, outer_iterations=5)
+    options = {"horizons": (2.5,), "degrees": (1,), "jobs": 1, "method": method}
+    whole = sweep(*sets, tmp_path / "whole", **options).trials
+    saved, save = [], Checkpoint.save
+
+    def stops(self, *arrays, iteration, **state):
+        save(self, *arrays, iteration=iteration, **state)
+        saved.append(iteration)
+        if len(saved) == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(Checkpoint, "save", stops)
+    with pytest.raises(KeyboardInterrupt):
+        sweep(*sets, tmp_path, **options)
+    assert not list(tmp_path.glob("d*.json"))
+    assert sweep(*sets, tmp_path, **options).trials == whole
+    assert saved == [1, 2, 3, 4, 5]
+    assert not list(tmp_path.glob("*.npz"))
 
 
 def test_an_empty_sweep_is_refused(sets, tmp_path):

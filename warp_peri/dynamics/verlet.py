@@ -94,6 +94,10 @@ class State:
     number: int = 0
 
 
+NO_FORCE = 1e-9
+"""Of the stiffest wave's: what a motion as a whole feels by rounding alone."""
+
+
 def inertia(density: float, units: Units) -> float:
     """ρ in units of stress · ps² over length², of kg/m³.
 
@@ -104,7 +108,9 @@ def inertia(density: float, units: Units) -> float:
 
 
 class Inert:
-    """Interior nodes of some density under a load: ρ ü = s(t) b − L u.
+    """Interior nodes of some density under a load: m ρ ü = s(t) b − L u.
+
+    m is one, or the operator's own `masses` of nodes over those of whole cells, [N].
 
     Args:
         operator: L on a lattice.
@@ -116,6 +122,7 @@ class Inert:
     Attributes:
         dot: the scalar product of two fields [I, d]; over all ranks where there are some.
         count: of interior nodes, likewise.
+        floats: whether nothing is held, and to move as a whole costs nothing.
     """
 
     def __init__(
@@ -127,9 +134,12 @@ class Inert:
         signal: np.ndarray | None = None,
     ) -> None:
         self.operator, self.interior, self.load, self.signal = operator, interior, load, signal
-        self.inertia = inertia(density, operator.model.units)
+        masses = getattr(operator, "masses", None)
+        share = 1.0 if masses is None else masses[interior, None]
+        self.inertia = inertia(density, operator.model.units) * share
         self.dot: Callable[[np.ndarray, np.ndarray], float] = np.vdot
         self.count = int(np.count_nonzero(interior))
+        self.floats = False
 
     def on_all(self, inner: np.ndarray) -> np.ndarray:
         """A field of interior nodes [I, d] on all, zero elsewhere."""
@@ -265,6 +275,10 @@ def started(
     body = Inert(operator, free, density, start["b"][free], signal)
     if nodes is points:
         body.dot, body.count = points.dot, int(nodes.comm.allreduce(body.count))
+    elif free.all():
+        along = np.ones(shape)
+        felt = np.abs(operator(along) - operator(0 * along)).max()
+        body.floats = bool(felt <= NO_FORCE * np.max(body.inertia) * (2 / longest) ** 2)
     return nodes, body, body.state(start["u"], start["v"][free])
 
 
@@ -304,10 +318,11 @@ def marched(
         recorded = number % every == 0
         if recorded:
             half = state.v + dt / (2 * inertia) * state.g
-            kinetic = inertia / 2 * dot(half, half)
+            kinetic = dot(inertia / 2 * half, half)
             inner = before.u[free]
             constant = held - body.share(number) * body.load  # g at u = 0
-            potential = (dot(inner, state.g) + dot(constant, state.u[free])) / 2
+            along = inner.mean(axis=0) if body.floats else 0.0  # with which only rounding grows
+            potential = (dot(inner - along, state.g) + dot(constant, state.u[free] + along)) / 2
             energy.append((kinetic + potential) / body.count)
             if record is not None:
                 seen.append((before.u[record] + state.u[record]) / 2)

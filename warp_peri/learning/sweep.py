@@ -23,7 +23,7 @@ from warp_peri.files.checkpoint import fingerprint
 from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
-from warp_peri.learning.methods import Bernstein, Kernel, Method
+from warp_peri.learning.methods import Bernstein, Kernel, Method, TwoStage
 from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
@@ -315,8 +315,12 @@ def _trial(
     """Fit, evaluate, and leave the record in `file` and the model beside it.
 
     Returns what went wrong when a fit finds no optimum; nothing is left then, and the next run
-    tries again. Input that cannot be used ends the sweep.
+    tries again. A fit of hours keeps its state beside the record, and goes on from there. Input
+    that cannot be used ends the sweep.
     """
+    state = file.with_suffix(".npz")
+    if isinstance(method, TwoStage):
+        method = dataclasses.replace(method, checkpoint=state)
     try:
         learned = learn(
             train,
@@ -351,6 +355,7 @@ def _trial(
         model=model_file.name,
     )
     write_json(file, asdict(record))
+    state.unlink(missing_ok=True)
     return ""
 
 

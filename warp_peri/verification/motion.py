@@ -55,7 +55,7 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
 
 def bar(name: str, s: UnitScale, *, twist: bool = False) -> Outcome:
     """Frequency of a free bar over that of the theory, stretched along x, or twisted about z."""
-    h, sides = s.length, (60, 8) if not twist else (6, 6, 40)
+    h, sides = s.length, (60, 8) if not twist else (9, 9, 60)
     nu = 1 / 3 if not twist else 0.25
     C = THIRD if not twist else solid(1.0, nu)
     law, far = material(name, C, 1.0, s), max(sides)

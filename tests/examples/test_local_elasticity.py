@@ -1,0 +1,70 @@
+"""The solid without a horizon that laws are held against."""
+
+import numpy as np
+import pytest
+
+import warp_peri as wp
+from examples.local_elasticity import errors_by_law, errors_of_local, local_solver, moduli_of
+from examples.studies.speed_accuracy import SECONDS_OF, beside
+from warp_peri.choice import shipped_table
+from warp_peri.core.elastic import from_voigt
+from warp_peri.micromodulus import tensors_of
+
+C = np.array([[1.3, 0.3, 0.1], [0.3, 0.9, -0.05], [0.1, -0.05, 0.4]])
+
+
+def waves(length, moduli=C):
+    """A wave of so many spacings in a solid of any symmetry, on nodes with a collar of six."""
+    x = 5.0 * np.argwhere(np.ones((19, 19))).astype(float)
+    inside = (np.abs(x - 45.0) <= 15.1).all(axis=1)
+    k = 2 * np.pi / (5.0 * length) * np.array([np.cos(0.4), np.sin(0.4)])
+    a = np.array([0.02, -0.01])
+    wave = np.sin(x @ k + 0.3)[:, None]
+    b = np.einsum("ijkl,j,l,k->i", from_voigt(moduli), k, k, a) * wave
+    return wp.Samples(wp.Points(x, inside, 5.0), (wave * a)[None], b[None])
+
+
+pytest.importorskip("skfem")
+
+
+def test_no_mesh_errs_to_speak_of():
+    """Fourth order and more in the wave's length, and 1e-4 already where a wave has ten nodes."""
+    lengths = np.array([6.0, 8.0, 10.0, 14.0])
+    errors = [errors_of_local(waves(length), C)[0] for length in lengths]
+    assert errors[2] < 1e-4
+    assert -np.polyfit(np.log(lengths), np.log(errors), 1)[0] > 3.8
+
+
+def test_one_load_and_a_stack_are_solved_alike():
+    samples = waves(12.0)
+    solve = local_solver(samples.points, C)
+    alone, stack = solve(samples.loads[0], samples.u[0]), solve(samples.loads, samples.u)
+    np.testing.assert_array_equal(alone, stack[0])
+
+
+def test_laws_are_told_with_their_own_moduli():
+    solid = wp.Model(0.3, 0.7, 1.0, np.ones(1), horizon=12.5, certified_on=(5.0,))
+    own = moduli_of(solid, 5.0)
+    assert own == pytest.approx(own.T)
+    assert moduli_of(tensors_of(solid, 5.0), 5.0) == pytest.approx(own)
+    found = errors_by_law({"solid": solid}, {"long": waves(40.0, own)}, C)
+    assert list(found) == [
+        "solid", "local elasticity, moduli of solid", "local elasticity, true moduli"
+    ]  # fmt: skip
+    assert found["local elasticity, moduli of solid"]["long"] < 1e-4
+    assert found["solid"]["long"] < 0.02
+    assert found["local elasticity, true moduli"]["long"] > 0.02
+    with pytest.raises(wp.InputError, match="expected a law of sheets that is linear"):
+        moduli_of(object(), 5.0)
+
+
+def test_rows_measured_later_have_the_seconds_of_the_table():
+    """On a machine that is twice as slow, by the rows that both have."""
+    rows = shipped_table()["rows"]
+    elements = [row for row in rows if row["kind"].startswith("FEM")]
+    late = next(row for row in rows if row["kind"] == "local elasticity")
+    slow = [row | {key: 2 * row[key] for key in SECONDS_OF} for row in (*elements, late)]
+    others = [row for row in rows if row["label"] != late["label"]]
+    found = beside(others, slow)
+    assert [row["label"] for row in found] == [row["label"] for row in rows]
+    assert found[rows.index(late)] == late | {"slower": 2.0}
