@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,8 @@ def _read() -> list[Row]:
     told, rows = tomllib.loads(Path(__file__).with_name("rows.toml").read_text("utf-8")), []
     for one in told["row"]:
         posed, why = one.pop("materials"), told["unposed"][one.pop("kind")]
+        if (needed := one.pop("needs", "")) and find_spec(needed) is None:
+            posed, why = [], why | dict.fromkeys(posed, f"{needed} is not installed")
         why, pose, how = why | one.pop("without", {}), POSED[one.pop("run")], one.pop("with", {})
         for name in told["materials"]:
             said = {"material": name, "why": "" if name in posed else why[name]}
