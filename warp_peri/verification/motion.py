@@ -22,7 +22,16 @@ from warp_peri.problems import Dirichlet
 from warp_peri.ranks import gather, partition
 from warp_peri.ranks.processes import own_mpiexec
 from warp_peri.solving import move
-from warp_peri.verification.statics import THIRD, Outcome, UnitScale, material, plane, solid
+from warp_peri.verification.statics import (
+    GRAPHENE,
+    LEARNED,
+    THIRD,
+    Outcome,
+    UnitScale,
+    material,
+    plane,
+    solid,
+)
 
 DENSITY = 1000.0
 """kg/m³."""
@@ -41,12 +50,13 @@ def frequency(time: np.ndarray, u: np.ndarray) -> float:
 def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcome:
     """Frequency of a standing wave over that of the symbol, or of c_L k; its length in spacings."""
     law = material(name, THIRD, 1.0, s)
-    points = Points.sheet((max(24, length), 8), s.length, units=s.units)
+    points = Points.sheet((max(24, length), 10), s.length, units=s.units)
     points = points if isinstance(law, Model) else replace(points, axis=0.0)
     k = 2 * np.pi / (length * s.length)
     stencil = lps_stencil(law, s.length) if isinstance(law, Model) else law.stencil
     D = stencil.symbol(np.array([[k * s.length, 0.0]]))[0, 0, 0]
-    D = s.stiffness * THIRD[0, 0, 0, 0] * k**2 if local else D
+    C = GRAPHENE.tensor if name == LEARNED else THIRD
+    D = s.stiffness * C[0, 0, 0, 0] * k**2 if local else D
     omega = float(np.sqrt(D / inertia(DENSITY, s.units)))
     step = SHARE * critical_time_step(law, spacing=s.length, density=DENSITY)
     u = 1e-6 * s.length * np.sin(k * points.x) * [1.0, 0.0]
