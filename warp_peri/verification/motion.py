@@ -165,8 +165,9 @@ def torn(name: str, s: UnitScale) -> tuple[np.ndarray, np.ndarray]:
     step = 0.4 * solid_.longest_step(s.length)
     uneven = 1 + 0.01 * (np.rint(2 * np.abs(points.x[:, ::-1]) / s.length) % 7)
     run = move(solid_, Cracked(points), step=step, steps=30, v=0.0005 * points.x * uneven / step)
-    fields = run.u, run.details.damage
-    return tuple(gather(points, one) for one in fields) if launch.ranks_started() else fields
+    if launch.ranks_started():
+        return gather(points, run.u), gather(points, run.details.damage)
+    return run.u, run.details.damage
 
 
 def threads(name: str, s: UnitScale, *, ranks: bool = False) -> Outcome:

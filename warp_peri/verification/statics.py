@@ -309,7 +309,7 @@ def rollers(d: int = 2) -> dict[str, Any]:
 
 
 def sheet(n: int, s: UnitScale, *, angle: float = 0.0, jitter: float = 0.0, d: int = 2) -> Points:
-    """A unit square or cube of n interior nodes a side with a collar of six spacings, ten in a sheet."""
+    """A unit square or cube of n interior nodes a side with a collar of six spacings at least."""
     wide = 10 if jitter or d == 2 else 6
     line = (np.arange(-wide, n + wide) - (n - 1) / 2) / n
     x = np.stack(np.meshgrid(*d * [line], indexing="ij"), axis=-1).reshape(-1, d)
