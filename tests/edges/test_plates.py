@@ -54,6 +54,20 @@ def test_a_hole_has_the_exact_displacement_and_hoop_stress(model):
     assert solution.exchange.bulk_residual < 1e-8
 
 
+def test_stress_along_a_hole_converges_with_the_mesh(model):
+    """Its largest error at nodes of curved elements, over the tension."""
+    field, counts, errors = exact(model), np.array([10, 14, 20]), []
+    coupling = Coupling(spacing=SPACING, overlap=9.0)
+    for n in counts:
+        mesh, held = plate(RADIUS, HALF, n, 4 * n), {"sides": lambda x: field(x)[0]}
+        solution = solve_body(model, mesh, displacement=held, coupling=coupling)
+        edge = solution.rim.nodes_of("hole")
+        right = field(solution.rim.x[edge] * (1 + 1e-12))[1]
+        errors.append(np.abs(solution.rim_stress[edge] - right).max() / TENSION)
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] > 1.9
+    assert errors[-1] < 0.01
+
+
 @pytest.mark.parametrize("degree", [1, 2])
 def test_an_affine_field_is_exact(model, degree):
     gradient = np.array([[2e-3, 7e-4], [-3e-4, -1e-3]])

@@ -255,6 +255,14 @@ def run_verify(given: argparse.Namespace) -> Result:
     verification = warp_peri.verification
     if given.page is not None and given.page.is_dir():
         raise InputError(f"page: expected a file, {given.page} is a folder")
+    if given.atoms:
+        if given.only or given.scale or given.page or given.out:
+            raise InputError("atoms: goes with a model, --seed and --json alone")
+        lines = verification.by_atoms(given.seed, given.model)
+        given.told = verification.table(lines)
+        return {"rows": lines}
+    if given.model is not None:
+        raise InputError("model: goes with --atoms; other rows bring their own materials")
     with nullcontext() if given.page is None else locked(given.page):  # not after minutes
         lines = verification.verified(
             given.only, scaled=given.scale, out=given.out, processes=given.processes

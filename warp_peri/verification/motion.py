@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from dataclasses import replace
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -12,11 +15,23 @@ from warp_peri.damage.lattice_body import box, rectangle
 from warp_peri.damage.problems import Cracked
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.dynamics.verlet import critical_time_step, inertia
+from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, lps_stencil
 from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet
+from warp_peri.ranks import gather, partition
+from warp_peri.ranks.processes import own_mpiexec
 from warp_peri.solving import move
-from warp_peri.verification.statics import THIRD, Outcome, UnitScale, material, plane, solid
+from warp_peri.verification.statics import (
+    GRAPHENE,
+    LEARNED,
+    THIRD,
+    Outcome,
+    UnitScale,
+    material,
+    plane,
+    solid,
+)
 
 DENSITY = 1000.0
 """kg/m³."""
@@ -35,12 +50,13 @@ def frequency(time: np.ndarray, u: np.ndarray) -> float:
 def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcome:
     """Frequency of a standing wave over that of the symbol, or of c_L k; its length in spacings."""
     law = material(name, THIRD, 1.0, s)
-    points = Points.sheet((max(24, length), 8), s.length, units=s.units)
+    points = Points.sheet((max(24, length), 10), s.length, units=s.units)
     points = points if isinstance(law, Model) else replace(points, axis=0.0)
     k = 2 * np.pi / (length * s.length)
     stencil = lps_stencil(law, s.length) if isinstance(law, Model) else law.stencil
     D = stencil.symbol(np.array([[k * s.length, 0.0]]))[0, 0, 0]
-    D = s.stiffness * THIRD[0, 0, 0, 0] * k**2 if local else D
+    C = GRAPHENE.tensor if name == LEARNED else THIRD
+    D = s.stiffness * C[0, 0, 0, 0] * k**2 if local else D
     omega = float(np.sqrt(D / inertia(DENSITY, s.units)))
     step = SHARE * critical_time_step(law, spacing=s.length, density=DENSITY)
     u = 1e-6 * s.length * np.sin(k * points.x) * [1.0, 0.0]
@@ -140,19 +156,55 @@ def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
     return Outcome(over, None, x, run.details.damage, label, note)
 
 
-def threads(name: str, s: UnitScale) -> Outcome:
-    """Share of numbers that differ between a breaking plate on one thread and on two."""
+def torn(name: str, s: UnitScale) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and shares of broken bonds of a plate that is torn, on the ranks there are."""
     law = material(name, THIRD, 1.0, s)
-    solid_, n = BrittleSolid(law, 1.0, critical_stretch=0.01), 60
-    x = rectangle(n, n, 1.0)
-    points = Points(s.length * x, np.ones(len(x), bool), s.length, units=s.units)
-    step, before, found = 0.4 * solid_.longest_step(s.length), launch.threads(), list[Any]()
-    pull = 0.05 * points.x * (1 + 0.1 * np.random.default_rng(1).random(x.shape)) / (10 * step)
+    solid_, x = BrittleSolid(law, 1.0, critical_stretch=0.01), rectangle(60.0, 60.0, 1.0)
+    points: Any = Points(s.length * x, np.ones(len(x), bool), s.length, units=s.units)
+    points = partition(points) if launch.ranks_started() else points
+    step = 0.4 * solid_.longest_step(s.length)
+    uneven = 1 + 0.01 * (np.rint(2 * np.abs(points.x[:, ::-1]) / s.length) % 7)
+    run = move(solid_, Cracked(points), step=step, steps=30, v=0.0005 * points.x * uneven / step)
+    if launch.ranks_started():
+        return gather(points, run.u), gather(points, run.details.damage)
+    return run.u, run.details.damage
+
+
+def threads(name: str, s: UnitScale, *, ranks: bool = False) -> Outcome:
+    """Share of numbers that differ between a plate torn on one thread, or rank, and on two."""
+    before, found = launch.threads(), list[Any]()
     try:
         for count in (1, 2):
-            launch.set_threads(count)
-            found.append(move(solid_, Cracked(points), step=step, steps=30, v=pull))
+            launch.set_threads(1 if ranks else count)
+            found.append(on_ranks(count, name, s) if ranks else torn(name, s))
     finally:
         launch.set_threads(before)
-    shown = {"x": x, "shown": found[0].details.damage, "label": "share of broken bonds"}
-    return Outcome(float(np.mean(found[0].u != found[1].u)), **shown)
+    (one, broken), (other, _) = found
+    if not 0 < broken.mean() < 1:
+        raise InputError(f"threads: expected a plate that breaks, {broken.mean():.0%} of it did")
+    shown: dict[str, Any] = {"x": rectangle(60.0, 60.0, 1.0), "shown": broken}
+    return Outcome(float(np.mean(one != other)), **shown, label="share of broken bonds")
+
+
+ON_A_RANK = """\
+import sys, numpy
+from warp_peri.ranks import is_first
+from warp_peri.verification.motion import UnitScale, torn
+u, damage = torn(sys.argv[1], UnitScale(sys.argv[2], float(sys.argv[3])))
+if is_first():
+    numpy.savez(sys.argv[4], u=u, damage=damage)
+"""
+
+
+def on_ranks(count: int, name: str, s: UnitScale) -> tuple[np.ndarray, np.ndarray]:
+    """As torn, by a job of so many ranks. Raises InputError for one that fails."""
+    with TemporaryDirectory() as folder:
+        words = [name, s.unit, repr(s.stiffness), f"{folder}/found.npz"]
+        job = [own_mpiexec(), "-n", str(count), sys.executable, "-c", ON_A_RANK, *words]
+        try:
+            subprocess.run(job, check=True, capture_output=True, text=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            said = getattr(error, "stderr", None) or str(error)
+            raise InputError(f"ranks: the job failed: {said.strip()[-300:]}") from None
+        with np.load(words[-1]) as kept_:
+            return kept_["u"], kept_["damage"]

@@ -168,6 +168,15 @@ def solid(E: float, nu: float) -> np.ndarray:
     return np.asarray(E / (1 + nu) * both)
 
 
+LEARNED = "learned graphene"
+"""An LPS; whatever moduli a problem has, it has graphene's [TPa] as of MPa, and its lattice."""
+GRAPHENE = Moduli.square(C11=1.2489694, C12=-0.1972324, C44=0.7231009)
+KERNEL = (
+    *(57318.68005537288, -7682.257643742318, -21397.531890166872, 19176.5404004845),
+    *(1782.6088811683771, -19133.41797273666, 22198.57879157073, -15194.008296304488),
+    *(6822.203308012383, -1722.5397543905112, -1.0746915181453978),
+)
+"""What the first command learns from LAMMPS, its moduli of long waves beside it."""
 THIRD = plane(1.0, 1 / 3).tensor
 """Of ν = 1/3, where bonds alone are an isotropic sheet."""
 CUBIC = Moduli.square(C11=170.0, C12=122.0, C44=76.0)
@@ -193,6 +202,10 @@ def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
         base, symmetry = name.split()[1], {2: "4mm", 3: "m-3m"}[d]
         nothing = np.eye(d), np.zeros((1, d, d, d))
         return DressedSolid(h, base, voigt(C), *nothing, s.units, symmetry).certified()
+    if name == LEARNED:
+        how: dict[str, Any] = {"alpha": 1.0, "horizon": 4 * h, "certified_on": (h,)}
+        lam, mu = s.stiffness * GRAPHENE.C12, s.stiffness * GRAPHENE.C44
+        return Model(lam, mu, D=np.array(KERNEL), units=s.units, **how)
     if name == "sheet energy":
         near = ((0, 1), (1, 0), (1, 1), (1, -1))
         terms = Dictionary(3.0, (), near, (Term("neo_hookean"), Term("volumetric")))
@@ -296,8 +309,8 @@ def rollers(d: int = 2) -> dict[str, Any]:
 
 
 def sheet(n: int, s: UnitScale, *, angle: float = 0.0, jitter: float = 0.0, d: int = 2) -> Points:
-    """A unit square or cube of n interior nodes a side with a collar of six spacings or more."""
-    wide = 10 if jitter else 6
+    """A unit square or cube of n interior nodes a side with a collar of six spacings at least."""
+    wide = 10 if jitter or d == 2 else 6
     line = (np.arange(-wide, n + wide) - (n - 1) / 2) / n
     x = np.stack(np.meshgrid(*d * [line], indexing="ij"), axis=-1).reshape(-1, d)
     inside = np.abs(x).max(axis=1) < 0.5
@@ -342,10 +355,11 @@ SIZES = 1e-7 * np.array([[1.0, 0.4], [-0.6, 0.8], [0.3, -1.0]])
 
 def smooth(name: str, s: UnitScale) -> Outcome:
     """Three waves under the body force of their stress: error of the displacement, its order."""
-    pulls = np.einsum("ijkl,nj,nl,nk->ni", THIRD, WAVES, WAVES, SIZES)
+    C = GRAPHENE.tensor if name == LEARNED else THIRD
+    pulls = np.einsum("ijkl,nj,nl,nk->ni", C, WAVES, WAVES, SIZES)
     counts, errors = (8, 12, 18), list[float]()
     for n in counts:
-        law, on = material(name, THIRD, 1 / n, s), sheet(n, s)
+        law, on = material(name, C, 1 / n, s), sheet(n, s)
         waves, load = (lambda x, a=a: np.sin(x @ WAVES.T + 0.3) @ a for a in (SIZES, pulls))
         error, shown = given(law, on, waves, load, s)
         errors.append(error)
