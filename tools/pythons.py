@@ -28,7 +28,12 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 NEEDS_TORCH = "No module named 'torch'"
 SMOKE = {
     "import": "import warp_peri",
-    "command": "from warp_peri.cli.start import main; main(['--help'])",
+    "command": """
+import pathlib, subprocess, sys
+
+command = pathlib.Path(sys.executable).with_name("warp-peri")
+assert "train" in subprocess.run([command, "--help"], check=True, capture_output=True, text=True).stdout
+""",
     "solve": """
 import numpy as np
 import warp_peri as wp
@@ -157,7 +162,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("tests", nargs="*", help="passed on to pytest; default: all")
     parser.add_argument("--only", nargs="+", metavar="VERSION", help="as 3.13 or 3.13.0")
     parser.add_argument("--without-torch", action="store_true")
-    parser.add_argument("--wheel", action="store_true", help="smoke test of wheel and sdist instead")
+    parser.add_argument(
+        "--wheel", action="store_true", help="smoke test of wheel and sdist instead"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object")
     given = parser.parse_args(arguments)
     chosen = {
