@@ -2,7 +2,12 @@
 
 import re
 
-BOOST = {"tutorials/": 3, "how-to/": 4, "explanation/": 2}
+BOOST = {
+    "explanation/where_it_fails.md": 12,  # messages
+    "tutorials/": 3,
+    "how-to/": 4,
+    "explanation/": 2,
+}
 """Weight of the pages of a folder; other pages have 1."""
 LEFT_OUT = ("archive/",)
 MEMBER = re.compile(r'<h[2-6] (?=[^>]*class="doc doc-heading")')

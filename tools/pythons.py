@@ -2,8 +2,8 @@
 
 Looks on the path and among pyenv's versions. torch is taken as the index gives it, which may be a
 CUDA build of several GB; --without-torch leaves it out, runs what works without it, and counts the
-rest as not run. --wheel builds wheel and sdist, installs each alone into a fresh environment, and runs
-a smoke test there: import, command, a sheet in equilibrium.
+rest as not run. --wheel builds wheel and sdist, installs each alone into a fresh environment, and
+runs a smoke test there: import, command, a sheet in equilibrium.
 """
 
 import argparse
@@ -32,7 +32,7 @@ SMOKE = {
 import pathlib, subprocess, sys
 
 command = pathlib.Path(sys.executable).with_name("warp-peri")
-assert "train" in subprocess.run([command, "--help"], check=True, capture_output=True, text=True).stdout
+assert b"train" in subprocess.run([command, "--help"], check=True, capture_output=True).stdout
 """,
     "solve": """
 import numpy as np

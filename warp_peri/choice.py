@@ -249,7 +249,7 @@ def choose_model(
             table's solvers.
 
     The table holds models learned on a lattice, transfers of some of them from 2.5 to 10 Å,
-    third-order models, crystal models, dressed models, `predict`, and elements for those who know the
+    third-order, crystal and dressed models, `predict`, and elements for those who know the
     constants (`kind` of a row, which the reason names). Loads at least as long as `long_wave` of
     the table are held to the errors on the disks, at the scene's strain where both know it,
     shorter ones to those on the short waves; a transfer has at least the error that it agrees with
