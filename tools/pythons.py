@@ -97,20 +97,26 @@ def run(python: Path, folder: Path, tests: list[str], *, without_torch: bool) ->
     return counted(report)
 
 
-def install_and_smoke(python: Path, folder: Path, package: Path, without_torch: bool) -> list[str]:
-    """Outcome of each program of SMOKE, in a fresh environment that has only the package."""
-    environment = folder / f"env-{package.suffix}"
-    subprocess.run([python, "-m", "venv", environment], check=True)
-    inside = environment / ("Scripts" if os.name == "nt" else "bin") / "python"
-    install = [inside, "-m", "pip", "install", "--quiet"]
+def installed(python: Path, folder: Path, without_torch: bool) -> Path:
+    """The interpreter of a fresh environment that has what the package depends on, no more."""
+    subprocess.run([python, "-m", "venv", folder / "env"], check=True)
+    inside = folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python"
     needed = [name for name in requirements(without_torch) if name in PROJECT["dependencies"]]
-    subprocess.run([*install, *needed, "--constraint", ROOT / "constraints.txt"], check=True)
-    subprocess.run([*install, "--no-deps", package], check=True)
+    install = [inside, "-m", "pip", "install", "--quiet", *needed]
+    subprocess.run([*install, "--constraint", ROOT / "constraints.txt"], check=True)
+    return inside
+
+
+def smoked(inside: Path, folder: Path, package: Path) -> list[str]:
+    """Outcome of each program of SMOKE with a package, installed in place of another."""
+    install = [inside, "-m", "pip", "install", "--quiet", "--no-deps", "--force-reinstall"]
+    subprocess.run([*install, package], check=True)
     said = []
     for program in SMOKE.values():
         done = subprocess.run(
-            [inside, "-c", program], cwd=folder, capture_output=True, text=True, check=False
-        )
+            [inside, "-c", program], cwd=folder, capture_output=True, text=True, check=False,
+            env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+        )  # fmt: skip
         needs = "needs torch" if NEEDS_TORCH in done.stderr else "failed"
         said.append(needs if done.returncode else "ok")
         if said[-1] == "failed":
@@ -127,13 +133,14 @@ def smoke(chosen: dict[str, Path], without_torch: bool) -> int:
         build = [sys.executable, "-m", "build", "--outdir", made, ROOT]
         subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
         for version, python in chosen.items():
-            for package in sorted(Path(made).iterdir(), reverse=True):
-                with tempfile.TemporaryDirectory() as folder:
-                    said = install_and_smoke(python, Path(folder), package, without_torch)
-                kind = "wheel" if package.suffix == ".whl" else "sdist"
-                torch = "without" if without_torch else "with"
-                print("|", " | ".join([version, kind, torch, *said]), "|", flush=True)
-                failed = failed or "failed" in said
+            with tempfile.TemporaryDirectory() as folder:
+                inside = installed(python, Path(folder), without_torch)
+                for package in sorted(Path(made).iterdir(), reverse=True):
+                    said = smoked(inside, Path(folder), package)
+                    kind = "wheel" if package.suffix == ".whl" else "sdist"
+                    torch = "without" if without_torch else "with"
+                    print("|", " | ".join([version, kind, torch, *said]), "|", flush=True)
+                    failed = failed or "failed" in said
     return int(failed)
 
 

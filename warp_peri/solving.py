@@ -57,8 +57,8 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
 
     Raises InputError for what does not fit, and for a step that is not proven stable.
 
-    >>> wp.move(model, wp.Dirichlet(points, None, u), density=2200.0, step=5e-3, steps=4).u.shape
-    (12, 441, 2)
+    >>> wp.move(model, wp.Dirichlet(points, b[0], u[0]), density=2e3, step=0.005, steps=4).u.shape
+    (441, 2)
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
     if _on_ranks(problem) or not hasattr(problem, "learns"):
