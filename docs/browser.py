@@ -40,7 +40,7 @@ const open = async (page, width, height) => {
 };
 const wide = (part) => part.scrollWidth > part.clientWidth + 1;
 const bare = (part) => !part.closest("code") && [...part.childNodes].some(
-  (node) => node.nodeType == 3 && /\\(|\\[|\\$\\$/.test(node.data));
+  (node) => node.nodeType == 3 && /\\\\\\(|\\\\\\[|\\$\\$/.test(node.data));
 const look = async (page, width, height) => {
   const [frame, all] = await open(page, width, height);
   result.pages[page + " " + width] = {

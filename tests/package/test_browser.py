@@ -19,7 +19,7 @@ needs_browser = pytest.mark.skipif(browser.browser() is None, reason="no Chromiu
 def test_what_does_not_fit_and_is_not_drawn_is_found(tmp_path):
     style = '<meta charset="utf-8"><body style="margin: 0">'
     pages = {
-        "good": "<article><table><tr><td>1</td></tr></table><p>short</p></article>",
+        "good": "<article><table><tr><td>1</td></tr></table><p>short (a) [b] $1</p></article>",
         "wide": "<article><table style='width: 900px'><tr><td>1</td></tr></table></article>",
         "raw": r"<article><p>left: \[x^2\]</p></article>",
         "tall": "<article style='height: 15000px'></article>",

@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 51_937,
+    "lines of warp_peri": 52_054,
     "files of warp_peri": 200,
     "lines of kernels": 5_795,
-    "lines of examples and tools": 29_964,
-    "lines of tests": 33_856,
+    "lines of examples and tools": 30_078,
+    "lines of tests": 33_935,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,
