@@ -102,15 +102,15 @@ def installed(python: Path, folder: Path, without_torch: bool) -> Path:
     subprocess.run([python, "-m", "venv", folder / "env"], check=True)
     inside = folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python"
     needed = [name for name in requirements(without_torch) if name in PROJECT["dependencies"]]
-    install = [inside, "-m", "pip", "install", "--quiet", *needed]
+    install: list[str | Path] = [inside, "-m", "pip", "install", "--quiet", *needed]
     subprocess.run([*install, "--constraint", ROOT / "constraints.txt"], check=True)
     return inside
 
 
 def smoked(inside: Path, folder: Path, package: Path) -> list[str]:
     """Outcome of each program of SMOKE with a package, installed in place of another."""
-    install = [inside, "-m", "pip", "install", "--quiet", "--no-deps", "--force-reinstall"]
-    subprocess.run([*install, package], check=True)
+    install: list[str | Path] = [inside, "-m", "pip", "install", "--quiet", "--no-deps"]
+    subprocess.run([*install, "--force-reinstall", package], check=True)
     said = []
     for program in SMOKE.values():
         done = subprocess.run(
@@ -130,7 +130,7 @@ def smoke(chosen: dict[str, Path], without_torch: bool) -> int:
     print("|---|---|---|" + "---|" * len(SMOKE))
     failed = False
     with tempfile.TemporaryDirectory() as made:
-        build = [sys.executable, "-m", "build", "--outdir", made, ROOT]
+        build: list[str | Path] = [sys.executable, "-m", "build", "--outdir", Path(made), ROOT]
         subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
         for version, python in chosen.items():
             with tempfile.TemporaryDirectory() as folder:
