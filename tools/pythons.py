@@ -2,7 +2,8 @@
 
 Looks on the path and among pyenv's versions. torch is taken as the index gives it, which may be a
 CUDA build of several GB; --without-torch leaves it out, runs what works without it, and counts the
-rest as not run.
+rest as not run. --wheel builds wheel and sdist, installs each alone into a fresh environment, and
+runs a smoke test there: import, command, a sheet in equilibrium.
 """
 
 import argparse
@@ -23,7 +24,28 @@ from warp_peri.errors import exit_status
 
 ROOT = Path(__file__).resolve().parent.parent
 OLDEST = (3, 11)
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 NEEDS_TORCH = "No module named 'torch'"
+SMOKE = {
+    "import": "import warp_peri",
+    "command": """
+import pathlib, subprocess, sys
+
+command = pathlib.Path(sys.executable).with_name("warp-peri")
+assert b"train" in subprocess.run([command, "--help"], check=True, capture_output=True).stdout
+""",
+    "solve": """
+import numpy as np
+import warp_peri as wp
+
+model = wp.Model(0.3, 0.7, 1.0, np.ones(1), horizon=2.0, certified_on=(1.0,))
+x = np.argwhere(np.ones((15, 15))) - 7.0
+points = wp.Points(x, np.abs(x).max(axis=1) <= 3, spacing=1.0)
+u = wp.solve(model, wp.Dirichlet(points, None, 0.01 * x)).u
+assert np.abs(u - 0.01 * x).max() < 1e-9, "a homogeneous stretch is in equilibrium"
+""",
+}
+"""What an installed package has to do, one program each."""
 
 
 def interpreters() -> dict[str, Path]:
@@ -43,8 +65,7 @@ def interpreters() -> dict[str, Path]:
 
 def requirements(without_torch: bool) -> list[str]:
     """What the package and its tests need."""
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    needed = [*project["dependencies"], *project["optional-dependencies"]["test"]]
+    needed = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]]
     return [
         requirement
         for requirement in needed
@@ -76,6 +97,53 @@ def run(python: Path, folder: Path, tests: list[str], *, without_torch: bool) ->
     return counted(report)
 
 
+def installed(python: Path, folder: Path, without_torch: bool) -> Path:
+    """The interpreter of a fresh environment that has what the package depends on, no more."""
+    subprocess.run([python, "-m", "venv", folder / "env"], check=True)
+    inside = folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python"
+    needed = [name for name in requirements(without_torch) if name in PROJECT["dependencies"]]
+    install: list[str | Path] = [inside, "-m", "pip", "install", "--quiet", *needed]
+    subprocess.run([*install, "--constraint", ROOT / "constraints.txt"], check=True)
+    return inside
+
+
+def smoked(inside: Path, folder: Path, package: Path) -> list[str]:
+    """Outcome of each program of SMOKE with a package, installed in place of another."""
+    install: list[str | Path] = [inside, "-m", "pip", "install", "--quiet", "--no-deps"]
+    subprocess.run([*install, "--force-reinstall", package], check=True)
+    said = []
+    for program in SMOKE.values():
+        done = subprocess.run(
+            [inside, "-c", program], cwd=folder, capture_output=True, text=True, check=False,
+            env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+        )  # fmt: skip
+        needs = "needs torch" if NEEDS_TORCH in done.stderr else "failed"
+        said.append(needs if done.returncode else "ok")
+        if said[-1] == "failed":
+            print(done.stderr, file=sys.stderr)
+    return said
+
+
+def smoke(chosen: dict[str, Path], without_torch: bool) -> int:
+    """Print what wheel and sdist do on each Python; 1 where something fails."""
+    print("| Python | package | torch | " + " | ".join(SMOKE) + " |")
+    print("|---|---|---|" + "---|" * len(SMOKE))
+    failed = False
+    with tempfile.TemporaryDirectory() as made:
+        build: list[str | Path] = [sys.executable, "-m", "build", "--outdir", Path(made), ROOT]
+        subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
+        for version, python in chosen.items():
+            with tempfile.TemporaryDirectory() as folder:
+                inside = installed(python, Path(folder), without_torch)
+                for package in sorted(Path(made).iterdir(), reverse=True):
+                    said = smoked(inside, Path(folder), package)
+                    kind = "wheel" if package.suffix == ".whl" else "sdist"
+                    torch = "without" if without_torch else "with"
+                    print("|", " | ".join([version, kind, torch, *said]), "|", flush=True)
+                    failed = failed or "failed" in said
+    return int(failed)
+
+
 def counted(report: Path) -> dict[str, int]:
     """Outcomes in a JUnit report."""
     count = {"passed": 0, "failed": 0, "skipped": 0, "without torch": 0}
@@ -101,6 +169,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("tests", nargs="*", help="passed on to pytest; default: all")
     parser.add_argument("--only", nargs="+", metavar="VERSION", help="as 3.13 or 3.13.0")
     parser.add_argument("--without-torch", action="store_true")
+    parser.add_argument(
+        "--wheel", action="store_true", help="smoke test of wheel and sdist instead"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object")
     given = parser.parse_args(arguments)
     chosen = {
@@ -112,6 +183,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not chosen:
         print("error: no Python 3.11 or newer of these versions here", file=sys.stderr)
         return 2
+    if given.wheel:
+        return smoke(chosen, given.without_torch)
     rows = {}
     for version, path in tqdm(chosen.items(), desc="Pythons", disable=given.json or None):
         with tempfile.TemporaryDirectory() as folder:

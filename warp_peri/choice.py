@@ -30,9 +30,9 @@ SPACINGS, RATIO = 8, 2**0.25
 """Lattices that a model is tried on, each so much finer than the one before."""
 LEFT = 0.01
 """Share of the square of a displacement that is left to shorter waves than the shortest."""
-ANSWERS = {"FEM Q1": "elements", "FEM Q2": "elements", "third order": "nonlinear"}
+ANSWERS = {"FEM Q1": "elements", "FEM Q2": "elements", "third-order model": "nonlinear"}
 """What the kinds of rows that are no linear solids answer with; `predict` is its own."""
-UNSOLVED = ("positive kernel", "atoms", "network")
+UNSOLVED = ("positive kernel", "atoms", "neural operator")
 """Kinds that are in the table to compare with."""
 
 
@@ -249,7 +249,7 @@ def choose_model(
             table's solvers.
 
     The table holds models learned on a lattice, transfers of some of them from 2.5 to 10 Å,
-    nonlinear forms, tensors, dressed solids, `predict`, and elements for those who know the
+    third-order, crystal and dressed models, `predict`, and elements for those who know the
     constants (`kind` of a row, which the reason names). Loads at least as long as `long_wave` of
     the table are held to the errors on the disks, at the scene's strain where both know it,
     shorter ones to those on the short waves; a transfer has at least the error that it agrees with

@@ -13,7 +13,15 @@ LONGEST = 2000
 
 
 class InputError(ValueError):
-    """Bad input. The message says what was expected and what came, in one printable line."""
+    """Bad input. The message says what was expected and what came, in one printable line.
+
+    Args:
+        message: what `str` makes one line of, cut to LONGEST characters.
+
+    >>> wp.Points(x, x, spacing=5.0)
+    Traceback (most recent call last):
+    InputError: interior: expected bool values, got float64
+    """
 
     def __init__(self, message: object) -> None:
         line = " ".join(str(message)[: 4 * LONGEST].split())

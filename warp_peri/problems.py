@@ -37,6 +37,11 @@ class Dirichlet:
             the load is carried as a density. Of diffusion the source, shape [N]. Of tensors the
             answer is one, differentiable in b, u and `parameters`.
         u: displacement [length], same shape; only collar values count. Of diffusion φ, [N].
+
+    `solve` raises InputError for a shape that does not fit, naming the array.
+
+    >>> wp.solve(model, wp.Dirichlet(points, b, u)).u.shape
+    (12, 441, 2)
     """
 
     points: PointsLike
@@ -87,6 +92,10 @@ class Periodic:
         points: a lattice with a box, all of its nodes interior; see Points.sheet.
         b: body force density [stress/length], shape [N, d] or [S, N, d]; its mean is removed. Of
             tensors the answer is one, as of a Dirichlet.
+
+    >>> sheet = wp.Points.sheet((12, 12), 5.0)
+    >>> wp.solve(model, wp.Periodic(sheet, 1e-4 * np.sin(2 * np.pi * sheet.x / 60))).u.shape
+    (144, 2)
     """
 
     points: Points
@@ -117,6 +126,10 @@ class Body:
         b: body force density [stress/length] as a function of positions [n, d].
         edge: stiffness of an edge of its own [stress · length] by part (B10).
         coupling: how elements and lattice meet.
+
+    >>> body = wp.Body(mesh, {"left": (0.0, 0.0)}, {"right": (0.005, 0.0)})
+    >>> wp.solve(model, body).residual < 1e-8
+    True
     """
 
     mesh: Mesh | Tetrahedra

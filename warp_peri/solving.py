@@ -30,6 +30,9 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
 
     Raises InputError for what does not fit, naming what was expected, and for a gradient that is
     asked for and not had.
+
+    >>> wp.solve(model, wp.Dirichlet(points, b[0], u[0])).residual < 1e-8
+    True
     """
     solved = offered(problem, "solved", "solve", PROBLEMS)
     if _on_ranks(problem) or not hasattr(problem, "learns"):
@@ -53,6 +56,9 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
         differentiable, in `parameters` of the material too: see dynamics.adjoint.moved.
 
     Raises InputError for what does not fit, and for a step that is not proven stable.
+
+    >>> wp.move(model, wp.Dirichlet(points, b[0], u[0]), density=2e3, step=0.005, steps=4).u.shape
+    (441, 2)
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
     if _on_ranks(problem) or not hasattr(problem, "learns"):

@@ -26,6 +26,10 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
 
     Raises InputError naming the file and what is wrong with it, and for units that no factor leads
     to, or of what has none.
+
+    >>> wp.save("model.json", model)
+    >>> wp.load("model.json", units=("nm", "GPa")).mu
+    700.0
     """
     path = Path(path)
     try:
@@ -48,7 +52,13 @@ def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
 def save(path: str | os.PathLike[str], given: Any) -> None:
     """Write a data set or a material, whole or not at all; `load` reads it again.
 
+    Args:
+        path: of the file; .h5 for a data set, .json for a material.
+        given: a Dataset, or a material.
+
     Raises InputError for what no file is made of, OSError where the file cannot be written.
+
+    >>> wp.save("data.h5", wp.Dataset({"train": samples}, thickness=3.35, density=2200.0))
     """
     if isinstance(given, Dataset):
         return save_dataset(path, given)

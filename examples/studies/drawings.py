@@ -430,11 +430,17 @@ def waves_proven(data: wp.Dataset, path: Path) -> None:
 NAMED = {
     "transferred, h = 10, δ = 25, LU": ("transferred to nodes 10 Å apart", (2, 6)),
     "FEM Q1, h = 5, true constants": ("finite elements", (-2, 7)),
-    "tensors, 20 bonds, h = 5": ("crystal model", (-8, -13)),
-    "learned, h = 5, δ = 20, LU": ("LPS", (-3, 7)),
-    "third order, energy form, δ = 20, h = 5": ("third order on LPS, with energy", (7, 2)),
-    "predict at 1 %": ("prediction at 1 %", (7, 2)),
-    "third order, filtered, δ = 25, h = 5": ("third order on LPS, deconvolved", (5, 6)),
+    "crystal model, 20 bonds, h = 5": ("crystal model", (-8, -13)),
+    "LPS, h = 5, δ = 20, LU": ("LPS", (-3, 7)),
+    "third order on an LPS, with energy, δ = 20, h = 5": (
+        "third order on LPS, with energy",
+        (7, 2),
+    ),
+    "prediction at 1 %": ("prediction at 1 %", (7, 2)),
+    "third order on an LPS, deconvolved, δ = 25, h = 5": (
+        "third order on LPS, deconvolved",
+        (5, 6),
+    ),
     "neural operator, δ = 20": ("neural operator", (-74, -3)),
 }
 """Rows of the table of speeds that are drawn: their names, and where these stand [points]."""

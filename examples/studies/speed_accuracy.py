@@ -62,18 +62,23 @@ from warp_peri.transfers import on_lattice
 
 DEGREE = 10
 CASES = (
-    *((5.0, horizon, DEGREE, "learned") for horizon in (12.5, 15.0, 20.0, 25.0)),
-    *((5.0, horizon, DEGREE, "two functions") for horizon in (12.5, 15.0, 20.0)),
-    (4.0, 16.0, DEGREE, "learned"),
-    (2.5, 12.5, DEGREE, "learned"),
+    *((5.0, horizon, DEGREE, "LPS") for horizon in (12.5, 15.0, 20.0, 25.0)),
+    *((5.0, horizon, DEGREE, "LPS with two influence functions") for horizon in (12.5, 15.0, 20.0)),
+    (4.0, 16.0, DEGREE, "LPS"),
+    (2.5, 12.5, DEGREE, "LPS"),
     (5.0, 20.0, DEGREE, "positive kernel"),
     (5.0, 20.0, 0, "λ, μ, α only"),
 )
 """Spacing and horizon [Å], degree, and kind of the models."""
-USUAL = (5.0, 20.0, DEGREE, "learned")
+USUAL = (5.0, 20.0, DEGREE, "LPS")
 RICH = {
-    "from δ = 25": (5.0, 25.0, 15, "rich"),
-    "from two functions": (5.0, 20.0, DEGREE, "two functions"),
+    "transferred from δ = 25": (5.0, 25.0, 15, "rich"),
+    "transferred from two influence functions": (
+        5.0,
+        20.0,
+        DEGREE,
+        "LPS with two influence functions",
+    ),
 }
 """Models that cheaper ones are fitted to, both isotropic at long waves for the smooth loads."""
 TRANSFERS = (
@@ -134,8 +139,12 @@ def fitted(
     data: dict[str, Samples], out: Path, spacing: float, horizon: float, degree: int, kind: str
 ) -> Model:
     """The constrained optimum on the waves that are not held out; kept in a file."""
-    positive, two = kind == "positive kernel", kind == "two functions"
-    names = {"positive kernel": "_positive", "rich": "_isotropic", "two functions": "_two"}
+    positive, two = kind == "positive kernel", kind == "LPS with two influence functions"
+    names = {
+        "positive kernel": "_positive",
+        "rich": "_isotropic",
+        "LPS with two influence functions": "_two",
+    }
     file = out / f"h{spacing:g}_d{horizon:g}_M{degree}{names.get(kind, '')}.json"
     if file.exists():
         return load(file)
@@ -283,10 +292,10 @@ def measure(
 
         number = {"loads": int((~held_out(data["train"])).sum())} | trained
         add(f"{name}, LU", kind, case, "lu", use(by_lu(np.float64)), **number)
-        if kind == "learned" and (horizon == 20 or spacing == 2.5):
+        if kind == "LPS" and (horizon == 20 or spacing == 2.5):
             for method, said in (("cg", "CG"), ("fft", "FFT-CG"), ("multigrid", "multigrid-CG")):
                 add(f"{name}, {said}", kind, case, method, use(by_cg(method)))
-        if kind == "learned" and horizon == 20:
+        if kind == "LPS" and horizon == 20:
             add(f"{name}, LU float32", kind, case, "lu32", use(by_lu(np.float32)))
             add(f"{name}, SciPy CSR and CG", kind, case, "scipy", use(by_scipy))
             if importlib.util.find_spec("numba"):
@@ -298,7 +307,7 @@ def measure(
     elements(add, truth, fitted(data, out, *USUAL))
     train = data["train"]
     for label, kind, horizon, method, prepare, seconds in speed_laws.rows(seen(train), data["val"]):
-        count = len(train) if kind == "network" else len(seen(train))
+        count = len(train) if kind == "neural operator" else len(seen(train))
         more = {"fit_seconds": seconds, "loads": count}
         add(label, kind, (5.0, horizon, DEGREE), method, prepare, **more)
     start = time.perf_counter()
@@ -309,7 +318,7 @@ def measure(
     more = {"fit_seconds": time.perf_counter() - start, "loads": 2}
     how = functools.partial(by_lu(np.float64), two.material)
     add(
-        "from two designed loads, h = 5, δ = 20, LU",
+        "LPS from two designed loads, h = 5, δ = 20, LU",
         "designed",
         (5.0, 20.0, DEGREE),
         "lu",

@@ -243,16 +243,20 @@ def laws() -> dict[str, tuple[str, Any, float]]:
     linear = wp.LPS(20.0, two, method=Optimum(moduli="isotropic"), normalise=True)
     tensors = wp.Micromodulus(15.0, normalise=True)
     return {
-        "third order, energy form, δ = 20": ("third order", wp.ThirdOrder(linear), 20.0),
-        "third order, filtered, δ = 25": ("third order", rich_law(), 25.0),
-        "third order on tensors, 28 bonds": (
-            "third order",
+        "third order on an LPS, with energy, δ = 20": (
+            "third-order model",
+            wp.ThirdOrder(linear),
+            20.0,
+        ),
+        "third order on an LPS, deconvolved, δ = 25": ("third-order model", rich_law(), 25.0),
+        "third order on a crystal model, 28 bonds": (
+            "third-order model",
             wp.ThirdOrder(tensors, Smoothing(10.0)),
             15.0,
         ),
-        "tensors, 20 bonds": ("tensors", wp.Micromodulus(12.5), 12.5),
-        "tensors, 28 bonds": ("tensors", wp.Micromodulus(15.0), 15.0),
-        "dressed, 8 neighbours": ("dressed", wp.Dressed(), 7.1),
+        "crystal model, 20 bonds": ("crystal model", wp.Micromodulus(12.5), 12.5),
+        "crystal model, 28 bonds": ("crystal model", wp.Micromodulus(15.0), 15.0),
+        "dressed elements, G: 8 neighbours": ("dressed model", wp.Dressed(), 7.1),
     }
 
 
@@ -315,7 +319,7 @@ def rows(
             yield f"{label}, h = 5", kind, horizon, "rest", by_rest(material), seconds
             continue
         for tolerance in TOLERANCES:
-            name = f"predict at {100 * tolerance:g} %"
+            name = f"prediction at {100 * tolerance:g} %"
             yield name, kind, horizon, "predict", by_predict(material, tolerance), seconds
     network = wp.load(NETWORK)
     seconds = float(network.provenance["seconds"])

@@ -39,13 +39,15 @@ def laws(truth: dict[str, float]) -> dict[str, Any]:
                  normalise=True)  # fmt: skip
     return {
         "LPS": wp.LPS(20.0, wp.Bernstein(10), wp.methods.Optimum(moduli=None)),
-        "LPS, two functions": two,
-        "tensors, 20 bonds": wp.Micromodulus(12.5, "isotropic", moduli=C),
-        "dressed bonds, G 12": wp.Dressed("bonds", 12, moduli=C),
-        "dressed elements, G 8": wp.Dressed("elements", 8, moduli=C),
-        "third order on two functions": wp.ThirdOrder(two),
-        "third order on tensors": wp.ThirdOrder(wp.Micromodulus(15.0, moduli=C), ENERGY, "energy"),
-        "dressed, finite strain": FiniteStrain(C),
+        "LPS with two influence functions": two,
+        "crystal model, 20 bonds": wp.Micromodulus(12.5, "isotropic", moduli=C),
+        "dressed bonds, G: 12 neighbours": wp.Dressed("bonds", 12, moduli=C),
+        "dressed elements, G: 8 neighbours": wp.Dressed("elements", 8, moduli=C),
+        "third order on an LPS": wp.ThirdOrder(two),
+        "third order on a crystal model": wp.ThirdOrder(
+            wp.Micromodulus(15.0, moduli=C), ENERGY, "energy"
+        ),
+        "finite-strain model": FiniteStrain(C),
     }
 
 

@@ -17,7 +17,7 @@ from warp_peri.transfers import on_lattice
 
 def row(method, spacing, horizon, error, seconds):
     return {
-        "kind": "learned",
+        "kind": "LPS",
         "method": method,
         "spacing": spacing,
         "horizon": horizon,
@@ -170,10 +170,10 @@ def test_strain_loads_and_kinds_of_answers_decide():
     bent = {"strained": [[0.005, 0.001], [0.05, 0.005]], "hundred": 20.0}
     rows = [
         row("lu", 5.0, 20.0, 0.01, 0.05) | strained,
-        row("rest", 5.0, 20.0, 0.002, 0.06) | bent | {"kind": "third order", "label": "bent"},
+        row("rest", 5.0, 20.0, 0.002, 0.06) | bent | {"kind": "third-order model", "label": "bent"},
         row("predict", 5.0, 25.0, 0.003, 0.07) | bent | {"kind": "predict", "label": "one %"},
         row("Q1", 5.0, 0.0, 0.009, 0.01) | strained | {"kind": "FEM Q1", "label": "FEM Q1, x"},
-        row("rest", 5.0, 20.0, 1e-6, 1e-6) | {"kind": "network"},
+        row("rest", 5.0, 20.0, 1e-6, 1e-6) | {"kind": "neural operator"},
     ]
     table = TABLE | {"rows": rows}
 
@@ -198,7 +198,7 @@ def test_strain_loads_and_kinds_of_answers_decide():
 
 def test_a_linear_solid_that_is_enough_is_taken_before_a_nonlinear_one():
     rows = [
-        row("rest", 5.0, 20.0, 0.002, 0.01) | {"kind": "third order", "label": "bent"},
+        row("rest", 5.0, 20.0, 0.002, 0.01) | {"kind": "third-order model", "label": "bent"},
         row("lu", 5.0, 20.0, 0.01, 0.05),
     ]
     table = TABLE | {"rows": rows}

@@ -403,6 +403,9 @@ class Module(torch.nn.Module):
     Other materials have no parameters and give the gradient in u alone. Parameters are float64;
     with them the second derivative is refused. Raises InputError as `on`, and for a u that does
     not fit.
+
+    >>> tuple(wp.Module(model, points)(torch.from_numpy(u)).shape)
+    (12, 121, 2)
     """
 
     def __init__(self, material: Any, points: Any, **options: Any) -> None:

@@ -48,6 +48,9 @@ class Cracked:
             by default all of the interior.
         pressure: stress [d, d] of what presses on the faces of the cracks, p n⊗n of a fluid (C13);
             of bodies at rest.
+
+    >>> wp.solve(model, wp.Cracked(points, u=0.01 * x, cracks=[[(-60, 2.5), (0, 2.5)]])).u.shape
+    (441, 2)
     """
 
     points: Points

@@ -545,6 +545,11 @@ class Dressed:
         split: a G for each part of the base (bulk, shear, …) in place of one.
         two_functions: learn an influence function of the dilatation too, one number more; of a base
             of bonds and one G. It keeps what is proven (Dr26).
+
+    `fit` raises InputError for another base, or another number of neighbours.
+
+    >>> wp.fit(samples, wp.Dressed("bonds", neighbours=4)).material.certificate.proven > 0
+    True
     """
 
     base: str = "elements"

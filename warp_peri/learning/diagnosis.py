@@ -341,6 +341,9 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
 
     Raises InputError for a material without a linear part, scattered points, samples in space, too
     few of them, or no load.
+
+    >>> wp.diagnose(wp.fit(samples, wp.LPS(10.0, wp.Bernstein(0))).material, samples).causes[0]
+    'dispersion'
     """
     if samples.spacing == 0 or len(samples) < LEAST_SAMPLES:
         raise InputError(

@@ -66,6 +66,9 @@ def evaluate(
 
     Raises InputError for a set without samples, with a sample that has no displacement on its
     interior, or that the model cannot be used on.
+
+    >>> wp.evaluate(model, samples)["E_u"] < 1e-9
+    True
     """
     if isinstance(points, Dataset):
         points = points.obvious()

@@ -42,6 +42,9 @@ class LPS:
         loss: "residual" is (10); "corrected" takes off what noise adds to it; "output" goes on to
             fit displacement; "auto" takes the residual where noise does not matter.
         normalise: divide each sample by ‖b‖ in the residual.
+
+    >>> wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).certificate.holds
+    True
     """
 
     horizon: float
@@ -102,7 +105,12 @@ class ThirdOrder:
             in both forms.
         form: "filtered" or "energy"; "auto" is the filtered one where a smoothing is given.
 
-    The direction of the crystal is stated by the samples' points (Points.axis).
+    The direction of the crystal is stated by the samples' points (Points.axis). `fit` raises
+    InputError for another form, and for a form that does not go with the smoothing.
+
+    >>> law = wp.ThirdOrder(wp.LPS(12.5, wp.Bernstein(3)))
+    >>> wp.fit(samples, law).material.proven_strain(5.0) > 0
+    True
     """
 
     linear: Any
@@ -189,6 +197,9 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
         A fit with `material`, and with `certificate` and `history` where the law has them.
 
     Raises InputError for input that cannot be used, RuntimeError where a search fails.
+
+    >>> round(wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).material.mu, 3)
+    0.7
     """
     learned = offered(law, "learn", "fit", "a law: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
     if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):

@@ -26,6 +26,9 @@ class Bernstein:
         two_functions: give the dilatation an influence function of its own.
 
     Raises InputError for a degree that is none.
+
+    >>> wp.fit(samples, wp.LPS(12.5, wp.Bernstein(2))).material.D.shape
+    (3,)
     """
 
     degree: int = 10

@@ -141,6 +141,9 @@ class Model(Record, format="warp_peri.model"):
         dimension: 2, a sheet, or 3, a solid.
 
     Raises InputError naming the first number out of its range.
+
+    >>> round(wp.Model(0.3, 0.7, 1.0, np.ones(1), horizon=12.5).E, 3)
+    1.647
     """
 
     lam: Annotated[float, Entry(stress=1, key="lambda")]

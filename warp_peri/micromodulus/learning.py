@@ -59,7 +59,7 @@ def fit(
 
     Args:
         samples: displacements and loads on lattice nodes.
-        horizon: length of the longest bond.
+        horizon: δ, length of the longest bond [length of the points].
         symmetry: name of the crystal's point group, rotations, or "auto": the largest group of the
             nodes with which the fit is as good as without one.
         orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
@@ -267,8 +267,13 @@ class Micromodulus:
         orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
             the points' own axis by default.
         moduli: "long waves" holds those that a fit of long waves finds, None holds none, a Voigt
-            matrix (crystal's axes) holds its own.
+            matrix (crystal's axes) [stress] holds its own.
         normalise: weigh each sample by 1/‖b‖.
+
+    `fit` raises InputError for several sets, scattered points, or a symmetry that is none.
+
+    >>> wp.fit(samples, wp.Micromodulus(12.5, "4mm")).material.certificate.proven > 0
+    True
     """
 
     horizon: float

@@ -34,6 +34,9 @@ class Dataset(Shown):
         provenance: how the data came to be; plain JSON values.
 
     Raises InputError for a data set without point sets, or a thickness or density not > 0.
+
+    >>> list(wp.Dataset({"train": samples}, thickness=3.35, density=2200.0).sets)
+    ['train']
     """
 
     sets: dict[str, Samples]

@@ -335,6 +335,10 @@ class Mesh:
         middle: points of the outline halfway along the edges [Å], shape [E, 2]; an edge is the
             parabola through its ends and this.
         parts: edges by name, numbers into `edges`; those that have no name are REST.
+
+    >>> ends = np.array([[0, 1], [1, 2], [2, 0]])  # of a triangle's edges
+    >>> x = np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
+    >>> mesh = wp.Mesh(x, np.array([[0, 1, 2]]), ends, x[ends].mean(axis=1))
     """
 
     x: np.ndarray

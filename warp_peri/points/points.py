@@ -37,6 +37,9 @@ class Points(Shown):
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
     Periods are held against a horizon where there is one.
+
+    >>> int(wp.Points(x, np.abs(x).max(axis=1) <= 15, spacing=5.0).interior.sum())
+    49
     """
 
     x: np.ndarray

@@ -34,6 +34,9 @@ class Samples(Shown):
         arrays: optional per-sample arrays by name, each with first dimension S.
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
+
+    >>> len(wp.Samples(points, u, b))
+    12
     """
 
     points: Points

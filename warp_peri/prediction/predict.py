@@ -93,6 +93,10 @@ def predict(
 
     Raises InputError for a material that is no family, a problem of another kind, a tolerance that
     is no number above zero, and whatever `solve` refuses.
+
+    >>> ensemble = wp.fit(samples, Family(wp.LPS(12.5, wp.Bernstein(3)))).material
+    >>> bool(wp.predict(ensemble, wp.Dirichlet(points, b[0], u[0]), tolerance=0.05).kept)
+    True
     """
     if tolerance is not None and not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, or None, got {tolerance!r:.40}")

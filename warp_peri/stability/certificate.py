@@ -110,6 +110,9 @@ def certify(
 
     Raises InputError for a material without a linear part, when the horizon is below one spacing,
     or the points have another spacing or do not carry the horizon.
+
+    >>> wp.certify(model, spacing=5.0).holds
+    True
     """
     law = getattr(material, "model", material)
     model = getattr(law, "linear", law)

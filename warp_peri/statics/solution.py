@@ -35,6 +35,9 @@ class Direct:
     Attributes:
         iterative: GMRES with an incomplete factorisation, for many scattered points.
         quadrature_degree: of the polynomials that the weights are exact for.
+
+    >>> wp.solve(model, wp.Dirichlet(points, None, 0.01 * x), solver=wp.Direct()).method
+    'lu'
     """
 
     iterative: bool = False
@@ -57,6 +60,9 @@ class Krylov:
         tolerance: true residual over right-hand side.
 
     Raises InputError for another preconditioner, or a tolerance outside (0, 1).
+
+    >>> wp.solve(model, wp.Dirichlet(points, None, 0.01 * x), solver=wp.Krylov("multigrid")).method
+    'multigrid'
     """
 
     preconditioner: str | None = None
@@ -81,6 +87,10 @@ class Newton:
         eigenvalues: whether the smallest eigenvalue of the tangent is asked for at each answer.
 
     Raises InputError for a tolerance outside (0, 1).
+
+    >>> solution = wp.solve(third, wp.Dirichlet(points, None, 0.01 * x), solver=wp.Newton(1e-6))
+    >>> solution.residual < 1e-6
+    True
     """
 
     tolerance: float = TOLERANCE
@@ -179,6 +189,9 @@ class Solution(Shown):
         warnings: what was said on the way.
         details: what only this law or problem knows: records of the solver, of a body its
             elements and lattice.
+
+    >>> wp.solve(model, wp.Dirichlet(points, b[0], u[0])).stress().shape
+    (121, 2, 2)
     """
 
     u: Any

@@ -530,6 +530,10 @@ def from_atoms(
     Moduli of long waves that are 2 % off those of finite strains are warned of. Raises InputError
     for what is no crystal, does not come to rest, or has imaginary phonons, and for moduli that are
     20 % off.
+
+    >>> from ase.build import bulk; from ase.calculators.emt import EMT
+    >>> round(wp.from_atoms(bulk("Al"), EMT()).material.moduli("GPa")["C11"])
+    53
     """
     units = check_units(units)
     calculator = atoms.calc if calculator is None else calculator
