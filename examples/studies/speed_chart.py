@@ -64,7 +64,7 @@ def chart(rows: list[Row], file: Path) -> None:
         ax.set_ylabel("displacement error [%]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3, fontsize=8)
-    save_figure(figure, file, dpi=110, bbox_inches=None)
+    save_figure(figure, file, dpi=88, bbox_inches=None)
 
 
 BESIDE = {

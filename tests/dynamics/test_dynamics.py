@@ -124,7 +124,7 @@ def test_energy_is_that_of_the_definition():
 
 def test_to_move_as_a_whole_changes_no_energy():
     """A thousand times as far as a crystal swings, with a load or without."""
-    law = material("tensors", THIRD, 1.0, UnitScale())
+    law = material("crystal", THIRD, 1.0, UnitScale())
     points = replace(periodic((8, 8))[0], units=law.units, axis=0.0)
     step = 0.9 * critical_time_step(law, spacing=1.0, density=DENSITY)
     v = 10 * (1 + 0.01 * noise(points)) / (1000 * step)

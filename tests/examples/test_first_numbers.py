@@ -15,7 +15,7 @@ from examples.exact import poiseuille
 from examples.studies import atlas_solves, manufactured, paper_polymer_walls, paper_you_graining
 from examples.studies import paper_slides_incompressible as stiff
 from examples.studies import paper_slides_rates as rates
-from tests.examples.test_paper_rows import PAGES, UNCERTIFIED, held, rows
+from tests.examples.test_paper_rows import UNCERTIFIED, held, page_of, rows
 from tools.graphene import sheet
 from warp_peri import LPS, Bernstein, evaluate, fit, load
 from warp_peri.flow import ChannelFlow
@@ -122,6 +122,7 @@ SLOW = {
     ("you_2021", "300 K: an average of 24 000 steps"), ("you_2021", "The signal-to-noise ratio"),
     ("you_2021", "Table 6: two grids at once"), ("you_2021", "The metric (6.1)"),
     ("jafarzadeh_2024", "Figure 4: a test disk by the network"),
+    ("jafarzadeh_2024", "Figure 5: graphene's errors, and its influence function"),
     ("jafarzadeh_2024", "Figure 7: sizes of the gradient"),
     ("jafarzadeh_2024", "Figure 10: a disk by the network"),
     ("jafarzadeh_2024", "Figure 11: three horizons"),
@@ -143,7 +144,7 @@ WORDS = re.compile(
 
 def tables(page):
     """(section, number in it, heading line) of every table of a page."""
-    text = (PAGES / f"{page}.md").read_text(encoding="utf-8").split("\n*Made at")[0]
+    text = page_of(page).split("\n*Made at")[0]
     found, section, count = [], "", 0
     lines = text.splitlines()
     for before, line in pairwise(lines):

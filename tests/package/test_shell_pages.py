@@ -35,7 +35,6 @@ UNTRIED = {
     "grains": "grains of copper by LAMMPS, minutes; what it calls is tested in tests/dressed",
     "structures": "seventeen crystals; tests/structures runs two of them by the same call",
     "predict": "150 scenes; what it calls is tested in tests/prediction",
-    "speed_accuracy": "times of an hour; tests/learning/test_choice reads what it shipped",
     "which_law": "a table of times; its laws are those of tests/conformance",
 }
 """Scripts that no test runs, and why; here only their --help."""

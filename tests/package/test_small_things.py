@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 import pytest
@@ -244,7 +245,8 @@ def test_training_prints_errors_in_percent_as_evaluate_does(samples, tmp_path, c
     )
     assert printed == pytest.approx(100 * kept["E_res"]["train"], rel=1e-5)
     start = lines.index("shares of the squared residual [%]:")
-    shares = [float(line.split(":")[1]) for line in lines[start + 1 : start + 7]]
+    below = takewhile(lambda line: line.startswith(" "), lines[start + 1 :])
+    shares = [float(line.split(":")[1]) for line in below]
     assert sum(shares) == pytest.approx(100.0, abs=0.01)
     assert not any(line.startswith("note") for line in lines)
     small = {"units": ("mm", "GPa"), "E_res": {"a": 0.51, "b": 0.05}, "E_u": {"a": 0.02, "b": 0.02}}

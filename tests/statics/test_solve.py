@@ -57,6 +57,7 @@ def test_uncertified_spacings_are_refused_or_warned_about():
         solve(model, points, zero, zero)
     with pytest.raises(InputError, match="certified on no spacing, not on 1 Å"):
         solve_periodic(model, sheet, spacing=1.0)
+    model = replace(kernel("1/r", HORIZON), certified_on=())
     with pytest.warns(UserWarning, match="certified on no spacing"):
         solve(model, points, zero, zero, allow_uncertified=True)
     with pytest.warns(UserWarning, match="certified on no spacing"):
