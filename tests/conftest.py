@@ -5,12 +5,13 @@ from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 
-import joblib
 import pytest
 from filelock import FileLock
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores; torch and BLAS read this once
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import joblib  # which loads BLAS
 
 from tools.make_graphene import make_graphene
 

@@ -2,9 +2,12 @@
 
 import json
 
+import pytest
+
 from examples import toughness_from_crack
 
 
+@pytest.mark.slow
 def test_strength_and_toughness_come_out_of_a_force(tmp_path, capsys):
     told = toughness_from_crack.main(["--json", "--iterations", "5", "--out", str(tmp_path)])
     assert told == 0

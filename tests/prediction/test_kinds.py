@@ -48,6 +48,7 @@ def test_turned_lattices(family):
     check(wp.predict(family, asked(points), None), points)
 
 
+@pytest.mark.slow
 def test_scattered_points(family):
     even = lattice(9, 1.5 * HORIZON)
     moved = 0.1 * np.random.default_rng(0).uniform(-1, 1, even.x.shape)

@@ -168,6 +168,7 @@ def shaken(n, shift=0.45):
     return Points(x + 2 / n * shifts, inside, 0.0)
 
 
+@pytest.mark.slow
 def test_a_plain_solid_is_proven_there_and_converges_by_order_two():
     """To u of local elasticity, sines of λ = 0.3, μ = 1; nothing is certified beforehand."""
     lam, mu, k, errors = 0.3, 1.0, np.array([2.0, 1.5]), []

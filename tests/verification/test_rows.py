@@ -316,7 +316,7 @@ def killed(number, scaled, out):
 QUICK = [one for one in POSED if one.problem == "patch test, square lattice"][:3]
 
 
-@pytest.mark.parametrize("processes", [1, 2])
+@pytest.mark.parametrize("processes", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_a_row_whose_process_is_killed_is_told_and_the_others_are_kept(monkeypatch, processes):
     monkeypatch.setattr(rows, "_numbered", killed)
     monkeypatch.setattr(rows, "chosen", lambda only: QUICK)
