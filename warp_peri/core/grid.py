@@ -162,7 +162,8 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
         body = np.pad(body, nodes.reach, mode="wrap")
     lacking = int((nodes.unknown & ~complete(body, steps, nodes.reach)).sum())
     if lacking:
-        r, lengths = np.linalg.norm(steps, axis=1), np.unique(np.linalg.norm(steps, axis=1))
+        r = np.linalg.norm(steps, axis=1)
+        lengths = np.unique(r)
         whole = (complete(body, steps[r <= one], nodes.reach)[nodes.unknown] for one in lengths)
         fit = sum(bool(each.all()) for each in whole)
         wide = points.spacing * float(np.append(0, lengths)[fit])
@@ -171,10 +172,9 @@ def _check(points: Points, nodes: Grid, steps: np.ndarray, why: str) -> None:
     refuse_cut(lacking, len(nodes.interior), why)
 
 
-def complete(body: np.ndarray, steps: np.ndarray, reach: int) -> np.ndarray:
+def complete(body: np.ndarray, steps: np.ndarray, r: int) -> np.ndarray:
     """Which places of a box have all their neighbours by some steps and back, of a body in the box
-    with a reach more around it."""
-    r = reach
+    with r more around it."""
     whole = np.ones([n - 2 * r for n in body.shape], bool)
     for step in np.concatenate([steps, -steps]):
         whole &= body[tuple(slice(r + s, n - r + s) for s, n in zip(step, body.shape))]

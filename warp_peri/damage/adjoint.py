@@ -130,7 +130,7 @@ _softened: Callable[..., torch.Tensor] = _Softened.apply
 
 class Breakings:
     """Which bonds of a brittle body break in which of its steps, from a state on, and its motion
-    backwards (theory.md, C10)."""
+    backwards (theory, C10)."""
 
     def __init__(self, body: Any, state: Any, dt: float, steps: int) -> None:
         self.body, self.dt, self.steps = body, dt, steps
