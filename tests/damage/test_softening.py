@@ -41,7 +41,7 @@ def test_without_softness_it_is_the_linear_body():
     crack = [[(-10, 0), (10, 0)]]
     linear = CutSolid(Model(1.0, 1.0, 1.0, [1.0], 10.05), soft.body, soft.held, cracks=crack)
     np.testing.assert_allclose(
-        soft.rest(unit.ravel().astype(float), np.ones(len(soft._k))).reshape(-1, 2),
+        soft.rest(unit.ravel().astype(float), np.ones(len(soft.stiffness))).reshape(-1, 2),
         linear.solve(None, unit),
         atol=1e-7,
     )
@@ -136,10 +136,10 @@ def test_the_force_across_a_line_does_not_depend_on_where_x_points():
 @pytest.mark.parametrize("line", [[(-9, -2.2), (9, 3.1)], [(9, 3.1), (-9, -2.2)]])
 def test_the_force_across_a_slanted_line_is_what_pulls_one_side_off_the_other(line):
     soft, unit = strip(BondLaw(5.0), False)
-    u = soft.rest(0.02 * unit.ravel(), np.ones(len(soft._k)))
-    d = soft._d @ u
-    pull = soft._k * d * np.exp(-5.0 * np.maximum(d / soft._square, 0))
-    force = (soft._d.T @ pull).reshape(-1, 2) * soft.body.spacing**2
+    u = soft.rest(0.02 * unit.ravel(), np.ones(len(soft.stiffness)))
+    d = soft.rows @ u
+    pull = soft.stiffness * d * np.exp(-5.0 * np.maximum(d / soft.square, 0))
+    force = (soft.rows.T @ pull).reshape(-1, 2) * soft.body.spacing**2
     along = np.subtract(line[1], line[0])
     normal = np.array([-along[1], along[0]]) / np.hypot(*along)
     above = (soft.body.x - line[0]) @ normal > 0

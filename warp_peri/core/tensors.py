@@ -327,8 +327,11 @@ def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
 def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[np.ndarray, ...]:
     """L′⁻ᵗ g on the interior [..., I, d], and what that makes of b and of u, [..., N, d].
 
-    L′ is taken at the answer u, and of what is linear anywhere.
+    L′ is taken at the answer u, and of what is linear anywhere. An operator may have a `pulled` of
+    its own.
     """
+    if hasattr(operator, "pulled"):
+        return operator.pulled(g)  # type: ignore[no-any-return]
     one, inside = operator.shape, operator.points.interior
     axis = -len(one)
     with warnings.catch_warnings():

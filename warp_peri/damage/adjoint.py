@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -14,21 +14,63 @@ import warp as wp
 from scipy.sparse.linalg import splu
 
 from warp_peri.core import tensors
-from warp_peri.core.tensors import as_tensor, differentiable_once, linear, pair_of, refuse_tangents
+from warp_peri.core.tensors import as_tensor, differentiable_once, linear, refuse_tangents
+from warp_peri.damage.lattice_body import LatticeBody
+from warp_peri.damage.operator import stretch_matrix
 from warp_peri.damage.softening import BondLaw
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.launch import zeros
+from warp_peri.lps.model import Model, bernstein_basis
 
 
-def at_rest(cut: Any, b: Any, u: Any, extra: np.ndarray) -> torch.Tensor:
-    """CutSolid.solve of tensors [N, d], differentiable in both, under an extra load [N, d].
+def bond_force(
+    model: Model,
+    body: LatticeBody,
+    neighbour: np.ndarray,
+    u: torch.Tensor,
+    numbers: Mapping[str, Any],
+    pressure: Any = 0.0,
+) -> torch.Tensor:
+    """L u of (C4) on all nodes, [S, N, d], of a model with other numbers; has every derivative.
 
-    Raises InputError as `solve`, and for shapes that do not fit.
+    Args:
+        model: one influence function.
+        body, neighbour: nodes and their bonds, broken ones are −1.
+        u: displacement, shape [S, N, d].
+        numbers: mu, alpha and D as tensors; and lam, where it is not mu.
+        pressure: more stress at nodes that resists a dilatation [stress], shape [S, N].
     """
-    b, u = pair_of(cut, b, u)
-    both = torch.stack([b + torch.from_numpy(extra), u]).double()
-    return linear(both, lambda of: cut.solve(*of), cut.solve_transpose)
+    classes, d, mu = body.classes, body.dimension, numbers["mu"]
+    r = torch.from_numpy(classes.r * (model.nominal_spacing(classes.spacing) / classes.spacing))
+    K = r ** -numbers["alpha"] * (
+        torch.from_numpy(bernstein_basis(r.numpy(), model.horizon, model.degree)) @ numbers["D"]
+    )
+    kw = K * torch.from_numpy(classes.weight)
+    w = kw / (torch.from_numpy(classes.count * classes.r**2) * kw).sum()  # as bond_weights
+    stretch, place = stretch_matrix(body, neighbour)
+    node, bond = (torch.from_numpy(one) for one in np.divmod(place, neighbour.shape[1]))
+    w, square = w[torch.from_numpy(classes.bond_class)[bond]], torch.from_numpy(body.r**2)[bond]
+    e = linear(u.flatten(1), lambda x: (stretch @ x.T).T, lambda y: (stretch.T @ y.T).T)
+    theta = torch.zeros(u.shape[:2], dtype=u.dtype).index_add(1, node, d * w * e)
+    stress = (numbers.get("lam", mu) - mu) * theta + pressure
+    pull = d * (d + 2) * mu * w / square * e + d * w * stress[:, node]
+    return linear(pull, lambda y: (stretch.T @ y.T).T, lambda x: (stretch @ x.T).T).view_as(u)
+
+
+def pressed(cut: Any, b: Any, stress: np.ndarray, parameters: Mapping[str, Any]) -> torch.Tensor:
+    """b and cut_solid.crack_load of other numbers, [N, d], differentiable in all."""
+    numbers = {name: as_tensor(name, value).double() for name, value in parameters.items()}
+    numbers = {n: torch.tensor(v, dtype=torch.float64) for n, v in cut.learnable.items()} | numbers
+    lam, mu = numbers.get("lam", numbers["mu"]), numbers["mu"]
+    even, sigma = torch.eye(cut.body.dimension, dtype=torch.float64), torch.from_numpy(stress)
+    strain = (sigma - lam / (len(even) * lam + 2 * mu) * sigma.trace() * even) / (2 * mu)
+    u = (torch.from_numpy(cut.body.x) @ strain)[None]
+    whole, broken = (
+        bond_force(cut.model, cut.body, table, u, numbers)[0]
+        for table in (cut.body.neighbour, cut.neighbour)
+    )
+    return as_tensor("b", b) + whole - broken
 
 
 def pull_of(s: torch.Tensor, softness: torch.Tensor) -> torch.Tensor:
@@ -80,15 +122,15 @@ def pulled(body: Any, u: Any, numbers: dict[str, Any], how: dict[str, Any]) -> M
     motion: Motion = body.settled(u.detach().numpy(), seen, **how)
     given = torch.where(torch.from_numpy(body.held), u.double(), 0.0).ravel()
     cut, normal = body.section(how["line"])
-    rise = np.abs(body.body.xi[body._bond] @ normal) * cut * body._square * body._k
+    rise = np.abs(body.body.xi[body.bond] @ normal) * cut * body.square * body.stiffness
     area = torch.from_numpy(body.body.spacing**body.body.dimension * rise)
-    square, breakable = torch.from_numpy(body._square), torch.from_numpy(body._breakable)
+    square, breakable = torch.from_numpy(body.square), torch.from_numpy(body.breakable)
     share, worst = torch.ones_like(square), torch.zeros_like(square)
     forces, field = [], given
     for load, force, fields in zip(motion.time, motion["force"], seen):
         for one in fields:
             field = _softened(body, one, share, law["softness"], float(load) * given)
-            s = linear(field, body._d.dot, body._d.T.dot) / square
+            s = linear(field, body.rows.dot, body.rows.T.dot) / square
             worst = torch.maximum(worst, s).where(breakable, 0.0)
             share = torch.minimum(share_of(worst, *law.values()), share)
         across = (area * share * pull_of(s, law["softness"])).sum()
@@ -111,14 +153,14 @@ class _Softened(torch.autograd.Function):
     @differentiable_once
     def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         body, (share, softness, _), g = ctx.body, ctx.saved_tensors, upstream[0].numpy()
-        d, left, beta = body._d @ ctx.u, share.numpy(), float(softness)
-        s = np.maximum(d / body._square, 0)
-        weak = body._k * np.exp(-beta * s)
-        K = sp.csr_array(body._d.T @ (sp.diags_array(left * weak * (1 - beta * s)) @ body._d))
-        free = body._free
+        d, left, beta = body.rows @ ctx.u, share.numpy(), float(softness)
+        s = np.maximum(d / body.square, 0)
+        weak = body.stiffness * np.exp(-beta * s)
+        K = sp.csr_array(body.rows.T @ (sp.diags_array(left * weak * (1 - beta * s)) @ body.rows))
+        free = body.free
         w = np.zeros_like(g)
         w[free] = splu(sp.csc_matrix(K[free][:, free])).solve(g[free])
-        pull = body._d @ w
+        pull = body.rows @ w
         by_share, by_softness = -pull * weak * d, float((pull * left * weak * d * s).sum())
         by_held = np.where(free, 0.0, g - K @ w)
         found = by_share, np.array(by_softness), by_held

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -11,17 +13,24 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
+from warp_peri.contract import OnPoints
 from warp_peri.damage.lattice_body import LatticeBody, cracked
 from warp_peri.damage.operator import bond_weights, cut_matrix
 from warp_peri.damage.solid import check_cut, check_horizon
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked
+from warp_peri.points.points import Points
 from warp_peri.statics import direct
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
 
 
-class CutSolid:
+def in_torch() -> Any:
+    """Forces over bonds and derivatives of bodies that break, which load torch."""
+    return import_module("warp_peri.damage.adjoint")
+
+
+class CutSolid(OnPoints):
     """A body with broken bonds at rest, its operator factorised once.
 
     Args:
@@ -39,6 +48,8 @@ class CutSolid:
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
     with negative eigenvalues, and for a body of another horizon.
     """
+
+    is_linear = True
 
     def __init__(
         self,
@@ -74,53 +85,75 @@ class CutSolid:
             check_mixed(factors)
         self.left = np.inf
 
-    def __call__(self, u: np.ndarray) -> np.ndarray:
-        """Minus the internal force density on nodes that are not held, shape [I, d]."""
-        force: np.ndarray = (self.matrix @ np.ravel(u)).reshape(u.shape)[self.inside]
-        return force
+    @cached_property
+    def points(self) -> Points:  # type: ignore[override]
+        """The nodes; those free in part are interior."""
+        return Points(self.body.x, self.inside, self.body.spacing, units=self.model.units)
 
-    def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """The derivative along v, which is the force of v for every u."""
-        return self(v)
+    def force(self, u: np.ndarray) -> np.ndarray:
+        """Minus the internal force density on nodes that are not held, [..., N, d] to [..., I, d].
 
-    def stress(self, u: np.ndarray) -> None:
-        """None: strains of nodes on a crack mean nothing."""
+        Raises InputError for another shape and what is not finite.
+        """
+        fields = self.fields(u)
+        force = (self.matrix @ fields.reshape(len(fields), -1).T).T.reshape(fields.shape)
+        return np.asarray(force[:, self.inside].reshape(*np.shape(u)[:-2], -1, fields.shape[-1]))
+
+    def product_transpose(self, u: Any, w: np.ndarray) -> np.ndarray:
+        """The matrix, which is symmetric, of w on nodes that are not held, on all, [..., N, d]."""
+        fields = self.on_all(w)
+        return np.asarray(fields.reshape(-1, self.free.size) @ self.matrix).reshape(fields.shape)
 
     def solve(self, b: ArrayLike | None, u: ArrayLike) -> np.ndarray:
-        """u at rest, shape [N, d].
+        """u at rest, shape [..., N, d].
 
         Args:
-            b: body force density [stress / length], shape [N, d]; None for none.
-            u: holds the given components; the others are not looked at, shape [N, d].
+            b: body force density [stress / length], same shape; None for none.
+            u: holds the given components; the others are not looked at.
 
         Raises InputError for other shapes and for what is not finite.
         """
-        shape = self.body.x.shape
-        load = np.zeros(shape) if b is None else checked("b", b, float, shape)
-        given = np.ones(load.size, bool)
-        given[self.free] = False
-        solved = np.where(given, checked("u", u, float, shape, given.reshape(shape)).ravel(), 0.0)
-        answer = self._problem.solve(load.reshape(1, *shape), solved.reshape(1, *shape))
+        one, free = self.body.x.shape, self.free.reshape(self.body.x.shape)
+        given = np.where(free, 0.0, checked("u", u, float, (..., *one), ~free))
+        load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
+        answer = self._problem.solve(load.reshape(-1, *one), given.reshape(-1, *one))
         self.left = self._problem.left
-        return np.asarray(answer[0])
+        return np.asarray(answer.reshape(given.shape))
 
-    def solve_transpose(self, g: np.ndarray) -> np.ndarray:
-        """`solve` transposed: what a derivative g to the answer makes of b and of u, [2, N, d]."""
-        flat = np.where(self.free, g.ravel(), 0.0).reshape(g.shape)
-        w = self.solve(flat, np.zeros_like(g))
-        pushed = np.where(self.free, 0.0, g.ravel() - self.matrix @ w.ravel())
-        return np.stack([w, pushed.reshape(g.shape)])
+    def rest(self, b: Any, u: Any, solver: Solver = None) -> Solution:
+        """The Solution of `solve`, of nodes that are not held."""
+        refuse_solver(solver, (Direct,), "a body with cracks")
+        solved, load = self.solve(b, u), np.asarray(b, float)[..., self.inside, :]
+        return Solution(solved, self.points, self, load, "lu", measured=self.left)
 
-    def check(self, u: Any, real: bool = True) -> None:
-        """Raise InputError for what is no real field on the nodes."""
-        if not real or tuple(u.shape) != self.body.x.shape:
-            shape = list(self.body.x.shape)
-            raise InputError(f"u: expected shape {shape}, got {u.dtype} of {list(u.shape)}")
+    def pulled(self, g: np.ndarray) -> tuple[np.ndarray, ...]:
+        """`solve` transposed: of a derivative g to the answer the adjoint field on nodes that are
+        not held, and what that makes of b and of u, [..., N, d]."""
+        free = self.free.reshape(self.body.x.shape)
+        w = self.solve(np.where(free, g, 0.0), np.zeros_like(g))
+        inner = w[..., self.inside, :]
+        return inner, w, np.where(free, 0.0, g - self.product_transpose(None, inner))
 
-    def energy(self, u: np.ndarray) -> float:
-        """Elastic energy [stress · length^d], bonds among held nodes included."""
-        flat = np.ravel(u)
-        return float(self.body.spacing**self.body.dimension * (flat @ (self.matrix @ flat)) / 2)
+    @property
+    def learnable(self) -> dict[str, Any]:
+        """λ, μ, α and D by name, no λ where it is μ; none of several materials."""
+        return self.model.learnable if self.one else {}
+
+    def at(self, numbers: Mapping[str, Any]) -> CutSolid:
+        """The same body with other numbers; InputError where they leave it indefinite."""
+        model, held = self.model.having(numbers), ~self.free.reshape(self.body.x.shape)
+        return CutSolid(model, self.body, held, neighbour=self.neighbour)
+
+    def force_with(self, u: Any, numbers: Any) -> Any:
+        """The force of tensors [S, N, d] with other numbers, which has every derivative."""
+        force = in_torch().bond_force(self.model, self.body, self.neighbour, u, numbers)
+        return force[:, self.inside]
+
+    def energy(self, u: np.ndarray) -> Any:
+        """Elastic energy [stress · length^d], bonds among held nodes included, shape [...]."""
+        flat = np.reshape(u, (*np.shape(u)[:-2], -1))
+        energy = (flat * (flat @ self.matrix)).sum(axis=-1) / 2
+        return self.body.spacing**self.body.dimension * energy
 
 
 def symmetric_factors(matrix: sp.csc_array) -> Any:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import is_tensor, offered, refuse_uncut, taken
-from warp_peri.damage.cut_solid import CutSolid, crack_area, crack_load, opening_volume
+from warp_peri.damage.cut_solid import (
+    CutSolid,
+    crack_area,
+    crack_load,
+    in_torch,
+    opening_volume,
+)
 from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, BreakingState
@@ -22,7 +27,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.solution import Direct, Solution, refuse_solver
+from warp_peri.statics.solution import Solution
 
 
 class Broken(NamedTuple):
@@ -89,23 +94,22 @@ class Cracked:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The body at rest, of a solid with a linear part, or of one with several moduli."""
-        refuse_solver(solver, (Direct,), "a body with cracks")
+        numbers = options.pop("parameters", None)
         taken(options, "solve")
         body = self.body(material, "solve")
         cut = CutSolid(material, body, self.held, cracks=self.cracks)
-        x = body.x
         b: Any
-        b, u = (np.zeros_like(x) if one is None else one for one in (self.b, self.u))
-        extra, d = np.zeros_like(x), x.shape[1]
+        b, u = (np.zeros_like(body.x) if one is None else one for one in (self.b, self.u))
+        learns = numbers is not None or is_tensor(b) or is_tensor(u)
         if self.pressure is not None:
-            extra = crack_load(cut, checked("pressure", self.pressure, float, (d, d)))
-        if is_tensor(b) or is_tensor(u):
-            solved: Any = _torch().at_rest(cut, b, u, extra)
-            load = np.asarray(b.detach() if is_tensor(b) else b, dtype=float) + extra
-        else:
-            load = checked("b", b, float, x.shape) + extra
-            solved = cut.solve(load, u)
-        return Solution(solved, self.points, cut, load[cut.inside], "lu", measured=cut.left)
+            pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
+            extra = crack_load(cut, pressure)  # refuses what does not fit
+            if learns:
+                b = in_torch().pressed(cut, b, pressure, numbers or {})
+            else:
+                b = checked("b", b, float, body.x.shape) + extra
+        solved = cut.rest_in_torch(b, u, solver, numbers) if learns else cut.rest(b, u, solver)
+        return replace(solved, points=self.points)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """Bonds that break: in motion, event by event, or under loads that rise slowly.
@@ -143,7 +147,7 @@ class Cracked:
         load, u, v = (one.detach().numpy() if is_tensor(one) else one for one in given)
         moving = BreakingBody(material, body, load=load, held=self.held, **how)
         state = moving.start(u=u, v=v, cracks=self.cracks, **begin)
-        path = _torch().Breakings(moving, state, records["step"], run["steps"]) if learns else None
+        path = in_torch().Breakings(moving, state, records["step"], run["steps"]) if learns else None
         motion = broken(CrackRun(moving, **records), state, run)
         fields = (0 * body.x if one is None else one for one in given)
         return path.told(motion, *fields) if path else motion
@@ -159,13 +163,8 @@ class Cracked:
         own, how = taken(options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks",))
         soft = SoftBody(material.linear, body, law, self.held, cracks=self.cracks, **own)
         if numbers is not None or is_tensor(u):
-            return _torch().pulled(soft, u, dict(numbers or {}), how)  # type: ignore[no-any-return]
+            return in_torch().pulled(soft, u, dict(numbers or {}), how)  # type: ignore[no-any-return]
         return soft.pull(u, **how)
-
-
-def _torch() -> Any:
-    """Derivatives, which load torch."""
-    return import_module("warp_peri.damage.adjoint")
 
 
 def broken(marching: CrackRun, state: BreakingState, run: dict[str, Any]) -> Motion:

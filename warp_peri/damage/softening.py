@@ -150,6 +150,12 @@ class SoftBody:
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
 
+    Attributes:
+        node, bond: where a bond begins, and its number in the ball; each bond once, [E].
+        rows: s r² of each bond as a matrix [length²], [E, d N].
+        stiffness, square, breakable: k [stress/length^4], r² [length²], and which may fail, [E].
+        free: components that are not given, flat [d N].
+
     Raises InputError for another model or horizon, arrays that do not fit, and for a piece of the
     body that nothing holds.
     """
@@ -178,18 +184,18 @@ class SoftBody:
         check_pieces(body, table, held)
         node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
         far = table[node, bond]
-        self._node, self._bond = node, bond
-        self._d, d = stretch_rows(body, node, bond, far), body.dimension
-        self._k = (
+        self.node, self.bond = node, bond
+        self.rows, d = stretch_rows(body, node, bond, far), body.dimension
+        self.stiffness = (
             2 * d * (d + 2) * model.mu * bond_weights(model, body.classes)[bond] / body.r[bond] ** 2
         )
-        self._square = body.r[bond] ** 2
-        self._breakable = ~(safe[node] | safe[far])
-        self._free = ~held.ravel()
+        self.square = body.r[bond] ** 2
+        self.breakable = ~(safe[node] | safe[far])
+        self.free = ~held.ravel()
 
     def stretch(self, u: np.ndarray) -> np.ndarray:
         """s of each bond at u, flat [d N]."""
-        along: np.ndarray = (self._d @ u) / self._square
+        along: np.ndarray = (self.rows @ u) / self.square
         return along
 
     def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -199,18 +205,18 @@ class SoftBody:
         """
         softness = self.law.softness
         for _ in range(NEWTON):
-            d = self._d @ u
-            s = np.maximum(d / self._square, 0)
+            d = self.rows @ u
+            s = np.maximum(d / self.square, 0)
             weak = np.exp(-softness * s)
-            total = self._d.T @ (self._k * share * d * weak)
-            force = total[self._free]
+            total = self.rows.T @ (self.stiffness * share * d * weak)
+            force = total[self.free]
             if np.linalg.norm(force) <= TOLERANCE * np.linalg.norm(total):
                 return u
-            tangent = self._k * share * weak * np.maximum(1 - softness * s, 0.02)
-            matrix = sp.csr_array(self._d.T @ (sp.diags_array(tangent) @ self._d))
-            inner = sp.csc_array(matrix[self._free][:, self._free])
+            tangent = self.stiffness * share * weak * np.maximum(1 - softness * s, 0.02)
+            matrix = sp.csr_array(self.rows.T @ (sp.diags_array(tangent) @ self.rows))
+            inner = sp.csc_array(matrix[self.free][:, self.free])
             u = u.copy()
-            u[self._free] -= symmetric_factors(inner).solve(force)
+            u[self.free] -= symmetric_factors(inner).solve(force)
         raise InputError("softening: no equilibrium was found; the body may have come apart")
 
     def across(self, u: np.ndarray, share: np.ndarray, line: ArrayLike) -> float:
@@ -222,13 +228,13 @@ class SoftBody:
         Raises InputError for another line than two ends.
         """
         cut, normal = self.section(line)
-        pull = self._k * share * self._square * self.law.pull(self.stretch(u))
-        rise = np.abs(self.body.xi[self._bond[cut]] @ normal)
+        pull = self.stiffness * share * self.square * self.law.pull(self.stretch(u))
+        rise = np.abs(self.body.xi[self.bond[cut]] @ normal)
         return float(self.body.spacing**self.body.dimension * (pull[cut] * rise).sum())
 
     def section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Which bonds cross a straight line or flat polygon, bool, and its unit normal."""
-        cut = crossing_bonds(self.body, line)[self._node, self._bond]
+        cut = crossing_bonds(self.body, line)[self.node, self.bond]
         ends = np.asarray(line, dtype=float)
         if self.body.dimension == 2 and len(ends) != 2:
             raise InputError(f"line: expected two ends, got {len(ends)} corners")
@@ -290,7 +296,7 @@ class SoftBody:
             raise InputError("u: expected finite values")
         cut, _ = self.section(line)
         given = np.where(self.held, u, 0).ravel()
-        share, worst = np.ones(len(self._k)), np.zeros(len(self._k))
+        share, worst = np.ones(len(self.stiffness)), np.zeros(len(self.stiffness))
         field, rows, before = np.zeros_like(given), [], 0.0
         for load in tqdm(loads, disable=not progress, unit="load"):
             seen.append([])
@@ -300,7 +306,7 @@ class SoftBody:
                 while True:
                     field = self.rest(field, share)
                     seen[-1].append(field)
-                    worst = np.where(self._breakable, np.maximum(worst, self.stretch(field)), 0)
+                    worst = np.where(self.breakable, np.maximum(worst, self.stretch(field)), 0)
                     lasting = np.minimum(self.law.share(worst), share)
                     change, share = np.max(share - lasting), lasting
                     if change < SETTLED:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import ClassVar
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,6 +13,7 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.contract import OnPoints
 from warp_peri.core.record import Record, Stress
+from warp_peri.damage.cut_solid import in_torch
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
 from warp_peri.damage.solid import check_cut
@@ -75,6 +76,19 @@ class CoupledSolid(Record, format="warp_peri.coupled_solid"):
         return CoupledOperator(self, points, kappa=kappa)
 
 
+OF_CONDUCTOR = "conductor_"
+"""What names of the conductor's numbers begin with."""
+
+
+def _of_conductor(numbers: Mapping[str, Any]) -> dict[str, Any]:
+    """The numbers of the conductor by its own names."""
+    return {
+        name.removeprefix(OF_CONDUCTOR): value
+        for name, value in numbers.items()
+        if name.startswith(OF_CONDUCTOR)
+    }
+
+
 class CoupledOperator(OnPoints):
     """A coupled solid on a lattice.
 
@@ -102,7 +116,7 @@ class CoupledOperator(OnPoints):
         neighbour: np.ndarray | None = None,
     ) -> None:
         self.model, model = material, material.model
-        diffusion = DiffusionOperator(material.conductor, points, kappa=kappa)
+        self.diffusion = diffusion = DiffusionOperator(material.conductor, points, kappa=kappa)
         self.points = diffusion.points
         body = lattice_body(self.points.x, self.points.spacing, model.horizon)
         table = body.neighbour if neighbour is None else neighbour
@@ -111,6 +125,7 @@ class CoupledOperator(OnPoints):
         if self.points.outside is not None:
             gone = np.append(self.points.outside, False)
             table = np.where(gone[table] | self.points.outside[:, None], -1, table)
+        self.body, self.table = body, table
         w = bond_weights(model, body.classes)
         rows = diffusion.rows
         self.rows = rows
@@ -153,6 +168,32 @@ class CoupledOperator(OnPoints):
         pushed = (flat @ self._solid).reshape(*w.shape[:-2], -1, 2)
         phi = flat @ self._pull + source @ self._flux
         return np.concatenate([pushed, phi[..., None]], axis=-1)
+
+    @property
+    def learnable(self) -> dict[str, Any]:
+        """λ, μ, α and D of the solid, ε, and the conductor's as conductor_alpha and so on."""
+        conductor = {OF_CONDUCTOR + n: value for n, value in self.diffusion.learnable.items()}
+        return self.model.model.learnable | {"coupling": self.model.coupling} | conductor
+
+    def at(self, numbers: Mapping[str, Any]) -> CoupledOperator:
+        """The same with other numbers; InputError as the class, and for κ not > 0."""
+        diffusion = self.diffusion.at(_of_conductor(numbers))
+        model = self.model.model.having({n: numbers[n] for n in self.model.model.learnable})
+        material = replace(
+            self.model,
+            model=model,
+            conductor=diffusion.model,
+            coupling=float(numbers["coupling"]),
+        )
+        return CoupledOperator(material, self.points, kappa=diffusion.given, neighbour=self.table)
+
+    def force_with(self, u: Any, numbers: Any) -> Any:
+        """The force of tensors [S, N, 3] with other numbers, differentiable once in all."""
+        field, phi = u[..., :2], u[..., 2]
+        parts = self.model.model, self.body, self.table
+        force = in_torch().bond_force(*parts, field, numbers, numbers["coupling"] * phi)
+        flux = self.diffusion.force_with(phi, _of_conductor(numbers))
+        return in_torch().torch.cat([force[:, self.rows], flux[..., None]], dim=-1)
 
     def rest(self, b: ArrayLike | None, u: ArrayLike, solver: Solver = None) -> Solution:
         """The steady state.

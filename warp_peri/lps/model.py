@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -208,6 +208,21 @@ class Model(Record, format="warp_peri.model"):
     def solid(self) -> Solid:
         """λ, μ, α, D and D of the dilatation as one value."""
         return Solid(self.lam, self.mu, self.alpha, self.D, self.dilatation)
+
+    @property
+    def learnable(self) -> dict[str, Any]:
+        """λ, μ, α, D and D_dilatation by name; neither λ nor D_dilatation where it is μ or D."""
+        numbers = dict(vars(self.solid))
+        if self.bond_based:
+            del numbers["lam"]
+        if np.array_equal(self.D, self.dilatation):
+            del numbers["D_dilatation"]
+        return numbers
+
+    def having(self, numbers: Mapping[str, Any]) -> Model:
+        """The same with other `learnable` numbers, of which nothing is proven."""
+        own = {"lam": numbers["mu"], "D_dilatation": numbers["D"]} | dict(numbers)
+        return replace(self, **own, certified_on=(), certificate={})
 
     @property
     def linear(self) -> Model:

@@ -481,12 +481,7 @@ class NodeOperator(OnPoints):
     @property
     def learnable(self) -> dict[str, Any]:
         """λ, μ, α, D and D_dilatation by name; neither λ nor D_dilatation where it is μ or D."""
-        numbers, model = dict(vars(self.model.solid)), self.model
-        if model.bond_based:
-            del numbers["lam"]
-        if np.array_equal(model.D, model.dilatation):
-            del numbers["D_dilatation"]
-        return numbers
+        return self.model.learnable
 
     def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:
         """The force of fields [S, N, d] with other numbers, differentiable once in all."""

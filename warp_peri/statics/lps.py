@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -69,11 +68,12 @@ class PlacedLPS(LPSOperator):
 
     def at(self, numbers: dict[str, Any]) -> PlacedLPS:
         """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
-        numbers = {"lam": numbers["mu"], "D_dilatation": numbers["D"]} | numbers
-        model = replace(self.model, **numbers, certified_on=(), certificate={})
+        model = self.model.having(numbers)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # said of this one
-            made = PlacedLPS(model, self.points, allow_uncertified=True, device=self.device)
+            made = PlacedLPS(
+                model, self.points, allow_uncertified=True, device=self.device, carrier=self.carrier
+            )
         made.__dict__["bonds"] = self.bonds
         if self.nodes.is_plain_lattice or self.nodes.box is not None:
             made.linear.check_definite()
@@ -82,7 +82,7 @@ class PlacedLPS(LPSOperator):
     @cached_property
     def through(self) -> ThroughLattice:
         """The assembled operator on scattered points."""
-        return ThroughLattice(self.home, self.points)
+        return ThroughLattice(self.model, self.points, carrier=self.carrier)
 
     @cached_property
     def linear(self) -> Linear:
@@ -154,8 +154,6 @@ class PlacedLPS(LPSOperator):
         self, b: Any, u: Any, solver: Solver = None, parameters: Numbers | None = None
     ) -> Solution:
         """`rest` of tensors or with other numbers; InputError for numbers that do not count."""
-        if parameters is not None and self.carrier is not None:
-            raise InputError("parameters: expected a lattice, got scattered points")
         if isinstance(solver, Direct) and solver.quadrature_degree != self.quadrature_degree:
             raise InputError(
                 f"quadrature_degree: expected that of the operator, {self.quadrature_degree}, for "

@@ -65,7 +65,8 @@ class ThroughLattice(Carrier):
     """The operator of a model on scattered points, A = Tᵗ L T (M7).
 
     A is assembled, to be solved with. It is symmetric, and positive definite because L is. The
-    arguments, attributes and errors are those of Carrier, which is T.
+    arguments, attributes and errors are those of Carrier, which is T. With a `carrier` of these
+    points T is that one's, and the model is taken as it is.
     """
 
     def __init__(
@@ -75,8 +76,12 @@ class ThroughLattice(Carrier):
         *,
         spacing: float | None = None,
         neighbours: int = NEIGHBOURS,
+        carrier: Carrier | None = None,
     ) -> None:
-        super().__init__(model, points, spacing=spacing, neighbours=neighbours)
+        if carrier is None:
+            super().__init__(model, points, spacing=spacing, neighbours=neighbours)
+        else:
+            vars(self).update(vars(carrier) | {"model": model})
         L = matrices(self.model, self.lattice).operator(self.model.lam, self.model.mu)
         both = sp.identity(2, format="csr")
         test = sp.csr_array(sp.kron(self.unknown, both)).T

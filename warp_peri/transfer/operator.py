@@ -39,6 +39,7 @@ class LPSOperator(NodeOperator):
         transfer: False refuses what the model itself is not certified on.
         allow_uncertified: the model's own numbers, with a warning.
         device: where the kernels run, as for Bonds.
+        carrier: T of these points, through which the model is taken as it is.
 
     Attributes:
         home: the model that was given.
@@ -60,13 +61,14 @@ class LPSOperator(NodeOperator):
         transfer: bool = True,
         allow_uncertified: bool = False,
         device: str = DEVICE,
+        carrier: Carrier | None = None,
     ) -> None:
-        self.carrier: Carrier | None = None
+        self.carrier = carrier
         self.home, nodes = model, nodes_of(points)
         model.check_dimension(points)
-        if points.spacing == 0 and transfer and not allow_uncertified:
-            self.carrier = Carrier(model, points)
-            here, points = self.carrier.model, self.carrier.lattice
+        if carrier is not None or (points.spacing == 0 and transfer and not allow_uncertified):
+            self.carrier = carrier or Carrier(model, points)
+            here, points = model if carrier else self.carrier.model, self.carrier.lattice
         else:
             here = model_for(model, points, transfer=transfer, allow_uncertified=allow_uncertified)
         super().__init__(
