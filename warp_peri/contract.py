@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 SAME_SPACING = 1e-6
 """Relative, of spacings that are taken as the same."""
+SINGULAR = "expected an equilibrium where the tangent has an inverse, got a singular one, or nearly"
 
 
 class Operator(Protocol):
@@ -156,6 +157,15 @@ class OnPoints(Remade):
     def rest_in_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
         """`rest` of tensors, differentiable in both and in numbers: core.tensors.at_rest."""
         return _torch().at_rest(self, b, u, solver, parameters)
+
+    def slopes(self, names: list[str], u: Any, w: Any) -> dict[str, Any]:
+        """Derivatives of Σ w · force(u) to some of `learnable`, of fields [K, N, d] and weights."""
+        return _torch().by_numbers(self, names, u, w)  # type: ignore[no-any-return]
+
+    @property
+    def held(self) -> np.ndarray:
+        """Which components of fields a solve is given, of a shape that broadcasts to [N, d]."""
+        return ~self.points.interior.reshape(-1, *[1] * (len(self.shape) - 1))
 
     def stiffness_at(self, u: Any) -> Any:
         """The derivative of the force at a field, between interior nodes, sparse [d I, d I]: of

@@ -3,11 +3,11 @@ are refused a second time on every path, where torch would leave out terms."""
 
 from __future__ import annotations
 
-import functools
 import itertools
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial, wraps
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ import torch
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
-from warp_peri.contract import placed
+from warp_peri.contract import SINGULAR, placed
 from warp_peri.errors import InputError
 
 Backward = Callable[..., tuple[torch.Tensor | None, ...]]
@@ -24,7 +24,6 @@ TWICE = (
     "second derivative: expected first derivatives alone of a force that is not linear, of its "
     "numbers, or of an equilibrium; operator.product(u, v) is the derivative of a force along v"
 )
-SINGULAR = "expected an equilibrium where the tangent has an inverse, got a singular one, or nearly"
 DIRECT = 4_000
 """Unknown nodes up to which a tangent is factorised for its adjoint, as `statics` does."""
 EXACT, ROUGH, KEPT, ROUNDS = 1e-11, 1e-10, 40, 10
@@ -82,7 +81,7 @@ def _once(make: Callable[..., torch.Tensor], *of: torch.Tensor) -> torch.Tensor:
 def linear(x: torch.Tensor, there: Callable[..., Any], back: Callable[..., Any]) -> torch.Tensor:
     """A linear map of fields of NumPy, [S, …], which `back` transposes; it has every derivative."""
     return _made(
-        functools.partial(_called, there),
+        partial(_called, there),
         lambda _, tangent: linear(tangent, there, back),
         [lambda _, upstream: linear(upstream, back, there)],
         x,
@@ -99,10 +98,10 @@ def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) 
         of: the fields.
     """
     tangent, *each = (
-        functools.partial(_once, functools.partial(_called, one)) if one else _refused
+        partial(_once, partial(_called, one)) if one else _refused
         for one in (along, *backs)
     )
-    return _made(functools.partial(_called, make), tangent, each, *of)
+    return _made(partial(_called, make), tangent, each, *of)
 
 
 def differentiable_once(backward: Backward) -> Backward:
@@ -112,7 +111,7 @@ def differentiable_once(backward: Backward) -> Backward:
     torch's own once_differentiable lets those pass that do not go through the upstream gradient.
     """
 
-    @functools.wraps(backward)
+    @wraps(backward)
     def once(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         with torch.no_grad():
             found = backward(ctx, *upstream)
@@ -327,11 +326,9 @@ def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
 def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[np.ndarray, ...]:
     """L′⁻ᵗ g on the interior [..., I, d], and what that makes of b and of u, [..., N, d].
 
-    L′ is taken at the answer u, and of what is linear anywhere. An operator may have a `pulled` of
-    its own.
+    L′ is taken at the answer u, and of what is linear anywhere. An operator may have a way of its
+    own to L′⁻ᵗ, as `transposed`.
     """
-    if hasattr(operator, "pulled"):
-        return operator.pulled(g)  # type: ignore[no-any-return]
     one, inside = operator.shape, operator.points.interior
     axis = -len(one)
     with warnings.catch_warnings():
@@ -341,8 +338,9 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[n
             w = np.compress(inside, _rest(operator, load, np.zeros_like(g), solver).u, axis)
         else:
             inner = np.compress(inside, g, axis)
-            w = _transposed(operator, u.reshape(-1, *one), inner).reshape(inner.shape)
-    pushed = (g - operator.product_transpose(u, w)) * ~inside.reshape(-1, *[1] * (-axis - 1))
+            solve = getattr(operator, "transposed", partial(_transposed, operator))
+            w = solve(u.reshape(-1, *one), inner).reshape(inner.shape)
+    pushed = (g - operator.product_transpose(u, w)) * operator.held
     return w, operator.load_transpose(w), pushed
 
 

@@ -49,7 +49,7 @@ class CutSolid(OnPoints):
     with negative eigenvalues, and for a body of another horizon.
     """
 
-    is_linear = True
+    is_linear = is_symmetric = True
 
     def __init__(
         self,
@@ -85,6 +85,11 @@ class CutSolid(OnPoints):
             check_mixed(factors)
         self.left = np.inf
 
+    @property
+    def held(self) -> np.ndarray:
+        """Components that are given, [N, d]."""
+        return np.asarray(~self.free.reshape(self.body.x.shape))
+
     @cached_property
     def points(self) -> Points:  # type: ignore[override]
         """The nodes; those free in part are interior."""
@@ -113,8 +118,8 @@ class CutSolid(OnPoints):
 
         Raises InputError for other shapes and for what is not finite.
         """
-        one, free = self.body.x.shape, self.free.reshape(self.body.x.shape)
-        given = np.where(free, 0.0, checked("u", u, float, (..., *one), ~free))
+        one, held = self.body.x.shape, self.held
+        given = np.where(held, checked("u", u, float, (..., *one), held), 0.0)
         load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
         answer = self._problem.solve(load.reshape(-1, *one), given.reshape(-1, *one))
         self.left = self._problem.left
@@ -126,14 +131,6 @@ class CutSolid(OnPoints):
         solved, load = self.solve(b, u), np.asarray(b, float)[..., self.inside, :]
         return Solution(solved, self.points, self, load, "lu", measured=self.left)
 
-    def pulled(self, g: np.ndarray) -> tuple[np.ndarray, ...]:
-        """`solve` transposed: of a derivative g to the answer the adjoint field on nodes that are
-        not held, and what that makes of b and of u, [..., N, d]."""
-        free = self.free.reshape(self.body.x.shape)
-        w = self.solve(np.where(free, g, 0.0), np.zeros_like(g))
-        inner = w[..., self.inside, :]
-        return inner, w, np.where(free, 0.0, g - self.product_transpose(None, inner))
-
     @property
     def learnable(self) -> dict[str, Any]:
         """λ, μ, α and D by name, no λ where it is μ; none of several materials."""
@@ -141,8 +138,8 @@ class CutSolid(OnPoints):
 
     def at(self, numbers: Mapping[str, Any]) -> CutSolid:
         """The same body with other numbers; InputError where they leave it indefinite."""
-        model, held = self.model.having(numbers), ~self.free.reshape(self.body.x.shape)
-        return CutSolid(model, self.body, held, neighbour=self.neighbour)
+        model = self.model.having(numbers)
+        return CutSolid(model, self.body, self.held, neighbour=self.neighbour)
 
     def force_with(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, d] with other numbers, which has every derivative."""

@@ -86,14 +86,15 @@ def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
     """InputError for tensors that ask for a gradient which a problem does not have."""
     if asks_for_gradient((vars(problem), options)) or "parameters" in options:
         raise InputError(
-            f"{verb}: expected tensors without a gradient, which only {LEARNS[verb]} have, of one "
-            f"process; got a {type(problem).__name__}"
+            f"{verb}: expected tensors without a gradient, which only {LEARNS[verb]} have; got a "
+            f"{type(problem).__name__}"
         )
 
 
 LEARNS = {
-    "solve": "a Dirichlet, a Periodic and a Cracked without numbers",
-    "move": "waves, fields of a BrittleSolid in steps, and pulls of bonds that soften,",
+    "solve": "a Dirichlet, a Periodic and a Cracked",
+    "move": "waves, fields of a BrittleSolid in steps, and pulls of bonds that soften, of one "
+    "process",
 }
 
 

@@ -323,12 +323,13 @@ class NodeHalo:
             request.wait()
         return here
 
-    def largest(self, values: np.ndarray) -> np.ndarray:
-        """Of numbers [m] that ranks have of the same node the largest, of the own nodes, [n]."""
+    def joined(self, values: np.ndarray, by: np.ufunc) -> np.ndarray:
+        """Of values [m, ...] that ranks have of the same node the largest, or the sum, at the own
+        nodes, [n, ...]."""
         found = values.copy()
         requests = [self.comm.isend(values[places], dest=r) for r, places in self._take]
         for r, places in self._give:
-            found[places] = np.maximum(found[places], self.comm.recv(source=r))
+            found[places] = by(found[places], self.comm.recv(source=r))
         for request in requests:
             request.wait()
         return np.asarray(found[self.own])

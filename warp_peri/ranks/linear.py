@@ -61,7 +61,7 @@ class RowOperator:
             raise InputError("points: expected a lattice in tiles for a body at rest on ranks")
         comm, tiles, d = piece.comm, piece.tiles, piece.dimension
         self.model, self.points, self.dimension = law, piece, d
-        self._tiles, self._box, self._petsc = tiles, tiles.box(comm.rank), petsc
+        self._tiles, self._box, self.petsc = tiles, tiles.box(comm.rank), petsc
         place = np.ravel_multi_index(tuple((piece.grid - tiles.corner(comm.rank)).T), self._box)
         self._grid = Grid(
             np.eye(d), self._box, 0, False, np.arange(len(place)), place, place[piece.interior]
@@ -93,7 +93,7 @@ class RowOperator:
         short = Convolution(comm, tiles, width, lambda torus: symbol(torus) / scale, np.float32)
         between = Between(comm, tiles)
         near = q1_tensors(law.tensor() * 2.0 ** (d - 2) * scale)
-        made = PetscCycle if self._petsc else cycle
+        made = PetscCycle if self.petsc else cycle
         return short, between, made(comm, *near, coarser(self.mask), between.coarse)
 
     def _check_whole(self) -> None:
@@ -192,12 +192,18 @@ def tensors_at(linear: Any, piece: Subdomain) -> StencilMaterial:
         return linear  # type: ignore[no-any-return]
     if not linear.is_certified_on(piece.spacing):
         linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
+    return proven_at(linear, piece)
+
+
+def proven_at(linear: Any, piece: Subdomain) -> StencilMaterial:
+    """A linear solid as one stencil on a piece's lattice, with its own numbers and their proof."""
     known = str(linear.content()["sha256"]), piece.spacing
     if known not in _proven:
         if len(_proven) == MOST:
             del _proven[next(iter(_proven))]
         with shared_by(piece.comm):
-            _proven[known] = tensors_of(linear, piece.spacing)
+            is_lps = isinstance(linear, Model)
+            _proven[known] = tensors_of(linear, piece.spacing) if is_lps else linear.certified()
     return _proven[known]
 
 
@@ -226,24 +232,32 @@ class ScatteredOperator:
         model: a linear solid, certified on some lattice.
         piece: the nodes of this rank, of scattered points.
         petsc: whether its coarse problem is PETSc's.
+        like: another model's on the same piece; this one is then taken as it is.
 
     Raises InputError as ThroughLattice does.
     """
 
-    def __init__(self, model: Model, piece: Subdomain, petsc: bool = False) -> None:
+    def __init__(
+        self,
+        model: Model,
+        piece: Subdomain,
+        petsc: bool = False,
+        like: ScatteredOperator | None = None,
+    ) -> None:
         comm, carrier = piece.comm, piece.carrier
-        self.points = piece
+        self.points, self.petsc = piece, petsc
         felt = FINER * carrier * TOUCH
         stencil = carrier * np.ceil(2 * model.horizon / carrier)
-        self.halo = halo = NodeHalo(piece, 2 * felt + 2 * stencil)
+        self.halo = halo = like.halo if like else NodeHalo(piece, 2 * felt + 2 * stencil)
         inside = np.zeros(len(halo.x), bool)
         inside[halo.own] = piece.interior
         self.through: ThroughLattice | None = None  # where no node is unknown
-        self.model = in_turn(comm, lambda: carried(model, carrier))
+        self.model = model if like else in_turn(comm, lambda: carried(model, carrier))
         with agreed(comm):
             if inside.any():
                 here = Points(halo.x, inside, 0.0, units=piece.units, axis=piece.axis)
-                self.through = ThroughLattice(self.model, here, spacing=carrier)
+                T = like.through if like else None
+                self.through = ThroughLattice(self.model, here, spacing=carrier, carrier=T)
         self._diagonal = np.zeros((0, 2))
         if self.through is not None:
             A = self.through.problem.stiffness

@@ -9,13 +9,14 @@ there, and nothing else is sent.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from copy import copy
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.contract import MATERIAL, offered, taken
+from warp_peri.contract import MATERIAL, SINGULAR, OnPoints, is_tensor, offered, taken
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody
@@ -33,10 +34,16 @@ from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.halo import NodeHalo
-from warp_peri.ranks.linear import RowOperator, ScatteredOperator, one_node, tensors_at
+from warp_peri.ranks.linear import (
+    RowOperator,
+    ScatteredOperator,
+    one_node,
+    proven_at,
+    tensors_at,
+)
 from warp_peri.ranks.petsc import petsc as loaded
 from warp_peri.ranks.processes import build, in_turn, total
-from warp_peri.statics.conjugate_gradients import SolveRecord, norm
+from warp_peri.statics.conjugate_gradients import SolveRecord, gmres, norm
 from warp_peri.statics.equilibria import Equilibria, Force, solve_each, warn_beyond
 from warp_peri.statics.solution import (
     PETSC,
@@ -53,36 +60,55 @@ if TYPE_CHECKING:
     from warp_peri.statics.linear import Inverse
 
 
-STAGE = 1e-3
-"""Of a residual, after which a linear solve with a checkpoint writes it."""
+STAGE, ROUNDS = 1e-3, 20
+"""Of a residual, after which a linear solve with a checkpoint writes it; passes of GMRES, each of
+which leaves some percent, on an adjoint."""
 
 
 def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) -> Solution:
     """A Dirichlet problem on a piece; u and load are those of this rank's nodes.
 
     With the option checkpoint=PATH what was found is written as the solve goes, and a later one
-    goes on from there, on any number of ranks.
+    goes on from there, on any number of ranks. Of tensors, or with `parameters`, u is
+    differentiable: see OnRanks.
 
     Raises InputError for other problems and laws, and as RowOperator and `definite` do.
     """
+    numbers = options.pop("parameters", None)
     (asked,) = taken(options, "solve", _asked)
-    bends = hasattr(material, "proven_strain")
-    kind = Newton if bends else Krylov
-    refuse_solver(solver, (kind,), f"a {'nonlinear' if bends else 'linear'} body on ranks")
-    tolerance = TOLERANCE if solver is None else solver.tolerance  # type: ignore[union-attr]
-    piece = problem.points
+    piece, path = problem.points, _asked(**asked)
     with agreed(piece.comm):
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
         offered(material, "on", "solve", MATERIAL)
-        b, u = checked_fields(piece, problem.b, problem.u)
+        learns = numbers is not None or is_tensor(problem.b) or is_tensor(problem.u)
+        b, u = problem.b, problem.u
+        if not learns:
+            b, u = checked_fields(piece, b, u)
+        elif path is not None:
+            raise InputError("solve: expected no checkpoint of tensors")
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
         petsc = _by_petsc(getattr(solver, "preconditioner", None))
     operator = operator_on(material, piece, petsc)
+    if not learns:
+        return rest(operator, b, u, solver, path)
+    b = np.zeros(np.shape(u)) if b is None else b
+    learned: Solution = OnRanks(operator, material, solver).rest_in_torch(b, u, solver, numbers)
+    return learned
+
+
+def rest(
+    operator: Any, b: np.ndarray, u: np.ndarray, solver: Solver, path: Any = None
+) -> Solution:
+    """The Solution of `solve`, of what is on a piece, with a checkpoint where there is a path."""
+    piece, bends = operator.points, hasattr(operator, "equilibria")
+    kind = Newton if bends else Krylov
+    refuse_solver(solver, (kind,), f"a {'nonlinear' if bends else 'linear'} body on ranks")
+    tolerance = TOLERANCE if solver is None else solver.tolerance  # type: ignore[union-attr]
     inside, flat = piece.interior, [field.reshape(-1, *piece.x.shape) for field in (b, u)]
     kept = None
-    if (path := _asked(**asked)) is not None:
+    if path is not None:
         if len(flat[0]) > 1:
             raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
         kept = Kept(path, piece, flat[0][0], flat[1][0])
@@ -98,6 +124,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             field[:], record = solved(operator, load, given, tolerance, kept)
             records.append(record)
         proven = operator.proven
+    petsc = solver is not None and getattr(solver, "preconditioner", None) == PETSC
     return Solution(
         answers.reshape(u.shape),
         piece,
@@ -184,7 +211,33 @@ def operator_on(material: Any, piece: Subdomain, petsc: bool = False) -> Any:
     return RowNonlinear(material, piece)
 
 
-class RowNonlinear:
+class Felt:
+    """A law on all nodes that this rank feels, of which its own unknown ones are unknown.
+
+    Args:
+        piece: the nodes of this rank.
+        reach: how far a node feels [length].
+        place: makes the law on Points; what it keeps in files is made by one rank.
+    """
+
+    def __init__(self, piece: Subdomain, reach: float, place: Callable[[Points], Any]) -> None:
+        self.points, self.halo = piece, NodeHalo(piece, reach)
+        x, inside = self.halo.x, np.zeros(len(self.halo.x), bool)
+        inside[self.halo.own] = piece.interior
+        self.asked = bool(inside.any())
+        if not self.asked:  # the law needs an unknown node: one of a body of its own, at rest
+            x, inside = one_node(piece.dimension, piece.spacing, reach)
+        self._rest = np.zeros_like(x)
+        here = Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis)
+        self.placed = in_turn(piece.comm, lambda: place(here))
+
+    def around(self, u: np.ndarray) -> np.ndarray:
+        """u [n, d] on all nodes that this rank feels."""
+        field = self.halo.felt(u)
+        return field if self.asked else self._rest
+
+
+class RowNonlinear(Felt):
     """L of a nonlinear solid on a lattice in tiles, and where it balances a load.
 
     Args:
@@ -195,20 +248,8 @@ class RowNonlinear:
     """
 
     def __init__(self, material: Any, piece: Subdomain) -> None:
-        comm = piece.comm
-        self.points = piece
-        reach = 2 * material.horizon * (1 + HORIZON_TOLERANCE)
-        self.halo = halo = NodeHalo(piece, reach)
-        x, inside = halo.x, np.zeros(len(halo.x), bool)
-        inside[halo.own] = piece.interior
-        self._asked = bool(inside.any())
-        if not self._asked:  # the law needs an unknown node: one of a body of its own, at rest
-            x, inside = one_node(2, piece.spacing, reach)
-        self._rest = np.zeros_like(x)
-        with agreed(comm):
-            here = Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis)
-            self.placed = material.on(here)
-        in_turn(comm, lambda: self.placed(self._rest))  # one compiles
+        super().__init__(piece, 2 * material.horizon * (1 + HORIZON_TOLERANCE), material.on)
+        in_turn(piece.comm, lambda: self.placed(self._rest))  # one compiles
         self.model = self.placed.model
         self.strain = float(self.placed.model.proven_strain(piece.spacing))
 
@@ -216,11 +257,6 @@ class RowNonlinear:
     def linear(self) -> RowOperator:
         """Its linear part in tiles, which is what is inverted."""
         return RowOperator(tensors_at(self.placed.model.linear, self.points), self.points)
-
-    def around(self, u: np.ndarray) -> np.ndarray:
-        """u [n, d] on all nodes that this rank feels."""
-        field = self.halo.felt(u)
-        return field if self._asked else self._rest
 
     def _pulled(self, force: Callable[[np.ndarray], np.ndarray], u: np.ndarray) -> np.ndarray:
         """A force of the placed law at this rank's interior nodes, shape [i, d]."""
@@ -251,9 +287,9 @@ class RowNonlinear:
         """Root mean square of |H| over all nodes within δ of unknown ones, of all ranks."""
         H, _ = self.placed.gradients(self.around(u))
         square = np.full(len(self.halo.x), -1.0)
-        if self._asked:
+        if self.asked:
             square[self.placed.sweeps.full] = (H**2).sum(axis=(-2, -1))
-        square = self.halo.largest(square)  # of its owner and of whoever feels it
+        square = self.halo.joined(square, np.maximum)  # of its owner and of whoever feels it
         felt = square >= 0
         added, count = total(self.points.comm, np.stack([square * felt, felt], axis=1))
         return float(np.sqrt(added / count))
@@ -269,6 +305,127 @@ class RowNonlinear:
             self, self.straight, self.inverse(1), piece.interior,
             clipped if self.strain > 0 else None, inner=piece.inner, kept=kept,
         )  # fmt: skip
+
+
+class OnRanks(OnPoints):
+    """A solid on ranks as torch sees it: its solve transposed, and derivatives to its numbers.
+
+    What is differentiated is the sum over ranks of what each makes of its own nodes. Load and
+    displacement of a rank get the part of its nodes, a number the whole on every rank. All ranks
+    run backwards together.
+
+    Args:
+        operator: of operator_on.
+        material: that it was made of.
+        solver: of its solves.
+    """
+
+    def __init__(self, operator: Any, material: Any, solver: Solver) -> None:
+        self.operator, self.points, self.solver = operator, operator.points, solver
+        self.bends, self.model = isinstance(operator, Felt), material
+        self.is_linear = not self.bends
+
+    @cached_property
+    def felt(self) -> Any:
+        """The law on the nodes that this rank feels, as that of one process."""
+        if self.bends:
+            return self.operator
+        if self.points.carrier:
+            return _Carried(self.operator)
+        stencil, piece = self.operator.stencil, self.points
+        reach = max(stencil.reach * piece.spacing, 2 * self.model.horizon)
+        return Felt(piece, reach * (1 + HORIZON_TOLERANCE), self.model.on)
+
+    def rest(self, b: Any, u: Any, solver: Solver = None) -> Solution:
+        """The Solution on this rank's nodes."""
+        return rest(self.operator, *checked_fields(self.points, b, u), solver)
+
+    @property
+    def learnable(self) -> dict[str, Any]:
+        """Numbers of the law by name, as on one process."""
+        law = self.operator.model if self.points.carrier else self.felt.placed
+        return law.learnable  # type: ignore[no-any-return]
+
+    def at(self, numbers: Mapping[str, Any]) -> OnRanks:
+        """The same with other numbers; InputError for those with which nothing is proven."""
+        old, piece = self.operator, self.points
+        if piece.carrier:
+            operator: Any = ScatteredOperator(old.model.having(numbers), piece, old.petsc, old)
+            return OnRanks(operator, operator.model, self.solver)
+        felt = copy(self.felt)
+        felt.placed = felt.placed.at(numbers)
+        model = felt.placed.model
+        if self.bends:
+            felt.model, felt.strain = model, float(model.proven_strain(piece.spacing))
+            return OnRanks(felt, model, self.solver)
+        made = OnRanks(RowOperator(proven_at(model, piece), piece, old.petsc), model, self.solver)
+        made.__dict__["felt"] = felt
+        return made
+
+    def _summed(self, each: Callable[[Any, np.ndarray], np.ndarray], u: Any, w: Any) -> np.ndarray:
+        """Over ranks, at the own nodes [S, n, d], of what a law makes of fields and weights."""
+        felt, pushed = self.felt, []
+        for one, weights in zip(u, w):
+            around = felt.around(one)
+            here = each(around, weights) if felt.asked else np.zeros_like(felt.halo.x)
+            pushed.append(felt.halo.joined(here, np.add))
+        return np.array(pushed)
+
+    def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """The derivative transposed: of w on the interior [..., i, d], on all nodes [..., n, d]."""
+        flat = [one.reshape(-1, *one.shape[-2:]) for one in (np.asarray(u), w)]
+        found = self._summed(lambda *of: self.felt.placed.product_transpose(*of), *flat)
+        return found.reshape(np.shape(u))
+
+    def load_transpose(self, w: np.ndarray) -> np.ndarray:
+        """`load` transposed, of w on the interior [..., i, d], on all nodes [..., n, d]."""
+        if not self.points.carrier:
+            return self.on_all(w)
+        flat, none = w.reshape(-1, *w.shape[-2:]), np.zeros((w[..., 0, 0].size, *self.shape))
+        found = self._summed(lambda _, one: self.felt.placed.load_transpose(one), none, flat)
+        return found.reshape(*w.shape[:-2], *self.shape)
+
+    def transposed(self, u: np.ndarray, g: np.ndarray) -> np.ndarray:
+        """L′⁻ᵗ of g on the interior, [S, i, d] or one alone, at fields [S, n, d]."""
+        tolerance = TOLERANCE if self.solver is None else self.solver.tolerance  # type: ignore[union-attr]
+        g = g.reshape(len(u), -1, g.shape[-1])
+        if not self.bends:
+            return np.array([self.operator.inverted(one, tolerance)[0] for one in g])
+        return np.array([self._by_steps(*pair, tolerance) for pair in zip(u, g)])
+
+    def _by_steps(self, field: np.ndarray, g: np.ndarray, tolerance: float) -> np.ndarray:
+        """The same of one, by GMRES on what the linear part makes of residuals."""
+        inside, inner, inverse = self.points.interior, self.points.inner, self.operator.inverse(1)
+
+        def product(w: np.ndarray) -> np.ndarray:
+            return self.product_transpose(field, w)[inside]
+
+        w, size, left = np.zeros_like(g), inner.norm(g), g
+        for _ in range(ROUNDS):
+            if inner.norm(left) <= tolerance * size:
+                return w
+            w = w + gmres(lambda p: inverse(product(p), STAGE), inverse(left, STAGE), inner)
+            left = g - product(w)
+        raise InputError(f"solve: {SINGULAR}")
+
+    def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Derivatives of Σ w · force(u) to a number, of fields [K, n, d], summed over ranks."""
+        around, own = np.stack([self.felt.around(one) for one in u]), np.shape(self.learnable[name])
+        found: Any = np.zeros(own)
+        if self.felt.asked:
+            found = self.felt.placed.slopes([name], around, w)[name]
+        return self.points.sum(np.reshape(found, (1, *own)))
+
+
+class _Carried:
+    """The same of scattered points, as Felt."""
+
+    def __init__(self, operator: ScatteredOperator) -> None:
+        self.halo, through = operator.halo, operator.through
+        self.asked, self.around = through is not None, self.halo.felt
+        if through is not None:
+            given: dict[str, Any] = {"allow_uncertified": True, "carrier": through}
+            self.placed = operator.model.on(through.points, **given)
 
 
 class Kept:
