@@ -10,6 +10,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from copy import deepcopy
+from functools import wraps
 from importlib import import_module
 from inspect import signature
 from typing import TYPE_CHECKING, Any, Protocol, Self, overload
@@ -97,6 +98,21 @@ def _torch() -> Any:
     return import_module("warp_peri.core.tensors")
 
 
+def uncompiled(call: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that torch.compile leaves as it is: what it does is no program of torch."""
+    made: list[Callable[..., Any]] = []
+
+    @wraps(call)
+    def plainly(*given: Any, **options: Any) -> Any:
+        if (compiler := sys.modules.get("torch._dynamo")) is None:
+            return call(*given, **options)
+        if not made:
+            made.append(compiler.disable(call))
+        return made[0](*given, **options)
+
+    return plainly
+
+
 class OnPoints(Remade):
     """What operators share: NumPy in, NumPy out; torch in, differentiable torch out.
 
@@ -127,6 +143,7 @@ class OnPoints(Remade):
     def __call__(self, u: np.ndarray) -> np.ndarray: ...
     @overload
     def __call__(self, u: Tensor) -> Tensor: ...
+    @uncompiled
     def __call__(self, u: Any) -> Any:
         """Minus the internal force density on the interior; InputError for another shape."""
         return self.force_in_torch(u) if is_tensor(u) else self.force(u)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from warp_peri.contract import offered
+from warp_peri.contract import offered, uncompiled
 from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.statics.solution import Solution, Solver, told
 
@@ -39,7 +39,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
         refuse_learning(problem, options, "solve")
     if _on_ranks(problem):
         return told(lambda: problem.points.solve(material, problem, solver, options))
-    return told(lambda: solved(material, solver, options))
+    return told(uncompiled(lambda: solved(material, solver, options)))
 
 
 def move(material: Any, problem: Any, **options: Any) -> Motion:
@@ -65,7 +65,7 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
         refuse_learning(problem, options, "move")
     if _on_ranks(problem):
         return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
-    return moved(material, options)  # type: ignore[no-any-return]
+    return uncompiled(moved)(material, options)  # type: ignore[no-any-return]
 
 
 def _on_ranks(problem: Any) -> bool:

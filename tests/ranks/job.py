@@ -18,6 +18,7 @@ from types import SimpleNamespace
 
 import h5py
 import numpy as np
+import torch
 
 import warp_peri as wp
 from tests.conformance.test_laws import dressed, finite
@@ -262,6 +263,34 @@ def waves(points, folder):
 SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
 
 
+SLOPES = {
+    "LPS": (solid(2), inside, fields, {"lam": 0.91, "mu": 0.41, "alpha": 1.02, "D": [1, 0.62, 0.3]}),
+    "rim": (solid(2), rim, fields, {"mu": 0.41}),
+    "third order": (nonlinear(), inside, small, {"t3": -3.1, "tq2": -2.1, "q3": 0.52}),
+    "scattered": (carried(), None, fields, {"mu": 0.41, "alpha": 1.02}),
+}
+"""Laws, unknown nodes and fields; numbers beside their own."""
+
+
+def slopes(name):
+    """Gradients to b, u [2, N, d] and numbers of a number of two bodies at rest, on all nodes."""
+    law, unknown, given, numbers = SLOPES[name]
+    x = H * np.argwhere(np.ones((52, 52)))
+    whole = scattered() if unknown is None else wp.Points(x, unknown(x), H, axis=0.0)
+    points = partition(whole)
+    solver = (wp.Newton if "third" in name else wp.Krylov)(tolerance=1e-13)
+    solver = solver if points is not whole or unknown is not None else None
+    b, u = (np.stack([field, 0.5 * field[:, ::-1]]) for field in given(points.x))
+    leaves = [torch.tensor(v, dtype=torch.float64, requires_grad=True)
+              for v in (b, u, *numbers.values())]  # fmt: skip
+    extra = {"parameters": dict(zip(numbers, leaves[2:]))}
+    found = wp.solve(law, wp.Dirichlet(points, *leaves[:2]), solver=solver, **extra).u
+    seed = torch.from_numpy(np.sin(points.x))
+    by = [one.numpy() for one in torch.autograd.grad(((found + seed) * found).sum(), leaves)]
+    by[:2] = (gather(points, np.ascontiguousarray(np.moveaxis(one, 0, 1))) for one in by[:2])
+    return dict(zip(("b", "u", *numbers), by))
+
+
 def by_newton(points, folder):
     """Where the fixed point has no time to get."""
     steps, fixed_point.MOST_STEPS = fixed_point.MOST_STEPS, 2
@@ -334,6 +363,10 @@ def rest(folder):
     found["grid"] = points.tiles.grid
     found["unfit"] = unfit(folder / "unfit.h5")
     kept(folder, "transferred", SimpleNamespace(comm=comm, gather=np.asarray), transferred())
+    for name in SLOPES:
+        by = slopes(name)
+        if comm.rank == 0:
+            np.savez(folder / f"slopes_{name}_{comm.size}.npz", **by)
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     found["refused"] = [told_by(wrong) for wrong in (
         lambda: solid(3).on(points)(u),

@@ -17,6 +17,7 @@ from examples.large_plate import main as large_plate
 from tests.ranks.job import (
     ASKED,
     LOOSE,
+    SLOPES,
     SWING,
     H,
     block,
@@ -30,6 +31,7 @@ from tests.ranks.job import (
     nonlinear,
     proofs,
     scattered,
+    slopes,
     small,
     solid,
     transferred,
@@ -179,6 +181,21 @@ def test_a_dressed_solid_has_the_same_bits_and_those_of_one_process_nearly(jobs,
     alone = wp.solve(even(), wp.Dirichlet(wp.Points(x, inside(x), H, axis=0.0), *fields(x))).u
     answer = np.load(folder / "dressed_2.npy")
     assert np.abs(answer - alone).max() <= 1e-7 * np.abs(alone).max()
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("name", SLOPES)
+def test_gradients_through_a_solve_are_those_of_one_process(name, jobs, folder):
+    """To load, what is held and numbers, by one transposed solve."""
+    alone = slopes(name)
+    for count in (1, 2, 3):
+        place = folder if count == 2 else folder / str(count)
+        there = np.load(place / f"slopes_{name}_{count}.npz")
+        assert set(there) == set(alone)
+        for key, value in alone.items():
+            size = np.abs(value).max()
+            assert size > 0
+            assert np.abs(there[key] - value).max() <= 1e-12 * size, (count, key)
 
 
 def test_a_very_small_load_of_a_nonlinear_solid_is_answered_in_proportion(jobs):

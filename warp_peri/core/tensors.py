@@ -16,7 +16,7 @@ import torch
 from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
-from warp_peri.contract import SINGULAR, placed
+from warp_peri.contract import SINGULAR, placed, uncompiled
 from warp_peri.errors import InputError
 
 Backward = Callable[..., tuple[torch.Tensor | None, ...]]
@@ -296,7 +296,8 @@ class _AtRest(torch.autograd.Function):
         answer, _, _, *numbers = ctx.saved_tensors
         u, g = (one.detach().numpy() for one in (answer, upstream[0].contiguous()))
         w, *by = _pulled(operator, u, g, ctx.solver)
-        u, w = (one.reshape(-1, *one.shape[-len(operator.shape) :]) for one in (u, -w))
+        u = u.reshape(-1, *operator.shape)
+        w = -w.reshape(len(u), *w.shape[-len(operator.shape) :])  # of a rank it may be empty
         found = by_numbers(operator, [n for n, one in zip(ctx.names, asked) if one], u, w)
         held = [one for one in operator.networks if one.requires_grad]
         if held:

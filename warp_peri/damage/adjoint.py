@@ -194,7 +194,7 @@ class Breakings:
         fields = [as_tensor(*pair).to("cpu", torch.float64) for pair in zip("buv", given)]
         if count := sum(map(len, self.broken.values())):
             told = f"move: {count} ends of bonds broke, and derivatives are those between breakings"
-            warnings.warn(told, stacklevel=4)
+            warnings.warn(told, stacklevel=5)
         ends = np.array([motion.u, motion.v])
         both: Any = tensors.nonlinear(
             lambda _: ends, None, (lambda _, g: self.back(*g),), torch.stack(fields)

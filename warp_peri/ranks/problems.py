@@ -373,7 +373,8 @@ class OnRanks(OnPoints):
 
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """The derivative transposed: of w on the interior [..., i, d], on all nodes [..., n, d]."""
-        flat = [one.reshape(-1, *one.shape[-2:]) for one in (np.asarray(u), w)]
+        fields = np.reshape(u, (-1, *self.shape))
+        flat = fields, w.reshape(len(fields), *w.shape[-2:])
         found = self._summed(lambda *of: self.felt.placed.product_transpose(*of), *flat)
         return found.reshape(np.shape(u))
 
@@ -381,14 +382,15 @@ class OnRanks(OnPoints):
         """`load` transposed, of w on the interior [..., i, d], on all nodes [..., n, d]."""
         if not self.points.carrier:
             return self.on_all(w)
-        flat, none = w.reshape(-1, *w.shape[-2:]), np.zeros((w[..., 0, 0].size, *self.shape))
+        none = np.zeros((int(np.prod(w.shape[:-2])), *self.shape))
+        flat = w.reshape(len(none), *w.shape[-2:])
         found = self._summed(lambda _, one: self.felt.placed.load_transpose(one), none, flat)
         return found.reshape(*w.shape[:-2], *self.shape)
 
     def transposed(self, u: np.ndarray, g: np.ndarray) -> np.ndarray:
         """L′⁻ᵗ of g on the interior, [S, i, d] or one alone, at fields [S, n, d]."""
         tolerance = TOLERANCE if self.solver is None else self.solver.tolerance  # type: ignore[union-attr]
-        g = g.reshape(len(u), -1, g.shape[-1])
+        g = g.reshape(len(u), *g.shape[-2:])
         if not self.bends:
             return np.array([self.operator.inverted(one, tolerance)[0] for one in g])
         return np.array([self._by_steps(*pair, tolerance) for pair in zip(u, g)])
