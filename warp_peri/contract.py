@@ -175,14 +175,14 @@ class OnPoints(Remade):
         """`rest` of tensors, differentiable in both and in numbers: core.tensors.at_rest."""
         return _torch().at_rest(self, b, u, solver, parameters)
 
-    def slopes(self, names: list[str], u: Any, w: Any) -> dict[str, Any]:
+    def number_slopes(self, names: list[str], u: Any, w: Any) -> dict[str, Any]:
         """Derivatives of Σ w · force(u) to some of `learnable`, of fields [K, N, d] and weights."""
         return _torch().by_numbers(self, names, u, w)  # type: ignore[no-any-return]
 
     @property
     def held(self) -> np.ndarray:
         """Which components of fields a solve is given, of a shape that broadcasts to [N, d]."""
-        return ~self.points.interior.reshape(-1, *[1] * (len(self.shape) - 1))
+        return np.asarray(~self.points.interior.reshape(-1, *[1] * (len(self.shape) - 1)))
 
     def stiffness_at(self, u: Any) -> Any:
         """The derivative of the force at a field, between interior nodes, sparse [d I, d I]: of

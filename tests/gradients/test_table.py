@@ -1,11 +1,14 @@
 """Every gradient of every material: force, solve and move against central differences."""
 
+import re
+from pathlib import Path
+
 import pytest
 import torch
 
 import warp_peri as wp
 from tests.conformance.test_gradients import LINEAR, OPERATORS, field
-from tests.gradients.cases import CASES, FOUND, MATERIALS, REFUSED, VERBS, WAVES
+from tests.gradients.cases import CASES, ELSEWHERE, FOUND, MATERIALS, REFUSED, VERBS, WAVES
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 FIELDS = ("b", "u", "v", "signal")
@@ -19,7 +22,7 @@ def made():
 
 
 LONG = [
-    ("solve", "dressed, finite strain"),
+    *(("solve", name) for name in ("dressed, finite strain", "scattered")),
     *(("move", name) for name in ("LPS in space", "crystal in space", "dressed, bonds")),
 ]
 CELLS = [
@@ -45,3 +48,13 @@ def test_a_gradient_is_that_of_differences(verb, name, made):
     for key, error in found.items():
         linear = key in FIELDS and name in LINEAR
         assert error <= (1e-8 if linear else 1e-6), (verb, name, key)
+
+
+def test_no_material_of_the_library_lacks_its_rows(made):
+    files = Path(wp.__file__).parent.rglob("*.py")
+    texts = "".join(path.read_text(encoding="utf-8") for path in files)
+    kinds = set(re.findall(r'^class (\w+)\([^)]*format="warp_peri', texts, re.MULTILINE))
+    shown = set()
+    for op in map(made, MATERIALS):
+        shown |= {type(one).__name__ for one in (op.model, getattr(op, "home", None))}
+    assert kinds - shown == set(ELSEWHERE)

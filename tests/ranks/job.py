@@ -264,7 +264,7 @@ SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
 
 
 SLOPES = {
-    "LPS": (solid(2), inside, fields, {"lam": 0.91, "mu": 0.41, "alpha": 1.02, "D": [1, 0.62, 0.3]}),
+    "LPS": (solid(2), inside, fields, {"lam": 0.91, "mu": 0.41, "alpha": 1.02, "D": [1, 0.6, 0.2]}),
     "rim": (solid(2), rim, fields, {"mu": 0.41}),
     "third order": (nonlinear(), inside, small, {"t3": -3.1, "tq2": -2.1, "q3": 0.52}),
     "scattered": (carried(), None, fields, {"mu": 0.41, "alpha": 1.02}),

@@ -98,8 +98,7 @@ def nonlinear(make: Any, along: Any, backs: tuple[Any, ...], *of: torch.Tensor) 
         of: the fields.
     """
     tangent, *each = (
-        partial(_once, partial(_called, one)) if one else _refused
-        for one in (along, *backs)
+        partial(_once, partial(_called, one)) if one else _refused for one in (along, *backs)
     )
     return _made(partial(_called, make), tangent, each, *of)
 
@@ -419,6 +418,7 @@ class Module(torch.nn.Module):
         if isinstance(self.operator.model, torch.nn.Module):
             self.networks = self.operator.model
 
+    @uncompiled
     def forward(self, u: torch.Tensor) -> torch.Tensor:
         """The force on the interior nodes [stress/length], [..., I, d] of u [..., N, d]."""
         operator, numbers = self.operator, dict(self.named_parameters(recurse=False))

@@ -74,7 +74,7 @@ class CutSolid(OnPoints):
         one = self.model.mu, self.model.lam - self.model.mu
         mu, excess = one if self.one else material.moduli(body, weights)
         self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess)
-        self.free, self.inside = ~held.ravel(), ~held.all(axis=1)
+        self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
         inner = self.matrix[self.free][:, self.free]
         if self.one and (weights < 0).any():
             check_cut(inner)
@@ -91,7 +91,7 @@ class CutSolid(OnPoints):
         return np.asarray(~self.free.reshape(self.body.x.shape))
 
     @cached_property
-    def points(self) -> Points:  # type: ignore[override]
+    def points(self) -> Points:
         """The nodes; those free in part are interior."""
         return Points(self.body.x, self.inside, self.body.spacing, units=self.model.units)
 
@@ -145,6 +145,10 @@ class CutSolid(OnPoints):
         """The force of tensors [S, N, d] with other numbers, which has every derivative."""
         force = in_torch().bond_force(self.model, self.body, self.neighbour, u, numbers)
         return force[:, self.inside]
+
+    def stiffest_wave(self) -> float:
+        """Raises InputError: what moves is a BrittleSolid, which is held as its problem says."""
+        raise InputError("move: expected a Cracked of a BrittleSolid, got a cut solid at rest")
 
     def energy(self, u: np.ndarray) -> Any:
         """Elastic energy [stress · length^d], bonds among held nodes included, shape [...]."""

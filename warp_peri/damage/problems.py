@@ -10,13 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import is_tensor, offered, refuse_uncut, taken
-from warp_peri.damage.cut_solid import (
-    CutSolid,
-    crack_area,
-    crack_load,
-    in_torch,
-    opening_volume,
-)
+from warp_peri.damage.cut_solid import CutSolid, crack_area, crack_load, in_torch, opening_volume
 from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody, BreakingState
@@ -147,7 +141,9 @@ class Cracked:
         load, u, v = (one.detach().numpy() if is_tensor(one) else one for one in given)
         moving = BreakingBody(material, body, load=load, held=self.held, **how)
         state = moving.start(u=u, v=v, cracks=self.cracks, **begin)
-        path = in_torch().Breakings(moving, state, records["step"], run["steps"]) if learns else None
+        path = (
+            in_torch().Breakings(moving, state, records["step"], run["steps"]) if learns else None
+        )
         motion = broken(CrackRun(moving, **records), state, run)
         fields = (0 * body.x if one is None else one for one in given)
         return path.told(motion, *fields) if path else motion

@@ -180,10 +180,7 @@ class CoupledOperator(OnPoints):
         diffusion = self.diffusion.at(_of_conductor(numbers))
         model = self.model.model.having({n: numbers[n] for n in self.model.model.learnable})
         material = replace(
-            self.model,
-            model=model,
-            conductor=diffusion.model,
-            coupling=float(numbers["coupling"]),
+            self.model, model=model, conductor=diffusion.model, coupling=float(numbers["coupling"])
         )
         return CoupledOperator(material, self.points, kappa=diffusion.given, neighbour=self.table)
 

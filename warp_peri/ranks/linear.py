@@ -248,7 +248,8 @@ class ScatteredOperator:
         self.points, self.petsc = piece, petsc
         felt = FINER * carrier * TOUCH
         stencil = carrier * np.ceil(2 * model.horizon / carrier)
-        self.halo = halo = like.halo if like else NodeHalo(piece, 2 * felt + 2 * stencil)
+        halo: NodeHalo = like.halo if like else NodeHalo(piece, 2 * felt + 2 * stencil)
+        self.halo: NodeHalo = halo
         inside = np.zeros(len(halo.x), bool)
         inside[halo.own] = piece.interior
         self.through: ThroughLattice | None = None  # where no node is unknown

@@ -34,13 +34,7 @@ from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.halo import NodeHalo
-from warp_peri.ranks.linear import (
-    RowOperator,
-    ScatteredOperator,
-    one_node,
-    proven_at,
-    tensors_at,
-)
+from warp_peri.ranks.linear import RowOperator, ScatteredOperator, one_node, proven_at, tensors_at
 from warp_peri.ranks.petsc import petsc as loaded
 from warp_peri.ranks.processes import build, in_turn, total
 from warp_peri.statics.conjugate_gradients import SolveRecord, gmres, norm
@@ -98,9 +92,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     return learned
 
 
-def rest(
-    operator: Any, b: np.ndarray, u: np.ndarray, solver: Solver, path: Any = None
-) -> Solution:
+def rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Solver, path: Any = None) -> Solution:
     """The Solution of `solve`, of what is on a piece, with a checkpoint where there is a path."""
     piece, bends = operator.points, hasattr(operator, "equilibria")
     kind = Newton if bends else Krylov
@@ -400,12 +392,12 @@ class OnRanks(OnPoints):
         inside, inner, inverse = self.points.interior, self.points.inner, self.operator.inverse(1)
 
         def product(w: np.ndarray) -> np.ndarray:
-            return self.product_transpose(field, w)[inside]
+            return np.asarray(self.product_transpose(field, w)[inside])
 
         w, size, left = np.zeros_like(g), inner.norm(g), g
         for _ in range(ROUNDS):
             if inner.norm(left) <= tolerance * size:
-                return w
+                return np.asarray(w)
             w = w + gmres(lambda p: inverse(product(p), STAGE), inverse(left, STAGE), inner)
             left = g - product(w)
         raise InputError(f"solve: {SINGULAR}")
@@ -415,8 +407,8 @@ class OnRanks(OnPoints):
         around, own = np.stack([self.felt.around(one) for one in u]), np.shape(self.learnable[name])
         found: Any = np.zeros(own)
         if self.felt.asked:
-            found = self.felt.placed.slopes([name], around, w)[name]
-        return self.points.sum(np.reshape(found, (1, *own)))
+            found = self.felt.placed.number_slopes([name], around, w)[name]
+        return np.asarray(self.points.sum(np.reshape(found, (1, *own))))
 
 
 class _Carried:
