@@ -29,7 +29,7 @@ from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweeps
 from warp_peri.lps.model import Model
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
@@ -84,6 +84,10 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
         petsc = _by_petsc(getattr(solver, "preconditioner", None))
+        given = {n: np.asarray(plain(n, v.detach() if is_tensor(v) else v)).tolist()
+                 for n, v in (numbers or {}).items()}  # fmt: skip
+    if any(others != given for others in piece.comm.allgather(given)):
+        raise InputError("parameters: expected the same on every rank")
     operator = operator_on(material, piece, petsc)
     if not learns:
         return rest(operator, b, u, solver, path)
