@@ -273,14 +273,15 @@ SLOPES = {
 
 
 def slopes(name):
-    """Gradients to b, u [2, N, d] and numbers of a number of two bodies at rest, on all nodes."""
+    """Gradients to b, u [S, N, d] and numbers of a number of bodies at rest, on all nodes."""
     law, unknown, given, numbers = SLOPES[name]
     x = H * np.argwhere(np.ones((52, 52)))
     whole = scattered() if unknown is None else wp.Points(x, unknown(x), H, axis=0.0)
     points = partition(whole)
     solver = (wp.Newton if "third" in name else wp.Krylov)(tolerance=1e-13)
     solver = solver if points is not whole or unknown is not None else None
-    b, u = (np.stack([field, 0.5 * field[:, ::-1]]) for field in given(points.x))
+    count = 1 if "third" in name else 2
+    b, u = (np.stack([field, 0.5 * field[:, ::-1]][:count]) for field in given(points.x))
     leaves = [torch.tensor(v, dtype=torch.float64, requires_grad=True)
               for v in (b, u, *numbers.values())]  # fmt: skip
     extra = {"parameters": dict(zip(numbers, leaves[2:]))}

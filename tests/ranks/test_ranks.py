@@ -46,7 +46,7 @@ MPIEXEC = Path(sys.executable).with_name("mpiexec")
 if not MPIEXEC.exists():
     pytest.skip("no mpiexec beside Python: pip install 'warp_peri[mpi]'", allow_module_level=True)
 ROOT = Path(__file__).parent.parent.parent
-LIMIT = 240
+LIMIT = 300
 """Seconds that a job may take, on however busy a machine."""
 
 
