@@ -93,6 +93,9 @@ class Periodic:
         b: body force density [stress/length], shape [N, d] or [S, N, d]; its mean is removed. Of
             tensors the answer is one, as of a Dirichlet.
 
+    `solve` raises InputError for points that are no lattice with a box, for nodes that are not
+    interior, for a load of another shape, and for a material that solves no periodic problems.
+
     >>> sheet = wp.Points.sheet((12, 12), 5.0)
     >>> wp.solve(model, wp.Periodic(sheet, 1e-4 * np.sin(2 * np.pi * sheet.x / 60))).u.shape
     (144, 2)
@@ -119,13 +122,18 @@ class Body:
     """A body with free edges on a mesh: held in part, pulled in part (theory, B1–B7).
 
     Attributes:
-        mesh: the body, triangles or, of a crystal in space, tetrahedra.
-        displacement: [length] by part of the outline, vectors or functions of positions [n, d];
-            NaN leaves a component free.
-        traction: force per area [stress] by part, or functions of positions and outward normals.
-        b: body force density [stress/length] as a function of positions [n, d].
-        edge: stiffness of an edge of its own [stress · length] by part (B10).
+        mesh: the body, triangles or, of a crystal in space, tetrahedra; its positions [length].
+        displacement: [length] by part of the outline: a vector [d], or a function of positions
+            [n, d] that gives [n, d]; NaN leaves a component free.
+        traction: force per area [stress] by part: a vector [d], or a function of positions and
+            outward normals [n, d] that gives [n, d].
+        b: body force density [stress/length], a function of positions [n, d] that gives [n, d].
+        edge: stiffness of an edge of its own [stress · length] by part, a number each (B10).
         coupling: how elements and lattice meet.
+
+    `solve` raises InputError for parts that the mesh does not have, fields of other shapes or not
+    finite, a body that is free to move, a hole narrower than the overlap, another unit or
+    dimension, and a material that is not linear or not positive definite.
 
     >>> body = wp.Body(mesh, {"left": (0.0, 0.0)}, {"right": (0.005, 0.0)})
     >>> wp.solve(model, body).residual < 1e-8

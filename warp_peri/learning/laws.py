@@ -43,6 +43,9 @@ class LPS:
             fit displacement; "auto" takes the residual where noise does not matter.
         normalise: divide each sample by ‖b‖ in the residual.
 
+    `fit` raises InputError for a horizon below one spacing and for settings of other kinds;
+    RuntimeError where no start of the search keeps the conditions.
+
     >>> wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).certificate.holds
     True
     """

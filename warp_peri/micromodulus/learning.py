@@ -261,13 +261,13 @@ class Micromodulus:
     """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory, T).
 
     Attributes:
-        horizon: length of the longest bond.
+        horizon: length of the longest bond [length].
         symmetry: name of the crystal's point group, rotations, or "auto": the largest group with
             which the fit is as good as without one.
-        orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
-            the points' own axis by default.
+        orientation: the crystal's axes in the coordinates of the points, columns of a rotation
+            [d, d], or degrees; the points' own axis by default.
         moduli: "long waves" holds those that a fit of long waves finds, None holds none, a Voigt
-            matrix (crystal's axes) [stress] holds its own.
+            matrix (crystal's axes) [stress], shape [3, 3], in space [6, 6], holds its own.
         normalise: weigh each sample by 1/‖b‖.
 
     `fit` raises InputError for several sets, scattered points, or a symmetry that is none.
