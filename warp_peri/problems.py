@@ -109,7 +109,7 @@ class Periodic:
         """The material at rest, with a displacement of zero mean."""
         extra = {name: options.pop(name) for name in ("parameters",) if name in options}
         operator = placed(material, nodes_of(self.points), **options)
-        rest = offered(operator, "rest_periodic", "solve", "a law that solves periodic problems")
+        rest = offered(operator, "rest_periodic", "solve", "a model that solves periodic problems")
         if extra or is_tensor(self.b):
             zero = 0 * self.b.detach() if is_tensor(self.b) else np.zeros(np.shape(self.b))
             return operator.rest_in_torch(self.b, zero, solver, **extra)  # type: ignore[no-any-return]

@@ -135,7 +135,7 @@ class ThirdOrder:
             raise InputError(f"form: expected 'auto', 'filtered' or 'energy', got {form!r:.50}")
         if isinstance(self.linear, Micromodulus):
             if noise:
-                raise InputError("noise: expected none for micromodulus tensors")
+                raise InputError("noise: expected none for a crystal model")
             return _on_tensors(self.linear, samples, self.smoothing, form)
         if filtered != (form == "filtered"):
             raise InputError(
@@ -155,7 +155,7 @@ def _on_tensors(
     """
     if not isinstance(smoothing, Smoothing):
         raise InputError(
-            f"smoothing: expected Smoothing(…) beside such tensors, got {smoothing!r:.60}"
+            f"smoothing: expected Smoothing(…) for a crystal model, got {smoothing!r:.60}"
         )
     if linear.moduli is None:
         raise InputError("moduli: expected some that are held, beside third-order constants")
@@ -204,7 +204,7 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
     >>> round(wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).material.mu, 3)
     0.7
     """
-    learned = offered(law, "learn", "fit", "a law: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
+    learned = offered(law, "learn", "fit", "a model: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
     if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
         (options,) = taken(options, "fit", learned)
     return learned(samples, **options)

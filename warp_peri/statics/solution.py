@@ -231,14 +231,14 @@ class Solution(Shown):
             return np.asarray(self.details.on_corners()[1])
         stress = self.operator.stress(self._values)
         if stress is None:
-            raise InputError("stress: this law has none")
+            raise InputError("stress: this model has none")
         return np.asarray(stress)
 
     def energy(self) -> np.ndarray:
         """Elastic energy, as the operator's `energy`; InputError for a law without one."""
         energy = self.operator.energy(self._values)
         if energy is None:
-            raise InputError("energy: this law has none")
+            raise InputError("energy: this model has none")
         return np.asarray(energy)
 
     def at(self, x: np.ndarray) -> np.ndarray:

@@ -213,7 +213,7 @@ def picture(found: LearnedCrystal) -> Figure:
         dispersion.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
         dispersion.plot(reach[::3], true[::3], ".", color=f"C{number}")
     dispersion.set(xlabel="|k| h", ylabel="√Λ(k) [√(GPa/Å²)]")
-    dispersion.set_title("law (lines), atoms (dots), local (dotted)")
+    dispersion.set_title("model (lines), atoms (dots), local (dotted)")
     dispersion.legend(frameon=False)
     polar: Any = figure.add_subplot(1, 3, 2, projection="polar")
     angle, young = found.directional()
@@ -226,7 +226,7 @@ def picture(found: LearnedCrystal) -> Figure:
     for shift, name in ((-0.2, "law"), (0.2, "local")):
         bars.bar(place + shift, [e[name] for e in found.unseen.values()], 0.38, label=name)
     bars.set_xticks(place, [name.replace(" of ", "\n") for name in found.unseen])
-    bars.set(ylabel="E_u [%]", title="loads that the law never saw")
+    bars.set(ylabel="E_u [%]", title="loads that the model never saw")
     bars.legend(frameon=False)
     return figure
 
@@ -403,7 +403,7 @@ class LearnedCrystal(Shown):
         words = f"D(k) ≥ {1e3 * told.proven * left:.4g} GPa s(k)" if left > 0 else "nothing"
         return [
             (f"proven at moduli less {BARS} standard errors",
-             f"{words}, of the law with all bonds {BARS * self.unsure:.2%} softer")
+             f"{words}, of the model with all bonds {BARS * self.unsure:.2%} softer")
         ]  # fmt: skip
 
     def plot(self) -> Any:
