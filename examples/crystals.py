@@ -249,9 +249,9 @@ def told(name: str, found: dict[str, Any]) -> str:
         ),
         "acoustic branches to kh = π/2, largest error: "
         + ", ".join(f"{path} {value:.1f} %" for path, value in found["dispersion"].items()),
-        "E_u on loads never seen [%]   waves ≥ 4h   2.7–4h   free ball   void   ball, law at rest",
+        "E_u on loads never seen [%]   waves ≥ 4h   2.7–4h   free ball   void   ball, unstrained",
     ]
-    rows = {"this law": found, **found["rivals"]}
+    rows = {"this model": found, **found["rivals"]}
     names = {"Q1": "Q1, true moduli", "local": "local, no mesh error", "lps": "isotropic LPS"}
     for key, row in rows.items():
         values = [row["E_u"][load] for load in ON_LOADS]
@@ -261,7 +261,7 @@ def told(name: str, found: dict[str, Any]) -> str:
         lines.append(
             "the ball's surface strains its inside by "
             + ", ".join(f"{e:.3f}" for e in found["squeezed"])
-            + " %: its law is of the crystal so strained; at rest: of the crystal at rest"
+            + " %: its model is of the crystal so strained; unstrained: of the crystal without"
         )
     return "\n".join(lines)
 
@@ -280,7 +280,7 @@ def picture(name: str, path: Path) -> None:
         true, own = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k))) for D in (atoms.effective, law.symbol))
         axes.plot(reach, own, color=f"C{number}", label=[label, *[None] * (law.dimension - 1)])
         axes.plot(reach[::3], true[::3], ".", color=f"C{number}")
-    axes.set(xlabel="|k| h", ylabel="√Λ(k) [√(GPa/Å²)]", title="law (lines) and atoms (dots)")
+    axes.set(xlabel="|k| h", ylabel="√Λ(k) [√(GPa/Å²)]", title="model (lines) and atoms (dots)")
     axes.legend(frameon=False)
     angle, one = np.linspace(0, 2 * np.pi, 181), np.eye(law.dimension)
     along = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])

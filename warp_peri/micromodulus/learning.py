@@ -233,7 +233,7 @@ def long_waves_of_data(
     unit = symbols(samples.points.units)[1]
     told = [", ".join(f"{k} {v:.4g}" for k, v in each.items()) for each in (moduli, best)]
     return best, (
-        f"moduli: of long waves the fit has {told[0]} {unit}, a crystal model of the data {told[1]}, "
+        f"moduli: of long waves the fit has {told[0]} {unit}, a crystal model has {told[1]}, "
         "more apart than their spread: --law tensors, Micromodulus(…), has them"
     )
 
