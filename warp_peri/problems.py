@@ -33,8 +33,8 @@ class Dirichlet:
     Attributes:
         points: a lattice or scattered points, or samples on them.
         b: body force density [stress/length], shape [N, d] or [S, N, d]; None for no load. Only
-            interior values count; on scattered points also those of the collar beside it, since
-            the load is carried as a density. Of diffusion the source, shape [N]. Of tensors the
+            interior values count; on scattered points also those of the collar next to it, since
+            the load goes over as a density. Of diffusion the source, shape [N]. Of tensors the
             answer is one, differentiable in b, u and `parameters`.
         u: displacement [length], same shape; only collar values count. Of diffusion φ, [N].
 

@@ -101,7 +101,7 @@ class ThirdOrder:
 
     Attributes:
         linear: the linear solid, learned with them: by Optimum, of Bernstein polynomials, on
-            lattices of one spacing. Moduli held isotropic, two influence functions and normalised
+            lattices of one spacing. Isotropic moduli, two influence functions and normalised
             samples are the better choice. Or Micromodulus(…), whose tensors are learned with the
             constants by one least squares (N22–N29).
         smoothing: of the data, for the filtered form; None learns the energy form. Tensors need it
@@ -187,17 +187,17 @@ def fit(samples: Sets, law: ThirdOrder, **options: Any) -> Any: ...
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
 def fit(samples: Any, law: Any = None, **options: Any) -> Any:
-    """Learn a law from samples.
+    """Learn a material model from samples.
 
     Args:
         samples: one set or several; of a Dataset `train`, or its only set.
         law: what may be learned, and how: LPS(horizon, …), ThirdOrder(LPS(…)),
             tissue.Dictionary(…).
-        options: of the law's `learn`; all take `progress`, linear solids `noise`: fields of noise
+        options: of its `learn`; all take `progress`, linear solids `noise`: fields of noise
             alone on the nodes of each training set.
 
     Returns:
-        A fit with `material`, and with `certificate` and `history` where the law has them.
+        A fit with `material`, and with `certificate` and `history` where the model has them.
 
     Raises InputError for input that cannot be used, RuntimeError where a search fails.
 

@@ -78,9 +78,9 @@ def predict(
     """The cheapest answer that keeps a tolerance, and how wrong it is.
 
     Args:
-        material: a family, from fit(samples, prediction.learning.Family(…)), or the PlacedMembers
-            of one where the same points are asked again. A crystal of `from_atoms` whose moduli
-            have standard errors tells those alone, and says so.
+        material: an ensemble, from fit(samples, prediction.learning.Family(…)), or its
+            PlacedMembers where the same points are asked again. A crystal of `from_atoms` whose
+            moduli have standard errors gives those alone, and says so.
         problem: Dirichlet(points, b, u), or Body(mesh, …) for the linear part.
         tolerance: largest displacement error, relative to the displacement of the interior; None
             for the best answer, with its error.
@@ -89,8 +89,8 @@ def predict(
     Returns:
         An answer, or one for each of several loads. One whose tolerance is not kept says so.
 
-    Raises InputError for a material that is no family, a problem of another kind, a tolerance that
-    is no number above zero, and whatever `solve` refuses.
+    Raises InputError for a material that is no ensemble, a problem of another kind, a tolerance
+    that is no number above zero, and whatever `solve` refuses.
 
     >>> ensemble = wp.fit(samples, Family(wp.LPS(12.5, wp.Bernstein(3)))).material
     >>> bool(wp.predict(ensemble, wp.Dirichlet(points, b[0], u[0]), tolerance=0.05).kept)

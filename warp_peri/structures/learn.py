@@ -507,11 +507,11 @@ def from_atoms(
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
 ) -> LearnedCrystal:
-    """The law of a crystal from its structure and a calculator.
+    """The model of a crystal from its structure and a calculator.
 
     The structure is relaxed, checked (forces, stress, imaginary phonons), and brought to its
-    smallest cell; force constants are made, the law is learned from them or from loads, and put to
-    loads that it never saw.
+    smallest cell. Force constants are made, and the model is learned from them or from loads. It is
+    put to loads that it never saw.
 
     Args:
         atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.
@@ -525,11 +525,11 @@ def from_atoms(
         horizon: of the longest bond [Å]; by default 3 spacings, in space √6.
         supercell: repeats of the smallest cell for force constants; by default until forces end.
         symmetry: "auto" asks spglib, or a point group by name.
-        units: of the law: "ase", "metal", "si", or names of a length and a stress.
+        units: of the model: "ase", "metal", "si", or names of a length and a stress.
 
-    Moduli of long waves that are 2 % off those of finite strains are warned of. Raises InputError
-    for what is no crystal, does not come to rest, or has imaginary phonons, and for moduli that are
-    20 % off.
+    Moduli of long waves whose error is 2 % against finite strains are warned of. Raises InputError
+    for what is no crystal, does not relax, or has imaginary phonons, and for moduli whose error is
+    20 %.
 
     >>> from ase.build import bulk; from ase.calculators.emt import EMT
     >>> round(wp.from_atoms(bulk("Al"), EMT()).material.moduli("GPa")["C11"])
