@@ -158,7 +158,8 @@ def main(argv: list[str] | None = None) -> int:
             for at in (-40, -20, 0, 20, 40):
                 ax.annotate("", (at, 25 * side), (at, 20.5 * side),
                             arrowprops={"arrowstyle": "->", "color": "C0"})  # fmt: skip
-        ax.text(42, 21.5, "pull", color="C0")
+        ax.set_ylim(-27, 27)
+        ax.text(42, 22, "pull", color="C0")
         ax.plot([-50, 0], [0, 0], color="k", linewidth=1)
         ax.text(-30, 1.5, "notch")
     figure.colorbar(shown, ax=ax, label="share of broken bonds")

@@ -159,7 +159,7 @@ def draw(
     figure = Figure(figsize=(9, 3.8), layout="constrained")
     shown = {
         "Grains conduct better than the plate": ("conductivity", kappa),
-        "so that temperature is even inside them": ("temperature", solved),
+        "so that temperature hardly varies inside": ("temperature", solved),
     }
     for ax, (title, (name, values)) in zip(figure.subplots(1, 2, sharey=True), shown.items()):
         size = (180 / np.sqrt(free.sum())) ** 2  # of a node in the panel [points²]

@@ -128,7 +128,7 @@ def main(argv: list[str] | None = None) -> int:
     axes.text(0, 1.06 * top, "tension along x", color="C3", ha="center")
     axes.set(aspect="equal", xlabel="x [Å]", ylabel="y [Å]", xlim=(-1.3 * right, 1.3 * right))
     axes.set_ylim(-1.1 * top, 1.2 * top)
-    axes.set_title("Stress is about three times the tension at a hole")
+    axes.set_title(f"The stress is up to {stress[:, 0, 0].max() / TENSION:.1f} times the tension")
     figure.colorbar(shown, ax=axes, label="stress along x over the tension")
     figure.savefig(args.out / "stress.png", dpi=120)
     return 0
