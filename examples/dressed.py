@@ -280,7 +280,7 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
         for at in (-50, 0, 50):
             right.annotate("", (at, side * 100), (at, side * 86),
                            arrowprops={"arrowstyle": "->", "color": "C3"})  # fmt: skip
-    right.set_title("A crack and a soft patch, pulled by 2 %, drawn threefold")
+    right.set(ylim=(-110, 110), title="Crack and soft patch under tension")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
