@@ -54,14 +54,14 @@ def draw_front(
         if not best or at[1] < best[-1][1] * (1 - 1e-3):
             best.append(at)
     ax.loglog([x for x, *_ in some], [y for _, y, _ in some], "o", color="0.8", ms=4)
-    x, y, names = zip(*best)
+    x, y, _ = zip(*best)
     ax.step([*x, *exact.values()], [*y, *[y[-1]] * len(exact)], color="C0", lw=0.8, where="post")
     ax.plot(x, y, "o", color="C0", ms=5)
     above = np.inf
-    for at, name in zip(zip(x, y), names):
-        if every or at[1] < above / APART:
-            above = at[1]
-            ax.annotate(name, at, (-5, -4), textcoords="offset points", color="C0", size=8,
+    for here in best:
+        if every or here[1] < above / APART:
+            above = here[1]
+            ax.annotate(here[2], here[:2], (-5, -4), textcoords="offset points", color="C0", size=8,
                         ha="right", va="top")  # fmt: skip
     for name, seconds in exact.items():
         ax.axvline(seconds, color="0.3", ls="--", lw=0.8)
