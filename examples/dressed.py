@@ -277,8 +277,8 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
     figure.colorbar(shown, label="modulus over that of the whole sheet")
     right.set(aspect="equal", xlabel="x [Å]", ylabel="y [Å]")
     for side in (-1, 1):
-        for at in (-50, 0, 50):
-            right.annotate("", (at, side * 100), (at, side * 86),
+        for place in (-50, 0, 50):
+            right.annotate("", (place, side * 100), (place, side * 86),
                            arrowprops={"arrowstyle": "->", "color": "C3"})  # fmt: skip
     right.set(ylim=(-110, 110), title="Crack and soft patch under tension")
     path.parent.mkdir(parents=True, exist_ok=True)
