@@ -36,7 +36,7 @@ def short(label: str) -> str:
     return label.removesuffix(", LU").replace(", h = 5", "")
 
 
-ROOM = 1.0
+ROOM = 1.2
 """For names left of a front, over the width of the points."""
 APART = 1.35
 """Errors of names on a front differ by this factor, so that they can be read."""
@@ -73,7 +73,7 @@ def draw_front(
 
 def chart(rows: list[Row], file: Path) -> None:
     """Error against time, for one load and for a hundred, the Pareto fronts drawn and labelled."""
-    figure, axes = panels(9, 8, count=2, rows=2)
+    figure, axes = panels(8, 8, count=2, rows=2)
     for ax, (title, (name, seconds)) in zip(axes.flat, PANELS.items()):
         timed = [(1e3 * s, row) for row in rows if (s := seconds(row)) is not None]
         exact = {row["kind"]: x for x, row in timed if row["kind"] == "atoms"}
