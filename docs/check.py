@@ -23,7 +23,7 @@ ROWS = 6
 HOW_TO = ("tutorials/", "how-to/")
 """Folders whose pages say how to do something."""
 ARCHIVE = "archive/"
-"""Studies behind the pages: not counted, but for their words."""
+"""Studies behind the pages: not counted, but for words to avoid."""
 NO_CODE = ("papers/", "theory")
 """Pages that need no code."""
 AVOIDED = {
@@ -183,6 +183,14 @@ def by_folder(texts: dict[str, str]) -> dict[str, int]:
     return found
 
 
+def words_to_avoid(prose: str) -> dict[str, int]:
+    """How often each stands in sentences."""
+    return {
+        word: len(re.findall(rf"\b(?:{how})\b" if "%" not in how else how, prose, re.IGNORECASE))
+        for word, how in AVOIDED.items()
+    }
+
+
 def counted() -> dict[str, float]:
     """All numbers by name."""
     every = pages()
@@ -205,10 +213,9 @@ def counted() -> dict[str, float]:
         for text in theory.values()
     ]
     anchored = {name for html in drawn for name in re.findall(r'id="eq-([^"]*)"', html)}
-    avoided = {
-        word: len(re.findall(rf"\b(?:{how})\b" if "%" not in how else how, prose, re.IGNORECASE))
-        for word, how in AVOIDED.items()
-    }
+    avoided = words_to_avoid(prose)
+    kept = {name: text for name, text in every.items() if name.startswith(ARCHIVE)}
+    studies = "\n".join(sentence for text in kept.values() for sentence in sentences(text))
     return {
         "pages": len(texts),
         "words": sum(map(words, texts.values())),
@@ -216,9 +223,7 @@ def counted() -> dict[str, float]:
         "words of the theory, a formula as one": sum(
             read_words(text) for name, text in texts.items() if name.startswith("theory")
         ),
-        "words of the archive": sum(
-            words(text) for name, text in every.items() if name.startswith(ARCHIVE)
-        ),
+        "words of the archive": sum(map(words, kept.values())),
         **{f"words of {folder or 'the top'}": found for folder, found in by_folder(every).items()},
         "words of the median page": statistics.median(map(words, texts.values())),
         "words of the README": words((DOCS.parent / "README.md").read_text("utf-8")),
@@ -240,6 +245,7 @@ def counted() -> dict[str, float]:
         "equations with an anchor": len(anchored),
         "words to avoid": sum(avoided.values()),
         **{f"to avoid: {word}": count for word, count in avoided.items()},
+        "words to avoid in the archive": sum(words_to_avoid(studies).values()),
         "figures without a page": len(figures_without_a_page(every)),
         "broken links": len(broken_links(every)),
         "pages not in the menu, or missing": len(not_in_the_menu(every)),

@@ -151,7 +151,17 @@ def main(argv: list[str] | None = None) -> int:
     ax = figure.subplots()
     shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
     ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]")
-    ax.set_title(f"damage after {run.time[-1] * 1e6:.0f} µs")
+    when = f"after {run.time[-1] * 1e6:.0f} µs"
+    ax.set_title(f"damage {when}" if args.kalthoff else f"The crack has split in two {when}")
+    if not args.kalthoff:
+        for side in (-1, 1):
+            for at in (-40, -20, 0, 20, 40):
+                ax.annotate("", (at, 25 * side), (at, 20.5 * side),
+                            arrowprops={"arrowstyle": "->", "color": "C0"})  # fmt: skip
+        ax.set_ylim(-27, 27)
+        ax.text(42, 22, "pull", color="C0")
+        ax.plot([-50, 0], [0, 0], color="k", linewidth=1)
+        ax.text(-30, 1.5, "notch")
     figure.colorbar(shown, ax=ax, label="share of broken bonds")
     figure.savefig(args.out / "damage.png", dpi=120)
     print(json.dumps(numbers, indent=None if args.json else 1))

@@ -249,9 +249,9 @@ def told(name: str, found: dict[str, Any]) -> str:
         ),
         "acoustic branches to kh = π/2, largest error: "
         + ", ".join(f"{path} {value:.1f} %" for path, value in found["dispersion"].items()),
-        "E_u on loads never seen [%]   waves ≥ 4h   2.7–4h   free ball   void   ball, law at rest",
+        "E_u on loads never seen [%]   waves ≥ 4h   2.7–4h   free ball   void   ball, unstrained",
     ]
-    rows = {"this law": found, **found["rivals"]}
+    rows = {"this model": found, **found["rivals"]}
     names = {"Q1": "Q1, true moduli", "local": "local, no mesh error", "lps": "isotropic LPS"}
     for key, row in rows.items():
         values = [row["E_u"][load] for load in ON_LOADS]
@@ -261,7 +261,7 @@ def told(name: str, found: dict[str, Any]) -> str:
         lines.append(
             "the ball's surface strains its inside by "
             + ", ".join(f"{e:.3f}" for e in found["squeezed"])
-            + " %: its law is of the crystal so strained; at rest: of the crystal at rest"
+            + " %: its model is of the crystal so strained; unstrained: of the crystal without"
         )
     return "\n".join(lines)
 
@@ -272,26 +272,33 @@ def picture(name: str, path: Path) -> None:
 
     atoms = force_constants(name)
     law, paths = learned(name, atoms), zone_paths(name, atoms.dimension)
-    figure = plt.figure(figsize=(11, 3.6), layout="constrained")
+    figure = plt.figure(figsize=(11, 3.8), layout="constrained")
     axes = figure.add_subplot(1, 3, 1)
     reach = np.linspace(0.03, 1, 40) * np.pi / 2
-    for number, (label, direction) in enumerate(paths.items()):
+    for number, direction in enumerate(paths.values()):
         k = reach[:, None] / law.spacing * direction
         true, own = (np.sqrt(1e3 * np.linalg.eigvalsh(D(k))) for D in (atoms.effective, law.symbol))
-        axes.plot(reach, own, color=f"C{number}", label=[label, *[None] * (law.dimension - 1)])
+        said = "".join(f"{c:g}" for c in (direction > 0).astype(int))  # as in [110]
+        axes.plot(reach, own, color=f"C{number}", label=[said, *[None] * (law.dimension - 1)])
         axes.plot(reach[::3], true[::3], ".", color=f"C{number}")
-    axes.set(xlabel="|k| h", ylabel="√Λ(k) [√(GPa/Å²)]", title="law (lines) and atoms (dots)")
-    axes.legend(frameon=False)
+    axes.set(xlabel="wave number × spacing", ylabel="root of the wave's stiffness [√GPa / Å]")
+    axes.set_title("Waves of the model (lines)\nare those of the atoms (dots)")
+    axes.legend(frameon=False, title="direction")
     angle, one = np.linspace(0, 2 * np.pi, 181), np.eye(law.dimension)
     along = np.outer(np.cos(angle), one[0]) + np.outer(np.sin(angle), one[-1])
     across = np.outer(-np.sin(angle), one[0]) + np.outer(np.cos(angle), one[-1])
     values = np.array([directional(1e3 * law.tensor(), *pair) for pair in zip(along, across)])
-    for column, (title, value) in enumerate(zip(("E [GPa]", "ν"), values.T)):
-        polar: Any = figure.add_subplot(1, 3, 2 + column, projection="polar")
-        polar.plot(angle, value)
-        polar.set_rlim(min(0.0, 1.1 * value.min()), 1.1 * value.max())
-        polar.set_rlabel_position(67.5)
-        polar.set_title(f"{title}, axes 1 and {law.dimension}")
+    polar: Any = figure.add_subplot(1, 3, 2, projection="polar")
+    polar.plot(angle, values[:, 0])
+    polar.set_rlim(0, 1.1 * values[:, 0].max())
+    polar.set_rlabel_position(67.5)
+    polar.set_title("Young's modulus [GPa]\nover the direction of the pull")
+    ratio = figure.add_subplot(1, 3, 3)
+    ratio.axhline(0, color="0.6", lw=0.8)
+    ratio.plot(np.rad2deg(angle), values[:, 1])
+    ratio.set(xlim=(0, 180), xticks=range(0, 181, 45), ylabel="Poisson's ratio")
+    ratio.set_xlabel(f"direction of the pull from axis 1 to {law.dimension} [°]")
+    ratio.set_title("Poisson's ratio\nin the same plane")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 

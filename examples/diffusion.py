@@ -157,12 +157,16 @@ def draw(
 ) -> None:
     """Conductivity and solution of the plate with grains."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
-    shown = {"conductivity κ": kappa, "solution φ": solved}
-    for ax, (name, values) in zip(figure.subplots(1, 2, sharey=True), shown.items()):
-        drawn = ax.tripcolor(*x[free].T, values[free], shading="gouraud")
-        ax.set(aspect="equal", xlabel="x₁", title=name)
-        figure.colorbar(drawn, ax=ax)
-    figure.axes[0].set_ylabel("x₂")
+    shown = {
+        "Grains conduct better than the plate": ("conductivity", kappa),
+        "so that temperature hardly varies inside": ("temperature", solved),
+    }
+    for ax, (title, (name, values)) in zip(figure.subplots(1, 2, sharey=True), shown.items()):
+        size = (180 / np.sqrt(free.sum())) ** 2  # of a node in the panel [points²]
+        drawn = ax.scatter(*x[free].T, c=values[free], s=1.6 * size, marker="s", linewidths=0)
+        ax.set(aspect="equal", xlabel="x₁ / half side", title=title)
+        figure.colorbar(drawn, ax=ax, label=name)
+    figure.axes[0].set_ylabel("x₂ / half side")
     save_figure(figure, path)
 
 

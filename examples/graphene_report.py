@@ -73,22 +73,22 @@ def draw_disks(
     samples = [int(np.argmax(errors))] if worst else list(range(len(points)))
     rows = len(samples)
     figure, axes = panels(9.5, 2.7 * rows + 0.4, count=3, rows=rows, squeeze=False)
-    names = points.arrays.get("load_id", np.arange(1, len(points) + 1))
     for s, row in zip(samples, axes):
         truth, predicted = points.u[s, inside, 0], solved[s, inside, 0]
         error = 1000 * (predicted - truth)
         limit, small = np.abs([truth, predicted]).max(), np.abs(error).max()
         plots.node_field(points.x[inside], truth, limit=limit, ax=row[0])
         mesh = plots.node_field(points.x[inside], predicted, limit=limit, ax=row[1])
-        figure.colorbar(mesh, ax=row[:2], label="u₁ [Å]")
+        figure.colorbar(mesh, ax=row[1], label="u₁ [Å]")
         mesh = plots.node_field(points.x[inside], error, limit=small, ax=row[2])
         figure.colorbar(mesh, ax=row[2], label="error of u₁ [mÅ]")
-        for ax, title in zip(row, ("molecular data", "model", "model − molecular")):
+        for ax, title in zip(row, ("atoms", "model", f"error {100 * errors[s]:.2f} %")):
             ax.set_title(title, fontsize="medium")
             ax.set_xlabel("x₁ [Å]")
-        row[0].set_ylabel(f"{names[s]}: E_u = {100 * errors[s]:.2f} %\nx₂ [Å]")
-    disk = "disks" if rows > 1 else "a disk"
-    figure.suptitle(f"Displacement on {disk} the fit never saw (interior nodes)")
+        row[0].set_ylabel(f"load {s + 1}\nx₂ [Å]")
+    disk = "free disks" if rows > 1 else "a free disk"
+    mean = 100 * np.mean([errors[s] for s in samples])
+    figure.suptitle(f"The model predicts {disk} that no fit saw, with an error of {mean:.1f} %")
     save_figure(figure, path)
 
 

@@ -127,13 +127,19 @@ def main(argv: list[str] | None = None) -> int:
         return 0
     from matplotlib.figure import Figure  # the other ranks need no memory for it
 
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
+    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
     flat = slice(None) if x.shape[1] == 2 else x[:, 2] == np.median(x[:, 2])
-    size = np.linalg.norm(found, axis=1)
-    for ax, values, title in zip(figure.subplots(1, 2), (size, owner), ("|u| [Å]", "rank")):
-        shown = ax.scatter(*x[flat].T[:2], c=values[flat], s=6, marker="s", linewidths=0)
-        ax.set(aspect="equal", title=title, xlabel="[Å]")
-        figure.colorbar(shown, ax=ax)
+    left, right = figure.subplots(1, 2, sharex=True, sharey=True)
+    size, at = np.linalg.norm(found, axis=1)[flat], x[flat].T[:2]
+    shown = left.scatter(*at, c=size, s=6, marker="s", linewidths=0)
+    figure.colorbar(shown, ax=left, label="size of the displacement [Å]")
+    left.set(aspect="equal", title="One solve of the whole plate", xlabel="x [Å]", ylabel="y [Å]")
+    for rank in range(points.comm.size):
+        mine = owner[flat] == rank
+        right.scatter(*at[:, mine], s=6, marker="s", linewidths=0, color=f"C{rank}")
+        middle = at[:, mine].mean(axis=1)
+        right.text(*middle, f"process\n{rank}", ha="center", va="center", color="white")
+    right.set(aspect="equal", title="Each process owns a part of the nodes", xlabel="x [Å]")
     save_figure(figure, args.out / "plate.png")
     print(json.dumps(numbers, indent=None if args.json else 1))
     return 0

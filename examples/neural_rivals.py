@@ -19,7 +19,13 @@ from warp_peri.tissue.from_displacement import fit_displacement
 EVERY = 10
 """Of the leaflet's training frames, one in so many is what the dictionary is fitted on, and what
 the fits of elements to all frames begin with."""
-ELEMENTS = ("neo-Hookean", "Fung", "invariant-based", "structure-informed", "HGO, two families")
+ELEMENTS = (
+    "neo-Hookean",
+    "Fung",
+    "invariant-based",
+    "structure-informed",
+    "HGO, two fibre directions",
+)
 
 Errors = dict[str, dict[str, Any]]
 """By kind and set: E_res, E_u, and of the leaflet's held-out frames each one's E_u ("frames")."""

@@ -120,8 +120,16 @@ def main(argv: list[str] | None = None) -> int:
     figure, axes = panels(5.5, 4.5)
     triangles = Triangulation(mesh.x[:, 0], mesh.x[:, 1], mesh.cells)
     shown = axes.tripcolor(triangles, stress[:, 0, 0] / TENSION, shading="gouraud", cmap="viridis")
-    axes.set(aspect="equal", title="σ₁₁ over the tension far away", xlabel="Å")
-    figure.colorbar(shown, ax=axes)
+    right, top = mesh.x.max(axis=0)
+    for y in np.linspace(-0.8 * top, 0.8 * top, 5):
+        for side in (-1, 1):
+            axes.annotate("", (1.25 * side * right, y), (1.03 * side * right, y),
+                          arrowprops={"arrowstyle": "->", "color": "C3"})  # fmt: skip
+    axes.text(0, 1.06 * top, "tension along x", color="C3", ha="center")
+    axes.set(aspect="equal", xlabel="x [Å]", ylabel="y [Å]", xlim=(-1.3 * right, 1.3 * right))
+    axes.set_ylim(-1.1 * top, 1.2 * top)
+    axes.set_title(f"The stress is up to {stress[:, 0, 0].max() / TENSION:.1f} times the tension")
+    figure.colorbar(shown, ax=axes, label="stress along x over the tension")
     figure.savefig(args.out / "stress.png", dpi=120)
     return 0
 

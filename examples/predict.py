@@ -1,6 +1,6 @@
 """A tolerance in, an answer with its error out: how often the error is right, against atoms.
 
-Learns a family from the main job's data and predicts scenes that no constant of it has seen, at
+Learns an ensemble from the main job's data and predicts problems that no constant of it saw, at
 strains from 1 to 10 %. Makes the data it lacks with LAMMPS, once. Costs are prices of steps on
 200² nodes, all placed and factorised before: those of an answer against the cheapest way that an
 oracle knows to be within the tolerance, among every second node, elements, the linear answer, and
@@ -59,9 +59,9 @@ def rich_law() -> wp.ThirdOrder:
     return wp.ThirdOrder(linear, Smoothing(10.0))
 
 
-def family(given: argparse.Namespace) -> Members:
-    """The family, learned once and kept in the folder of results."""
-    path = given.out / "family.json"
+def ensemble(given: argparse.Namespace) -> Members:
+    """The ensemble, learned once and kept in the folder of results."""
+    path = given.out / "ensemble.json"
     if path.exists() and not given.refit:
         return wp.load(path)
     data = wp.load(given.data or make_data(-1, 10.0))
@@ -357,7 +357,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     """Every scene; what metrics.json holds."""
     set_threads(1)
     torch.set_num_threads(1)
-    material = family(given)
+    material = ensemble(given)
     truth = wp.load(given.data or make_data(-1, 10.0)).provenance["truth"]
     cost, rows, shown = costs(material, truth), [], None
     for name, samples in scenes(given).items():
@@ -380,7 +380,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__, json=True)
     parser.add("--data", type=Path, help="the main job's data (made if not there)")
     parser.add("--scenes", type=Path, help="scenes with truth (made if not there)")
-    parser.add("--refit", action="store_true", help="learn the family anew")
+    parser.add("--refit", action="store_true", help="learn the ensemble anew")
     parser.add("--out", type=Path, default=OUT, help="folder for the results")
     tell(parser.parse_args(arguments), run)
     return 0

@@ -1,4 +1,4 @@
-"""What a law of micromodulus tensors costs in space: a force, a solve, a proof."""
+"""What a crystal model costs in space: a force, a solve, a proof."""
 
 import functools
 import itertools

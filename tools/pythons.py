@@ -1,9 +1,10 @@
 """Run the tests on every Python 3.11 or newer that this machine has, each in its own environment.
 
 Looks on the path and among pyenv's versions. torch is taken as the index gives it, which may be a
-CUDA build of several GB; --without-torch leaves it out, runs what works without it, and counts the
-rest as not run. --wheel builds wheel and sdist, installs each alone into a fresh environment, and
-runs a smoke test there: import, command, a sheet in equilibrium.
+CUDA build of several GB. --torch system takes the interpreter's own, as Debian's python3-torch;
+--torch none leaves it out, runs what works without it, and counts the rest as not run. --wheel
+builds wheel and sdist, installs each alone into a fresh environment, and runs a smoke test there:
+import, command, a sheet in equilibrium.
 """
 
 import argparse
@@ -16,6 +17,7 @@ import sys
 import tempfile
 import tomllib
 import xml.etree.ElementTree as ET
+from collections.abc import Collection
 from pathlib import Path
 
 from tqdm import tqdm
@@ -63,24 +65,30 @@ def interpreters() -> dict[str, Path]:
     return versions
 
 
-def requirements(without_torch: bool) -> list[str]:
-    """What the package and its tests need."""
+def requirements(torch: str) -> list[str]:
+    """What the package and its tests need, torch only where it is that of the index."""
     needed = [*PROJECT["dependencies"], *PROJECT["optional-dependencies"]["test"]]
     return [
         requirement
         for requirement in needed
-        if not (without_torch and re.match(r"torch\b", requirement))
+        if torch == "index" or not re.match(r"torch\b", requirement)
     ]
 
 
-def run(python: Path, folder: Path, tests: list[str], *, without_torch: bool) -> dict[str, int]:
+def fresh(python: Path, folder: Path, torch: str, needed: Collection[str]) -> Path:
+    """The interpreter of a new environment that has these of the requirements, no more."""
+    system = ["--system-site-packages"] if torch == "system" else []
+    subprocess.run([python, "-m", "venv", *system, folder / "env"], check=True)
+    inside = folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python"
+    packages = [name for name in requirements(torch) if name in needed]
+    install: list[str | Path] = [inside, "-m", "pip", "install", "--quiet", *packages]
+    subprocess.run([*install, "--constraint", ROOT / "constraints.txt"], check=True)
+    return inside
+
+
+def run(python: Path, folder: Path, tests: list[str], torch: str) -> dict[str, int]:
     """Numbers of tests that passed, failed, were skipped, and were not run for want of torch."""
-    environment = folder / "env"
-    subprocess.run([python, "-m", "venv", environment], check=True)
-    inside = environment / ("Scripts" if os.name == "nt" else "bin") / "python"
-    install: list[str | Path] = [inside, "-m", "pip", "install", "--quiet"]
-    constraints: list[str | Path] = ["--constraint", ROOT / "constraints.txt"]
-    subprocess.run([*install, *requirements(without_torch), *constraints], check=True)
+    inside = fresh(python, folder, torch, requirements(torch))
     report = folder / "report.xml"
     command: list[str | Path] = [
         inside,
@@ -95,16 +103,6 @@ def run(python: Path, folder: Path, tests: list[str], *, without_torch: bool) ->
         [*command, *options, *tests], cwd=ROOT, env=variables, check=False, capture_output=True
     )
     return counted(report)
-
-
-def installed(python: Path, folder: Path, without_torch: bool) -> Path:
-    """The interpreter of a fresh environment that has what the package depends on, no more."""
-    subprocess.run([python, "-m", "venv", folder / "env"], check=True)
-    inside = folder / "env" / ("Scripts" if os.name == "nt" else "bin") / "python"
-    needed = [name for name in requirements(without_torch) if name in PROJECT["dependencies"]]
-    install: list[str | Path] = [inside, "-m", "pip", "install", "--quiet", *needed]
-    subprocess.run([*install, "--constraint", ROOT / "constraints.txt"], check=True)
-    return inside
 
 
 def smoked(inside: Path, folder: Path, package: Path) -> list[str]:
@@ -124,7 +122,7 @@ def smoked(inside: Path, folder: Path, package: Path) -> list[str]:
     return said
 
 
-def smoke(chosen: dict[str, Path], without_torch: bool) -> int:
+def smoke(chosen: dict[str, Path], torch: str) -> int:
     """Print what wheel and sdist do on each Python; 1 where something fails."""
     print("| Python | package | torch | " + " | ".join(SMOKE) + " |")
     print("|---|---|---|" + "---|" * len(SMOKE))
@@ -134,11 +132,10 @@ def smoke(chosen: dict[str, Path], without_torch: bool) -> int:
         subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
         for version, python in chosen.items():
             with tempfile.TemporaryDirectory() as folder:
-                inside = installed(python, Path(folder), without_torch)
+                inside = fresh(python, Path(folder), torch, PROJECT["dependencies"])
                 for package in sorted(Path(made).iterdir(), reverse=True):
                     said = smoked(inside, Path(folder), package)
                     kind = "wheel" if package.suffix == ".whl" else "sdist"
-                    torch = "without" if without_torch else "with"
                     print("|", " | ".join([version, kind, torch, *said]), "|", flush=True)
                     failed = failed or "failed" in said
     return int(failed)
@@ -168,7 +165,7 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("tests", nargs="*", help="passed on to pytest; default: all")
     parser.add_argument("--only", nargs="+", metavar="VERSION", help="as 3.13 or 3.13.0")
-    parser.add_argument("--without-torch", action="store_true")
+    parser.add_argument("--torch", choices=("index", "system", "none"), default="index")
     parser.add_argument(
         "--wheel", action="store_true", help="smoke test of wheel and sdist instead"
     )
@@ -184,12 +181,11 @@ def main(arguments: list[str] | None = None) -> int:
         print("error: no Python 3.11 or newer of these versions here", file=sys.stderr)
         return 2
     if given.wheel:
-        return smoke(chosen, given.without_torch)
+        return smoke(chosen, given.torch)
     rows = {}
     for version, path in tqdm(chosen.items(), desc="Pythons", disable=given.json or None):
         with tempfile.TemporaryDirectory() as folder:
-            options = {"without_torch": given.without_torch}
-            rows[version] = run(path, Path(folder), given.tests, **options)
+            rows[version] = run(path, Path(folder), given.tests, given.torch)
     if given.json:
         print(json.dumps(rows))
     else:

@@ -331,7 +331,7 @@ def _of_transfers(model: Model, tolerance: float, scene: Scene, table: dict[str,
         reached = max((e for length, e in pairs if length >= wave), default=tolerance)
         words = (
             f"{record['statement']}; the coarsest of {number + 1} lattices within "
-            f"{100 * tolerance:g} % of the model at home on waves of {wave:g} "
+            f"{100 * tolerance:g} % of the model on its own lattice on waves of {wave:g} "
             f"{symbols(model.units)[0]}, by {method}, "
             f"about {seconds:.2g} s for {nodes:.0f} nodes."
         )
@@ -359,7 +359,7 @@ def _of_dressed(law: DressedSolid, tolerance: float, scene: Scene, table: dict[s
         words = (
             f"a base of {law.base} under a G of {2 * len(law.steps)} neighbours on {spacing:g} "
             f"{symbols(law.units)[0]}: the coarsest of {number + 1} lattices within "
-            f"{100 * tolerance:g} % of the law at home on waves of {wave:g} and longer "
+            f"{100 * tolerance:g} % of the model on its own lattice at waves ≥ {wave:g} "
             f"({100 * reached:.2g} %), about {seconds:.2g} s for {nodes:.0f} nodes."
         )
         return Choice(spacing, there.horizon, 0, method, reached, seconds, words)

@@ -309,7 +309,7 @@ def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
     stencil = found(spacing) if callable(found) else found
     if not abs(spacing / stencil.spacing - 1) <= SAME_SPACING:
         raise InputError(
-            f"spacing: the law is for {stencil.spacing:g}, got {spacing:g}; "
+            f"spacing: the model is for {stencil.spacing:g}, got {spacing:g}; "
             "transferred(law, spacing) fits another"
         )
     return stencil, law.group

@@ -33,8 +33,8 @@ class Dirichlet:
     Attributes:
         points: a lattice or scattered points, or samples on them.
         b: body force density [stress/length], shape [N, d] or [S, N, d]; None for no load. Only
-            interior values count; on scattered points also those of the collar beside it, since
-            the load is carried as a density. Of diffusion the source, shape [N]. Of tensors the
+            interior values count; on scattered points also those of the collar next to it, since
+            the load goes over as a density. Of diffusion the source, shape [N]. Of tensors the
             answer is one, differentiable in b, u and `parameters`.
         u: displacement [length], same shape; only collar values count. Of diffusion φ, [N].
 
@@ -93,6 +93,9 @@ class Periodic:
         b: body force density [stress/length], shape [N, d] or [S, N, d]; its mean is removed. Of
             tensors the answer is one, as of a Dirichlet.
 
+    `solve` raises InputError for points that are no lattice with a box, for nodes that are not
+    interior, for a load of another shape, and for a material that solves no periodic problems.
+
     >>> sheet = wp.Points.sheet((12, 12), 5.0)
     >>> wp.solve(model, wp.Periodic(sheet, 1e-4 * np.sin(2 * np.pi * sheet.x / 60))).u.shape
     (144, 2)
@@ -106,7 +109,7 @@ class Periodic:
         """The material at rest, with a displacement of zero mean."""
         extra = {name: options.pop(name) for name in ("parameters",) if name in options}
         operator = placed(material, nodes_of(self.points), **options)
-        rest = offered(operator, "rest_periodic", "solve", "a law that solves periodic problems")
+        rest = offered(operator, "rest_periodic", "solve", "a model that solves periodic problems")
         if extra or is_tensor(self.b):
             zero = 0 * self.b.detach() if is_tensor(self.b) else np.zeros(np.shape(self.b))
             return operator.rest_in_torch(self.b, zero, solver, **extra)  # type: ignore[no-any-return]
@@ -119,13 +122,18 @@ class Body:
     """A body with free edges on a mesh: held in part, pulled in part (theory, B1–B7).
 
     Attributes:
-        mesh: the body, triangles or, of a crystal in space, tetrahedra.
-        displacement: [length] by part of the outline, vectors or functions of positions [n, d];
-            NaN leaves a component free.
-        traction: force per area [stress] by part, or functions of positions and outward normals.
-        b: body force density [stress/length] as a function of positions [n, d].
-        edge: stiffness of an edge of its own [stress · length] by part (B10).
+        mesh: the body, triangles or, of a crystal in space, tetrahedra; its positions [length].
+        displacement: [length] by part of the outline: a vector [d], or a function of positions
+            [n, d] that gives [n, d]; NaN leaves a component free.
+        traction: force per area [stress] by part: a vector [d], or a function of positions and
+            outward normals [n, d] that gives [n, d].
+        b: body force density [stress/length], a function of positions [n, d] that gives [n, d].
+        edge: stiffness of an edge of its own [stress · length] by part, a number each (B10).
         coupling: how elements and lattice meet.
+
+    `solve` raises InputError for parts that the mesh does not have, fields of other shapes or not
+    finite, a body that is free to move, a hole narrower than the overlap, another unit or
+    dimension, and a material that is not linear or not positive definite.
 
     >>> body = wp.Body(mesh, {"left": (0.0, 0.0)}, {"right": (0.005, 0.0)})
     >>> wp.solve(model, body).residual < 1e-8

@@ -12,14 +12,14 @@ PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, 
 
 
 def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any) -> Solution:
-    """A material at rest.
+    """A material in equilibrium.
 
     Args:
         material: what `fit` or `load` gave, or its operator, `material.on(points)`, where the same
             points are solved on again.
         problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …), Cracked(…).
-        solver: Direct(…), Krylov(…) or Newton(…), as the law has them, chosen when not given; or
-            methods.PolakRibiere(…), of a Dirichlet problem of any law.
+        solver: Direct(…), Krylov(…) or Newton(…), as the material has them; chosen by default; or
+            methods.PolakRibiere(…), of a Dirichlet problem of any material.
         options: transfer=False refuses points that the material itself holds no certificate for;
             allow_uncertified=True takes its own numbers there, with a warning; parameters={name:
             tensor} of the operator's `learnable`, which the answer is then differentiable in.
@@ -48,7 +48,7 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     Args:
         material: as for `solve`.
         problem: what is given; its displacement is that of the start.
-        options: of the law's motion: `step` and `steps`, `density`, `every` (steps between two
+        options: of the material's motion: `step` and `steps`, `density`, `every` (steps between two
             records), `record` (nodes), `checkpoint`, `progress`; see the `moved` of the problem.
 
     Returns:

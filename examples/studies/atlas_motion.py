@@ -175,23 +175,37 @@ def dispersion(model: Model, data: Dataset) -> Entry:
         last = int(50 * part) - 1
         off = [np.abs(speeds * part * edge / b["atoms"][last] - 1).max() for b in branches.values()]
         elastic[part] = float(max(off))
-    bare = Model(model.lam, model.mu, model.alpha, model.D, model.horizon)
+    unstable = Model(model.lam, model.mu, model.alpha, np.array([-1.0, 1.0]), model.horizon)
     numbers = {
         "quarter": worst[0.25], "half": worst[0.5], "whole": worst[1.0], "edge": edge,
         "elastic_half": elastic[0.5], "elastic_whole": elastic[1.0],
         "reach": float(data["train"].arrays["wave_number"].max() / np.sqrt(2)),
     }  # fmt: skip
-    figure, axes = panels(10.5, 4, count=2)
-    for ax, (name, branch) in zip(axes, branches.items()):
-        for number, label in enumerate(("transverse", "longitudinal")):
-            colour = f"C{number}"
-            ax.plot(size, branch["atoms"][:, number], color=colour, label=f"{label}, atoms")
-            ax.plot(size, branch["model"][:, number], "--", color=colour, label=f"{label}, model")
-            ax.plot(size, speeds[number] * size, ":", color=colour, linewidth=0.8)
-        ax.set(xlabel="|k| [1/Å], up to π/h of the 5 Å nodes", ylabel="ω [1/ps]")
-        ax.set_title(f"along {name} (dotted: elasticity)")
-    axes[0].legend(frameon=False, fontsize="small")
-    refused = (lambda: critical_time_step(bare, spacing=spacing, density=DENSITY),)
+    figure, ax = panels(7, 4.2)
+    branch = branches["zigzag"]  # armchair is the same to the eye
+    for number, label in enumerate(("transverse", "longitudinal")):
+        colour = f"C{number}"
+        ax.plot(size, branch["atoms"][:, number], color=colour)
+        ax.plot(size, branch["model"][:, number], "--", color=colour)
+        ax.plot(size, speeds[number] * size, ":", color=colour, linewidth=0.8)
+        at = (0.45 * edge, branch["atoms"][int(0.45 * len(size)), number])
+        shift = ((-12, 12), (12, -14))[1 - number]
+        ax.annotate(
+            label,
+            at,
+            shift,
+            textcoords="offset points",
+            color=colour,
+            ha="right" if number else "left",
+        )
+    for style, label in {"-": "atoms", "--": "model", ":": "local elasticity"}.items():
+        ax.plot([], [], style, color="0.3", label=label)
+    ax.axvline(edge / 2, color="0.7", linewidth=0.8)
+    ax.annotate("wavelength of four spacings", (edge / 2, 0), (4, 4), textcoords="offset points")
+    ax.set(xlabel="wave number [1/Å]", ylabel="angular frequency [1/ps]")
+    ax.set_title("Waves shorter than four spacings have the wrong frequency")
+    ax.legend(frameon=False)
+    refused = (lambda: critical_time_step(unstable, spacing=spacing, density=DENSITY),)
     values = {"branches": branches, "worst": worst}
     return entry("dispersion", numbers, refused, figure, values)
 

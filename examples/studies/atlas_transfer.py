@@ -90,7 +90,7 @@ def through(model: Model, half: int) -> ThroughLattice:
 
 
 def short_waves(data: wp.Dataset) -> Entry:
-    """Likely and true errors of waves that are shorter than all that a family learned from."""
+    """Likely and true errors of waves that are shorter than all that an ensemble learned from."""
     train = data["train"]
     problem = wp.Dirichlet(train.points, train.loads, train.u)
     length = 2 * np.pi / np.asarray(train.arrays["wave_number"])

@@ -120,8 +120,8 @@ RIVALS: dict[str, tuple[Callable[[np.ndarray], Energy | Uneven], Sequence[Sequen
         lambda x: Fung(x.tolist()),
         [[1.0, 1.0, 0.3, 0.5, -0.2, -0.2], [1.0, 1.0, 0.3, 0.5, 0.2, 0.2]],
     ),
-    "HGO, one family": (one_family, [[1.5, 1.0, -0.7], [1.5, 1.0, 0.7]]),
-    "HGO, two families": (two_families, [[1.0, 1.0, -0.6, 0.5], [1.0, 1.0, 0.6, 0.5]]),
+    "HGO, one fibre direction": (one_family, [[1.5, 1.0, -0.7], [1.5, 1.0, 0.7]]),
+    "HGO, two fibre directions": (two_families, [[1.0, 1.0, -0.6, 0.5], [1.0, 1.0, 0.6, 0.5]]),
     "invariant-based": (
         invariants,
         [[0.5, 0.5, 1.5, 1.0, -0.7], [0.5, 0.5, 1.5, 1.0, 0.7], *ANYWHERE],

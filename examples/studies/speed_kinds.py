@@ -87,11 +87,11 @@ def flow() -> Iterator[Row]:
         return row(label, kind, seconds, polymer_flow.relative(record.v, exact.v) / 100)
 
     for count in (100, 1000, 10_000):
-        yield run(f"law learned from 22 × {count} dumbbells", "learned", learned, count)
+        yield run(f"learned from 22 × {count} dumbbells", "learned", learned, count)
     alongside = partial(Dumbbells, seed=0, common=True)
     for count in (10, 100, 1000):
         yield run(f"{count} dumbbells under every point", "alongside", alongside, n, count)
-    yield run("FENE-P, b = 50", "another law", FENEP, polymer_flow.B)
+    yield run("FENE-P, b = 50", "another fluid", FENEP, polymer_flow.B)
 
 
 def cracks() -> Iterator[Row]:
@@ -143,7 +143,7 @@ def cracks() -> Iterator[Row]:
 
 CHARTS: dict[str, tuple[Callable[[], Iterator[Row]], str]] = {
     "tissue": (tissue, "displacement error on unseen disks [%]"),
-    "flow": (flow, "velocity error against the exact law [%]"),
+    "flow": (flow, "velocity error against the exact model [%]"),
     "cracks": (cracks, "critical strain of unseen cracks, error [%]"),
 }
 

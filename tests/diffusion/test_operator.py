@@ -247,7 +247,7 @@ def test_an_operator_of_diffusion_keeps_the_contract():
     assert "displacement" in repr(solution)
     with pytest.raises(InputError, match="solver: expected Direct"):
         solve(operator, Dirichlet(points, b, phi), solver=Krylov())
-    with pytest.raises(InputError, match="stress: this law has none"):
+    with pytest.raises(InputError, match="stress: this model has none"):
         solution.stress()
     with pytest.raises(InputError, match="units: the model is in"):
         Conductor(0.7, units=("m", "Pa")).on(points)

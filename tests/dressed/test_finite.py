@@ -92,7 +92,7 @@ def test_what_does_not_fit_is_refused():
     law, points = solid(), lattice(3, 1.5)
     with pytest.raises(InputError, match="a collar of three spacings"):
         law.on(wp.Points(points.x, np.ones(len(points.x), bool), 1.0, axis=np.rad2deg(AXIS)))
-    with pytest.raises(InputError, match="spacing: the law is for 1"):
+    with pytest.raises(InputError, match="spacing: the model is for 1"):
         law.on(wp.Points(2 * points.x, points.interior, 2.0))
     with pytest.raises(InputError, match="λ \\+ μ > 0"):
         replace(law, mu=0.1)

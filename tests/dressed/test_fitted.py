@@ -62,7 +62,7 @@ def test_grains_resist_no_turn_and_are_their_own_laws():
     for given, why in (
         (number, "expected a pair"),
         ((laws, number[:5]), "expected 144 whole numbers"),
-        ((laws[:2], number), "expected numbers of 2 laws, got 0 to 2"),
+        ((laws[:2], number), "expected numbers of 2 models, got 0 to 2"),
         (([law, solid(reach=1.0)], halves), "one base, spacing, units and neighbours"),
     ):
         with pytest.raises(InputError, match=why):

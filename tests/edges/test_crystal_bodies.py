@@ -115,7 +115,7 @@ def test_tetrahedra_know_their_parts_their_voids_and_what_they_hold():
     ("change", "message"),
     [
         ({"coupling": Coupling(spacing=1.0)}, "coupling: expected spacing 1.5 or None, got 1"),
-        ({"mesh": one_cell}, "mesh: expected triangles, for the law is one of 2 dimensions"),
+        ({"mesh": one_cell}, "mesh: expected triangles, for a model of 2 dimensions"),
         ({"stress": np.eye(2)}, "model: expected a crystal at rest"),
     ],
 )

@@ -55,7 +55,7 @@ def test_a_law_of_ones_own_goes_through_every_verb(alone):
     assert wp.certify(law).symbol_bound == law.certificate.proven == proven > 0.19
     assert law.elastic_tensor()[0, 1] == pytest.approx(0.5, rel=0.02)  # λ = μ, as of all springs
     assert 0.9 * still < swung < still
-    with pytest.raises(wp.InputError, match="spacing: the law is for 5, got 4"):
+    with pytest.raises(wp.InputError, match="spacing: the model is for 5, got 4"):
         wp.certify(law, spacing=4.0)
     with pytest.raises(wp.InputError, match="points: of a Model alone, not of a Springs"):
         wp.certify(law, points=wp.Points.sheet((9, 9), 5.0))

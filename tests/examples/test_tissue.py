@@ -94,7 +94,7 @@ def test_frames_that_were_not_solved_are_blank():
 def test_a_rival_recovers_its_own_numbers():
     points = square(3)
     window = Window(Samples(points, np.zeros((1, len(points.x), 2))))
-    make, starts = RIVALS["HGO, one family"]
+    make, starts = RIVALS["HGO, one fibre direction"]
     truth = np.array([2.0, 1.0, -0.5])
     u = points.x @ np.array([[0.2, 0.05], [0.1, 0.15]]) + 0.03 * np.sin(3 * points.x)
     u[window.nodes[window.free]] = window.solve(make(truth), u)

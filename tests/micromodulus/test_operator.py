@@ -52,7 +52,7 @@ def test_motion_is_stable_below_the_longest_step_and_keeps_its_energy(d):
     assert shorter.drift < 1e-9
     with pytest.raises(InputError, match="step: expected at most"):
         warp_peri.move(law, problem, density=8e3, step=1.01 * longest, steps=1)
-    with pytest.raises(InputError, match="spacing: the law is for"):
+    with pytest.raises(InputError, match="spacing: the model is for"):
         warp_peri.proofs.critical_time_step(law, spacing=2 * law.spacing, density=8e3)
     bare = replace(law, certificate=None)  # proven when it moves
     again = warp_peri.move(bare, problem, density=8e3, step=longest / 2, steps=50)

@@ -1,6 +1,7 @@
-"""Examples in the docstrings of the public names: each has one, and it runs."""
+"""Docstrings of the public names: arguments and errors are named, and an example runs."""
 
 import doctest
+import inspect
 import re
 from pathlib import Path
 
@@ -31,3 +32,21 @@ def test_the_example_of_a_public_name_runs(name, names, tmp_path, monkeypatch):
     said: list[str] = []
     runner.run(example, out=said.append)
     assert not runner.failures, "".join(said)
+
+
+@pytest.mark.parametrize("name", wp.__all__)
+def test_every_argument_of_a_public_name_is_described(name):
+    said = inspect.getdoc(getattr(wp, name))
+    described = {
+        one
+        for line in re.findall(r"^    ([\w, ]+): ", said, re.MULTILINE)
+        for one in line.split(", ")
+    }
+    asked = inspect.signature(getattr(wp, name)).parameters
+    assert {*asked} <= described
+
+
+@pytest.mark.parametrize("name", sorted({*wp.__all__} - {"InputError", "Motion"}))
+def test_every_public_name_says_what_it_raises(name):
+    """But the error itself, and a result that only has fields."""
+    assert re.search(r"[Rr]aises? InputError", " ".join(getattr(wp, name).__doc__.split()))

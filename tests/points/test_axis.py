@@ -44,7 +44,7 @@ def test_where_none_is_stated_it_is_x_and_said_once(known):
     model, samples = known
     points_samples._said.clear()
     untold, along_x = stated(samples, None), stated(samples, 0.0)
-    with pytest.warns(UserWarning, match="axis: the law depends on direction"):
+    with pytest.warns(UserWarning, match="axis: the model depends on direction"):
         found = evaluate(model, untold)
     assert evaluate(model, untold) == found == evaluate(model, along_x)  # no second warning
     points_samples._said.clear()

@@ -106,5 +106,5 @@ def test_what_data_hold_nothing_of_is_named(family):
 def test_laws_that_cannot_doubt_are_refused():
     points = lattice(6, HORIZON)
     samples = manufactured(kernel("positive", HORIZON), points, 4)
-    with pytest.raises(wp.InputError, match="second: expected a law"):
+    with pytest.raises(wp.InputError, match="second: expected a model"):
         wp.fit(samples, Family(wp.tissue.Dictionary(HORIZON, ("square",))))

@@ -60,7 +60,7 @@ def test_of_a_quantity_and_without_any_load_before(samples):
     assert found.number == again.number
     assert again.before == pytest.approx(2 * found.before, rel=1e-6)
     assert found.residual == 0.02
-    with pytest.raises(wp.InputError, match="micromodulus tensors or a linear peridynamic solid"):
+    with pytest.raises(wp.InputError, match="a crystal model or a linear peridynamic solid"):
         next_load(wp.diffusion.Conductor(HORIZON), samples)
 
 

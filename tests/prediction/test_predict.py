@@ -355,7 +355,7 @@ def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
         assert answer.parts["strain"] > 0.02
     unknown = replace(learned, factors=replace(learned.factors, stretch=0.0))  # an older file
     answer = wp.predict(unknown, wp.Dirichlet(seen.points, seen.b[0], given[0]), None)
-    assert any("nothing in the family tells" in one for one in answer.uncovered)
+    assert any("nothing in the ensemble tells" in one for one in answer.uncovered)
 
 
 def test_without_a_tolerance_the_best_that_was_computed_comes_back(family):
@@ -428,7 +428,7 @@ def test_standard_errors_of_moduli_belong_to_the_data():
     assert not wp.predict(crystal, posed, 0.05).kept
     assert any("moduli" in one for one in answer.uncovered)
     sure = replace(crystal, provenance={})
-    with pytest.raises(wp.InputError, match="one law alone knows nothing of its error"):
+    with pytest.raises(wp.InputError, match="one model knows nothing of its error"):
         wp.predict(sure, posed, None)
 
 

@@ -157,7 +157,7 @@ a body with an outline, in place of DATA.h5
   --overlap L  width that elements and nodes share (default: two horizons, four for a crystal)""",
     "predict": f"""\
 Predict the displacement under loads, with its error.
-family.json data/graphene_0K.h5 --tolerance 0.01
+ensemble.json data/graphene_0K.h5 --tolerance 0.01
 input
   model ENSEMBLE.json  file of an ensemble that was learned
 {DATA}

@@ -95,7 +95,7 @@ def proven_on_its_nodes(law: Any, spacings: Sequence[float] | None = None) -> Re
     Raises InputError where another spacing is asked for.
     """
     if spacings:
-        raise InputError(f"spacing: this law is for nodes {law.spacing:g} apart alone")
+        raise InputError(f"spacing: this model is for nodes {law.spacing:g} apart alone")
     proof = law.certificate or law.certified().certificate
     figures: Result = {"holds": False, "statement": "nothing is proven"}
     if proof is not None and proof.proven > 0:

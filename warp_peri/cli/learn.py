@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import io
+import itertools
 import re
 import shlex
 import tempfile
@@ -29,6 +30,8 @@ ONE = "exactly one equilibrium for every load"
 UNSAID = "as in the tables; no unit was said"
 FITS = "fits"
 """Of the folder, where a second start goes on from."""
+DASHES = ("-", "--", ":")
+"""Of curves, which may coincide."""
 STEP, PRINTED, ROWS = 0.025, 4, 8
 """Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
@@ -266,12 +269,13 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     axes = figure.add_subplot()
     columns, names = [stretches], ["stretch"]
-    for name, (middle, low, high) in curves.items():
-        (line,) = axes.plot(stretches, middle, label=name)
+    for (name, (middle, low, high)), style in zip(curves.items(), itertools.cycle(DASHES)):
+        (line,) = axes.plot(stretches, middle, linestyle=style, label=name)
         axes.fill_between(stretches, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
         columns += [middle, low, high]
         names += [f"P {name}", f"low {name}", f"high {name}"]
     axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]")
+    axes.set_title("Stress of the identified sheet, with its 90 % band")
     axes.legend(frameon=False, title="tension along")
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=110)

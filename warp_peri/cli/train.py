@@ -166,7 +166,7 @@ def run_train(given: argparse.Namespace) -> Result:
         metrics = training_metrics(run)
         best, warned = long_waves_of_data(run.fit.moduli[0], samples, given.horizon)
         if best:
-            metrics["moduli by tensors"] = best
+            metrics["moduli of a crystal model"] = best
         if warned:
             warnings.warn(warned, stacklevel=1)
         if samples.spacing and len(samples) >= LEAST_SAMPLES:
@@ -298,7 +298,7 @@ def in_percent(metrics: Result) -> Result:
             shown["shares of the squared residual [%]"] = shares
         elif key in ("lambda", "mu", "E", *CUBIC):
             shown[key] = shown_moduli(units, (value,), digits=6)
-        elif key in ("moduli", "moduli by tensors", "deviation"):
+        elif key in ("moduli", "moduli of a crystal model", "deviation"):
             shown[key] = {
                 name: shown_moduli(units, (size,), digits=6) if name[0] in "lmCE" else size
                 for name, size in value.items()

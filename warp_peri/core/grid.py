@@ -109,7 +109,7 @@ def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | No
     """
     d = steps.shape[1]
     if points.x.shape[1] != d:
-        raise InputError(f"points: expected {d} coordinates for this law, got {points.x.shape[1]}")
+        raise InputError(f"points: expected {d} coordinates, got {points.x.shape[1]}")
     if not points.spacing > 0:
         raise InputError("points: expected a lattice, got scattered points (spacing 0)")
     grid, axes = lattice_steps(points)

@@ -85,9 +85,9 @@ class Proof:
         if not self.holds:
             return "Nothing is proven."
         return (
-            "Every static problem on any finite set of nodes of the law's lattice, with "
+            "Every static problem on any finite set of nodes of the model's lattice, with "
             "displacement given on all nodes that their bonds reach, has exactly one solution: "
-            f"D(k) ≥ {self.proven:.6g} s(k) for every wave, in the law's unit of stress, "
+            f"D(k) ≥ {self.proven:.6g} s(k) for every wave, in the model's unit of stress, "
             f"{self.proven / self.sampled:.0%} of the smallest ratio that was sampled."
         )
 

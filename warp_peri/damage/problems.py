@@ -45,8 +45,12 @@ class Cracked:
             convex polygons, [P, 3].
         free: components that are not given, shape [N, d] bool, where a node is held in part;
             by default all of the interior.
-        pressure: stress [d, d] of what presses on the faces of the cracks, p n⊗n of a fluid (C13);
-            of bodies at rest.
+        pressure: [stress], shape [d, d], of what presses on the faces of the cracks, p n⊗n of a
+            fluid (C13); of bodies in equilibrium.
+
+    `solve` and `move` raise InputError for points that are no plain lattice, fields of other
+    shapes or not finite, a piece that nothing holds, a material without a linear part, and one
+    whose cut bonds leave negative eigenvalues.
 
     >>> wp.solve(model, wp.Cracked(points, u=0.01 * x, cracks=[[(-60, 2.5), (0, 2.5)]])).u.shape
     (441, 2)

@@ -94,14 +94,14 @@ def grains_of(
     if grains is None:
         return [solid], np.zeros(count, int)
     if not (isinstance(grains, tuple) and len(grains) == 2):
-        raise InputError("grains: expected a pair (laws, numbers of the nodes' own)")
+        raise InputError("grains: expected a pair (models, numbers of the nodes' own)")
     laws, given = list(grains[0]), checked("grains", grains[1], float)
     number = given.astype(int)
     if given.shape != (count,) or (number != given).any():
         raise InputError(f"grains: expected {count} whole numbers, got shape {list(given.shape)}")
     if not (len(laws) and number.min() >= 0 and number.max() < len(laws)):
         raise InputError(
-            f"grains: expected numbers of {len(laws)} laws, got {number.min()} to {number.max()}"
+            f"grains: expected numbers of {len(laws)} models, got {number.min()} to {number.max()}"
         )
     for law in laws:
         same = law.base == solid.base and abs(law.spacing / solid.spacing - 1) < SAME
@@ -113,7 +113,7 @@ def grains_of(
             and len(law.parts.moduli) == len(solid.parts.moduli)
         ):
             raise InputError(
-                "grains: expected laws of one base, spacing, units and neighbours, with as many "
+                "grains: expected models of one base, spacing, units and neighbours, with as many "
                 "parts each, as from_phonons or transferred make them for other orientations"
             )
     return laws, number

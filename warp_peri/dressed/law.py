@@ -536,15 +536,15 @@ class Dressed:
             eight bonds, which may break).
         neighbours: of G: 4, 8, 12 or 20 in the plane, 6, 18 or 26 in space.
         symmetry: name of the crystal's point group, or rotations.
-        orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
-            the points' own axis by default.
+        orientation: the crystal's axes in the coordinates of the points, columns of a rotation
+            [d, d], or degrees; the points' own axis by default.
         moduli: "long waves" holds those that the longest waves of the fields have, a Voigt matrix
-            (crystal's axes) [stress] its own; of isotropic sheets at a percent of strain or more
-            the Smoothing of the data finds better ones (Dr20). They are never learned with G: left
-            free they drift.
+            (crystal's axes) [stress], shape [3, 3], in space [6, 6], its own; of isotropic sheets
+            at a percent of strain or more the Smoothing of the data finds better ones (Dr20). They
+            are never learned with G: left free they drift.
         split: a G for each part of the base (bulk, shear, …) in place of one.
-        two_functions: learn an influence function of the dilatation too, one number more; of a base
-            of bonds and one G. It keeps what is proven (Dr26).
+        two_functions: learn an influence function of the dilatation too, one parameter more; of a
+            base of bonds and one G. It keeps what is proven (Dr26).
 
     `fit` raises InputError for another base, or another number of neighbours.
 

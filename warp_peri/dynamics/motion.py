@@ -24,7 +24,7 @@ class Motion:
         u: displacement at the end [length], shape [N, d].
         v: velocity at the end [length/time], shape [N, d]; None of what has none.
         history: what was written down at these times, by name, first dimension R.
-        details: what only this law knows: the state at the end, the body.
+        details: what only this material knows: the state at the end, the body.
 
     >>> start = wp.Dirichlet(points, None, u[0])
     >>> wp.move(model, start, density=2200.0, step=0.005, steps=4).time.shape

@@ -53,7 +53,7 @@ def critical_time_step(
         density: mass per volume [kg/m³].
         allow_uncertified: the model's own numbers, with a warning.
 
-    Raises InputError for a model certified on no lattice, a horizon below one spacing, a
+    Raises InputError for a model of which nothing is proven there, a horizon below one spacing, a
     density not > 0.
     """
     check_positive("density", density)
@@ -71,7 +71,7 @@ def _of_tensors(law: Any, spacing: float, allow_uncertified: bool) -> float:
     """The stiffest wave of a law of tensors, which is for one spacing and needs its proof."""
     stencil_of(law, spacing, "critical_time_step")
     if not (allow_uncertified or (law.certificate or law.certified().certificate).holds):
-        raise InputError("law: expected one whose certificate holds; waves may grow")
+        raise InputError("material: expected one whose certificate holds; waves may grow")
     return float(law.stiffest_wave())
 
 

@@ -226,7 +226,7 @@ def _refuse_dimension(dimension: int, mesh: Mesh | Tetrahedra) -> None:
     if mesh.x.shape[1] != dimension:
         kind = {2: "triangles", 3: "tetrahedra"}
         raise InputError(
-            f"mesh: expected {kind[dimension]}, for the law is one of {dimension} dimensions, got "
+            f"mesh: expected {kind[dimension]}, for a model of {dimension} dimensions, got "
             f"{kind[mesh.x.shape[1]]}"
         )
 

@@ -332,7 +332,7 @@ class Diagnosis:
 
 
 def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> Diagnosis:
-    """Tell the causes of the residual of a material on the data it was fitted to.
+    """Name the causes of the residual of a material on the data it was fitted to.
 
     Args:
         material: with a linear part, certified on their lattice, or its operator there.

@@ -41,7 +41,7 @@ def evaluate(
     """Errors on every sample of a set and their means.
 
     Args:
-        material: of any law, or its operator on these points. A solid certified on some lattice is
+        material: any, or its operator on these points. A solid certified on some lattice is
             transferred to others, which is said once.
         points: samples with displacement and load; of a Dataset its only set.
         transfer: False refuses lattices that the model itself is not certified on.

@@ -43,6 +43,9 @@ class LPS:
             fit displacement; "auto" takes the residual where noise does not matter.
         normalise: divide each sample by ‖b‖ in the residual.
 
+    `fit` raises InputError for a horizon below one spacing and for settings of other kinds;
+    RuntimeError where no start of the search keeps the conditions.
+
     >>> wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).certificate.holds
     True
     """
@@ -98,7 +101,7 @@ class ThirdOrder:
 
     Attributes:
         linear: the linear solid, learned with them: by Optimum, of Bernstein polynomials, on
-            lattices of one spacing. Moduli held isotropic, two influence functions and normalised
+            lattices of one spacing. Isotropic moduli, two influence functions and normalised
             samples are the better choice. Or Micromodulus(…), whose tensors are learned with the
             constants by one least squares (N22–N29).
         smoothing: of the data, for the filtered form; None learns the energy form. Tensors need it
@@ -132,7 +135,7 @@ class ThirdOrder:
             raise InputError(f"form: expected 'auto', 'filtered' or 'energy', got {form!r:.50}")
         if isinstance(self.linear, Micromodulus):
             if noise:
-                raise InputError("noise: expected none for micromodulus tensors")
+                raise InputError("noise: expected none for a crystal model")
             return _on_tensors(self.linear, samples, self.smoothing, form)
         if filtered != (form == "filtered"):
             raise InputError(
@@ -152,7 +155,7 @@ def _on_tensors(
     """
     if not isinstance(smoothing, Smoothing):
         raise InputError(
-            f"smoothing: expected Smoothing(…) beside such tensors, got {smoothing!r:.60}"
+            f"smoothing: expected Smoothing(…) for a crystal model, got {smoothing!r:.60}"
         )
     if linear.moduli is None:
         raise InputError("moduli: expected some that are held, beside third-order constants")
@@ -184,24 +187,24 @@ def fit(samples: Sets, law: ThirdOrder, **options: Any) -> Any: ...
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
 def fit(samples: Any, law: Any = None, **options: Any) -> Any:
-    """Learn a law from samples.
+    """Learn a material model from samples.
 
     Args:
         samples: one set or several; of a Dataset `train`, or its only set.
         law: what may be learned, and how: LPS(horizon, …), ThirdOrder(LPS(…)),
             tissue.Dictionary(…).
-        options: of the law's `learn`; all take `progress`, linear solids `noise`: fields of noise
+        options: of its `learn`; all take `progress`, linear solids `noise`: fields of noise
             alone on the nodes of each training set.
 
     Returns:
-        A fit with `material`, and with `certificate` and `history` where the law has them.
+        A fit with `material`, and with `certificate` and `history` where the model has them.
 
     Raises InputError for input that cannot be used, RuntimeError where a search fails.
 
     >>> round(wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).material.mu, 3)
     0.7
     """
-    learned = offered(law, "learn", "fit", "a law: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
+    learned = offered(law, "learn", "fit", "a model: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
     if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
         (options,) = taken(options, "fit", learned)
     return learned(samples, **options)

@@ -142,7 +142,7 @@ def resample_loads(
     else:
         spread = float(np.sqrt(count / (count - 1)))
         how = f"{draws} choices of the loads with repetition"
-        how += f" ({again} more told of no law)" if again else ""
+        how += f" ({again} more told of no model)" if again else ""
     knows = (
         f"{how}, of {count}: what differs from load to load, noise among it; not an error that all "
         "loads share"

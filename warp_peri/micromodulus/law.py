@@ -102,7 +102,7 @@ class TensorOperator(OnPoints):
 
         Raises InputError as Linear.solve does.
         """
-        refuse_solver(solver, (Krylov,), "a law of micromodulus tensors")
+        refuse_solver(solver, (Krylov,), "a crystal model")
         asked = solver if isinstance(solver, Krylov) else Krylov()
         b, u = checked_fields(self.points, b, u)
         loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
@@ -317,7 +317,7 @@ class StencilMaterial(Record):
         check_same(self.units, nodes.units)
         if not abs(nodes.spacing / own - 1) <= SAME_SPACING:
             raise InputError(
-                f"spacing: the law is for {own:g}, the points have {nodes.spacing:g}; "
+                f"spacing: the model is for {own:g}, the points have {nodes.spacing:g}; "
                 "transferred(law, spacing) fits another"
             )
         return nodes
@@ -501,7 +501,7 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
     def uncut(self) -> str:
         """Why no bonds may be cut, with the figure of `surface_traction`."""
         return (
-            "a law of micromodulus tensors is not objective there (a turned face feels up to "
+            "a crystal model is not objective there (a turned face feels up to "
             f"{self.surface_traction():.3g} {symbols(self.units)[1]} per radian); give a collar "
             f"{self.horizon:g} wide"
         )
@@ -529,7 +529,7 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
             if not straight and unsaid(nodes):
                 warnings.warn(
                     "axis: lattice or crystal are turned, and the points do not state how the "
-                    "crystal lies: taken as on its nodes in the law; Points(…, axis=…) states it",
+                    "crystal lies: taken as on its nodes in the model; Points(…, axis=…) states it",
                     stacklevel=3,
                 )
             return
@@ -537,7 +537,7 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
         if np.abs(same - there).max(axis=(1, 2)).min() > SAME_AXIS:
             angle = np.degrees(np.arccos(np.clip((np.trace(there) - (d - 2)) / 2, -1, 1)))
             raise InputError(
-                f"axis: the crystal stands at {angle:.4g}° to these nodes, other than in the law; "
+                f"axis: the crystal stands at {angle:.4g}° to these nodes, not as in the model; "
                 "transferred(law, spacing, rotation=…) turns it"
             )
 

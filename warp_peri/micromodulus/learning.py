@@ -107,7 +107,7 @@ def fit(
     learned = solved(R, y, bonds, shared, C, samples.spacing)
     if not learned.loss < ABSURD:
         raise InputError(
-            f"data: the law leaves {learned.loss:.3g} times the loads themselves; are moduli in "
+            f"data: the model leaves {learned.loss:.3g} times the loads themselves; are moduli in "
             f"{symbols(samples.points.units)[1]}, and loads the forces on the nodes?"
         )
     record = {
@@ -233,7 +233,7 @@ def long_waves_of_data(
     unit = symbols(samples.points.units)[1]
     told = [", ".join(f"{k} {v:.4g}" for k, v in each.items()) for each in (moduli, best)]
     return best, (
-        f"moduli: of long waves the fit has {told[0]} {unit}, and the data {told[1]} by tensors, "
+        f"moduli: of long waves the fit has {told[0]} {unit}, a crystal model has {told[1]}, "
         "more apart than their spread: --law tensors, Micromodulus(…), has them"
     )
 
@@ -261,13 +261,13 @@ class Micromodulus:
     """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory, T).
 
     Attributes:
-        horizon: length of the longest bond.
+        horizon: length of the longest bond [length].
         symmetry: name of the crystal's point group, rotations, or "auto": the largest group with
             which the fit is as good as without one.
-        orientation: the crystal's axes in the coordinates of the points, as columns, or degrees;
-            the points' own axis by default.
+        orientation: the crystal's axes in the coordinates of the points, columns of a rotation
+            [d, d], or degrees; the points' own axis by default.
         moduli: "long waves" holds those that a fit of long waves finds, None holds none, a Voigt
-            matrix (crystal's axes) [stress] holds its own.
+            matrix (crystal's axes) [stress], shape [3, 3], in space [6, 6], holds its own.
         normalise: weigh each sample by 1/‖b‖.
 
     `fit` raises InputError for several sets, scattered points, or a symmetry that is none.
@@ -293,7 +293,7 @@ class Micromodulus:
 def one_set(samples: Any) -> Samples:
     """The samples of one set; of a Dataset `train`, or its only set."""
     if isinstance(samples, (list, tuple)) and len(samples) != 1:
-        raise InputError(f"samples: expected one set for micromodulus tensors, got {len(samples)}")
+        raise InputError(f"samples: expected one set for a crystal model, got {len(samples)}")
     given = samples[0] if isinstance(samples, (list, tuple)) else samples
     if isinstance(given, Dataset):
         return given.obvious("train")

@@ -70,7 +70,7 @@ def learn(
     p0, free = particular(A, a)
     if np.abs(A @ p0 - a).max(initial=0.0) > MET * max(np.abs(a).max(initial=0.0), 1e-300):
         raise InputError(
-            "moduli: no law of this horizon and symmetry has them; a larger horizon or a "
+            "moduli: no model of this horizon and symmetry has them; a larger horizon or a "
             "smaller symmetry may"
         )
     reduced = R @ free
@@ -102,7 +102,7 @@ def learn(
             x = least_squares_above(reduced, rest, G, g)
         except InputError:
             raise InputError(
-                "stability: no law of this horizon and symmetry meets the floor"
+                "stability: no model of this horizon and symmetry meets the floor"
             ) from None
     else:
         raise InputError(f"stability: the cuts did not settle in {ROUNDS} rounds")

@@ -387,7 +387,7 @@ def plane_stress(law: Crystal, normal: int = 2) -> Crystal:
 def _kept(law: Crystal, normal: int) -> list[int]:
     if law.dimension != 3 or normal not in (0, 1, 2):
         raise InputError(
-            f"normal: expected axis 0, 1 or 2 of a law in space, got {normal!r:.20} of one in "
+            f"normal: expected axis 0, 1 or 2 of a model in space, got {normal!r:.20} of one in "
             f"{law.dimension} dimensions"
         )
     return [axis for axis in range(3) if axis != normal]

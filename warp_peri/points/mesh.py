@@ -80,8 +80,7 @@ def outlined(
     x, t = checked("x", x, shape=("P", d)), checked(name, cells, int, ("T", d + 1))
     if not len(t):
         raise InputError(f"{name}: expected some, got none")
-    if t.min() < 0 or t.max() >= len(x):
-        raise InputError(f"{name}: expected corners 0 to {len(x) - 1}, got {t.min()}, {t.max()}")
+    check_numbers(name, t, len(x))
     size = np.linalg.det(x[t[:, 1:]] - x[t[:, :1]])
     pairs = list(itertools.combinations(range(d + 1), 2))
     lengths = [np.linalg.norm(x[t[:, a]] - x[t[:, b]], axis=1) for a, b in pairs]
@@ -115,6 +114,12 @@ def outlined(
     ends = {pair: sorted(new[list(pair)].tolist()) for pair in middle}
     bent = {(a, b): np.asarray(middle[pair], float) for pair, (a, b) in ends.items()}
     return x, t, facets, named, bent
+
+
+def check_numbers(name: str, numbers: np.ndarray, count: int, what: str = "corners") -> None:
+    """Raise InputError unless all are 0 to `count` − 1."""
+    if numbers.size and not 0 <= (least := numbers.min()) <= (most := numbers.max()) < count:
+        raise InputError(f"{name}: expected {what} 0 to {count - 1}, got {least}, {most}")
 
 
 def _facets(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -300,7 +305,7 @@ def make_tetrahedra(
         middle: points halfway along curved edges of the surface [length], by the pair of corners.
         inner: faces of parts that are inside are left out with a warning, not refused.
 
-    Warns and raises InputError as `points.cells.outlined`.
+    Warns and raises InputError as `points.mesh.outlined`.
     """
     corners, t, faces, named, bent = outlined(x, cells, parts or {}, middle or {}, 3, inner=inner)
     curved = np.array(list(bent), dtype=int).reshape(-1, 2)
@@ -329,12 +334,16 @@ class Mesh:
     """Triangles of a body, with an outline that may be curved.
 
     Attributes:
-        x: corners [Å], shape [P, 2].
-        triangles: their corners, shape [T, 3], counter-clockwise.
-        edges: the outline's edges by their corners, shape [E, 2], the body on their left.
-        middle: points of the outline halfway along the edges [Å], shape [E, 2]; an edge is the
-            parabola through its ends and this.
-        parts: edges by name, numbers into `edges`; those that have no name are REST.
+        x: corners [length], shape [P, 2].
+        triangles: numbers of their corners, shape [T, 3] int, counter-clockwise.
+        edges: the outline's edges by their corners, shape [E, 2] int, the body on their left.
+        middle: points of the outline halfway along the edges [length], shape [E, 2]; an edge is
+            the parabola through its ends and this.
+        parts: edges by name, numbers into `edges`, shape [n] int each; those that have no name are
+            REST.
+
+    Raises InputError naming the first array of another shape, with values that are not finite, or
+    with a number that no corner or edge has. `make_mesh` finds the outline and refuses overlaps.
 
     >>> ends = np.array([[0, 1], [1, 2], [2, 0]])  # of a triangle's edges
     >>> x = np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])
@@ -346,6 +355,15 @@ class Mesh:
     edges: np.ndarray
     middle: np.ndarray
     parts: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        corners = len(checked("x", self.x, shape=("P", 2)))
+        check_numbers("triangles", checked("triangles", self.triangles, int, ("T", 3)), corners)
+        check_numbers("edges", checked("edges", self.edges, int, ("E", 2)), corners)
+        checked("middle", self.middle, shape=(len(self.edges), 2))
+        for name, part in self.parts.items():
+            name = f"part '{name}'"
+            check_numbers(name, checked(name, part, int, ("n",)), len(self.edges), "edges")
 
     @property
     def cells(self) -> np.ndarray:
@@ -427,7 +445,7 @@ def make_mesh(
         middle: points halfway along curved edges [Å], by the pair of corners, the smaller first.
         inner: edges of parts that are inside are left out with a warning, not refused.
 
-    Warns and raises InputError as `points.cells.outlined`.
+    Warns and raises InputError as `points.mesh.outlined`.
     """
     corners, cells, edges, named, bent = outlined(
         x, triangles, parts or {}, middle or {}, 2, inner=inner
@@ -448,7 +466,7 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
     quadrilaterals; what is named inside the body is left out with a warning.
 
     Raises InputError for a file that is not read, without meshio (the extra `bodies`), with cells
-    of other kinds or none, for triangles that are not plane, and as `points.cells.outlined`.
+    of other kinds or none, for triangles that are not plane, and as `points.mesh.outlined`.
     """
     try:
         import meshio

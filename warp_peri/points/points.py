@@ -33,7 +33,7 @@ class Points(Shown):
         units: names of the units of length and stress that these nodes and their fields are in.
         axis: angle [degrees] from the x axis of the nodes to the axis of the material, a crystal's
             zigzag direction; in space that about the third axis, or the material's axes, columns of
-            a rotation [3, 3]; None where it is not stated. Only laws that depend on direction ask.
+            a rotation [3, 3]; None where it is not stated. Models that depend on it ask.
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
     Periods are held against a horizon where there is one.

@@ -176,7 +176,7 @@ def axis_of(points: PointsLike) -> float:
     if points.axis is None:
         if unsaid(points):
             warnings.warn(
-                "axis: the law depends on direction, and the points do not state that of the "
+                "axis: the model depends on direction, and the points do not state that of the "
                 "material: taken along x; Points(…, axis=degrees) states it",
                 stacklevel=4,
             )

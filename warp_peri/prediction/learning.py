@@ -70,8 +70,8 @@ class Family:
         if isinstance(samples, Dataset):
             samples = samples.sets["train"] if "train" in samples.sets else samples.obvious()
         if not isinstance(samples, Samples) or len(samples) < 4:
-            raise InputError("samples: expected one set of at least four samples for a family")
-        learn = offered(self.rich, "learn", "fit", "a law as the rich member")
+            raise InputError("samples: expected one set of at least four samples for an ensemble")
+        learn = offered(self.rich, "learn", "fit", "a model as the rich member")
         second = self.second or poorer(self.rich)
         fits = {"rich": learn(samples, progress=progress)}
         fits["second"] = second.learn(samples, progress=progress)
@@ -121,7 +121,7 @@ def poorer(law: Any) -> Any:
         return law.poorer()
     inner = getattr(law, "linear", law)
     if not hasattr(inner, "horizon"):
-        raise InputError("second: expected a law, as none with a shorter horizon is known")
+        raise InputError("second: expected a model, as none with a shorter horizon is known")
     changes: dict[str, Any] = {"horizon": SHRUNK * inner.horizon}
     degree = getattr(getattr(inner, "kernel", None), "degree", None)
     if degree is not None:

@@ -159,7 +159,7 @@ ROUNDS = 5
 """Of finding that residual, which the prior alone makes depend on itself."""
 STEP = 1e-4
 """Of a number, relative to the largest, in the slope of a quantity."""
-KINDS = "a law of micromodulus tensors or a linear peridynamic solid"
+KINDS = "a crystal model or a linear peridynamic solid"
 
 
 @dataclass(frozen=True)
@@ -259,7 +259,7 @@ def _numbers(material: Crystal, bonds: Basis) -> np.ndarray:
     """p of a law, in units of stress."""
     basis = bonds.basis.reshape(len(bonds.basis), -1)
     if not np.array_equal(bonds.steps, material.steps):
-        raise InputError("next_load: expected a law on a whole ball of bonds")
+        raise InputError("next_load: expected a model on a whole ball of bonds")
     tensors = material.tensors.ravel() * material.spacing**2
     return np.asarray(np.linalg.lstsq(basis.T, tensors, rcond=None)[0])
 

@@ -38,12 +38,10 @@ MOVED = 0.02
 SHORTER, STRAINED = 0.01, 1.2
 """Share of waves shorter than the data's, and strain over the data's where the rich member is
 linear, from which the error does not speak of an answer."""
-FAMILY = (
-    "a family, as fit(samples, Family(…)).material is: one law alone knows nothing of its error"
-)
-FREE_EDGE = "free edges: the family was learned inside a body, and atoms at an edge are other ones"
-BROKEN = "broken bonds: the family knows none"
-ALONE = "waves: a law of force constants alone tells the error of its moduli, and no other"
+FAMILY = "an ensemble, as fit(samples, Family(…)).material is: one model knows nothing of its error"
+FREE_EDGE = "free edges: the ensemble was learned inside a body, and atoms at an edge differ"
+BROKEN = "broken bonds: the ensemble knows none"
+ALONE = "waves: force constants alone determine the error of the moduli, and no other"
 AXIS = "axis: the points do not state the direction of the crystal; its largest swing is a part"
 
 
@@ -80,9 +78,9 @@ def predict(
     """The cheapest answer that keeps a tolerance, and how wrong it is.
 
     Args:
-        material: a family, from fit(samples, prediction.learning.Family(…)), or the PlacedMembers
-            of one where the same points are asked again. A crystal of `from_atoms` whose moduli
-            have standard errors tells those alone, and says so.
+        material: an ensemble, from fit(samples, prediction.learning.Family(…)), or its
+            PlacedMembers where the same points are asked again. A crystal of `from_atoms` whose
+            moduli have standard errors gives those alone, and says so.
         problem: Dirichlet(points, b, u), or Body(mesh, …) for the linear part.
         tolerance: largest displacement error, relative to the displacement of the interior; None
             for the best answer, with its error.
@@ -91,8 +89,8 @@ def predict(
     Returns:
         An answer, or one for each of several loads. One whose tolerance is not kept says so.
 
-    Raises InputError for a material that is no family, a problem of another kind, a tolerance that
-    is no number above zero, and whatever `solve` refuses.
+    Raises InputError for a material that is no ensemble, a problem of another kind, a tolerance
+    that is no number above zero, and whatever `solve` refuses.
 
     >>> ensemble = wp.fit(samples, Family(wp.LPS(12.5, wp.Bernstein(3)))).material
     >>> bool(wp.predict(ensemble, wp.Dirichlet(points, b[0], u[0]), tolerance=0.05).kept)
@@ -326,14 +324,14 @@ def _beyond(placed: PlacedMembers, stage: _Stage) -> tuple[str, ...]:
     """What the family's data say nothing of, and no part does."""
     found = []
     if stage.unseen > SHORTER:
-        found.append("short waves: shorter than any that the family learned from")
+        found.append("short waves: shorter than any that the ensemble learned from")
     known = placed.family.strain
     if not placed.nonlinear and known > 0:
         strain = placed.gradient(stage.u)
         if strain > STRAINED * known or not placed.family.factors.stretch:
             found.append(
                 f"strain: the rich member is linear, and {strain:.2%} is beyond the {known:.2%} of "
-                "its data, or nothing in the family tells what it misses"
+                "its data, or nothing in the ensemble tells what it misses"
             )
     return tuple(found)
 

@@ -104,7 +104,7 @@ def certify(
 
     Args:
         material: a linear solid, a material with a linear part, or the operator of either.
-        spacing: h [Å]; by default that of a law for one lattice, of an operator that of its points.
+        spacing: h [Å]; by default that of a material for one lattice, or of an operator's points.
         points: training domain for the dense conditions (4.6) of You et al. (2021): Γ on its
             interior nodes, Φ with the dilatation of interior nodes only.
 

@@ -36,6 +36,8 @@ class Direct:
         iterative: GMRES with an incomplete factorisation, for many scattered points.
         quadrature_degree: of the polynomials that the weights are exact for.
 
+    `solve` raises InputError for a degree below 2, and for one that no weights are exact for.
+
     >>> wp.solve(model, wp.Dirichlet(points, None, 0.01 * x), solver=wp.Direct()).method
     'lu'
     """
@@ -80,7 +82,7 @@ class Krylov:
 
 @dataclass(frozen=True)
 class Newton:
-    """Repeated linear solves, then Newton's method, for laws that are not linear.
+    """Repeated linear solves, then Newton's method, for materials that are not linear.
 
     Attributes:
         tolerance: residual over the linear right-hand side.
@@ -175,7 +177,7 @@ def refuse_solver(solver: Solver, known: tuple[type, ...], law: str) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Solution(Shown):
-    """A body at rest.
+    """A body in equilibrium.
 
     Attributes:
         u: displacement [length] (of diffusion φ), shape as given: what was given on the collar,
@@ -187,8 +189,11 @@ class Solution(Shown):
         iterations: of each sample, as many as the method counts; 0 of a factorisation.
         proven: what is proven of the answer, in one sentence; None for nothing.
         warnings: what was said on the way.
-        details: what only this law or problem knows: records of the solver, of a body its
+        details: what only this material or problem knows: records of the solver, of a body its
             elements and lattice.
+        measured: the relative residual, where the method finds it itself.
+
+    Its `stress` and `energy` raise InputError where the material has none.
 
     >>> wp.solve(model, wp.Dirichlet(points, b[0], u[0])).stress().shape
     (121, 2, 2)
@@ -226,14 +231,14 @@ class Solution(Shown):
             return np.asarray(self.details.on_corners()[1])
         stress = self.operator.stress(self._values)
         if stress is None:
-            raise InputError("stress: this law has none")
+            raise InputError("stress: this model has none")
         return np.asarray(stress)
 
     def energy(self) -> np.ndarray:
         """Elastic energy, as the operator's `energy`; InputError for a law without one."""
         energy = self.operator.energy(self._values)
         if energy is None:
-            raise InputError("energy: this law has none")
+            raise InputError("energy: this model has none")
         return np.asarray(energy)
 
     def at(self, x: np.ndarray) -> np.ndarray:

@@ -213,7 +213,7 @@ def picture(found: LearnedCrystal) -> Figure:
         dispersion.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
         dispersion.plot(reach[::3], true[::3], ".", color=f"C{number}")
     dispersion.set(xlabel="|k| h", ylabel="√Λ(k) [√(GPa/Å²)]")
-    dispersion.set_title("law (lines), atoms (dots), local (dotted)")
+    dispersion.set_title("model (lines), atoms (dots), local (dotted)")
     dispersion.legend(frameon=False)
     polar: Any = figure.add_subplot(1, 3, 2, projection="polar")
     angle, young = found.directional()
@@ -226,7 +226,7 @@ def picture(found: LearnedCrystal) -> Figure:
     for shift, name in ((-0.2, "law"), (0.2, "local")):
         bars.bar(place + shift, [e[name] for e in found.unseen.values()], 0.38, label=name)
     bars.set_xticks(place, [name.replace(" of ", "\n") for name in found.unseen])
-    bars.set(ylabel="E_u [%]", title="loads that the law never saw")
+    bars.set(ylabel="E_u [%]", title="loads that the model never saw")
     bars.legend(frameon=False)
     return figure
 
@@ -403,7 +403,7 @@ class LearnedCrystal(Shown):
         words = f"D(k) ≥ {1e3 * told.proven * left:.4g} GPa s(k)" if left > 0 else "nothing"
         return [
             (f"proven at moduli less {BARS} standard errors",
-             f"{words}, of the law with all bonds {BARS * self.unsure:.2%} softer")
+             f"{words}, of the model with all bonds {BARS * self.unsure:.2%} softer")
         ]  # fmt: skip
 
     def plot(self) -> Any:
@@ -507,11 +507,11 @@ def from_atoms(
     symmetry: Symmetry = "auto",
     units: Units | str = USUAL,
 ) -> LearnedCrystal:
-    """The law of a crystal from its structure and a calculator.
+    """The model of a crystal from its structure and a calculator.
 
     The structure is relaxed, checked (forces, stress, imaginary phonons), and brought to its
-    smallest cell; force constants are made, the law is learned from them or from loads, and put to
-    loads that it never saw.
+    smallest cell. Force constants are made, and the model is learned from them or from loads. It is
+    put to loads that it never saw.
 
     Args:
         atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.
@@ -525,11 +525,11 @@ def from_atoms(
         horizon: of the longest bond [Å]; by default 3 spacings, in space √6.
         supercell: repeats of the smallest cell for force constants; by default until forces end.
         symmetry: "auto" asks spglib, or a point group by name.
-        units: of the law: "ase", "metal", "si", or names of a length and a stress.
+        units: of the model: "ase", "metal", "si", or names of a length and a stress.
 
-    Moduli of long waves that are 2 % off those of finite strains are warned of. Raises InputError
-    for what is no crystal, does not come to rest, or has imaginary phonons, and for moduli that are
-    20 % off.
+    Moduli of long waves whose error is 2 % against finite strains are warned of. Raises InputError
+    for what is no crystal, does not relax, or has imaginary phonons, and for moduli whose error is
+    20 %.
 
     >>> from ase.build import bulk; from ase.calculators.emt import EMT
     >>> round(wp.from_atoms(bulk("Al"), EMT()).material.moduli("GPa")["C11"])

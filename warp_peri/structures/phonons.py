@@ -314,7 +314,7 @@ def born_charges(reference: Reference, calculator: Any) -> Polar | None:
     if reference.dimension == 2:
         raise InputError(
             "calculator: it gives Born charges of a sheet; the field of a sheet's ions is another "
-            "than a solid's, and no law here has it"
+            "than a solid's, and no model here has it"
         )
     if DIELECTRIC not in given:
         raise InputError(f"calculator: it gives {BORN} without {DIELECTRIC}; expected both")

@@ -325,7 +325,7 @@ def at_rest(
         said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
     if size is not None:
         said["thickness"] = f"{size:.4g} Å, {rule}"
-        said["bending"] = "not in the law: it moves a sheet in its plane only"
+        said["bending"] = "not in the model: it moves a sheet in its plane only"
     cell.calc = None
     return Reference(cell, size, stress, usual_spacing(cell, flat), said, noise)
 

@@ -336,7 +336,7 @@ class ThirdOrderCrystal(ThirdOrderSolid, format="warp_peri.third_order_crystal")
         if self.form not in FORMS:
             raise InputError(f"form: expected one of {', '.join(FORMS)}, got {self.form!r:.50}")
         if self.linear.dimension != 2:
-            raise InputError("linear: third-order constants are for sheets, got a law in space")
+            raise InputError("linear: third-order constants are for sheets, got a model in space")
         C = self.linear.tensor()
         shear, miss = C[0, 1, 0, 1], _anisotropy(C)
         if miss > ISOTROPIC * abs(shear):
@@ -401,7 +401,7 @@ class ThirdOrderCrystal(ThirdOrderSolid, format="warp_peri.third_order_crystal")
         if abs(points.spacing / self.spacing - 1) > SAME_SPACING:
             if not transfer:
                 raise InputError(
-                    f"spacing: the law is for {self.spacing:g}, the points have "
+                    f"spacing: the model is for {self.spacing:g}, the points have "
                     f"{points.spacing:g}, and transfer=False"
                 )
             key = (self.content()["sha256"], points.spacing)
@@ -411,7 +411,7 @@ class ThirdOrderCrystal(ThirdOrderSolid, format="warp_peri.third_order_crystal")
             here = _known[key]
         proof = here.linear.certificate
         if proof is None or not proof.holds:
-            said = "the tensors hold no certificate on this lattice"
+            said = "the crystal model has no certificate on this lattice"
             if not allow_uncertified:
                 raise InputError(f"certificate: {said}; allow_uncertified=True takes them")
             warnings.warn(f"certificate: {said}", stacklevel=4)
