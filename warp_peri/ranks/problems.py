@@ -335,7 +335,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         how, begin, records, run = options_of_steps(options)
     model = material.model
     d, made = piece.dimension, sweeps(piece.dimension)
-    build(comm, neighbours.lattice_neighbours, made.laid_out, made.dilatation, made.force_and_energy, halves(d).kick_and_drift)
+    sweeping = made.laid_out, made.dilatation, made.force_and_energy
+    build(comm, neighbours.lattice_neighbours, *sweeping, halves(d).kick_and_drift)
     felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if model.lam == model.mu else 2)
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
