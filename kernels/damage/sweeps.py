@@ -106,13 +106,17 @@ FORCE = (
     }
     w = 0.25 * w + 0.5 * excess * dilated * dilated;
     lost.data[piece.c[1]] = losing;
+    double out[DIM + 1][16];
+    *(At*)out[DIM] = w;
+    for (int a = 0; a < DIM; ++a)
+        *(At*)out[a] = f[a];
     for (int l = 0; l < 16; ++l) {
         const int i = number.data[base + l] - 1;
         if (i < 0)
             continue;
         for (int a = 0; a < DIM; ++a)
-            force.data[i].c[a] = f[a][l];
-        energy.data[i] = w[l];
+            force.data[i].c[a] = out[a][l];
+        energy.data[i] = out[DIM][l];
     }
 """
 )
