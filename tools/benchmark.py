@@ -7,6 +7,7 @@
     python tools/benchmark.py crystals [--quick]
     python tools/benchmark.py dressed [--quick]
     python tools/benchmark.py varying [--quick] [--sides 32 64] --json
+    python tools/benchmark.py broken [--quick] [--threads 1] --json
     python tools/benchmark.py ranks [--quick]
     python tools/benchmark.py gradient [--quick] [--long] [--json]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
@@ -19,6 +20,7 @@ are counted once from each end. What to read are the ratios: the times belong to
 the extra `bench` for Numba.
 """
 
+import json
 import os
 import sys
 import time
@@ -36,6 +38,7 @@ import warp as wp
 
 from tools import (
     benchmark_crystals,
+    benchmark_damage,
     benchmark_dressed,
     benchmark_gradient,
     benchmark_ranks,
@@ -405,15 +408,21 @@ def launches(*, quick: bool, threads: int = 2) -> None:
                 print(f"{side}², {precision}, {count} threads, ms: {told}", flush=True)
 
 
+def broken(*, quick: bool, threads: int = 2) -> None:
+    """Bodies that break, as JSON."""
+    counts = tuple(range(1, threads + 1))
+    print(json.dumps(benchmark_damage.broken(quick=quick, threads=counts), indent=1))
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
     kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
-    kinds += ["gradient", "varying"]
+    kinds += ["gradient", "varying", "broken"]
     parser.add("what", choices=kinds)
     parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
     parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
     parser.add("--sides", type=int, nargs="+", default=[], help="varying: elements along an edge")
-    parser.add("--json", action="store_true", help="gradient, varying: print JSON")
+    parser.add("--json", action="store_true", help="gradient, varying, broken: print JSON")
     parser.add("--long", action="store_true", help="gradient: motions of 100 000 steps too")
     parser.add("--model", type=Path, help="of solve and choice (default: learned)")
     parser.add("--out", type=Path, help="solve, choice: write the table as JSON")
@@ -427,6 +436,7 @@ def main(arguments: list[str] | None = None) -> int:
         "crystals": benchmark_crystals.crystals,
         "dressed": benchmark_dressed.dressed,
         "varying": partial(benchmark_dressed.varying, sides=tuple(given.sides)),
+        "broken": partial(broken, threads=given.threads),
         "ranks": benchmark_ranks.ranks,
         "gradient": partial(benchmark_gradient.gradient, long=given.long, as_json=given.json),
         "choice": partial(solver_choice.solver_choice, **files),
