@@ -55,6 +55,37 @@ def add_to(dtype):
     return add_to
 
 
+def shared(**phases):
+    """C++ of work on pieces in phases, which all threads that call it share: {pieces: work}.
+
+    A thread takes the next of the parts that are left of a phase, and when there are none waits
+    for those that others have taken; `turns` counts both, two numbers a phase, zeros at first. Who
+    comes late finds nothing left, and nobody waits for it.
+    """
+    text = """
+#if defined(__linux__) || defined(__APPLE__)
+    int rest(void) asm("sched_yield");
+#else
+    const auto rest = [] {};
+#endif
+    int* taken = turns.data;
+    const auto share = [&](const auto& pieces, auto work) {
+        const long long count = pieces.shape[0], parts = 64;
+        for (int n; (n = __atomic_fetch_add(taken, 1, __ATOMIC_RELAXED)) < parts;) {
+            for (long long t = count * n / parts; t < count * (n + 1) / parts; ++t)
+                work(pieces.data[t]);
+            __atomic_fetch_add(taken + 1, 1, __ATOMIC_RELEASE);
+        }
+        for (int n = 0; __atomic_load_n(taken + 1, __ATOMIC_ACQUIRE) < parts; ++n)
+            if (n > 1000)
+                rest();
+        taken += 2;
+    };
+"""
+    each = (f"    share({of}, [&](auto piece) {{{work}}});\n" for of, work in phases.items())
+    return text + "".join(each)
+
+
 @cache
 def bonds(scalar, dimension):
     """Functions of a bond in one precision and dimension d, with the types of vectors and boxes.

@@ -231,6 +231,43 @@ class Recorded:
             at_once(self._jobs)
 
 
+class Shared:
+    """A kernel that shares its work out among the threads that call it, packed once.
+
+    Its first argument counts what has been taken of each phase, see kernels/bonds.py. A job is one
+    call of Python and of the kernel, whatever the phases.
+
+    Args:
+        kernel, inputs, outputs: without the first argument.
+        phases: how many.
+        work: of all of them, that of a node being 1.
+    """
+
+    def __init__(
+        self, kernel: Any, inputs: Sequence[Any], outputs: Sequence[Any], phases: int, work: int
+    ) -> None:
+        kernel.module.load(DEVICE)
+        self._turns = np.zeros(2 * phases, np.int32)
+        self._launch = wp.launch(
+            kernel,
+            dim=1,
+            inputs=[ints(self._turns), *inputs],
+            outputs=list(outputs),
+            device=DEVICE,
+            record_cmd=True,
+        )
+        self._jobs = max(1, min(_count, work // SLICE)) * [self._launch.launch]
+
+    def give(self, place: int, value: Any) -> None:
+        """As Recorded.give."""
+        self._launch.set_param_at_index(place + 1, value)
+
+    def __call__(self) -> None:
+        """Launch, and wait for all."""
+        self._turns[:] = 0
+        at_once(self._jobs)
+
+
 @contextmanager
 def unrecorded() -> Iterator[Any]:
     """Warp's tape, or None where none records; what is launched inside does not go on it."""

@@ -19,23 +19,28 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from warp_peri.kernels.bonds import shared
+
 NONE, STRETCH, ENERGY = -1, 0, 1
 """Criteria: nothing breaks; e beyond its limit; the bond's energy density beyond its limit."""
 LANES = 16
 """Places of a piece, and bits of a word."""
 
 S = wp.float64
-PIECE = """
+TYPES = """
     typedef double V __attribute__((ext_vector_type(16)));
     typedef double At __attribute__((ext_vector_type(16), aligned(8)));  // at any place
     typedef bool Bits __attribute__((ext_vector_type(16)));
-    const int base = piece.c[0], bonds = offset.shape[0];
+    const int bonds = offset.shape[0];
     const size_t places = planes.shape[0] / DIM;
-    const double* u = planes.data + base;
+"""
+PIECE = """
+    const int base = piece.c[0];
+    const double* field = planes.data + base;
     wp::uint16* left = bits.data + size_t(piece.c[1]) * bonds;
     V own[DIM];
     for (int a = 0; a < DIM; ++a)
-        own[a] = *(const At*)(u + a * places);
+        own[a] = *(const At*)(field + a * places);
 """
 STRETCHED = """
         const wp::uint16 word = left[b];
@@ -44,9 +49,9 @@ STRETCHED = """
         const Bits there = __builtin_bit_cast(Bits, word);
         const double* bond = table.data[b].c;
         const int step = offset.data[b];
-        V e = bond[0] * (*(const At*)(u + step) - own[0]);
+        V e = bond[0] * (*(const At*)(field + step) - own[0]);
         for (int a = 1; a < DIM; ++a)
-            e += bond[a] * (*(const At*)(u + a * places + step) - own[a]);
+            e += bond[a] * (*(const At*)(field + a * places + step) - own[a]);
         e = there ? e : V(0.0);
 """
 LAID_OUT = """
@@ -54,7 +59,7 @@ LAID_OUT = """
         const int i = number.data[piece.c[0] + l] - 1;
         for (int a = 0; a < DIM; ++a)
             if (i >= 0)
-                planes.data[a * (planes.shape[0] / DIM) + piece.c[0] + l] = u.data[i].c[a];
+                planes.data[a * places + piece.c[0] + l] = u.data[i].c[a];
     }
 """
 DILATATION = (
@@ -123,67 +128,30 @@ FORCE = (
 
 
 @cache
-def sweeps(dimension: int):
-    """The kernels in one dimension."""
+def sweep(dimension: int):
+    """The kernel in one dimension: u by node into its planes, θ by place, then f and w by node.
+
+    Of all bonds, those that break now included; excess is λ − μ. Bonds beyond their limit lose
+    their bit; lost has a bit for each lane that loses one.
+    """
     vec, bond_type = wp.types.vector(dimension, S), wp.types.vector(dimension + 3, S)
-    native = {
-        name: wp.func_native(body.replace("DIM", str(dimension)))
-        for name, body in (("lay", LAID_OUT), ("dilate", DILATATION), ("pull", FORCE))
-    }
+    body = TYPES + shared(laid=LAID_OUT, dilating=DILATATION, pulling=FORCE)
 
-    @native["lay"]
-    def lay(
-        piece: wp.vec2i,
-        number: wp.array(dtype=wp.int32),
-        u: wp.array(dtype=vec),
-        planes: wp.array(dtype=S),
-    ): ...
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def laid_out(
-        first: wp.int32,
-        pieces: wp.array(dtype=wp.vec2i),
-        number: wp.array(dtype=wp.int32),
-        u: wp.array(dtype=vec),
-        planes: wp.array(dtype=S),
-    ):
-        """Vectors by node into their planes."""
-        lay(pieces[first + wp.tid()], number, u, planes)
-
-    @native["dilate"]
-    def dilate(
-        piece: wp.vec2i,
+    @wp.func_native(body.replace("DIM", str(dimension)))
+    def swept(
+        turns: wp.array(dtype=wp.int32),
+        laid: wp.array(dtype=wp.vec2i),
+        dilating: wp.array(dtype=wp.vec2i),
+        pulling: wp.array(dtype=wp.vec2i),
         offset: wp.array(dtype=wp.int32),
         table: wp.array(dtype=bond_type),
-        planes: wp.array(dtype=S),
-        bits: wp.array(dtype=wp.uint16),
-        theta: wp.array(dtype=S),
-    ): ...
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def dilatation(
-        first: wp.int32,
-        pieces: wp.array(dtype=wp.vec2i),
-        offset: wp.array(dtype=wp.int32),
-        table: wp.array(dtype=bond_type),
-        planes: wp.array(dtype=S),
-        bits: wp.array(dtype=wp.uint16),
-        theta: wp.array(dtype=S),
-    ):
-        """θ over the unbroken bonds, by place."""
-        dilate(pieces[first + wp.tid()], offset, table, planes, bits, theta)
-
-    @native["pull"]
-    def pull(
-        piece: wp.vec2i,
-        offset: wp.array(dtype=wp.int32),
-        table: wp.array(dtype=bond_type),
-        planes: wp.array(dtype=S),
         number: wp.array(dtype=wp.int32),
         no_fail: wp.array(dtype=wp.uint8),
         excess: S,
         criterion: wp.int32,
         tension_only: wp.int32,
+        u: wp.array(dtype=vec),
+        planes: wp.array(dtype=S),
         theta: wp.array(dtype=S),
         force: wp.array(dtype=vec),
         energy: wp.array(dtype=S),
@@ -192,36 +160,29 @@ def sweeps(dimension: int):
     ): ...
 
     @wp.kernel(enable_backward=False, module="unique")
-    def force_and_energy(
-        first: wp.int32,
-        pieces: wp.array(dtype=wp.vec2i),
+    def sweep(
+        turns: wp.array(dtype=wp.int32),
+        laid: wp.array(dtype=wp.vec2i),
+        dilating: wp.array(dtype=wp.vec2i),
+        pulling: wp.array(dtype=wp.vec2i),
         offset: wp.array(dtype=wp.int32),
         table: wp.array(dtype=bond_type),
-        planes: wp.array(dtype=S),
         number: wp.array(dtype=wp.int32),
         no_fail: wp.array(dtype=wp.uint8),
         excess: S,
         criterion: wp.int32,
         tension_only: wp.int32,
+        u: wp.array(dtype=vec),
+        planes: wp.array(dtype=S),
         theta: wp.array(dtype=S),
         force: wp.array(dtype=vec),
         energy: wp.array(dtype=S),
         lost: wp.array(dtype=wp.uint16),
         bits: wp.array(dtype=wp.uint16),
     ):
-        """f and w over all bonds, those that break now included; θ given, excess is λ − μ.
-
-        Bonds beyond their limit lose their bit; lost has a bit for each lane that loses one.
-        """
-        pull(
-            pieces[first + wp.tid()], offset, table, planes, number, no_fail, excess, criterion,
-            tension_only, theta, force, energy, lost, bits,
+        swept(
+            turns, laid, dilating, pulling, offset, table, number, no_fail, excess, criterion,
+            tension_only, u, planes, theta, force, energy, lost, bits,
         )  # fmt: skip
 
-    return SimpleNamespace(
-        vec=vec,
-        bond=bond_type,
-        laid_out=laid_out,
-        dilatation=dilatation,
-        force_and_energy=force_and_energy,
-    )
+    return SimpleNamespace(vec=vec, bond=bond_type, sweep=sweep)

@@ -16,7 +16,7 @@ import warp as wp
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
-from warp_peri.launch import Recorded, floats, ints, threads, zeros
+from warp_peri.launch import Shared, floats, ints, threads, zeros
 from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.points.families import BondClasses
 from warp_peri.points.lattice import straight_steps
@@ -161,7 +161,7 @@ class CutOperator:
         self.excess = model.lam - model.mu
         self.limits = np.full(self.bonds, np.inf) if limits is None else limits
         d, r = body.dimension, body.r
-        self._kernels = kernels.sweeps(d)
+        self._kernels = kernels.sweep(d)
         self.vector = self._kernels.vec
         stiffness = 2 * d * (d + 2) * model.mu * self.weights / r**2
         table = np.column_stack([body.xi, d * self.weights, stiffness, self.limits])
@@ -182,9 +182,8 @@ class CutOperator:
         self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
         self._tension_only = int(tension_only)
         self._lost = zeros(len(first), dtype=wp.uint16)
-        self._recorded: dict[tuple[Any, ...], list[list[Recorded]]] = {}
-        every, none = np.arange(len(first)), np.arange(0)
-        self._turns = [(every, none, none), (none, every, every)]
+        self._recorded: dict[tuple[Any, ...], list[Shared]] = {}
+        self._turns = [3 * (np.arange(len(first)),)]
 
     def links(self, neighbour: np.ndarray) -> wp.array[Any]:
         """Which bonds are there in a table of neighbours [N, B], as the sweeps take it."""
@@ -226,14 +225,13 @@ class CutOperator:
         if key not in self._recorded:
             criterion = self._criterion if breaking else kernels.NONE
             turns = [[self._pieces[rows] for rows in turn] for turn in self._turns]
-            self._recorded = {key: [self._launches(turn, criterion, *arrays) for turn in turns]}
-        early, late = self._recorded[key]
+            self._recorded = {key: [self._shared(turn, criterion, *arrays) for turn in turns]}
+        *early, late = self._recorded[key]
         for launch in early:
             launch()
         if arrive is not None:
             arrive()
-        for launch in late:
-            launch()
+        late()
         if not breaking:
             return np.empty(0, np.int64)
         lost = self._lost.numpy()
@@ -241,30 +239,23 @@ class CutOperator:
         losing = self._number[self._pieces[rows, :1] + lanes][lost[rows, None] >> lanes & 1 > 0]
         return np.sort(losing) - 1
 
-    def _launches(
+    def _shared(
         self,
         pieces: Sequence[np.ndarray],
         criterion: int,
-        u: wp.array[Any] | None,
+        u: wp.array[Any],
         links: wp.array[Any],
         force: wp.array[Any],
         energy: wp.array[Any],
-    ) -> list[Recorded]:
+    ) -> Shared:
         """To lay out u, to fill θ and to fill the others, of pieces of their own each, packed."""
-        given, (number, _) = (*self._at, self._planes), self._nodes
-        how = self.excess, criterion, self._tension_only, self._theta
-        made: list[tuple[Any, ...]] = [
-            (self._kernels.laid_out, (number, u), (self._planes,)),
-            (self._kernels.dilatation, (*given, links), (self._theta,)),
-            (self._kernels.force_and_energy, (*given, *self._nodes, *how),
-             (force, energy, self._lost, links)),
-        ]  # fmt: skip
-        launches = []
-        for of, (kernel, inputs, outputs) in zip(pieces, made, strict=True):
-            if len(of) and (self.excess or kernel is not self._kernels.dilatation):
-                held: Any = wp.array(of, dtype=wp.vec2i, device="cpu")
-                launches.append(Recorded(kernel, len(of), (held, *inputs), outputs, weight=WEIGHT))
-        return launches
+        laid, dilated, swept = pieces
+        dilated = dilated if self.excess else laid[:0]
+        phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
+        how = self.excess, criterion, self._tension_only
+        inputs = (*phases, *self._at, *self._nodes, *how, u)
+        outputs = self._planes, self._theta, force, energy, self._lost, links
+        return Shared(self._kernels.sweep, inputs, outputs, 3, WEIGHT * len(pieces[2]))
 
     def sweep_early(self, own: np.ndarray) -> None:
         """Sweep first all pieces that feel `own` nodes alone, [N] bool."""
@@ -295,9 +286,8 @@ class CutOperator:
         if self.excess:  # θ has changed, and neighbours feel it
             ends = self.body.neighbour[nodes]
             around = np.union1d(changed, self._row[ends[ends >= 0]])
-        pieces = [self._pieces[rows] for rows in ([], changed, around)]
-        for launch in self._launches(pieces, kernels.NONE, None, links, force, energy):
-            launch()
+        pieces = [self._pieces[rows] for rows in (np.arange(0), changed, around)]
+        self._shared(pieces, kernels.NONE, force, links, force, energy)()  # no u is laid out
 
 
 def _places(body: LatticeBody) -> tuple[np.ndarray, np.ndarray]:
