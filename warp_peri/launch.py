@@ -234,7 +234,7 @@ class Recorded:
 class Shared:
     """A kernel that shares its work out among the threads that call it, packed once.
 
-    Its first argument counts what has been taken of each phase, see kernels/bonds.py. A job is one
+    Its first argument counts what has been taken and done, see kernels/bonds.py. A job is one
     call of Python and of the kernel, whatever the phases.
 
     Args:
@@ -247,7 +247,8 @@ class Shared:
         self, kernel: Any, inputs: Sequence[Any], outputs: Sequence[Any], phases: int, work: int
     ) -> None:
         kernel.module.load(DEVICE)
-        self._turns = np.zeros(2 * phases, np.int32)
+        count = max(1, min(_count, work // SLICE))
+        self._turns = np.zeros(2 + phases * (1 + count), np.int32)
         self._launch = wp.launch(
             kernel,
             dim=1,
@@ -256,7 +257,7 @@ class Shared:
             device=DEVICE,
             record_cmd=True,
         )
-        self._jobs = max(1, min(_count, work // SLICE)) * [self._launch.launch]
+        self._jobs = count * [self._launch.launch]
 
     def give(self, place: int, value: Any) -> None:
         """As Recorded.give."""
@@ -265,6 +266,7 @@ class Shared:
     def __call__(self) -> None:
         """Launch, and wait for all."""
         self._turns[:] = 0
+        self._turns[1] = len(self._jobs)
         at_once(self._jobs)
 
 

@@ -142,17 +142,15 @@ def _by_rows(
     Rows.by_pair, of hd where the dilatation has volumes of its own."""
     kernels, pieces = rows.kernels, rows.pieces
     planes, dilatation = rows.planes("backward", len(g))
-    rows.lay_out(pieces.row_images, g, planes, law.md)
-    law_of_bonds = (bonds.arrays, law, planes)
-    rows.sweep(kernels.dilatation_adjoint, pieces.needed, law_of_bonds, dilatation)
+    alike, asked = law.m is law.md, None if u_bar is None else pieces.nodes
+    given = bonds.arrays, law, g, planes, dilatation, g if u_bar is None else u_bar
+    phases = pieces.row_images, pieces.needed, asked if alike else None
+    rows.shared(kernels.backward, phases, law.md, *given)()
     sums = None
     if fields is not None:
         sums = rows.by_pair(bonds.arrays, bonds.pairs, *fields, planes, dilatation)
-    if u_bar is not None:
-        if law.m is not law.md:
-            rows.lay_out(pieces.row_images, g, planes, law.m)
-        inputs = (*law_of_bonds, dilatation)
-        rows.sweep(kernels.displacement_adjoint, pieces.nodes, inputs, u_bar)
+    if not alike:
+        rows.shared(kernels.backward, (pieces.row_images, None, asked), law.m, *given)()
     rows.give_back("backward", planes, dilatation)
     return sums
 
