@@ -150,6 +150,14 @@ class Bonds:
         return rows_of(self.families, *self._places, self.scalar)
 
     @cached_property
+    def log_r(self) -> wp.array[Any] | None:
+        """ln r of each bond of scattered points, for the processor's kernels that take many bonds
+        at a time; None for what else there is."""
+        if self.lattice or self.device != DEVICE or len(self.r) < influence_kernels.BYTES:
+            return None
+        return self.floats(np.log(self.families.r))
+
+    @cached_property
     def pairs(self) -> np.ndarray:
         """Numbers of one bond of each pair ±ξ of a lattice's pattern, shape [H]."""
         reverse = self.families.reverse
@@ -225,9 +233,15 @@ def influence(
         return bonds.kept[key]
     kw = bonds.zeros(len(bonds.r), gradient=gradient)
     m = bonds.zeros(1 if bonds.lattice else bonds.nodes, gradient=gradient)
-    table = (*influence_inputs(bonds, degree), alpha, D)
-    kernel = influence_kernels.influence(degree, bonds.scalar)
-    _launch(gradient, kernel, len(bonds.r), table, kw)
+    table = influence_inputs(bonds, degree)
+    if bonds.log_r is not None and not gradient:
+        kernel, size = influence_kernels.by_lanes(degree, bonds.scalar), influence_kernels.CHUNK
+        size *= influence_kernels.BYTES // wp.types.type_size_in_bytes(bonds.scalar)
+        inputs = (*table, bonds.log_r, alpha, D)
+        launch_slices(kernel.values, -(-len(kw) // size), inputs, (kw,), weight=size // 8)
+    else:
+        kernel = influence_kernels.influence(degree, bonds.scalar)
+        _launch(gradient, kernel, len(bonds.r), (*table, alpha, D), kw)
     count = 1 if bonds.lattice else len(bonds.full)
     kernel = lps.sweeps(bonds.scalar, bonds.dimension).weighted_volume
     _launch(gradient, kernel, count, (bonds.full, bonds.arrays, bonds.r, kw), m)

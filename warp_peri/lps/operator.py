@@ -168,8 +168,15 @@ class _Tables:
         self.kernel = adjoints(bonds.scalar, bonds.dimension).table_adjoint
         self.backwards, self.sums = [], []
         for D in coefficients:
-            kernel = influence_kernels.influence_adjoint(len(D) - 1, bonds.scalar)
-            self.backwards.append((kernel, influence_inputs(bonds, len(D) - 1), D))
+            degree = len(D) - 1
+            kernel, inputs = (
+                influence_kernels.influence_adjoint(degree, bonds.scalar),
+                influence_inputs(bonds, degree),
+            )
+            if bonds.log_r is not None:
+                kernel = influence_kernels.by_lanes(degree, bonds.scalar).adjoint
+                inputs = (*inputs, bonds.log_r)
+            self.backwards.append((kernel, inputs, D))
             self.sums.append(bonds.zeros(BLOCKS, len(D) + 1))
         self.by_class: list[np.ndarray] = []
 
