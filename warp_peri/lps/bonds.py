@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
@@ -17,9 +18,20 @@ from warp_peri.kernels.lps import adjoint as lps_adjoint
 from warp_peri.kernels.lps import force as lps
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.tables import tables
-from warp_peri.launch import DEVICE, empty, floats, ints, known_device, launch, launch_slices, zeros
+from warp_peri.launch import (
+    DEVICE,
+    Recorded,
+    empty,
+    floats,
+    ints,
+    known_device,
+    launch,
+    launch_slices,
+    threads,
+    zeros,
+)
 from warp_peri.lps.model import CANCELLED, Model, Solid
-from warp_peri.lps.rows import BLOCKS, Rows, rows_of
+from warp_peri.lps.rows import BLOCKS, Forward, Rows, lent, rows_of
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
@@ -113,6 +125,7 @@ class Bonds:
         self.arrays = self._arrays(types, points.x, points.box)
         self._places = (np.array(points.x) if self.lattice else points.x, points.box)
         self.kept: dict[tuple[bytes, bytes], tuple[wp.array[Any], wp.array[Any]]] = {}
+        self._prepared: list[Prepared] = []
 
     def _arrays(self, types: Any, x: np.ndarray, box: tuple[float, ...] | None) -> Any:
         """The kernels' struct; of what only the other kind of point set has, one idle entry."""
@@ -184,6 +197,14 @@ class Bonds:
     def forget(self) -> None:
         """Drop what was kept of the last model, so that the next evaluation computes it anew."""
         self.kept.clear()
+        for prepared in self._prepared:
+            prepared.forget()
+
+    def force(self, u: wp.array[Any], numbers: Sequence[np.ndarray]) -> wp.array[Any]:
+        """L u [S, I] of u [S, N] and λ, μ, α, D and so on, on a lattice laid out in rows."""
+        fits = len(u), tuple(len(D) - 1 for D in numbers[3:]), threads()
+        with lent(self._prepared, fits, lambda: Prepared(self, fits)) as prepared:
+            return prepared(u, numbers)
 
 
 @dataclass(frozen=True)
@@ -357,7 +378,8 @@ def _by_rows(
     bonds: Bonds, rows: Rows, law: Any, u: wp.array[Any], Lu: wp.array[Any], theta: Any
 ) -> None:
     """Dilatation and force on a lattice laid out in rows; θ by node where an array is given."""
-    with rows.forward(bonds.arrays, len(u)) as forward:
+    fits = len(u), threads()
+    with lent(rows.ready, fits, lambda: Forward(rows, bonds.arrays, len(u))) as forward:
         forward(law, u, Lu)
         if theta is not None:
             rows.take_up(forward.dilatation, theta)
@@ -375,6 +397,57 @@ def _launch(
         launch(kernel, (samples, count) if samples else count, (0, *inputs), (output,))
     else:
         launch_slices(kernel, count, inputs, (output,), samples=samples)
+
+
+class Prepared:
+    """The force of a lattice laid out in rows, of which all but fields and numbers is packed once.
+
+    Args:
+        bonds: of the lattice.
+        fits: samples, degrees of one influence function or two, and threads.
+
+    Call it with u, shape [S, N] of vectors, and λ, μ, α, D and so on as arrays; returns L u.
+    K and the weighted volume are computed anew where α or a coefficient has changed.
+    """
+
+    def __init__(self, bonds: Bonds, fits: tuple[int, tuple[int, ...], int]) -> None:
+        samples, degrees, _ = self.fits = fits
+        sizes = 1, 1, 1, *(degree + 1 for degree in degrees)
+        lam, mu, alpha, *coefficients = arrays = [bonds.zeros(size) for size in sizes]
+        self._numbers, self._key = [array.numpy() for array in arrays], b""
+        tables: list[wp.array[Any]] = []
+        self._volumes: list[Recorded] = []
+        self._bonds, sweeps = bonds, lps.sweeps(bonds.scalar, bonds.dimension)
+        for degree, D in zip(degrees, coefficients):
+            tables += (kw := bonds.zeros(len(bonds.r))), (m := bonds.zeros(1))
+            given = (*influence_inputs(bonds, degree), alpha, D)
+            kernel = influence_kernels.influence(degree, bonds.scalar)
+            of = bonds.full, bonds.arrays, bonds.r, kw
+            self._volumes.append(Recorded(kernel, len(bonds.r), given, (kw,)))
+            self._volumes.append(Recorded(sweeps.weighted_volume, 1, of, (m,)))
+        law = lps_adjoint.structs(bonds.scalar, bonds.dimension).Law
+        forward = Forward(bonds.laid_out, bonds.arrays, samples)  # type: ignore[arg-type]
+        self.size, self._launch = forward.size, forward.launch
+        self._launch.give(6, filled(law, *tables[:2], *tables[-2:], lam, mu))
+
+    def __call__(self, u: wp.array[Any], numbers: Sequence[np.ndarray]) -> wp.array[Any]:
+        bonds = self._bonds
+        for kept, value in zip(self._numbers, numbers, strict=True):
+            kept[:] = value
+        key = b"".join(value.tobytes() for value in numbers[2:])
+        if key != self._key:
+            for launch in self._volumes:
+                launch()
+            self._key = key
+        Lu = empty(len(u), len(bonds.rows), dtype=bonds.vec)
+        self._launch.give(7, u)
+        self._launch.give(10, Lu)
+        self._launch()
+        return Lu
+
+    def forget(self) -> None:
+        """Compute K the next time."""
+        self._key = b""
 
 
 class Tabulated:

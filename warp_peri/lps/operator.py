@@ -534,7 +534,11 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid, *, taped: bool = Fals
     if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs):
         Lu = _force(bonds, taped, *inputs)
     else:  # autograd's own bookkeeping takes longer than a sweep over a thousand nodes
-        made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
+        if bonds.laid_out is not None:
+            field: Any = wp.from_torch(inputs[0].detach().contiguous(), dtype=bonds.vec)
+            made = bonds.force(field, [number.detach().numpy() for number in numbers])
+        else:
+            made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
         Lu = wp.to_torch(made, requires_grad=False)
     return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -62,6 +62,7 @@ class Rows:
         home: place of every node, shape [N].
         by_place: whether `forces` and `nodes` are by place, because by number they would be short.
         kernels: the sweeps.
+        ready: launches that nobody uses, see `lent`.
     """
 
     def __init__(
@@ -73,23 +74,7 @@ class Rows:
         self.one = wp.ones(1, dtype=scalar, device=DEVICE)
         self.none: wp.array[Any] = zeros(0, dtype=wp.vec3i)
         self._spare: dict[str, list[tuple[wp.array[Any], wp.array[Any]]]] = {}
-        self._ready: list[Forward] = []
-
-    @contextmanager
-    def forward(self, arrays: Any, samples: int) -> Iterator[Forward]:
-        """A forward sweep that nobody else uses meanwhile, kept afterwards unless it is too large.
-
-        arrays: what leads kernels from a node to its bonds.
-        """
-        sweep = None
-        while sweep is None or sweep.fits != (samples, threads()):
-            try:
-                sweep = self._ready.pop()
-            except IndexError:
-                sweep = Forward(self, arrays, samples)
-        yield sweep
-        if sweep.size <= KEPT:
-            self._ready.append(sweep)
+        self.ready: list[Forward] = []
 
     def planes(
         self, use: str, samples: int, numbers: int = 1
@@ -188,6 +173,21 @@ class Forward:
         for place, value in ((6, law), (7, u), (10, Lu)):
             self.launch.give(place, value)
         self.launch()
+
+
+@contextmanager
+def lent(ready: list[Any], fits: Any, make: Callable[[], Any]) -> Iterator[Any]:
+    """One of the ready that fits and nobody else uses meanwhile, made where there is none; ready
+    again afterwards unless its size is too large."""
+    one = None
+    while one is None or one.fits != fits:
+        try:
+            one = ready.pop()
+        except IndexError:
+            one = make()
+    yield one
+    if one.size <= KEPT:
+        ready.append(one)
 
 
 def rows_of(
