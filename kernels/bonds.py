@@ -55,6 +55,11 @@ def add_to(dtype):
     return add_to
 
 
+def unpacked(struct):
+    """C++ that names what a kernel's struct `of` holds."""
+    return "".join(f"auto& {name} = of.{name};" for name in struct.vars)
+
+
 def shared(samples="1", **phases):
     """C++ of work on pieces of samples s, in phases, which all threads that call it share.
 

@@ -20,6 +20,7 @@ are counted once from each end. What to read are the ratios: the times belong to
 the extra `bench` for Numba.
 """
 
+import contextlib
 import json
 import os
 import sys
@@ -185,8 +186,8 @@ def report(title: str, seconds: dict[str, float], bonds: int) -> None:
 
 def measure(
     kind: str, side: int, precision: str, rounds: int, bandwidth: float, *, fastmath: bool = True
-) -> float:
-    """One table; returns the seconds of our forward pass."""
+) -> dict[str, dict[str, float]]:
+    """One table; returns the seconds of each candidate, forward, and forward and backward."""
     points, box = problem(kind, side)
     start = time.perf_counter()
     bonds = Bonds(points, HORIZON, precision=precision)
@@ -226,8 +227,9 @@ def measure(
     if bonds.laid_out is not None:
         lists = share + 2 * 4 * count / seconds["warp_peri"] / bandwidth
         print(f"    with the lists of neighbours that others read: {100 * lists:.0f} %")
-    report("forward and backward to u, D, α", interleaved(both, rounds, tolerance), count)
-    return seconds["warp_peri"]
+    backward = interleaved(both, rounds, tolerance)
+    report("forward and backward to u, D, α", backward, count)
+    return {"forward": seconds, "forward and backward": backward}
 
 
 def add_numba(
@@ -361,12 +363,12 @@ def operator(*, quick: bool, threads: int = 2) -> None:
         for precision in ("float64", "float32"):
             seconds = measure(kind, 200, precision, rounds, bandwidth, fastmath=not quick)
             if kind == "lattice" and precision == "float64":
-                speed = 48 * 200**2 / seconds
+                speed = 48 * 200**2 / seconds["forward"]["warp_peri"]
     lammps(24, speed)
     if not quick:
         forward = measure("lattice", 1000, "float64", 3, bandwidth)
         measure("lattice", 1000, "float32", 3, bandwidth)
-        setting_up(1000, forward)
+        setting_up(1000, forward["forward"]["warp_peri"])
 
 
 def ceilings(*, quick: bool) -> None:
@@ -409,9 +411,26 @@ def launches(*, quick: bool, threads: int = 2) -> None:
 
 
 def broken(*, quick: bool, threads: int = 2) -> None:
-    """Bodies that break, as JSON."""
-    counts = tuple(range(1, threads + 1))
-    print(json.dumps(benchmark_damage.broken(quick=quick, threads=counts), indent=1))
+    """Bodies that break, the lattice's force and scattered points beside their rivals, as JSON."""
+    global THREADS
+    found = benchmark_damage.broken(quick=quick, threads=tuple(range(1, threads + 1)))
+    THREADS = threads
+    set_threads(THREADS)
+    torch.set_num_threads(THREADS)
+    rounds, bandwidth = 5 if quick else 15, copy_bandwidth()
+    rivals_of = {"lattice": "Numba by rows", "scattered": "Numba parallel"}
+    for kind, rival in rivals_of.items():
+        for precision in ("float64", "float32"):
+            with contextlib.redirect_stdout(sys.stderr):
+                tables = measure(kind, 200, precision, rounds, bandwidth, fastmath=False)
+            for what, seconds in tables.items():
+                best = {name: 1e3 * value for name, value in seconds.items() if "Numba" in name}
+                row = {"kind": kind, "precision": precision, "threads": threads, "what": what}
+                row |= {"ms": 1e3 * seconds["warp_peri"], "Numba ms": best}
+                if rival in seconds:
+                    row["ratio"] = seconds[rival] / seconds["warp_peri"]
+                found.setdefault("forces", []).append(row)
+    print(json.dumps(found, indent=1))
 
 
 def main(arguments: list[str] | None = None) -> int:

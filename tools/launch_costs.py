@@ -14,8 +14,8 @@ import warp as wp
 from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.lps.force import sweeps
 from warp_peri.kernels.lps.influence import influence as influence_kernel
-from warp_peri.launch import Recorded, empty, threads
-from warp_peri.lps.bonds import Bonds, filled, influence, influence_inputs
+from warp_peri.launch import Recorded, empty, filled, threads
+from warp_peri.lps.bonds import Bonds, influence, influence_inputs
 from warp_peri.lps.rows import Forward
 from warp_peri.methods import Solid
 

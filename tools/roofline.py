@@ -12,8 +12,8 @@ import warp as wp
 
 from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.peak import peak
-from warp_peri.launch import zeros
-from warp_peri.lps.bonds import Bonds, filled, influence
+from warp_peri.launch import filled, zeros
+from warp_peri.lps.bonds import Bonds, influence
 from warp_peri.methods import Solid
 
 PER_BOND = {"dilatation": (4, 3, 2), "force": (7, 7, 3)}

@@ -64,7 +64,7 @@ def _help(asked: SimpleQueue[Callable[[], None]]) -> None:
         asked.get()()
 
 
-class _Help:
+class _Asked:
     """Work that a helper is asked for, and that is taken back if none has begun it."""
 
     def __init__(self, work: Callable[[], None]) -> None:
@@ -117,7 +117,7 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
     for _ in range(count - _helpers):
         Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
         _helpers += 1
-    asked = [_Help(work) for _ in range(count)]
+    asked = [_Asked(work) for _ in range(count)]
     try:
         work()
     finally:
@@ -327,6 +327,14 @@ def ints(values: np.ndarray, device: str = DEVICE) -> wp.array[Any]:
     """An int32 Warp array; shares memory with an int32 NumPy array where the device can."""
     values = np.ascontiguousarray(values, dtype=np.int32)
     return wp.array(values, dtype=wp.int32, device=device, copy=False)
+
+
+def filled(struct: Any, *values: Any) -> Any:
+    """An instance of a kernel's struct, its members in order."""
+    instance = struct()
+    for name, value in zip(struct.vars, values):
+        setattr(instance, name, value)
+    return instance
 
 
 def floats(values: np.ndarray, dtype: Any = wp.float64, device: str = DEVICE) -> wp.array[Any]:

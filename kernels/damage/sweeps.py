@@ -19,7 +19,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from warp_peri.kernels.bonds import shared
+from warp_peri.kernels.bonds import shared, unpacked
 
 NONE, STRETCH, ENERGY = -1, 0, 1
 """Criteria: nothing breaks; e beyond its limit; the bond's energy density beyond its limit."""
@@ -135,54 +135,34 @@ def sweep(dimension: int):
     their bit; lost has a bit for each lane that loses one.
     """
     vec, bond_type = wp.types.vector(dimension, S), wp.types.vector(dimension + 3, S)
-    body = TYPES + shared(laid=LAID_OUT, dilating=DILATATION, pulling=FORCE)
 
-    @wp.func_native(body.replace("DIM", str(dimension)))
-    def swept(
-        turns: wp.array(dtype=wp.int32),
-        laid: wp.array(dtype=wp.vec2i),
-        dilating: wp.array(dtype=wp.vec2i),
-        pulling: wp.array(dtype=wp.vec2i),
-        offset: wp.array(dtype=wp.int32),
-        table: wp.array(dtype=bond_type),
-        number: wp.array(dtype=wp.int32),
-        no_fail: wp.array(dtype=wp.uint8),
-        excess: S,
-        criterion: wp.int32,
-        tension_only: wp.int32,
-        u: wp.array(dtype=vec),
-        planes: wp.array(dtype=S),
-        theta: wp.array(dtype=S),
-        force: wp.array(dtype=vec),
-        energy: wp.array(dtype=S),
-        lost: wp.array(dtype=wp.uint16),
-        bits: wp.array(dtype=wp.uint16),
-    ): ...
+    @wp.struct
+    class Cut:
+        laid: wp.array(dtype=wp.vec2i)
+        dilating: wp.array(dtype=wp.vec2i)
+        pulling: wp.array(dtype=wp.vec2i)
+        offset: wp.array(dtype=wp.int32)
+        table: wp.array(dtype=bond_type)
+        number: wp.array(dtype=wp.int32)
+        no_fail: wp.array(dtype=wp.uint8)
+        excess: S
+        criterion: wp.int32
+        tension_only: wp.int32
+        planes: wp.array(dtype=S)
+        theta: wp.array(dtype=S)
+        lost: wp.array(dtype=wp.uint16)
+        u: wp.array(dtype=vec)
+        bits: wp.array(dtype=wp.uint16)
+        force: wp.array(dtype=vec)
+        energy: wp.array(dtype=S)
+
+    phases = shared(laid=LAID_OUT, dilating=DILATATION, pulling=FORCE)
+
+    @wp.func_native((unpacked(Cut) + TYPES + phases).replace("DIM", str(dimension)))
+    def swept(turns: wp.array(dtype=wp.int32), of: Cut): ...
 
     @wp.kernel(enable_backward=False, module="unique")
-    def sweep(
-        turns: wp.array(dtype=wp.int32),
-        laid: wp.array(dtype=wp.vec2i),
-        dilating: wp.array(dtype=wp.vec2i),
-        pulling: wp.array(dtype=wp.vec2i),
-        offset: wp.array(dtype=wp.int32),
-        table: wp.array(dtype=bond_type),
-        number: wp.array(dtype=wp.int32),
-        no_fail: wp.array(dtype=wp.uint8),
-        excess: S,
-        criterion: wp.int32,
-        tension_only: wp.int32,
-        u: wp.array(dtype=vec),
-        planes: wp.array(dtype=S),
-        theta: wp.array(dtype=S),
-        force: wp.array(dtype=vec),
-        energy: wp.array(dtype=S),
-        lost: wp.array(dtype=wp.uint16),
-        bits: wp.array(dtype=wp.uint16),
-    ):
-        swept(
-            turns, laid, dilating, pulling, offset, table, number, no_fail, excess, criterion,
-            tension_only, u, planes, theta, force, energy, lost, bits,
-        )  # fmt: skip
+    def sweep(turns: wp.array(dtype=wp.int32), of: Cut):
+        swept(turns, of)
 
-    return SimpleNamespace(vec=vec, bond=bond_type, sweep=sweep)
+    return SimpleNamespace(vec=vec, bond=bond_type, Cut=Cut, sweep=sweep)

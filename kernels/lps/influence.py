@@ -1,6 +1,6 @@
 """The influence function of each bond class and its adjoint, (4); compiled for each degree.
 
-Both also take many bonds of scattered points at a time, in vector registers of the processor.
+For the processor there are kernels without a tape that take many bonds at a time.
 """
 
 from functools import cache
@@ -8,6 +8,8 @@ from math import factorial
 from types import SimpleNamespace
 
 import warp as wp
+
+from warp_peri.kernels.bonds import unpacked
 
 
 @cache
@@ -39,52 +41,6 @@ def influence(degree, scalar):
         kw[c] = weight[c] * wp.exp(-alpha[0] * wp.log(r[c])) * total
 
     return influence
-
-
-@cache
-def influence_adjoint(degree, scalar):
-    """From ∂/∂(K W) of the classes first ≤ c < last: gradient[block] = ∂/∂D_0 … ∂/∂D_M, ∂/∂α."""
-    terms = degree + 1
-    coefficients = wp.types.vector(terms, scalar)
-
-    @wp.kernel(module="unique", enable_backward=False)
-    def influence_adjoint(
-        block: wp.int32,
-        first: wp.int32,
-        last: wp.int32,
-        horizon: scalar,
-        binomial: wp.array(dtype=scalar),
-        r: wp.array(dtype=scalar),
-        weight: wp.array(dtype=scalar),
-        alpha: wp.array(dtype=scalar),
-        D: wp.array(dtype=scalar),
-        kw_bar: wp.array(dtype=scalar),
-        gradient: wp.array2d(dtype=scalar),
-    ):
-        by_D = coefficients()
-        by_alpha = scalar(0.0)
-        for c in range(first, last):
-            t = wp.min(r[c] / horizon, scalar(1.0))
-            scale = kw_bar[c - first] * weight[c] * wp.exp(-alpha[0] * wp.log(r[c]))
-            basis = coefficients()
-            power = scale
-            for k in range(terms):
-                basis[k] = binomial[k] * power
-                power = power * t
-            power = scalar(1.0)
-            total = scalar(0.0)
-            for n in range(terms):
-                k = degree - n
-                basis[k] = basis[k] * power
-                power = power * (scalar(1.0) - t)
-                total = total + D[k] * basis[k]
-            by_D = by_D + basis
-            by_alpha = by_alpha - wp.log(r[c]) * total
-        for k in range(terms):
-            gradient[block, k] = by_D[k]
-        gradient[block, terms] = by_alpha
-
-    return influence_adjoint
 
 
 BYTES, CHUNK = 128, 64
@@ -169,7 +125,7 @@ GRADIENT = """
 
 @cache
 def by_lanes(degree, scalar):
-    """The same two kernels, log r given; of at least so many bonds as there are lanes."""
+    """K W of many bonds at a time, and the adjoint of it, log r given."""
     lanes = BYTES // wp.types.type_size_in_bytes(scalar)
     integer, bias, digits, most, high, low, terms = NUMBERS[scalar]
     series = (f"p = p * y + REAL({1 / factorial(k)!r});" for k in range(terms, -1, -1))
@@ -178,71 +134,42 @@ def by_lanes(degree, scalar):
     constants |= {"REAL": f"wp::{scalar.__name__}", "LANES": lanes, "CHUNK": CHUNK}
 
     def native(body):
-        text = POWER + body
         for name, value in constants.items():
-            text = text.replace(name, str(value))
-        return wp.func_native(text)
+            body = body.replace(name, str(value))
+        return wp.func_native(body)
 
-    @native(VALUES)
-    def values(
-        chunk: wp.int32,
-        horizon: scalar,
-        binomial: wp.array(dtype=scalar),
-        r: wp.array(dtype=scalar),
-        weight: wp.array(dtype=scalar),
-        log_r: wp.array(dtype=scalar),
-        alpha: wp.array(dtype=scalar),
-        D: wp.array(dtype=scalar),
-        kw: wp.array(dtype=scalar),
-    ): ...
+    @wp.struct
+    class Powers:
+        horizon: scalar
+        binomial: wp.array(dtype=scalar)
+        r: wp.array(dtype=scalar)
+        weight: wp.array(dtype=scalar)
+        log_r: wp.array(dtype=scalar)
+        alpha: wp.array(dtype=scalar)
+        D: wp.array(dtype=scalar)
+
+    array, table = wp.array(dtype=scalar), wp.array2d(dtype=scalar)
+
+    @native(unpacked(Powers) + POWER + VALUES)
+    def values(chunk: wp.int32, of: Powers, kw: array): ...
 
     @wp.kernel(enable_backward=False, module="unique")
-    def influence_by_lanes(
-        first: wp.int32,
-        horizon: scalar,
-        binomial: wp.array(dtype=scalar),
-        r: wp.array(dtype=scalar),
-        weight: wp.array(dtype=scalar),
-        log_r: wp.array(dtype=scalar),
-        alpha: wp.array(dtype=scalar),
-        D: wp.array(dtype=scalar),
-        kw: wp.array(dtype=scalar),
-    ):
-        values(first + wp.tid(), horizon, binomial, r, weight, log_r, alpha, D, kw)
+    def influence_by_lanes(first: wp.int32, of: Powers, kw: array):
+        """K W of so many bonds as a chunk has, at least as many as there are lanes."""
+        values(first + wp.tid(), of, kw)
 
-    @native(GRADIENT)
+    @native(unpacked(Powers) + POWER + GRADIENT)
     def gradients(
-        block: wp.int32,
-        first: wp.int32,
-        last: wp.int32,
-        horizon: scalar,
-        binomial: wp.array(dtype=scalar),
-        r: wp.array(dtype=scalar),
-        weight: wp.array(dtype=scalar),
-        log_r: wp.array(dtype=scalar),
-        alpha: wp.array(dtype=scalar),
-        D: wp.array(dtype=scalar),
-        kw_bar: wp.array(dtype=scalar),
-        gradient: wp.array2d(dtype=scalar),
+        block: wp.int32, first: wp.int32, last: wp.int32, of: Powers, kw_bar: array, gradient: table
     ): ...
 
     @wp.kernel(enable_backward=False, module="unique")
-    def influence_adjoint_by_lanes(
-        block: wp.int32,
-        first: wp.int32,
-        last: wp.int32,
-        horizon: scalar,
-        binomial: wp.array(dtype=scalar),
-        r: wp.array(dtype=scalar),
-        weight: wp.array(dtype=scalar),
-        log_r: wp.array(dtype=scalar),
-        alpha: wp.array(dtype=scalar),
-        D: wp.array(dtype=scalar),
-        kw_bar: wp.array(dtype=scalar),
-        gradient: wp.array2d(dtype=scalar),
+    def influence_adjoint(
+        block: wp.int32, first: wp.int32, last: wp.int32, of: Powers, kw_bar: array, gradient: table
     ):
-        gradients(
-            block, first, last, horizon, binomial, r, weight, log_r, alpha, D, kw_bar, gradient
-        )
+        """From ∂/∂(K W) of the bonds first ≤ e < last: gradient[block] = ∂/∂D_0 … ∂/∂D_M, ∂/∂α."""
+        gradients(block, first, last, of, kw_bar, gradient)
 
-    return SimpleNamespace(values=influence_by_lanes, adjoint=influence_adjoint_by_lanes)
+    return SimpleNamespace(
+        Powers=Powers, size=CHUNK * lanes, values=influence_by_lanes, adjoint=influence_adjoint
+    )

@@ -16,7 +16,7 @@ import warp as wp
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
-from warp_peri.launch import Shared, floats, ints, threads, zeros
+from warp_peri.launch import Shared, filled, floats, ints, threads, zeros
 from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.points.families import BondClasses
 from warp_peri.points.lattice import straight_steps
@@ -178,12 +178,15 @@ class CutOperator:
         self._planes = floats(np.zeros(d * size))
         self._theta = floats(np.zeros(size if self.excess else 1))
         self._at = ints(offset), floats(np.ascontiguousarray(table), self._kernels.bond)
-        self._nodes = ints(self._number), wp.array(flags, dtype=wp.uint8, device="cpu", copy=False)
+        self._nodes: Any = (
+            ints(self._number),
+            wp.array(flags, dtype=wp.uint8, device="cpu", copy=False),
+        )
         self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
         self._tension_only = int(tension_only)
         self._lost = zeros(len(first), dtype=wp.uint16)
         self._recorded: dict[tuple[Any, ...], list[Shared]] = {}
-        self._turns = [3 * (np.arange(len(first)),)]
+        self._turns: list[tuple[np.ndarray, ...]] = [3 * (np.arange(len(first)),)]
 
     def links(self, neighbour: np.ndarray) -> wp.array[Any]:
         """Which bonds are there in a table of neighbours [N, B], as the sweeps take it."""
@@ -240,22 +243,18 @@ class CutOperator:
         return np.sort(losing) - 1
 
     def _shared(
-        self,
-        pieces: Sequence[np.ndarray],
-        criterion: int,
-        u: wp.array[Any],
-        links: wp.array[Any],
-        force: wp.array[Any],
-        energy: wp.array[Any],
+        self, pieces: Sequence[np.ndarray], criterion: int, *fields: wp.array[Any]
     ) -> Shared:
-        """To lay out u, to fill θ and to fill the others, of pieces of their own each, packed."""
+        """To lay out u, fill θ, and fill force and energy, of pieces of their own each, packed.
+
+        fields: u, links, force and energy.
+        """
         laid, dilated, swept = pieces
         dilated = dilated if self.excess else laid[:0]
         phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
-        how = self.excess, criterion, self._tension_only
-        inputs = (*phases, *self._at, *self._nodes, *how, u)
-        outputs = self._planes, self._theta, force, energy, self._lost, links
-        return Shared(self._kernels.sweep, inputs, outputs, 3, WEIGHT * len(pieces[2]))
+        how = self.excess, criterion, self._tension_only, self._planes, self._theta, self._lost
+        of = filled(self._kernels.Cut, *phases, *self._at, *self._nodes, *how, *fields)
+        return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept))
 
     def sweep_early(self, own: np.ndarray) -> None:
         """Sweep first all pieces that feel `own` nodes alone, [N] bool."""

@@ -22,6 +22,7 @@ from warp_peri.launch import (
     DEVICE,
     Recorded,
     empty,
+    filled,
     floats,
     ints,
     known_device,
@@ -65,6 +66,8 @@ def blocks_of(families: Families, full: np.ndarray, device: str) -> Blocks:
     return Blocks(ends, list(pairwise(bounds)), spans)
 
 
+LIGHT = 8
+"""How much less than a usual node a bond has to do for its K, for the number of threads."""
 PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
 
 
@@ -163,11 +166,8 @@ class Bonds:
         return rows_of(self.families, *self._places, self.scalar)
 
     @cached_property
-    def log_r(self) -> wp.array[Any] | None:
-        """ln r of each bond of scattered points, for the processor's kernels that take many bonds
-        at a time; None for what else there is."""
-        if self.lattice or self.device != DEVICE or len(self.r) < influence_kernels.BYTES:
-            return None
+    def log_r(self) -> wp.array[Any]:
+        """ln r of each bond class, shape [C]."""
         return self.floats(np.log(self.families.r))
 
     @cached_property
@@ -204,7 +204,8 @@ class Bonds:
         """L u [S, I] of u [S, N] and λ, μ, α, D and so on, on a lattice laid out in rows."""
         fits = len(u), tuple(len(D) - 1 for D in numbers[3:]), threads()
         with lent(self._prepared, fits, lambda: Prepared(self, fits)) as prepared:
-            return prepared(u, numbers)
+            Lu: wp.array[Any] = prepared(u, numbers)
+        return Lu
 
 
 @dataclass(frozen=True)
@@ -241,6 +242,12 @@ def influence_inputs(bonds: Bonds, degree: int) -> tuple[Any, ...]:
     return (bonds.scalar(bonds.horizon), binomial, bonds.r, bonds.weight)
 
 
+def powers(bonds: Bonds, alpha: wp.array[Any], D: wp.array[Any]) -> Any:
+    """What the kernels read that take many bonds at a time."""
+    struct = influence_kernels.by_lanes(len(D) - 1, bonds.scalar).Powers
+    return filled(struct, *influence_inputs(bonds, len(D) - 1), bonds.log_r, alpha, D)
+
+
 def influence(
     bonds: Bonds, alpha: wp.array[Any], D: wp.array[Any], *, gradient: bool = False
 ) -> tuple[wp.array[Any], wp.array[Any]]:
@@ -254,15 +261,13 @@ def influence(
         return bonds.kept[key]
     kw = bonds.zeros(len(bonds.r), gradient=gradient)
     m = bonds.zeros(1 if bonds.lattice else bonds.nodes, gradient=gradient)
-    table = influence_inputs(bonds, degree)
-    if bonds.log_r is not None and not gradient:
-        kernel, size = influence_kernels.by_lanes(degree, bonds.scalar), influence_kernels.CHUNK
-        size *= influence_kernels.BYTES // wp.types.type_size_in_bytes(bonds.scalar)
-        inputs = (*table, bonds.log_r, alpha, D)
-        launch_slices(kernel.values, -(-len(kw) // size), inputs, (kw,), weight=size // 8)
-    else:
+    if gradient or bonds.lattice or bonds.device != DEVICE or len(kw) < influence_kernels.BYTES:
         kernel = influence_kernels.influence(degree, bonds.scalar)
-        _launch(gradient, kernel, len(bonds.r), (*table, alpha, D), kw)
+        _launch(gradient, kernel, len(kw), (*influence_inputs(bonds, degree), alpha, D), kw)
+    else:
+        lanes = influence_kernels.by_lanes(degree, bonds.scalar)
+        chunks, inputs = -(-len(kw) // lanes.size), (powers(bonds, alpha, D),)
+        launch_slices(lanes.values, chunks, inputs, (kw,), weight=lanes.size // LIGHT)
     count = 1 if bonds.lattice else len(bonds.full)
     kernel = lps.sweeps(bonds.scalar, bonds.dimension).weighted_volume
     _launch(gradient, kernel, count, (bonds.full, bonds.arrays, bonds.r, kw), m)
@@ -364,14 +369,6 @@ def _forces(bonds: Bonds, samples: int, *, gradient: bool) -> wp.array[Any]:
     if gradient:
         return bonds.zeros(samples, len(bonds.rows), dtype=bonds.vec, gradient=True)
     return empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)
-
-
-def filled(struct: Any, *values: wp.array[Any]) -> Any:
-    """An instance of a kernel's struct, its members in order."""
-    instance = struct()
-    for name, value in zip(struct.vars, values):
-        setattr(instance, name, value)
-    return instance
 
 
 def _by_rows(

@@ -22,16 +22,17 @@ from warp_peri.core.tensors import differentiable_once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
-from warp_peri.launch import DEVICE, at_once, empty, floats, launch, launch_slices, unrecorded
-from warp_peri.lps.bonds import (
-    Bonds,
-    Evaluation,
-    Tabulated,
-    check_volumes,
-    evaluate,
+from warp_peri.launch import (
+    DEVICE,
+    at_once,
+    empty,
     filled,
-    influence_inputs,
+    floats,
+    launch,
+    launch_slices,
+    unrecorded,
 )
+from warp_peri.lps.bonds import Bonds, Evaluation, Tabulated, check_volumes, evaluate, powers
 from warp_peri.lps.model import Model, Solid, on_nominal_lattice
 from warp_peri.lps.rows import BLOCKS, Rows
 from warp_peri.points.arrays import plain
@@ -162,21 +163,14 @@ class _Tables:
         self, bonds: Bonds, law: Any, alpha: wp.array[Any], coefficients: Sequence[wp.array[Any]]
     ) -> None:
         self.bonds, self.law = bonds, law
-        self.alpha, self.coefficients = alpha, coefficients
+        self.coefficients = coefficients
         self.parts = bonds.zeros(BLOCKS, 2)
         self.blocks = bonds.blocks
         self.kernel = adjoints(bonds.scalar, bonds.dimension).table_adjoint
         self.backwards, self.sums = [], []
         for D in coefficients:
-            degree = len(D) - 1
-            kernel, inputs = (
-                influence_kernels.influence_adjoint(degree, bonds.scalar),
-                influence_inputs(bonds, degree),
-            )
-            if bonds.log_r is not None:
-                kernel = influence_kernels.by_lanes(degree, bonds.scalar).adjoint
-                inputs = (*inputs, bonds.log_r)
-            self.backwards.append((kernel, inputs, D))
+            kernel = influence_kernels.by_lanes(len(D) - 1, bonds.scalar).adjoint
+            self.backwards.append((kernel, powers(bonds, alpha, D)))
             self.sums.append(bonds.zeros(BLOCKS, len(D) + 1))
         self.by_class: list[np.ndarray] = []
 
@@ -230,8 +224,8 @@ class _Tables:
         return run
 
     def _backward(self, n: int, block: int, first: int, last: int, bar: wp.array[Any]) -> None:
-        kernel, inputs, D = self.backwards[n]
-        launch(kernel, 1, (block, first, last, *inputs, self.alpha, D, bar), (self.sums[n],))
+        kernel, of = self.backwards[n]
+        launch(kernel, 1, (block, first, last, of, bar), (self.sums[n],))
 
     def gradients(self) -> tuple[list[np.ndarray], float]:
         """∂/∂D of each influence function and ∂/∂α, after all blocks."""
