@@ -192,6 +192,7 @@ def alternating(jobs: Sequence[Callable[[], Any]], repeats: int) -> np.ndarray:
     times = np.empty((2, len(jobs), repeats))
     for turn in range(repeats):
         for place in range(len(jobs))[:: 1 if turn % 2 else -1]:
+            time.sleep(0.02)  # until the threads of the one before stop spinning
             before = np.array([time.process_time(), time.perf_counter()])
             for _ in range(calls):
                 jobs[place]()
