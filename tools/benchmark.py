@@ -425,7 +425,12 @@ def broken(*, quick: bool, threads: int = 2) -> None:
                 tables = measure(kind, 200, precision, rounds, bandwidth, fastmath=False)
             for what, seconds in tables.items():
                 best = {name: 1e3 * value for name, value in seconds.items() if "Numba" in name}
-                row: dict[str, Any] = {"kind": kind, "precision": precision, "threads": threads, "what": what}
+                row: dict[str, Any] = {
+                    "kind": kind,
+                    "precision": precision,
+                    "threads": threads,
+                    "what": what,
+                }
                 row |= {"ms": 1e3 * seconds["warp_peri"], "Numba ms": best}
                 if rival in seconds:
                     row["ratio"] = seconds[rival] / seconds["warp_peri"]
