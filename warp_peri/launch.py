@@ -210,55 +210,12 @@ def _slices(count: int, work: int, device: Any) -> list[int]:
     return [count * n // slices for n in range(slices + 1)]
 
 
-class Recorded:
-    """What `launch_slices` does, packed once, to be called again and again on the same arrays.
-
-    Packing arguments takes longer than a sweep over a thousand nodes. The number of threads is that
-    of now. Inputs and outputs that are given later are None here. `begin` is the first index.
-    """
-
-    def __init__(
-        self,
-        kernel: Any,
-        count: int,
-        inputs: Sequence[Any],
-        outputs: Sequence[Any],
-        *,
-        samples: int = 0,
-        weight: int = 1,
-        device: Any = DEVICE,
-        begin: int = 0,
-    ) -> None:
-        device = wp.get_device(device)
-        ends = _slices(count, count * max(samples, 1) * weight, device)
-        kernel.module.load(device)
-        self._slices = [
-            wp.launch(
-                kernel,
-                dim=(samples, last - first) if samples else last - first,
-                inputs=[begin + first, *inputs],
-                outputs=list(outputs),
-                device=device,
-                record_cmd=True,
-            )
-            for first, last in pairwise(ends)
-        ]
-        self._jobs = [one.launch for one in self._slices]
-
-    def give(self, place: int, value: Any) -> None:
-        """Another array or struct, the first of the inputs being number 0, outputs after them.
-
-        It must live until the launch is over: its memory is all that is known here.
-        """
-        for one in self._slices:
-            one.set_param_at_index(place + 1, value)
-
-    def __call__(self) -> None:
-        """Launch the slices, and wait for them."""
-        if len(self._jobs) == 1:
-            self._jobs[0]()
-        else:
-            at_once(self._jobs)
+def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Any:
+    """A launch on the processor, packed once, which takes longer than a sweep over a thousand
+    nodes; inputs and outputs that are given later are None here."""
+    kernel.module.load(DEVICE)
+    all_of: dict[str, Any] = {"inputs": list(inputs), "outputs": list(outputs), "device": DEVICE}
+    return wp.launch(kernel, dim=dim, **all_of, record_cmd=True)
 
 
 class Shared:
@@ -276,21 +233,16 @@ class Shared:
     def __init__(
         self, kernel: Any, inputs: Sequence[Any], outputs: Sequence[Any], phases: int, work: int
     ) -> None:
-        kernel.module.load(DEVICE)
         count = max(1, min(_count, work // SLICE))
         self._turns = np.zeros(2 + phases * (1 + count), np.int32)
-        self._launch = wp.launch(
-            kernel,
-            dim=1,
-            inputs=[ints(self._turns), *inputs],
-            outputs=list(outputs),
-            device=DEVICE,
-            record_cmd=True,
-        )
+        self._launch = recorded(kernel, 1, [ints(self._turns), *inputs], outputs)
         self._jobs = count * [self._launch.launch]
 
     def give(self, place: int, value: Any) -> None:
-        """As Recorded.give."""
+        """Another array or struct, the first of the inputs being number 0, outputs after them.
+
+        It must live until the launch is over: its memory is all that is known here.
+        """
         self._launch.set_param_at_index(place + 1, value)
 
     def __call__(self) -> None:

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
-from warp_peri.launch import Recorded, Shared, launch_slices
+from warp_peri.launch import launch_slices
 from warp_peri.lps import bonds, rows
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
@@ -23,22 +24,15 @@ def launched(monkeypatch):
         names.append(kernel.key)
         launch_slices(kernel, *rest, **options)
 
-    def noting(packed):
-        class Noted(packed):
-            def __init__(self, kernel, *rest, **options):
-                super().__init__(kernel, *rest, **options)
-                self.name = kernel.key
-
-            def __call__(self):
-                names.append(self.name)
-                super().__call__()
-
-        return Noted
-
     for module in (bonds, rows):
         monkeypatch.setattr(module, "launch_slices", note)
-    monkeypatch.setattr(bonds, "Recorded", noting(Recorded))
-    monkeypatch.setattr(rows, "Shared", noting(Shared))
+    real = wp.Launch.launch  # of what is packed once
+
+    def packed(launch):
+        names.append(launch.kernel.key)
+        real(launch)
+
+    monkeypatch.setattr(wp.Launch, "launch", packed)
     return names
 
 

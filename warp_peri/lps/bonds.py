@@ -20,7 +20,6 @@ from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.tables import tables
 from warp_peri.launch import (
     DEVICE,
-    Recorded,
     empty,
     filled,
     floats,
@@ -28,6 +27,7 @@ from warp_peri.launch import (
     known_device,
     launch,
     launch_slices,
+    recorded,
     threads,
     zeros,
 )
@@ -413,15 +413,15 @@ class Prepared:
         lam, mu, alpha, *coefficients = arrays = [bonds.zeros(size) for size in sizes]
         self._numbers, self._key = [array.numpy() for array in arrays], b""
         tables: list[wp.array[Any]] = []
-        self._volumes: list[Recorded] = []
+        self._volumes: list[Any] = []
         self._bonds, sweeps = bonds, lps.sweeps(bonds.scalar, bonds.dimension)
         for degree, D in zip(degrees, coefficients):
             tables += (kw := bonds.zeros(len(bonds.r))), (m := bonds.zeros(1))
             given = (*influence_inputs(bonds, degree), alpha, D)
             kernel = influence_kernels.influence(degree, bonds.scalar)
             of = bonds.full, bonds.arrays, bonds.r, kw
-            self._volumes.append(Recorded(kernel, len(bonds.r), given, (kw,)))
-            self._volumes.append(Recorded(sweeps.weighted_volume, 1, of, (m,)))
+            self._volumes.append(recorded(kernel, len(bonds.r), (0, *given), (kw,)))
+            self._volumes.append(recorded(sweeps.weighted_volume, 1, (0, *of), (m,)))
         law = lps_adjoint.structs(bonds.scalar, bonds.dimension).Law
         forward = Forward(bonds.laid_out, bonds.arrays, samples)  # type: ignore[arg-type]
         self.size, self._launch = forward.size, forward.launch
@@ -434,7 +434,7 @@ class Prepared:
         key = b"".join(value.tobytes() for value in numbers[2:])
         if key != self._key:
             for launch in self._volumes:
-                launch()
+                launch.launch()
             self._key = key
         Lu = empty(len(u), len(bonds.rows), dtype=bonds.vec)
         self._launch.give(7, u)
