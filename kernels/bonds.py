@@ -55,6 +55,52 @@ def add_to(dtype):
     return add_to
 
 
+def unpacked(struct):
+    """C++ that names what a kernel's struct `of` holds."""
+    return "".join(f"auto& {name} = of.{name};" for name in struct.vars)
+
+
+def shared(samples="1", **phases):
+    """C++ of work on pieces of samples s, in phases, which all threads that call it share.
+
+    Each thread has a stretch of its own, where the phase before has left in its cache what it
+    reads; then it takes parts of the others'. Who comes late finds nothing left, and nobody waits
+    for it. `turns` counts who has come, and for each phase what is done and, of each thread's
+    stretch, what has been taken; zeros at first.
+
+    `phases`: what is done with a piece, by the name of the pieces.
+    """
+    text = """
+#if defined(__linux__) || defined(__APPLE__)
+    int rest(void) asm("sched_yield");
+#else
+    const auto rest = [] {};
+#endif
+    const int threads = turns.data[1], me = __atomic_fetch_add(turns.data, 1, __ATOMIC_RELAXED);
+    int* done = turns.data + 2;
+    const auto share = [&](const auto& pieces, auto work) {
+        const int parts = 16;
+        const long long each = pieces.shape[0], count = each * SAMPLES, all = threads * parts;
+        for (int other = 0; other < threads; ++other) {
+            const int stretch = (me + other) % threads;
+            int* taken = done + 1 + stretch;
+            for (int n; (n = __atomic_fetch_add(taken, 1, __ATOMIC_RELAXED)) < parts;) {
+                const long long part = stretch * parts + n;
+                for (long long t = count * part / all; t < count * (part + 1) / all; ++t)
+                    work(t / each, pieces.data[t % each]);
+                __atomic_fetch_add(done, 1, __ATOMIC_RELEASE);
+            }
+        }
+        for (int n = 0; __atomic_load_n(done, __ATOMIC_ACQUIRE) < all; ++n)
+            if (n > 1000)
+                rest();
+        done += 1 + threads;
+    };
+"""
+    each = (f"share({of}, [&](int s, auto piece) {{{work}}});" for of, work in phases.items())
+    return text.replace("SAMPLES", samples) + "\n".join(each)
+
+
 @cache
 def bonds(scalar, dimension):
     """Functions of a bond in one precision and dimension d, with the types of vectors and boxes.

@@ -7,6 +7,7 @@
     python tools/benchmark.py crystals [--quick]
     python tools/benchmark.py dressed [--quick]
     python tools/benchmark.py varying [--quick] [--sides 32 64] --json
+    python tools/benchmark.py broken [--quick] [--threads 1] --json
     python tools/benchmark.py ranks [--quick]
     python tools/benchmark.py gradient [--quick] [--long] [--json]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
@@ -19,6 +20,8 @@ are counted once from each end. What to read are the ratios: the times belong to
 the extra `bench` for Numba.
 """
 
+import contextlib
+import json
 import os
 import sys
 import time
@@ -36,6 +39,7 @@ import warp as wp
 
 from tools import (
     benchmark_crystals,
+    benchmark_damage,
     benchmark_dressed,
     benchmark_gradient,
     benchmark_ranks,
@@ -182,8 +186,8 @@ def report(title: str, seconds: dict[str, float], bonds: int) -> None:
 
 def measure(
     kind: str, side: int, precision: str, rounds: int, bandwidth: float, *, fastmath: bool = True
-) -> float:
-    """One table; returns the seconds of our forward pass."""
+) -> dict[str, dict[str, float]]:
+    """One table; returns the seconds of each candidate, forward, and forward and backward."""
     points, box = problem(kind, side)
     start = time.perf_counter()
     bonds = Bonds(points, HORIZON, precision=precision)
@@ -223,8 +227,9 @@ def measure(
     if bonds.laid_out is not None:
         lists = share + 2 * 4 * count / seconds["warp_peri"] / bandwidth
         print(f"    with the lists of neighbours that others read: {100 * lists:.0f} %")
-    report("forward and backward to u, D, α", interleaved(both, rounds, tolerance), count)
-    return seconds["warp_peri"]
+    backward = interleaved(both, rounds, tolerance)
+    report("forward and backward to u, D, α", backward, count)
+    return {"forward": seconds, "forward and backward": backward}
 
 
 def add_numba(
@@ -358,12 +363,12 @@ def operator(*, quick: bool, threads: int = 2) -> None:
         for precision in ("float64", "float32"):
             seconds = measure(kind, 200, precision, rounds, bandwidth, fastmath=not quick)
             if kind == "lattice" and precision == "float64":
-                speed = 48 * 200**2 / seconds
+                speed = 48 * 200**2 / seconds["forward"]["warp_peri"]
     lammps(24, speed)
     if not quick:
         forward = measure("lattice", 1000, "float64", 3, bandwidth)
         measure("lattice", 1000, "float32", 3, bandwidth)
-        setting_up(1000, forward)
+        setting_up(1000, forward["forward"]["warp_peri"])
 
 
 def ceilings(*, quick: bool) -> None:
@@ -405,15 +410,43 @@ def launches(*, quick: bool, threads: int = 2) -> None:
                 print(f"{side}², {precision}, {count} threads, ms: {told}", flush=True)
 
 
+def broken(*, quick: bool, threads: int = 2) -> None:
+    """Bodies that break, the lattice's force and scattered points beside their rivals, as JSON."""
+    global THREADS
+    found = benchmark_damage.broken(quick=quick, threads=tuple(range(1, threads + 1)))
+    THREADS = threads
+    set_threads(THREADS)
+    torch.set_num_threads(THREADS)
+    rounds, bandwidth = 5 if quick else 15, copy_bandwidth()
+    rivals_of = {"lattice": "Numba by rows", "scattered": "Numba parallel"}
+    for kind, rival in rivals_of.items():
+        for precision in ("float64", "float32"):
+            with contextlib.redirect_stdout(sys.stderr):
+                tables = measure(kind, 200, precision, rounds, bandwidth, fastmath=False)
+            for what, seconds in tables.items():
+                best = {name: 1e3 * value for name, value in seconds.items() if "Numba" in name}
+                row: dict[str, Any] = {
+                    "kind": kind,
+                    "precision": precision,
+                    "threads": threads,
+                    "what": what,
+                }
+                row |= {"ms": 1e3 * seconds["warp_peri"], "Numba ms": best}
+                if rival in seconds:
+                    row["ratio"] = seconds[rival] / seconds["warp_peri"]
+                found.setdefault("forces", []).append(row)
+    print(json.dumps(found, indent=1))
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
     kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
-    kinds += ["gradient", "varying"]
+    kinds += ["gradient", "varying", "broken"]
     parser.add("what", choices=kinds)
     parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
     parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
     parser.add("--sides", type=int, nargs="+", default=[], help="varying: elements along an edge")
-    parser.add("--json", action="store_true", help="gradient, varying: print JSON")
+    parser.add("--json", action="store_true", help="gradient, varying, broken: print JSON")
     parser.add("--long", action="store_true", help="gradient: motions of 100 000 steps too")
     parser.add("--model", type=Path, help="of solve and choice (default: learned)")
     parser.add("--out", type=Path, help="solve, choice: write the table as JSON")
@@ -427,6 +460,7 @@ def main(arguments: list[str] | None = None) -> int:
         "crystals": benchmark_crystals.crystals,
         "dressed": benchmark_dressed.dressed,
         "varying": partial(benchmark_dressed.varying, sides=tuple(given.sides)),
+        "broken": partial(broken, threads=given.threads),
         "ranks": benchmark_ranks.ranks,
         "gradient": partial(benchmark_gradient.gradient, long=given.long, as_json=given.json),
         "choice": partial(solver_choice.solver_choice, **files),

@@ -1,88 +1,134 @@
-"""The step of a body that breaks: Warp's sweep against Numba's parallel loop, the same forces.
+"""Bodies that break, by rows of the lattice, beside Numba's best loop on lists and LAMMPS.
 
-Both sum the force and the energy of every node over its unbroken bonds, compare each stretch with
-its limit and break. The two alternate in one run, and the one that goes first changes from round to
-round. What counts is the processor time of the process, of all its threads: other work on the
-machine hardly changes it. The clock is printed beside it; on more threads than one it says
+`python tools/benchmark.py broken --json` prints it. Both sum the force and the energy of every node
+over its unbroken bonds, compare each stretch with its limit and break. Numba's loop takes two nodes
+at a time and contracts products and sums, which makes it a fifth faster than the plain one; gathers
+of sixteen nodes, no branches, and lists by bond are slower. The two alternate in one run, and the
+one that goes first changes from round to round. What counts is the processor time of all threads:
+other work on the machine hardly changes it. The clock is printed too; on two threads it says
 something only where nothing else runs.
 """
 
-import json
-import os
-
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # Numba's threads that wait burn nothing
-import sys
 import time
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
-import warp as wp
 
-from tools.options import Options
+from tools.peri_lps import PeriLps
 from warp_peri import Model
-from warp_peri.damage import lattice_body, rectangle
+from warp_peri.damage import box, lattice_body
+from warp_peri.damage.motion import BreakingBody, step
 from warp_peri.damage.operator import CutOperator
-from warp_peri.errors import exit_status
+from warp_peri.damage.solid import BrittleSolid
 from warp_peri.launch import floats, set_threads, zeros
+from warp_peri.structures.calculators import LammpsError
 
-SIZES = ((50, 40, 3.0), (100, 100, 3.0), (400, 160, 3.0), (400, 160, 4.0), (1000, 400, 3.0))
+SIZES = ((400, 160, 3.0), (400, 160, 4.0), (1000, 400, 3.0))
 """Nodes along x and y, and horizon over spacing."""
+SHARES = (0.0, 0.01, 0.05, 0.1, 0.2, 0.5, 0.8, 0.95)
+"""Of bonds that are broken, at random."""
+PAGE = 77e6
+"""Bonds a second, counted from both ends, of LAMMPS's `bpm/peri` on its own page: one core, LPS."""
 
 
-def rival():
-    """The same sweeps as Numba loops over nodes, bond-based and state-based."""
+def rival() -> tuple[Any, Any]:
+    """The same sweeps as Numba loops over pairs of nodes, bond-based and state-based."""
     import numba
 
-    @numba.njit(parallel=True)
+    jit = numba.njit(parallel=True, fastmath=True, error_model="numpy")
+    whole = numba.uint64
+
+    @jit
     def sweep(u, xi, stiffness, limit, no_fail, neighbour, force, energy, lost):
-        for i in numba.prange(len(u)):
-            fx = fy = e = 0.0
-            count = 0
+        for t in numba.prange((len(u) + 1) // 2):
+            p = whole(2 * t)
+            q = whole(min(2 * t + 1, len(u) - 1))  # of an odd number the last one twice
+            px, py, qx, qy = u[p, 0], u[p, 1], u[q, 0], u[q, 1]
+            fx = fy = e = gx = gy = w = 0.0
+            lost_p = lost_q = 0
             for b in range(len(limit)):
-                j = neighbour[i, b]
+                x, y, k = xi[b, 0], xi[b, 1], stiffness[b]
+                j = neighbour[p, b]
                 if j >= 0:
-                    d = xi[b, 0] * (u[j, 0] - u[i, 0]) + xi[b, 1] * (u[j, 1] - u[i, 1])
-                    s = stiffness[b] * d
-                    fx += s * xi[b, 0]
-                    fy += s * xi[b, 1]
-                    e += s * d
-                    if d > limit[b] and no_fail[i] + no_fail[j] == 0:
-                        neighbour[i, b] = -1 - j
-                        count += 1
-            force[i, 0], force[i, 1], energy[i], lost[i] = fx, fy, 0.25 * e, count
+                    far = whole(j)
+                    d = x * (u[far, 0] - px) + y * (u[far, 1] - py)
+                    fx += k * d * x
+                    fy += k * d * y
+                    e += k * d * d
+                    if d > limit[b] and no_fail[p] + no_fail[far] == 0:
+                        neighbour[p, b] = -1 - j
+                        lost_p += 1
+                j = neighbour[q, b]
+                if j >= 0:
+                    far = whole(j)
+                    d = x * (u[far, 0] - qx) + y * (u[far, 1] - qy)
+                    gx += k * d * x
+                    gy += k * d * y
+                    w += k * d * d
+                    if d > limit[b] and no_fail[q] + no_fail[far] == 0:
+                        neighbour[q, b] = -1 - j
+                        lost_q += 1
+            force[p, 0], force[p, 1], energy[p], lost[p] = fx, fy, 0.25 * e, lost_p
+            force[q, 0], force[q, 1], energy[q], lost[q] = gx, gy, 0.25 * w, lost_q
 
-    @numba.njit(parallel=True)
+    @jit
     def dilatation(u, xi, a, neighbour, theta):
-        for i in numba.prange(len(u)):
-            total = 0.0
+        for t in numba.prange((len(u) + 1) // 2):
+            p = whole(2 * t)
+            q = whole(min(2 * t + 1, len(u) - 1))
+            px, py, qx, qy = u[p, 0], u[p, 1], u[q, 0], u[q, 1]
+            first = second = 0.0
             for b in range(len(a)):
-                j = neighbour[i, b]
+                x, y = xi[b, 0], xi[b, 1]
+                j = neighbour[p, b]
                 if j >= 0:
-                    d = xi[b, 0] * (u[j, 0] - u[i, 0]) + xi[b, 1] * (u[j, 1] - u[i, 1])
-                    total += a[b] * d
-            theta[i] = total
+                    far = whole(j)
+                    first += a[b] * (x * (u[far, 0] - px) + y * (u[far, 1] - py))
+                j = neighbour[q, b]
+                if j >= 0:
+                    far = whole(j)
+                    second += a[b] * (x * (u[far, 0] - qx) + y * (u[far, 1] - qy))
+            theta[p], theta[q] = first, second
 
-    @numba.njit(parallel=True)
+    @jit
     def pull(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta):
-        for i in numba.prange(len(u)):
-            fx = fy = e = 0.0
-            count = 0
+        for t in numba.prange((len(u) + 1) // 2):
+            p = whole(2 * t)
+            q = whole(min(2 * t + 1, len(u) - 1))
+            px, py, qx, qy = u[p, 0], u[p, 1], u[q, 0], u[q, 1]
+            fx = fy = e = gx = gy = w = 0.0
+            lost_p = lost_q = 0
             for b in range(len(limit)):
-                j = neighbour[i, b]
+                x, y, bulk = xi[b, 0], xi[b, 1], excess * a[b]
+                j = neighbour[p, b]
                 if j >= 0:
-                    d = xi[b, 0] * (u[j, 0] - u[i, 0]) + xi[b, 1] * (u[j, 1] - u[i, 1])
+                    far = whole(j)
+                    d = x * (u[far, 0] - px) + y * (u[far, 1] - py)
                     s = k[b] * d
                     e += 0.25 * s * d
-                    t = s + excess * a[b] * (theta[i] + theta[j])
-                    fx += t * xi[b, 0]
-                    fy += t * xi[b, 1]
-                    if d > limit[b] and no_fail[i] + no_fail[j] == 0:
-                        neighbour[i, b] = -1 - j
-                        count += 1
-            force[i, 0], force[i, 1], lost[i] = fx, fy, count
-            energy[i] = e + 0.5 * excess * theta[i] ** 2
+                    s += bulk * (theta[p] + theta[far])
+                    fx += s * x
+                    fy += s * y
+                    if d > limit[b] and no_fail[p] + no_fail[far] == 0:
+                        neighbour[p, b] = -1 - j
+                        lost_p += 1
+                j = neighbour[q, b]
+                if j >= 0:
+                    far = whole(j)
+                    d = x * (u[far, 0] - qx) + y * (u[far, 1] - qy)
+                    s = k[b] * d
+                    w += 0.25 * s * d
+                    s += bulk * (theta[q] + theta[far])
+                    gx += s * x
+                    gy += s * y
+                    if d > limit[b] and no_fail[q] + no_fail[far] == 0:
+                        neighbour[q, b] = -1 - j
+                        lost_q += 1
+            force[p, 0], force[p, 1], lost[p] = fx, fy, lost_p
+            energy[p] = e + 0.5 * excess * theta[p] ** 2
+            force[q, 0], force[q, 1], lost[q] = gx, gy, lost_q
+            energy[q] = w + 0.5 * excess * theta[q] ** 2
 
     def state_based(u, xi, k, limit, no_fail, neighbour, force, energy, lost, a, excess, theta):
         dilatation(u, xi, a, neighbour, theta)
@@ -92,47 +138,48 @@ def rival():
 
 
 def compare(
-    sides: tuple[int, int], ratio: float, rivals, repeats: int, lam: float = 1.0, scale=3e-3
-) -> dict[str, object]:
-    """Milliseconds of both, and the ratio Numba over Warp with its 10 and 90 % points; μ = 1."""
-    body = lattice_body(rectangle(float(sides[0]), float(sides[1]), 1.0), 1.0, ratio)
+    sides: tuple[int, int], ratio: float, rivals: Any, repeats: int, lam: float, share: float = 0.0
+) -> dict[str, Any]:
+    """Milliseconds of both, and the ratio Numba over Warp with its 10 and 90 % points; μ = 1.
+
+    `share`: of bonds that are broken at the start, at random.
+    """
+    random = np.random.default_rng(0)
+    body = lattice_body(box(sides, 1.0), 1.0, ratio)
     model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio)
     limits = 0.02 * body.r**2
     operator = CutOperator(model, body, limits=limits)
-    count, w = len(body.x), operator.weights
-    u = np.zeros((operator.places, 2))
-    u[:count] = scale * np.random.default_rng(0).standard_normal((count, 2))
-    field, links = floats(u.copy(), wp.vec2d), operator.links(body.neighbour)
-    force, energy = zeros(operator.places, dtype=wp.vec2d), zeros(operator.places)
+    count, w, table = len(body.x), operator.weights, body.neighbour.copy()
+    table[random.random(table.shape) < share] = -1
+    u = 3e-3 * random.standard_normal((count, 2))
+    field, links = floats(u.copy(), operator.vector), operator.links(table)
+    force, energy = zeros(count, dtype=operator.vector), zeros(count)
     theirs = (np.zeros((count, 2)), np.zeros(count), np.zeros(count, np.int32))
-    table, no_fail = body.neighbour.copy(), np.zeros(count, np.uint8)
-    inputs = (u[:count].copy(), body.xi, 16 * w / body.r**2, limits, no_fail, table)
-    sweep = rivals[lam != 1]
-    more: tuple = ()
-    if lam != 1:
-        more = (2 * w, lam - 1, np.zeros(count))
+    inputs = (u, body.xi, 16 * w / body.r**2, limits, np.zeros(count, np.uint8), table)
+    more = () if lam == 1 else (2 * w, lam - 1, np.zeros(count))
     jobs = (
         lambda: operator.sweep(field, links, force, energy, breaking=True),
-        lambda: sweep(*inputs, *theirs, *more),
+        lambda: rivals[lam != 1](*inputs, *theirs, *more),
     )
     processor, wall = alternating(jobs, repeats)
-    same = np.array_equal(force.numpy()[:count], theirs[0])
-    same &= np.array_equal(links.numpy()[: count * len(w)], table.ravel())
+    apart = np.abs(force.numpy() - theirs[0]).max() / np.abs(theirs[0]).max()
+    if not (apart < 1e-12 and np.array_equal(operator.kept(links), table >= 0)):
+        raise RuntimeError(f"the two differ by {apart:.1e}, or in what breaks")
     ratios = processor[1] / processor[0]
     return {
         "lambda": lam,
         "nodes": count,
         "bonds": len(w),
-        "warp_ms": float(np.median(processor[0])),
-        "numba_ms": float(np.median(processor[1])),
+        "broken": share,
+        "ms": float(np.median(processor[0])),
+        "Numba ms": float(np.median(processor[1])),
         "ratio": float(np.median(ratios)),
-        "ratios": [float(part) for part in np.quantile(ratios, (0.1, 0.9))],
-        "ratio_by_the_clock": float(np.median(wall[1] / wall[0])),
-        "same_bits": bool(same),
+        "ratios": np.quantile(ratios, (0.1, 0.9)).round(3).tolist(),
+        "ratio by the clock": float(np.median(wall[1] / wall[0])),
     }
 
 
-def alternating(jobs, repeats: int) -> np.ndarray:
+def alternating(jobs: Sequence[Callable[[], Any]], repeats: int) -> np.ndarray:
     """Milliseconds of jobs that take turns, by processor and by clock, shape [2, J, R].
 
     A turn is as many calls as last 20 ms.
@@ -144,7 +191,8 @@ def alternating(jobs, repeats: int) -> np.ndarray:
     calls = max(1, int(0.02 / (time.perf_counter() - began)))
     times = np.empty((2, len(jobs), repeats))
     for turn in range(repeats):
-        for place in (0, 1) if turn % 2 else (1, 0):
+        for place in range(len(jobs))[:: 1 if turn % 2 else -1]:
+            time.sleep(0.02)  # until the threads of the one before stop spinning
             before = np.array([time.process_time(), time.perf_counter()])
             for _ in range(calls):
                 jobs[place]()
@@ -153,29 +201,48 @@ def alternating(jobs, repeats: int) -> np.ndarray:
     return times
 
 
-def main(argv: list[str] | None = None) -> int:
-    parser = Options(__doc__, json=True)
-    parser.add("--threads", type=int, nargs="+", default=[1, 2])
-    parser.add("--repeats", type=int, default=15)
-    parser.add("--scale", type=float, default=3e-3, help="of the displacements")
-    parser.add("--sizes", type=int, default=len(SIZES), help="how many of them")
-    args = parser.parse_args(argv)
+def block(repeats: int, side: int = 16, ratio: float = 3.0) -> dict[str, Any]:
+    """Millions of bonds a second in whole steps of a free block of an LPS that may break, one core.
+
+    Bonds are those of the whole ball, counted from both ends, of every node. LAMMPS's `peri/lps`
+    looks for contacts too.
+    """
+    set_threads(1)
+    body = lattice_body(box(3 * (side,), 1.0), 1.0, ratio)
+    model = Model(lam=2.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio, dimension=3)
+    moving = BreakingBody(BrittleSolid(model, 1.0, critical_stretch=0.02), body)
+    begin = 1e-3 * np.random.default_rng(0).standard_normal(body.x.shape)
+    state, dt = moving.start(v=begin), 0.5 * moving.longest_step
+    jobs: list[Callable[[], Any]] = [lambda: step(moving, state, dt)]
+    try:
+        lammps = PeriLps(side, ratio)
+        jobs.append(lambda: lammps.march(1))
+    except LammpsError:
+        pass
+    bonds = len(body.x) * moving.operator.bonds
+    speed = bonds / 1e3 / np.median(alternating(jobs, repeats)[0], axis=1)
+    found = {"nodes": len(body.x), "bonds": moving.operator.bonds, "Mbond/s": float(speed[0])}
+    found["times the page of bpm/peri"] = 1e6 * found["Mbond/s"] / PAGE
+    if len(jobs) > 1:
+        found |= {"peri/lps Mbond/s": float(speed[1]), "times it": float(speed[0] / speed[1])}
+    return found
+
+
+def broken(*, quick: bool, threads: tuple[int, ...] = (1, 2)) -> dict[str, Any]:
+    """Sweeps of plates, shares of broken bonds, and the block."""
     import numba
 
-    rivals, table = rival(), []
-    for threads in args.threads:
-        set_threads(threads)
-        numba.set_num_threads(min(threads, os.cpu_count() or 1))
+    rivals, repeats = rival(), 5 if quick else 15
+    found: dict[str, Any] = {"sweeps": [], "shares": [], "block": block(repeats)}
+    for count in threads:
+        set_threads(count)
+        numba.set_num_threads(count)
         for lam in (1.0, 2.0):
-            for width, height, ratio in SIZES[: args.sizes]:
-                row = compare((width, height), ratio, rivals, args.repeats, lam, args.scale)
-                table.append({"threads": threads} | row)
-                if not args.json:
-                    print(table[-1], flush=True)
-    if args.json:
-        print(json.dumps({"sweeps": table}))
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(exit_status(main))
+            for width, height, ratio in SIZES:
+                row = compare((width, height), ratio, rivals, repeats, lam)
+                found["sweeps"].append({"threads": count} | row)
+    set_threads(1)
+    numba.set_num_threads(1)
+    for share in SHARES:
+        found["shares"].append(compare((400, 160), 3.0, rivals, repeats, 1.0, share))
+    return found

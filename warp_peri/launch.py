@@ -5,9 +5,10 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from itertools import pairwise
+from queue import SimpleQueue
+from threading import Lock, Thread
 from typing import Any
 
 import numpy as np
@@ -43,17 +44,48 @@ def _start() -> None:
 
 _start()
 _count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-_pool: ThreadPoolExecutor | None = None
+_asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
+_helpers = 0
 
 
-def _without_pool() -> None:
-    """Forget the pool: a process that forks from this one has none of its threads."""
-    global _pool
-    _pool = None
+def _without_helpers() -> None:
+    """Forget the helpers: a process that forks from this one has none of its threads."""
+    global _asked, _helpers
+    _asked, _helpers = SimpleQueue(), 0
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_without_pool)
+    os.register_at_fork(after_in_child=_without_helpers)
+
+
+def _help(asked: SimpleQueue[Callable[[], None]]) -> None:
+    """What a thread does that helps: a queue wakes it in half the time that a pool takes."""
+    while True:
+        asked.get()()
+
+
+class _Asked:
+    """Work that a helper is asked for, and that is taken back if none has begun it."""
+
+    def __init__(self, work: Callable[[], None]) -> None:
+        self._work, self._begun, self._over = work, Lock(), Lock()
+        self._failure: BaseException | None = None
+        self._over.acquire()
+        _asked.put(self)
+
+    def __call__(self) -> None:
+        if self._begun.acquire(blocking=False):
+            try:
+                self._work()
+            except BaseException as error:
+                self._failure = error
+            self._over.release()
+
+    def taken_back(self) -> BaseException | None:
+        """How it failed, when it is over if it has begun."""
+        if not self._begun.acquire(blocking=False):
+            self._over.acquire()
+        return self._failure
 
 
 def set_threads(count: int) -> None:
@@ -61,13 +93,10 @@ def set_threads(count: int) -> None:
 
     Results are bitwise the same for any number. Raises InputError for a count below 1.
     """
-    global _count, _pool
+    global _count
     if not isinstance(count, (int, np.integer)) or isinstance(count, bool) or count < 1:
         raise InputError(f"threads: expected a whole number ≥ 1, got {count!r}")
     _count = int(count)
-    if _pool is not None:
-        _pool.shutdown()
-        _pool = None
 
 
 def threads() -> int:
@@ -77,22 +106,23 @@ def threads() -> int:
 
 def at_once(jobs: Sequence[Callable[[], None]]) -> None:
     """Run jobs that touch different memory, on as many threads as there are, this one included."""
-    global _pool
+    global _helpers
     waiting = iter(jobs)  # a list's iterator gives each job once, whoever asks
 
     def work() -> None:
         for job in waiting:
             job()
 
-    helpers = min(_count, len(jobs)) - 1
-    if helpers and _pool is None:
-        _pool = ThreadPoolExecutor(_count - 1, thread_name_prefix="warp_peri")
-    started = [_pool.submit(work) for _ in range(helpers)] if _pool is not None else []
+    count = min(_count, len(jobs)) - 1
+    for _ in range(count - _helpers):
+        Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
+        _helpers += 1
+    asked = [_Asked(work) for _ in range(count)]
     try:
         work()
     finally:
         # a helper that has not begun finds nothing left to do: nobody waits for it to wake up
-        failures = [None if helper.cancel() else helper.exception() for helper in started]
+        failures = [one.taken_back() for one in asked]
     for failure in failures:
         if failure is not None:
             raise failure
@@ -180,55 +210,46 @@ def _slices(count: int, work: int, device: Any) -> list[int]:
     return [count * n // slices for n in range(slices + 1)]
 
 
-class Recorded:
-    """What `launch_slices` does, packed once, to be called again and again on the same arrays.
+def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Any:
+    """A launch on the processor, packed once, which takes longer than a sweep over a thousand
+    nodes; inputs and outputs that are given later are None here."""
+    kernel.module.load(DEVICE)
+    all_of: dict[str, Any] = {"inputs": list(inputs), "outputs": list(outputs), "device": DEVICE}
+    return wp.launch(kernel, dim=dim, **all_of, record_cmd=True)
 
-    Packing arguments takes longer than a sweep over a thousand nodes. The number of threads is that
-    of now. Inputs and outputs that are given later are None here. `begin` is the first index.
+
+class Shared:
+    """A kernel that shares its work out among the threads that call it, packed once.
+
+    Its first argument counts what has been taken and done, see kernels/bonds.py. A job is one
+    call of Python and of the kernel, whatever the phases.
+
+    Args:
+        kernel, inputs, outputs: without the first argument.
+        phases: how many.
+        work: of all of them, that of a node being 1.
     """
 
     def __init__(
-        self,
-        kernel: Any,
-        count: int,
-        inputs: Sequence[Any],
-        outputs: Sequence[Any],
-        *,
-        samples: int = 0,
-        weight: int = 1,
-        device: Any = DEVICE,
-        begin: int = 0,
+        self, kernel: Any, inputs: Sequence[Any], outputs: Sequence[Any], phases: int, work: int
     ) -> None:
-        device = wp.get_device(device)
-        ends = _slices(count, count * max(samples, 1) * weight, device)
-        kernel.module.load(device)
-        self._slices = [
-            wp.launch(
-                kernel,
-                dim=(samples, last - first) if samples else last - first,
-                inputs=[begin + first, *inputs],
-                outputs=list(outputs),
-                device=device,
-                record_cmd=True,
-            )
-            for first, last in pairwise(ends)
-        ]
-        self._jobs = [one.launch for one in self._slices]
+        count = max(1, min(_count, work // SLICE))
+        self._turns = np.zeros(2 + phases * (1 + count), np.int32)
+        self._launch = recorded(kernel, 1, [ints(self._turns), *inputs], outputs)
+        self._jobs = count * [self._launch.launch]
 
     def give(self, place: int, value: Any) -> None:
         """Another array or struct, the first of the inputs being number 0, outputs after them.
 
         It must live until the launch is over: its memory is all that is known here.
         """
-        for one in self._slices:
-            one.set_param_at_index(place + 1, value)
+        self._launch.set_param_at_index(place + 1, value)
 
     def __call__(self) -> None:
-        """Launch the slices, and wait for them."""
-        if len(self._jobs) == 1:
-            self._jobs[0]()
-        else:
-            at_once(self._jobs)
+        """Launch, and wait for all."""
+        self._turns[:] = 0
+        self._turns[1] = len(self._jobs)
+        at_once(self._jobs)
 
 
 @contextmanager
@@ -258,6 +279,14 @@ def ints(values: np.ndarray, device: str = DEVICE) -> wp.array[Any]:
     """An int32 Warp array; shares memory with an int32 NumPy array where the device can."""
     values = np.ascontiguousarray(values, dtype=np.int32)
     return wp.array(values, dtype=wp.int32, device=device, copy=False)
+
+
+def filled(struct: Any, *values: Any) -> Any:
+    """An instance of a kernel's struct, its members in order."""
+    instance = struct()
+    for name, value in zip(struct.vars, values):
+        setattr(instance, name, value)
+    return instance
 
 
 def floats(values: np.ndarray, dtype: Any = wp.float64, device: str = DEVICE) -> wp.array[Any]:

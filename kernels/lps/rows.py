@@ -15,7 +15,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from warp_peri.kernels.bonds import bonds
+from warp_peri.kernels.bonds import bonds, shared
 from warp_peri.kernels.lps.adjoint import structs
 
 BYTES = 128
@@ -184,10 +184,8 @@ def rows(scalar):
         lanes=lanes,
         laid_out=_laid_out(of, native(LAID_OUT)),
         taken_up=_taken_up(of),
-        dilatation=_to_numbers(of, native(DILATATION)),
-        force=_to_vectors(of, native(FORCE)),
-        dilatation_adjoint=_to_numbers(of, native(DILATATION_ADJOINT)),
-        displacement_adjoint=_to_vectors(of, native(DISPLACEMENT_ADJOINT)),
+        forward=_swept(of, native, DILATATION, FORCE),
+        backward=_swept(of, native, DILATATION_ADJOINT, DISPLACEMENT_ADJOINT),
         by_pair=_by_pair(of, native(BY_PAIR)),
     )
 
@@ -238,68 +236,51 @@ def _taken_up(of):
     return taken_up
 
 
-def _to_numbers(of, body):
-    """Planes of a vector field to a plane of numbers: θ of u, (6), or τ of hd, (43)."""
-    scalar, BondArrays, Law = of.scalar, of.BondArrays, structs(of.scalar, 2).Law
+def _swept(of, native, to_numbers, to_vectors):
+    """Vectors by number into their planes; of these numbers by place, of both vectors by number.
 
-    @wp.func_native(body)
-    def piecewise(
-        s: wp.int32,
-        piece: wp.vec3i,
-        offset: wp.array(dtype=wp.int32),
-        bonds: BondArrays,
-        law: Law,
-        planes: wp.array2d(dtype=scalar),
-        theta: wp.array2d(dtype=scalar),
-    ): ...
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def to_numbers(
-        first: wp.int32,
-        pieces: wp.array(dtype=wp.vec3i),
-        offset: wp.array(dtype=wp.int32),
-        bonds: BondArrays,
-        law: Law,
-        planes: wp.array2d(dtype=scalar),
-        theta: wp.array2d(dtype=scalar),
-    ):
-        s, t = wp.tid()
-        piecewise(s, pieces[first + t], offset, bonds, law, planes, theta)
-
-    return to_numbers
-
-
-def _to_vectors(of, body):
-    """Planes of a vector field and of numbers to vectors: L u, (9), or ∂/∂u, (44)."""
+    θ of u, (6), and L u, (9); or τ of hd, (43), and ∂/∂u, (44).
+    """
     scalar, vec, BondArrays, Law = of.scalar, of.vec, of.BondArrays, structs(of.scalar, 2).Law
+    phases = {"laid": LAID_OUT.replace("divisor", "divisor.data[0]"), "needed": to_numbers}
+    body = native(shared("planes.shape[0]", **phases, asked=to_vectors))
 
     @wp.func_native(body)
-    def piecewise(
-        s: wp.int32,
-        piece: wp.vec3i,
+    def share(
+        turns: wp.array(dtype=wp.int32),
+        laid: wp.array(dtype=wp.vec3i),
+        needed: wp.array(dtype=wp.vec3i),
+        asked: wp.array(dtype=wp.vec3i),
+        divisor: wp.array(dtype=scalar),
         offset: wp.array(dtype=wp.int32),
         bonds: BondArrays,
         law: Law,
+        values: wp.array2d(dtype=vec),
         planes: wp.array2d(dtype=scalar),
         theta: wp.array2d(dtype=scalar),
         vectors: wp.array2d(dtype=vec),
     ): ...
 
     @wp.kernel(enable_backward=False, module="unique")
-    def to_vectors(
-        first: wp.int32,
-        pieces: wp.array(dtype=wp.vec3i),
+    def swept(
+        turns: wp.array(dtype=wp.int32),
+        laid: wp.array(dtype=wp.vec3i),
+        needed: wp.array(dtype=wp.vec3i),
+        asked: wp.array(dtype=wp.vec3i),
+        divisor: wp.array(dtype=scalar),
         offset: wp.array(dtype=wp.int32),
         bonds: BondArrays,
         law: Law,
+        values: wp.array2d(dtype=vec),
         planes: wp.array2d(dtype=scalar),
         theta: wp.array2d(dtype=scalar),
         vectors: wp.array2d(dtype=vec),
     ):
-        s, t = wp.tid()
-        piecewise(s, pieces[first + t], offset, bonds, law, planes, theta, vectors)
+        share(
+            turns, laid, needed, asked, divisor, offset, bonds, law, values, planes, theta, vectors
+        )
 
-    return to_vectors
+    return swept
 
 
 def _by_pair(of, body):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 from tests.support import cubes
 from tests.support.bodies import plate, random_breaking, solid
@@ -9,7 +10,7 @@ from tests.support.problems import ROUNDING, lattice
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import CutOperator, bond_weights, cut_matrix, unit_toughness
 from warp_peri.damage.solid import continuum_stretch
-from warp_peri.launch import floats, zeros
+from warp_peri.launch import floats, set_threads, threads, zeros
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.operator import LPSOperator
 
@@ -17,13 +18,16 @@ DILATATIONAL = 0.32260
 """4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory, C6)."""
 
 
+def fields(u):
+    """Force and energy to fill."""
+    return zeros(len(u), dtype=wp.types.vector(u.shape[1], wp.float64)), zeros(len(u))
+
+
 def swept(operator, u, neighbour):
     """Force and energy by Warp."""
-    padded = np.zeros((operator.places, u.shape[1]))
-    padded[: len(u)] = u
-    force, energy = zeros(operator.places, dtype=operator.vector), zeros(operator.places)
-    operator.sweep(floats(padded, operator.vector), operator.links(neighbour), force, energy)
-    return force.numpy()[: len(u)], energy.numpy()[: len(u)]
+    force, energy = fields(u)
+    operator.sweep(floats(u, operator.vector), operator.links(neighbour), force, energy)
+    return force.numpy(), energy.numpy()
 
 
 @pytest.mark.parametrize("lam", [1.0, -0.4, 5.0])
@@ -40,6 +44,75 @@ def test_the_sweep_is_the_matrix(lam, sides):
     np.testing.assert_allclose(force, expected, atol=ROUNDING * np.abs(expected).max())
     assert energy.sum() == pytest.approx(u.ravel() @ (L @ u.ravel()) / 2)
     assert abs(L - L.T).max() < ROUNDING * abs(L).max()
+
+
+@pytest.mark.parametrize(
+    ("sides", "lam", "by_energy"),
+    [((37, 29), 1.0, False), ((150, 5), 3.0, True), ((4, 150, 5), 2.0, False)],
+)
+def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam, by_energy):
+    """Rows of 29 to 150 nodes that share pieces with the next; nodes in any order; sums by hand."""
+    random = np.random.default_rng(1)
+    whole = plate(*sides)
+    random.shuffle(x := whole.x[random.random(len(whole.x)) < 0.8])
+    body, law = lattice_body(x, 1.0, 3.0), solid(lam, dimension=len(sides))
+    neighbour, u = random_breaking(body, random, 0.2), 0.1 * random.standard_normal(x.shape)
+    w, d, no_fail = (bond_weights(law.model, body.classes), len(sides), random.random(len(x)) < 0.1)
+    there, far = neighbour >= 0, np.where(neighbour >= 0, neighbour, 0)
+    e = ((u[far] - u[:, None]) * body.xi).sum(axis=2) * there
+    theta = d * e @ w
+    pull = 2 * d * (d + 2) * w / body.r**2 * e
+    pull += d * (lam - 1) * w * (theta[:, None] + theta[far]) * there
+    value = np.where(e < 0, -np.abs(pull * e), pull * e) / 2 if by_energy else e
+    limits = np.quantile(value[there], 0.9) * np.ones(len(w))
+    breaks = there & (value > limits) & ~no_fail[:, None] & ~no_fail[far]
+    how = {"limits": limits, "by_energy": by_energy, "no_fail": no_fail}
+    operator, force, energy = CutOperator(law.model, body, **how), *fields(u)
+    given, links = floats(u, operator.vector), operator.links(neighbour)
+    lost = operator.sweep(given, links, force, energy, breaking=True)
+    np.testing.assert_array_equal(operator.kept(links), there & ~breaks)
+    np.testing.assert_array_equal(lost, np.flatnonzero(breaks.any(axis=1)))
+    want = np.einsum("nb,bi->ni", pull, body.xi)
+    np.testing.assert_allclose(force.numpy(), want, atol=ROUNDING * np.abs(want).max())
+    operator.again(links, lost, force, energy)
+    again = swept(operator, u, np.where(operator.kept(links), neighbour, -1))
+    np.testing.assert_array_equal(force.numpy(), again[0])
+    np.testing.assert_array_equal(energy.numpy(), again[1])
+    order = np.lexsort(x.T)
+    tidy, number = lattice_body(x[order], 1.0, 3.0), np.argsort(order)
+    moved = np.where(operator.kept(links), number[far], -1)[order]
+    sorted_force, _ = swept(CutOperator(law.model, tidy), u[order], moved)
+    np.testing.assert_array_equal(sorted_force, again[0][order])
+    along = int(np.argmax(sides))
+    own = np.abs(x[:, along]) < 0.45 * sides[along]  # the others come from elsewhere, and late
+    apart = CutOperator(law.model, body)
+    apart.sweep_early(own)
+    assert len(apart._turns[0][2]) > 0
+    late = floats(np.where(own[:, None], u, 99.0), operator.vector)
+    apart.sweep(late, links, force, energy, arrive=lambda: np.copyto(late.numpy(), u))
+    np.testing.assert_array_equal(force.numpy(), again[0])
+    np.testing.assert_array_equal(energy.numpy(), again[1])
+
+
+def test_any_number_of_threads_has_the_same_bits():
+    body, law = plate(200, 160), solid(2.0)
+    u = np.random.default_rng(0).standard_normal(body.x.shape)
+    found, before = [], threads()
+    for count in (1, 3, 2):
+        set_threads(count)
+        try:
+            operator = CutOperator(law.model, body, limits=2.5 * body.r)
+            (force, energy), links = fields(u), operator.links(body.neighbour)
+            given = floats(u, operator.vector)
+            lost = operator.sweep(given, links, force, energy, breaking=True)
+        finally:
+            set_threads(before)
+        assert len(next(iter(operator._recorded.values()))[-1]._jobs) == count
+        found.append([lost, *(array.numpy() for array in (force, energy, links))])
+    assert len(found[0][0]) > 1000
+    for others in found[1:]:
+        for one, other in zip(found[0], others, strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("lam", [1.0, -0.4])

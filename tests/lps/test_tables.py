@@ -10,7 +10,10 @@ import warp as wp
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, ROUNDING, kernel, noise
 from warp_peri import InputError
-from warp_peri.lps.bonds import Bonds, Tabulated
+from warp_peri.kernels.lps import influence as influence_kernels
+from warp_peri.launch import launch, zeros
+from warp_peri.lps.bonds import Bonds, Tabulated, influence, powers
+from warp_peri.lps.model import bernstein_basis
 from warp_peri.lps.operator import NodeOperator, lps_force
 from warp_peri.transfer.operator import LPSOperator
 
@@ -108,3 +111,36 @@ def test_single_precision():
         u = torch.as_tensor(noise(points, 1), dtype=getattr(torch, precision))
         forces.append(Tabulated(bonds)(wp.from_torch(u, dtype=bonds.vec), solid).numpy())
     assert relative(*forces) < 2e-5
+
+
+@pytest.mark.parametrize(("precision", "rounding"), [("float64", 2e-15), ("float32", 1e-5)])
+@pytest.mark.parametrize("alpha", [-8.0, 0.0, 2.9])
+@pytest.mark.parametrize("degree", [0, 10, 21])
+def test_many_bonds_at_a_time_have_their_influence_and_its_adjoint(
+    precision, rounding, alpha, degree
+):
+    """Against sums in double precision, of as many bonds as fill no register and do; r off 1."""
+    bonds = Bonds(cloud(4, HORIZON), HORIZON, precision=precision)
+    random = np.random.default_rng(degree)
+    D = random.normal(size=degree + 1)
+    values = bonds.floats(np.array([alpha])), bonds.floats(D)
+    kw = influence(bonds, *values)[0].numpy()
+    r, weight = (getattr(bonds, name).numpy().astype(float) for name in ("r", "weight"))
+    assert len(r) % 32
+    assert len(r) > 128
+    basis = bernstein_basis(np.minimum(r, bonds.horizon), bonds.horizon, degree)
+    size = np.abs(weight * r**-alpha)
+    off = np.abs(kw - weight * r**-alpha * (basis @ D))
+    assert (off <= (1 + degree) * rounding * size * np.abs(D).max()).all()
+    for first, last in ((0, 5), (3, len(r) - 1)):
+        seeds = random.normal(size=last - first)
+        by = zeros(1, degree + 2, dtype=bonds.scalar)
+        kernel = influence_kernels.by_lanes(degree, bonds.scalar).adjoint
+        of = powers(bonds, *values), bonds.floats(seeds)
+        launch(kernel, 1, (0, first, last, *of), (by,))
+        each = (seeds * (weight * r**-alpha)[first:last])[:, None] * basis[first:last]
+        log_r = np.log(r[first:last, None])
+        want = np.append(each.sum(axis=0), -(log_r * each * D).sum())
+        largest = np.append(np.abs(each).sum(axis=0), np.abs(log_r * each * D).sum())
+        tolerance = 20 * (1 + degree) * rounding * largest.max()
+        np.testing.assert_allclose(by.numpy()[0], want, rtol=0, atol=tolerance)

@@ -176,12 +176,14 @@ class Breakings:
 
     def __init__(self, body: Any, state: Any, dt: float, steps: int) -> None:
         self.body, self.dt, self.steps = body, dt, steps
-        self.links, self.broken = state.links.numpy().copy(), dict[int, np.ndarray]()
+        self.links = state.links.numpy().copy()
+        self.broken: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         body.broke = self._seen
 
     def _seen(self, state: Any) -> None:
         now = state.links.numpy()
-        places = self.broken[state.steps] = np.flatnonzero(now != self.links)
+        places = np.flatnonzero(now != self.links)
+        self.broken[state.steps] = places, now[places] ^ self.links[places]
         self.links[places] = now[places]
 
     def told(self, motion: Motion, *given: Any) -> Motion:
@@ -192,7 +194,7 @@ class Breakings:
         """
         self.body.broke = None
         fields = [as_tensor(*pair).to("cpu", torch.float64) for pair in zip("buv", given)]
-        if count := sum(map(len, self.broken.values())):
+        if count := sum(int(np.bitwise_count(bits).sum()) for _, bits in self.broken.values()):
             told = f"move: {count} ends of bonds broke, and derivatives are those between breakings"
             warnings.warn(told, stacklevel=5)
         ends = np.array([motion.u, motion.v])
@@ -205,15 +207,16 @@ class Breakings:
         """Derivatives to load, u and v at the start, [3, N, d], of those to u and v at the end."""
         body, operator, links = self.body, self.body.operator, self.links.copy()
         count, dt, load = len(p), self.dt, np.zeros_like(p)
-        field, force = (zeros(operator.places, dtype=operator.vector) for _ in range(2))
-        table: Any = wp.array(links, dtype=wp.int32, device="cpu", copy=False)
-        kick, felt = field.numpy()[:count], force.numpy()[:count]
-        free, energy = 1 - body.held.numpy()[:count], zeros(operator.places)
+        field, force = (zeros(count, dtype=operator.vector) for _ in range(2))
+        table: Any = wp.array(links, dtype=wp.uint16, device="cpu", copy=False)
+        kick, felt, free = field.numpy(), force.numpy(), 1 - body.held.numpy()
+        energy = zeros(count)
         times = np.cumsum([0.0, *np.full(self.steps, dt)])
         share = [1.0 if body.ramp is None else float(body.ramp(time)) for time in times.tolist()]
         for number in reversed(range(self.steps)):
-            if (places := self.broken.get(number)) is not None:
-                links[places] = -1 - links[places]
+            if number in self.broken:
+                places, bits = self.broken[number]
+                links[places] ^= bits
             for end in (1, 0):  # the second kick, and then the first with the drift
                 kick[:] = dt / (2 * body.solid.density) * free * q
                 operator.sweep(field, table, force, energy)

@@ -99,14 +99,13 @@ class Section:
         """Force density of each bond across the line, shape [E, d]."""
         owner, node, bond = self._owner, self._node, self._bond
         body, model, w = owner.body, owner.operator.model, owner.operator.weights[self._bond]
-        far = owner.neighbour(state)[node, bond]
-        kept = far >= 0
+        far, kept = body.neighbour[node, bond], owner.operator.kept(state.links, node, bond)
         u, xi, d = owner.displacement(state), body.xi[bond], body.dimension
         e = (xi * (u[far] - u[node])).sum(axis=1)
         pull = 2 * d * (d + 2) * model.mu * w * e / body.r[bond] ** 2
         if model.lam != model.mu:
-            theta = owner.operator.theta.numpy()
-            pull = pull + d * (model.lam - model.mu) * w * (theta[node] + theta[far])
+            theta = owner.operator.dilatation(node) + owner.operator.dilatation(far)
+            pull = pull + d * (model.lam - model.mu) * w * theta
         carried: np.ndarray = (pull * kept)[:, None] * xi
         return carried
 
@@ -240,7 +239,7 @@ class CrackRun:
 
     def _left(self, state: BreakingState) -> np.ndarray:
         """Which bonds of the ball a node still has, shape [m, B]."""
-        return (self.body.neighbour(state) >= 0).astype(np.uint8)
+        return self.body.operator.kept(state.links).astype(np.uint8)
 
     def _record_marks(self) -> tuple[Any, ...]:
         lines = [section.ends for section in self.sections.values()]
@@ -300,7 +299,7 @@ class CrackRun:
             )
 
     def _save(self, path: Path, state: BreakingState) -> None:
-        own, count = self.nodes.own, len(self.body.body.x)
+        own = self.nodes.own
         arrays = {name: getattr(state, name).numpy() for name in NODAL}
         arrays |= {"dissipated": state.dissipated, "whole": state.whole, "left": self._left(state)}
         content = {
@@ -311,7 +310,7 @@ class CrackRun:
             "history": vars(self.history),
             "files": {} if self.series is None else self.series.times,
         }
-        nodal = {name: array[:count][own] for name, array in arrays.items()}
+        nodal = {name: array[own] for name, array in arrays.items()}
         RunFile(path, KIND, self.nodes).write(nodal, content)
 
     def _resumed(self, state: BreakingState, steps: int) -> BreakingState:
@@ -322,13 +321,11 @@ class CrackRun:
             return state
         arrays, content = kept
         self._check(content, steps)
-        here = len(self.body.body.x)
         for name in NODAL:
-            getattr(state, name).numpy()[:here] = arrays[name]
-        links = self.body.neighbour(state)
-        broken = (arrays["left"] == 0) & (links >= 0)
-        links[broken] = -1 - links[broken]
-        state.dissipated[:here], state.whole = arrays["dissipated"], arrays["whole"]
+            getattr(state, name).numpy()[:] = arrays[name]
+        left = np.where(arrays["left"], self.body.body.neighbour, -1)
+        state.links = self.body.operator.links(left)
+        state.dissipated[:], state.whole = arrays["dissipated"], arrays["whole"]
         state.time, state.steps = float(content["time"]), int(content["steps"])
         self.history = History(**content["history"])
         if self.series is not None:

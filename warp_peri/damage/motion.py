@@ -34,11 +34,11 @@ from warp_peri.points.arrays import check_positive
 
 @dataclass(eq=False)
 class BreakingState:
-    """What a motion has come to; arrays are Warp's, of the operator's even number of places.
+    """What a motion has come to; arrays are Warp's.
 
     Attributes:
         u, v: displacement and velocity.
-        links: neighbours, its own copy; −1 − j where a bond is broken.
+        links: which bonds are unbroken, as the operator's `kept` tells.
         force: internal force density over the bonds that are left.
         energy: elastic energy density over them.
         work: done on the body so far and what it started with, per node and area [stress].
@@ -155,12 +155,12 @@ class BreakingBody:
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
         count, d = self.body.x.shape
-        values = np.zeros((self.operator.places, d))
+        values: np.ndarray = np.zeros((count, d))
         if field is not None:
             given = np.asarray(field, dtype=float)
             if given.shape != (count, d) or not np.isfinite(given).all():
                 raise InputError(f"{name}: expected finite values of shape [{count}, {d}]")
-            values[:count] = given
+            values[:] = given
         return floats(values, self.operator.vector)
 
     def start(
@@ -183,8 +183,8 @@ class BreakingBody:
         fields = self._padded("u", u), self._padded("v", v)
         neighbour = cracked(self.body, cracks)
         links = self.operator.links(neighbour)
-        places = self.operator.places
-        force, energy = zeros(places, dtype=self.operator.vector), zeros(places)
+        count = len(self.body.x)
+        force, energy = zeros(count, dtype=self.operator.vector), zeros(count)
         if u is not None:
             broken = self.operator.sweep(
                 fields[0], self.operator.links(neighbour), force, energy, breaking=True
@@ -199,28 +199,28 @@ class BreakingBody:
         kinetic = self.solid.density / 2 * np.square(fields[1].numpy()).sum(axis=1)
         work = floats(kinetic + energy.numpy())
         return BreakingState(
-            *fields, links, force, energy, work, np.zeros(places), whole.astype(float)
+            *fields, links, force, energy, work, np.zeros(count), whole.astype(float)
         )
 
     def damage(self, state: BreakingState) -> np.ndarray:
         """φ, the share of bonds that a node has lost, shape [N]."""
-        left = (self.neighbour(state) >= 0).sum(axis=1)
+        left = self.operator.kept(state.links).sum(axis=1)
         phi: np.ndarray = 1 - left / np.maximum(state.whole, 1)
         return phi
 
     def neighbour(self, state: BreakingState) -> np.ndarray:
-        """Neighbours with broken bonds as −1 − j, shape [N, B]; shares the state's memory."""
-        table: np.ndarray = state.links.numpy().reshape(-1, self.operator.bonds)
-        return table[: len(self.body.x)]
+        """Neighbours with broken bonds as −1 − j, shape [N, B]."""
+        table = self.body.neighbour
+        return np.where(self.operator.kept(state.links) | (table < 0), table, -1 - table)
 
     def displacement(self, state: BreakingState) -> np.ndarray:
         """u, shape [N, d]; shares the state's memory."""
-        field: np.ndarray = state.u.numpy()[: len(self.body.x)]
+        field: np.ndarray = state.u.numpy()
         return field
 
     def velocity(self, state: BreakingState) -> np.ndarray:
         """v, shape [N, d]; shares the state's memory."""
-        field: np.ndarray = state.v.numpy()[: len(self.body.x)]
+        field: np.ndarray = state.v.numpy()
         return field
 
     def ledger(self, state: BreakingState, nodes: Any = None) -> Ledger:
@@ -270,13 +270,13 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
 
     dt is not looked at: `check_step` and `run` refuse one that is too long.
     """
-    operator, places = body.operator, body.operator.places
+    operator, count = body.operator, len(body.body.x)
     density, kernels = body.solid.density, halves(body.body.dimension)
     share = 1.0 if body.ramp is None else float(body.ramp(state.time))
     later = 1.0 if body.ramp is None else float(body.ramp(state.time + dt))
     launch_slices(
         kernels.kick_and_drift,
-        places,
+        count,
         (dt, density, share, later, state.force, body.load, body.held, body.grip),
         (state.v, state.work, state.u),
     )
@@ -285,7 +285,7 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     lost = operator.sweep(*fields, breaking=True, arrive=arrive)
     launch_slices(
         kernels.second_kick,
-        places,
+        count,
         (dt, density, later, state.force, body.load, body.held),
         (state.v, state.work),
     )
@@ -293,7 +293,7 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         if body.broke is not None:
             body.broke(state)
         full = state.energy.numpy()[lost]
-        operator.again(state.u, state.links, lost, state.force, state.energy)
+        operator.again(state.links, lost, state.force, state.energy)
         state.dissipated[lost] += full - state.energy.numpy()[lost]
     state.time += dt
     state.steps += 1

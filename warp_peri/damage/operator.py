@@ -6,7 +6,7 @@ the energy is a sum of squares of stretches that any breaking leaves positive wh
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,13 +16,13 @@ import warp as wp
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
 from warp_peri.kernels.damage import sweeps as kernels
-from warp_peri.launch import Recorded, floats, ints, launch_slices, threads, zeros
+from warp_peri.launch import Shared, filled, floats, ints, threads, zeros
 from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.points.families import BondClasses
+from warp_peri.points.lattice import straight_steps
 
-PAIR = 2
-"""Nodes that the recorded sweeps take at a time. Two threads pay from 4000 nodes on, see
-docs/archive/cracks.md."""
+WEIGHT = 4
+"""Work of a piece, that of a node in other sweeps being 1: two threads pay from 16 000 nodes on."""
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
@@ -134,7 +134,7 @@ def dilatation_matrix(
 
 
 class CutOperator:
-    """Forces and energies of a lattice body over its unbroken bonds, by Warp.
+    """Forces and energies of a lattice body over its unbroken bonds, by rows in Warp.
 
     Args:
         model: one influence function for both parts.
@@ -158,33 +158,55 @@ class CutOperator:
         self.model, self.body = model, body
         self.weights = bond_weights(model, body.classes)
         self.bonds = len(self.weights)
-        self.nodes = len(body.x)
-        self.places = self.nodes + self.nodes % 2  # the sweep takes two nodes at a time
-        self.bond_based = model.lam == model.mu and not by_energy
-        self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
-        r = body.r
+        self.excess = model.lam - model.mu
         self.limits = np.full(self.bonds, np.inf) if limits is None else limits
-        d = body.dimension
-        self._kernels = kernels.sweeps(d, bool(tension_only))
+        d, r = body.dimension, body.r
+        self._kernels = kernels.sweep(d)
+        self.vector = self._kernels.vec
         stiffness = 2 * d * (d + 2) * model.mu * self.weights / r**2
         table = np.column_stack([body.xi, d * self.weights, stiffness, self.limits])
-        self._table = floats(np.ascontiguousarray(table), self._kernels.bond)
-        self.vector = self._kernels.vec
-        self._recorded: dict[tuple[int, ...], tuple[list[Recorded], list[Recorded]]] = {}
-        self.early = (0, 0), (0, 0)
-        flags: np.ndarray = np.zeros(self.places, np.uint8)
-        flags[: self.nodes] = False if no_fail is None else no_fail
-        self._no_fail: wp.array[Any] = wp.array(flags, dtype=wp.uint8, device="cpu")
-        self._all = ints(np.arange(self.nodes))
-        self.theta = zeros(self.places)
-        self.lost = zeros(self.places, dtype=wp.int32)
-        self._lost = self.lost.numpy()  # shares its memory
+        offset, self.home = _places(body)
+        first, self._row = _rows(self.home)
+        self._lane = (self.home - first[self._row]).astype(np.uint16)
+        self._pieces = np.column_stack([first, np.arange(len(first))]).astype(np.int32)
+        size = int(self.home.max() + np.abs(offset).max()) + 2 * kernels.LANES
+        # of zeros, which no memory holds until they are written: a rectangle may be mostly empty
+        self._number = np.zeros(size, np.int32)
+        self._number[self.home] = np.arange(1, len(self.home) + 1)
+        flags = np.zeros(size, np.uint8)
+        flags[self.home] = False if no_fail is None else no_fail
+        self._planes = floats(np.zeros(d * size))
+        self._theta = floats(np.zeros(size if self.excess else 1))
+        self._at = ints(offset), floats(np.ascontiguousarray(table), self._kernels.bond)
+        self._nodes: Any = (
+            ints(self._number),
+            wp.array(flags, dtype=wp.uint8, device="cpu", copy=False),
+        )
+        self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
+        self._tension_only = int(tension_only)
+        self._lost = zeros(len(first), dtype=wp.uint16)
+        self._recorded: dict[tuple[Any, ...], list[Shared]] = {}
+        self._turns: list[tuple[np.ndarray, ...]] = [3 * (np.arange(len(first)),)]
 
     def links(self, neighbour: np.ndarray) -> wp.array[Any]:
-        """A table of neighbours [N, B] as the sweeps take it, a copy of its own."""
-        held = np.full((self.places, self.bonds), -1, dtype=np.int32)
-        held[: self.nodes] = neighbour
-        return wp.array(held.ravel(), dtype=wp.int32, device="cpu")
+        """Which bonds are there in a table of neighbours [N, B], as the sweeps take it."""
+        words: np.ndarray = np.zeros((len(self._pieces), self.bonds), np.uint16)
+        for lane in range(kernels.LANES):
+            nodes = np.flatnonzero(self._lane == lane)
+            words[self._row[nodes]] |= (neighbour[nodes] >= 0).astype(np.uint16) << lane
+        return wp.array(words.ravel(), dtype=wp.uint16, device="cpu")
+
+    def kept(self, links: wp.array[Any], node: Any = None, bond: Any = None) -> np.ndarray:
+        """Which bonds are unbroken, [N, B] bool, or of these nodes those of these numbers."""
+        node = np.arange(len(self.home))[:, None] if node is None else node
+        bond = np.arange(self.bonds) if bond is None else bond
+        words = links.numpy().reshape(-1, self.bonds)[self._row[node], bond]
+        return np.asarray(words >> self._lane[node] & 1, bool)
+
+    def dilatation(self, nodes: np.ndarray) -> np.ndarray:
+        """θ of these nodes in the last sweep, where λ ≠ μ."""
+        found: np.ndarray = self._theta.numpy()[self.home[nodes]]
+        return found
 
     def sweep(
         self,
@@ -201,106 +223,92 @@ class CutOperator:
         Force and energy are of all bonds that were there before. `arrive` fills what is still
         missing of u; what feels none of it is swept before.
         """
-        arrive = arrive or (lambda: None)
-        if breaking and self._criterion == kernels.STRETCH:
-            arrays = (u, links, force, energy)
-            key = (threads(), *(array.ptr for array in arrays))
-            if key not in self._recorded:
-                self._recorded = {key: self._record(*arrays)}
-            early, late = self._recorded[key]
-            for launch in early:
-                launch()
+        arrays = u, links, force, energy
+        key = threads(), breaking, *(array.ptr for array in arrays)
+        if key not in self._recorded:
+            criterion = self._criterion if breaking else kernels.NONE
+            turns = [[self._pieces[rows] for rows in turn] for turn in self._turns]
+            self._recorded = {key: [self._shared(turn, criterion, *arrays) for turn in turns]}
+        *early, late = self._recorded[key]
+        for launch in early:
+            launch()
+        if arrive is not None:
             arrive()
-            for launch in late:
-                launch()
-        else:
-            arrive()
-            criterion = self._criterion if breaking else -1
-            self._state_based(u, links, self._all, self._all, criterion, force, energy)
-        return np.flatnonzero(self._lost) if breaking else np.empty(0, np.int64)
+        late()
+        if not breaking:
+            return np.empty(0, np.int64)
+        lost = self._lost.numpy()
+        rows, lanes = np.flatnonzero(lost), np.arange(kernels.LANES)
+        losing = self._number[self._pieces[rows, :1] + lanes][lost[rows, None] >> lanes & 1 > 0]
+        return np.sort(losing) - 1
 
-    def _record(
-        self, u: wp.array[Any], links: wp.array[Any], force: wp.array[Any], energy: wp.array[Any]
-    ) -> tuple[list[Recorded], list[Recorded]]:
-        """The sweeps over these arrays with the stretch criterion, packed: early ones and late."""
-        outputs = (force, energy, self.lost, links)
-        shapes = (u, self.bonds, self._table)
-        excess, (near, far) = self.model.lam - self.model.mu, self.early
-        made: list[tuple[Any, ...]] = [
-            (near, self._kernels.paired_dilatation, (*shapes, links), (self.theta,)),
-            (far, self._kernels.paired_state_based,
-             (*shapes, excess, self._no_fail, self.theta), outputs),
-        ]  # fmt: skip
-        if self.bond_based:
-            made = [(near, self._kernels.bond_based, (*shapes, self._no_fail), outputs)]
-        early: list[Recorded] = []
-        late: list[Recorded] = []
-        for (first, last), kernel, inputs, given in made:
-            parts = (first, last, early), (0, first, late), (last, self.places // 2, late)
-            for begin, end, where in parts:
-                if begin < end:
-                    swept = {"weight": PAIR, "begin": begin}
-                    where.append(Recorded(kernel, end - begin, inputs, given, **swept))
-        return early, late
+    def _shared(
+        self, pieces: Sequence[np.ndarray], criterion: int, *fields: wp.array[Any]
+    ) -> Shared:
+        """To lay out u, fill θ, and fill force and energy, of pieces of their own each, packed.
+
+        fields: u, links, force and energy.
+        """
+        laid, dilated, swept = pieces
+        dilated = dilated if self.excess else laid[:0]
+        phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
+        how = self.excess, criterion, self._tension_only, self._planes, self._theta, self._lost
+        of = filled(self._kernels.Cut, *phases, *self._at, *self._nodes, *how, *fields)
+        return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept))
 
     def sweep_early(self, own: np.ndarray) -> None:
-        """Sweep first, of the nodes that feel `own` ones alone [N] bool, the longest run."""
+        """Sweep first all pieces that feel `own` nodes alone, [N] bool."""
         table = self.body.neighbour
 
         def feel(mask: np.ndarray) -> np.ndarray:
-            return np.asarray(mask & (mask[table] | (table < 0)).all(axis=1))
+            """Whether all nodes of a piece and all at the ends of their bonds are in a mask."""
+            pieces: np.ndarray = np.ones(len(self._pieces), bool)
+            pieces[self._row[~(mask & (mask[table] | (table < 0)).all(axis=1))]] = False
+            return pieces
 
         near = feel(own)
-        first, last = _longest_run(near)
-        place = np.arange(len(own)) // PAIR
-        swept = near & (first <= place) & (place < last)  # whose dilatation is known early
-        self.early = (first, last), _longest_run(feel(swept))
+        far = feel(near[self._row]) if self.excess else near  # whose dilatation is known early
+        every, others = np.arange(len(near)), np.unique(self._row[~own])
+        early, late = (near, far), (~near, ~far)
+        self._turns = [
+            (rows, *map(np.flatnonzero, masks))
+            for rows, masks in zip((every, others), (early, late))
+        ]
+        self._recorded = {}
 
     def again(
-        self,
-        u: wp.array[Any],
-        links: wp.array[Any],
-        nodes: np.ndarray,
-        force: wp.array[Any],
-        energy: wp.array[Any],
+        self, links: wp.array[Any], nodes: np.ndarray, force: wp.array[Any], energy: wp.array[Any]
     ) -> None:
-        """Force and energy where these nodes have lost bonds, and at their neighbours."""
-        changed = around = ints(nodes)
-        if not self.bond_based:  # θ has changed, and neighbours feel it
-            ends = links.numpy().reshape(-1, self.bonds)[nodes]
-            around = ints(np.union1d(nodes, ends[ends >= 0]))
-        self._state_based(u, links, changed, around, -1, force, energy)
-
-    def _state_based(
-        self,
-        u: wp.array[Any],
-        links: wp.array[Any],
-        changed: wp.array[Any],
-        around: wp.array[Any],
-        criterion: int,
-        force: wp.array[Any],
-        energy: wp.array[Any],
-    ) -> None:
-        excess = self.model.lam - self.model.mu
-        if excess != 0:
-            launch_slices(
-                self._kernels.dilatation,
-                len(changed),
-                (changed, u, self.bonds, self._table, links),
-                (self.theta,),
-            )
-        launch_slices(
-            self._kernels.state_based,
-            len(around),
-            (around, u, self._table, excess, criterion, self._no_fail, self.theta),
-            (force, energy, self.lost, links),
-        )
+        """Force and energy at the u of the last sweep where these nodes have lost bonds, and at
+        their neighbours."""
+        changed = around = np.unique(self._row[nodes])
+        if self.excess:  # θ has changed, and neighbours feel it
+            ends = self.body.neighbour[nodes]
+            around = np.union1d(changed, self._row[ends[ends >= 0]])
+        pieces = [self._pieces[rows] for rows in (np.arange(0), changed, around)]
+        self._shared(pieces, kernels.NONE, force, links, force, energy)()  # no u is laid out
 
 
-def _longest_run(mask: np.ndarray) -> tuple[int, int]:
-    """First and last + 1 of the longest run of pairs of nodes that are all in a mask."""
-    pairs = np.pad(mask, (0, len(mask) % 2), constant_values=True).reshape(-1, PAIR).all(axis=1)
-    ends = np.flatnonzero(np.diff(np.pad(pairs, 1).astype(np.int8)))
-    begin, end = ends[::2], ends[1::2]
-    longest = int((end - begin).argmax()) if len(begin) else 0
-    return (int(begin[longest]), int(end[longest])) if len(begin) else (0, 0)
+def _places(body: LatticeBody) -> tuple[np.ndarray, np.ndarray]:
+    """Places from a node to the end of each bond, [B], and of all nodes [N], in rows with room
+    beside them for bonds that lead off the body."""
+    grid, _ = straight_steps(body.x, body.spacing)
+    steps, d = body.classes.steps, body.dimension
+    along = int(np.count_nonzero(np.diff(grid, axis=0), axis=0).argmax())  # as nodes are numbered
+    axes = [*(a for a in range(d) if a != along), along]
+    wide = (grid.max(axis=0) + 1 + np.abs(steps).max())[axes]
+    strides = np.array([wide[a + 1 :].prod() for a in range(d)], np.int64)
+    offset: np.ndarray = steps[:, axes] @ strides
+    return offset, grid[:, axes] @ strides + np.abs(offset).max()
+
+
+def _rows(home: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First places of as few pieces as hold all nodes, and the piece of every node [N]."""
+    places = np.sort(home)
+    after = np.searchsorted(places, places + kernels.LANES).tolist()
+    begin, at = [], 0
+    while at < len(places):
+        begin.append(at)
+        at = after[at]
+    first = places[begin]
+    return first, np.searchsorted(first, home, side="right") - 1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
@@ -17,9 +18,21 @@ from warp_peri.kernels.lps import adjoint as lps_adjoint
 from warp_peri.kernels.lps import force as lps
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.tables import tables
-from warp_peri.launch import DEVICE, empty, floats, ints, known_device, launch, launch_slices, zeros
+from warp_peri.launch import (
+    DEVICE,
+    empty,
+    filled,
+    floats,
+    ints,
+    known_device,
+    launch,
+    launch_slices,
+    recorded,
+    threads,
+    zeros,
+)
 from warp_peri.lps.model import CANCELLED, Model, Solid
-from warp_peri.lps.rows import BLOCKS, Rows, rows_of
+from warp_peri.lps.rows import BLOCKS, Forward, Rows, lent, rows_of
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
@@ -53,6 +66,8 @@ def blocks_of(families: Families, full: np.ndarray, device: str) -> Blocks:
     return Blocks(ends, list(pairwise(bounds)), spans)
 
 
+LIGHT = 8
+"""How much less than a usual node a bond has to do for its K, for the number of threads."""
 PRECISIONS = {"float64": wp.float64, "float32": wp.float32}
 
 
@@ -113,6 +128,7 @@ class Bonds:
         self.arrays = self._arrays(types, points.x, points.box)
         self._places = (np.array(points.x) if self.lattice else points.x, points.box)
         self.kept: dict[tuple[bytes, bytes], tuple[wp.array[Any], wp.array[Any]]] = {}
+        self._prepared: list[Prepared] = []
 
     def _arrays(self, types: Any, x: np.ndarray, box: tuple[float, ...] | None) -> Any:
         """The kernels' struct; of what only the other kind of point set has, one idle entry."""
@@ -150,6 +166,11 @@ class Bonds:
         return rows_of(self.families, *self._places, self.scalar)
 
     @cached_property
+    def log_r(self) -> wp.array[Any]:
+        """ln r of each bond class, shape [C]."""
+        return self.floats(np.log(self.families.r))
+
+    @cached_property
     def pairs(self) -> np.ndarray:
         """Numbers of one bond of each pair ±ξ of a lattice's pattern, shape [H]."""
         reverse = self.families.reverse
@@ -176,6 +197,15 @@ class Bonds:
     def forget(self) -> None:
         """Drop what was kept of the last model, so that the next evaluation computes it anew."""
         self.kept.clear()
+        for prepared in self._prepared:
+            prepared.forget()
+
+    def force(self, u: wp.array[Any], numbers: Sequence[np.ndarray]) -> wp.array[Any]:
+        """L u [S, I] of u [S, N] and λ, μ, α, D and so on, on a lattice laid out in rows."""
+        fits = len(u), tuple(len(D) - 1 for D in numbers[3:]), threads()
+        with lent(self._prepared, fits, lambda: Prepared(self, fits)) as prepared:
+            Lu: wp.array[Any] = prepared(u, numbers)
+        return Lu
 
 
 @dataclass(frozen=True)
@@ -212,6 +242,12 @@ def influence_inputs(bonds: Bonds, degree: int) -> tuple[Any, ...]:
     return (bonds.scalar(bonds.horizon), binomial, bonds.r, bonds.weight)
 
 
+def powers(bonds: Bonds, alpha: wp.array[Any], D: wp.array[Any]) -> Any:
+    """What the kernels read that take many bonds at a time."""
+    struct = influence_kernels.by_lanes(len(D) - 1, bonds.scalar).Powers
+    return filled(struct, *influence_inputs(bonds, len(D) - 1), bonds.log_r, alpha, D)
+
+
 def influence(
     bonds: Bonds, alpha: wp.array[Any], D: wp.array[Any], *, gradient: bool = False
 ) -> tuple[wp.array[Any], wp.array[Any]]:
@@ -225,9 +261,13 @@ def influence(
         return bonds.kept[key]
     kw = bonds.zeros(len(bonds.r), gradient=gradient)
     m = bonds.zeros(1 if bonds.lattice else bonds.nodes, gradient=gradient)
-    table = (*influence_inputs(bonds, degree), alpha, D)
-    kernel = influence_kernels.influence(degree, bonds.scalar)
-    _launch(gradient, kernel, len(bonds.r), table, kw)
+    if gradient or bonds.lattice or bonds.device != DEVICE or len(kw) < influence_kernels.BYTES:
+        kernel = influence_kernels.influence(degree, bonds.scalar)
+        _launch(gradient, kernel, len(kw), (*influence_inputs(bonds, degree), alpha, D), kw)
+    else:
+        lanes = influence_kernels.by_lanes(degree, bonds.scalar)
+        chunks, inputs = -(-len(kw) // lanes.size), (powers(bonds, alpha, D),)
+        launch_slices(lanes.values, chunks, inputs, (kw,), weight=lanes.size // LIGHT)
     count = 1 if bonds.lattice else len(bonds.full)
     kernel = lps.sweeps(bonds.scalar, bonds.dimension).weighted_volume
     _launch(gradient, kernel, count, (bonds.full, bonds.arrays, bonds.r, kw), m)
@@ -331,19 +371,12 @@ def _forces(bonds: Bonds, samples: int, *, gradient: bool) -> wp.array[Any]:
     return empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)
 
 
-def filled(struct: Any, *values: wp.array[Any]) -> Any:
-    """An instance of a kernel's struct, its members in order."""
-    instance = struct()
-    for name, value in zip(struct.vars, values):
-        setattr(instance, name, value)
-    return instance
-
-
 def _by_rows(
     bonds: Bonds, rows: Rows, law: Any, u: wp.array[Any], Lu: wp.array[Any], theta: Any
 ) -> None:
     """Dilatation and force on a lattice laid out in rows; θ by node where an array is given."""
-    with rows.forward(bonds.arrays, len(u)) as forward:
+    fits = len(u), threads()
+    with lent(rows.ready, fits, lambda: Forward(rows, bonds.arrays, len(u))) as forward:
         forward(law, u, Lu)
         if theta is not None:
             rows.take_up(forward.dilatation, theta)
@@ -361,6 +394,57 @@ def _launch(
         launch(kernel, (samples, count) if samples else count, (0, *inputs), (output,))
     else:
         launch_slices(kernel, count, inputs, (output,), samples=samples)
+
+
+class Prepared:
+    """The force of a lattice laid out in rows, of which all but fields and numbers is packed once.
+
+    Args:
+        bonds: of the lattice.
+        fits: samples, degrees of one influence function or two, and threads.
+
+    Call it with u, shape [S, N] of vectors, and λ, μ, α, D and so on as arrays; returns L u.
+    K and the weighted volume are computed anew where α or a coefficient has changed.
+    """
+
+    def __init__(self, bonds: Bonds, fits: tuple[int, tuple[int, ...], int]) -> None:
+        samples, degrees, _ = self.fits = fits
+        sizes = 1, 1, 1, *(degree + 1 for degree in degrees)
+        lam, mu, alpha, *coefficients = arrays = [bonds.zeros(size) for size in sizes]
+        self._numbers, self._key = [array.numpy() for array in arrays], b""
+        tables: list[wp.array[Any]] = []
+        self._volumes: list[Any] = []
+        self._bonds, sweeps = bonds, lps.sweeps(bonds.scalar, bonds.dimension)
+        for degree, D in zip(degrees, coefficients):
+            tables += (kw := bonds.zeros(len(bonds.r))), (m := bonds.zeros(1))
+            given = (*influence_inputs(bonds, degree), alpha, D)
+            kernel = influence_kernels.influence(degree, bonds.scalar)
+            of = bonds.full, bonds.arrays, bonds.r, kw
+            self._volumes.append(recorded(kernel, len(bonds.r), (0, *given), (kw,)))
+            self._volumes.append(recorded(sweeps.weighted_volume, 1, (0, *of), (m,)))
+        law = lps_adjoint.structs(bonds.scalar, bonds.dimension).Law
+        forward = Forward(bonds.laid_out, bonds.arrays, samples)  # type: ignore[arg-type]
+        self.size, self._launch = forward.size, forward.launch
+        self._launch.give(6, filled(law, *tables[:2], *tables[-2:], lam, mu))
+
+    def __call__(self, u: wp.array[Any], numbers: Sequence[np.ndarray]) -> wp.array[Any]:
+        bonds = self._bonds
+        for kept, value in zip(self._numbers, numbers, strict=True):
+            kept[:] = value
+        key = b"".join(value.tobytes() for value in numbers[2:])
+        if key != self._key:
+            for launch in self._volumes:
+                launch.launch()
+            self._key = key
+        Lu = empty(len(u), len(bonds.rows), dtype=bonds.vec)
+        self._launch.give(7, u)
+        self._launch.give(10, Lu)
+        self._launch()
+        return Lu
+
+    def forget(self) -> None:
+        """Compute K the next time."""
+        self._key = b""
 
 
 class Tabulated:

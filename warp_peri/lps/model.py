@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -80,7 +81,7 @@ class Solid:
 
     def __post_init__(self) -> None:
         for name in ("lam", "mu", "alpha"):
-            if np.prod(shape := np.shape(getattr(self, name))) != 1:
+            if prod(shape := np.shape(getattr(self, name))) != 1:
                 raise InputError(
                     f"{name}: expected one number of a homogeneous solid, got shape {list(shape)}"
                 )

@@ -22,16 +22,17 @@ from warp_peri.core.tensors import differentiable_once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.lps import influence as influence_kernels
 from warp_peri.kernels.lps.adjoint import adjoints
-from warp_peri.launch import DEVICE, at_once, empty, floats, launch, launch_slices, unrecorded
-from warp_peri.lps.bonds import (
-    Bonds,
-    Evaluation,
-    Tabulated,
-    check_volumes,
-    evaluate,
+from warp_peri.launch import (
+    DEVICE,
+    at_once,
+    empty,
     filled,
-    influence_inputs,
+    floats,
+    launch,
+    launch_slices,
+    unrecorded,
 )
+from warp_peri.lps.bonds import Bonds, Evaluation, Tabulated, check_volumes, evaluate, powers
 from warp_peri.lps.model import Model, Solid, on_nominal_lattice
 from warp_peri.lps.rows import BLOCKS, Rows
 from warp_peri.points.arrays import plain
@@ -142,17 +143,15 @@ def _by_rows(
     Rows.by_pair, of hd where the dilatation has volumes of its own."""
     kernels, pieces = rows.kernels, rows.pieces
     planes, dilatation = rows.planes("backward", len(g))
-    rows.lay_out(pieces.row_images, g, planes, law.md)
-    law_of_bonds = (bonds.arrays, law, planes)
-    rows.sweep(kernels.dilatation_adjoint, pieces.needed, law_of_bonds, dilatation)
+    alike, asked = law.m is law.md, None if u_bar is None else pieces.nodes
+    given = bonds.arrays, law, g, planes, dilatation, g if u_bar is None else u_bar
+    phases = pieces.row_images, pieces.needed, asked if alike else None
+    rows.shared(kernels.backward, phases, law.md, *given)()
     sums = None
     if fields is not None:
         sums = rows.by_pair(bonds.arrays, bonds.pairs, *fields, planes, dilatation)
-    if u_bar is not None:
-        if law.m is not law.md:
-            rows.lay_out(pieces.row_images, g, planes, law.m)
-        inputs = (*law_of_bonds, dilatation)
-        rows.sweep(kernels.displacement_adjoint, pieces.nodes, inputs, u_bar)
+    if not alike:
+        rows.shared(kernels.backward, (pieces.row_images, None, asked), law.m, *given)()
     rows.give_back("backward", planes, dilatation)
     return sums
 
@@ -164,14 +163,14 @@ class _Tables:
         self, bonds: Bonds, law: Any, alpha: wp.array[Any], coefficients: Sequence[wp.array[Any]]
     ) -> None:
         self.bonds, self.law = bonds, law
-        self.alpha, self.coefficients = alpha, coefficients
+        self.coefficients = coefficients
         self.parts = bonds.zeros(BLOCKS, 2)
         self.blocks = bonds.blocks
         self.kernel = adjoints(bonds.scalar, bonds.dimension).table_adjoint
         self.backwards, self.sums = [], []
         for D in coefficients:
-            kernel = influence_kernels.influence_adjoint(len(D) - 1, bonds.scalar)
-            self.backwards.append((kernel, influence_inputs(bonds, len(D) - 1), D))
+            kernel = influence_kernels.by_lanes(len(D) - 1, bonds.scalar).adjoint
+            self.backwards.append((kernel, powers(bonds, alpha, D)))
             self.sums.append(bonds.zeros(BLOCKS, len(D) + 1))
         self.by_class: list[np.ndarray] = []
 
@@ -225,8 +224,8 @@ class _Tables:
         return run
 
     def _backward(self, n: int, block: int, first: int, last: int, bar: wp.array[Any]) -> None:
-        kernel, inputs, D = self.backwards[n]
-        launch(kernel, 1, (block, first, last, *inputs, self.alpha, D, bar), (self.sums[n],))
+        kernel, of = self.backwards[n]
+        launch(kernel, 1, (block, first, last, of, bar), (self.sums[n],))
 
     def gradients(self) -> tuple[list[np.ndarray], float]:
         """∂/∂D of each influence function and ∂/∂α, after all blocks."""
@@ -524,7 +523,11 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid, *, taped: bool = Fals
     if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs):
         Lu = _force(bonds, taped, *inputs)
     else:  # autograd's own bookkeeping takes longer than a sweep over a thousand nodes
-        made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
+        if bonds.laid_out is not None:
+            field: Any = wp.from_torch(inputs[0].detach().contiguous(), dtype=bonds.vec)
+            made = bonds.force(field, [number.detach().numpy() for number in numbers])
+        else:
+            made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
         Lu = wp.to_torch(made, requires_grad=False)
     return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +12,7 @@ import warp as wp
 
 from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.lps.rows import BYTES, rows
-from warp_peri.launch import DEVICE, Recorded, ints, launch_slices, threads, zeros
+from warp_peri.launch import DEVICE, Shared, ints, launch_slices, threads, zeros
 from warp_peri.points.families import BondClasses, Families
 
 SPARE = 2
@@ -62,6 +62,7 @@ class Rows:
         home: place of every node, shape [N].
         by_place: whether `forces` and `nodes` are by place, because by number they would be short.
         kernels: the sweeps.
+        ready: launches that nobody uses, see `lent`.
     """
 
     def __init__(
@@ -71,24 +72,9 @@ class Rows:
         self.places, self.scalar, self.kernels = places, scalar, rows(scalar)
         self.by_place = False
         self.one = wp.ones(1, dtype=scalar, device=DEVICE)
+        self.none: wp.array[Any] = zeros(0, dtype=wp.vec3i)
         self._spare: dict[str, list[tuple[wp.array[Any], wp.array[Any]]]] = {}
-        self._ready: list[Forward] = []
-
-    @contextmanager
-    def forward(self, arrays: Any, samples: int) -> Iterator[Forward]:
-        """A forward sweep that nobody else uses meanwhile, kept afterwards unless it is too large.
-
-        arrays: what leads kernels from a node to its bonds.
-        """
-        sweep = None
-        while sweep is None or sweep.fits != (samples, threads()):
-            try:
-                sweep = self._ready.pop()
-            except IndexError:
-                sweep = Forward(self, arrays, samples)
-        yield sweep
-        if sweep.size <= KEPT:
-            self._ready.append(sweep)
+        self.ready: list[Forward] = []
 
     def planes(
         self, use: str, samples: int, numbers: int = 1
@@ -147,11 +133,14 @@ class Rows:
         sums = bars.numpy().reshape(BLOCKS, -1, 3, lanes)
         return np.asarray(sums.sum(axis=(0, 3), dtype=float).T)
 
-    def sweep(
-        self, kernel: Any, pieces: wp.array[Any], inputs: tuple[Any, ...], output: wp.array[Any]
-    ) -> None:
-        """One of the sweeps over the bonds of the pieces."""
-        self.launch(kernel, (pieces, self.offset, *inputs), output)
+    def shared(self, kernel: Any, pieces: Sequence[wp.array[Any] | None], *inputs: Any) -> Shared:
+        """A sweep of three phases, packed: pieces laid out, needed and asked for, None for none;
+        divisor, what leads kernels to bonds, law, values, planes, numbers and vectors."""
+        divisor, arrays, law, values, planes, numbers, vectors = inputs
+        phases = [self.none if of is None else of for of in pieces]
+        given = (*phases, divisor, self.offset, arrays, law, values)
+        work = sum(map(len, phases)) * len(planes) * self.kernels.lanes // FASTER
+        return Shared(kernel, given, (planes, numbers, vectors), len(phases), work)
 
     def launch(self, kernel: Any, inputs: tuple[Any, ...], output: wp.array[Any]) -> None:
         """A kernel whose inputs begin with pieces, on all of them and all samples of the output."""
@@ -161,43 +150,44 @@ class Rows:
 
 
 class Forward:
-    """Dilatation and force on a lattice laid out in rows, planes and launches made once.
+    """Dilatation and force on a lattice laid out in rows, planes and launch made once.
 
     Attributes:
         fits: samples and threads that it is for.
         dilatation: by place, after a sweep.
         size: numbers in the planes.
+        launch: sweeps what was given last.
     """
 
     def __init__(self, rows: Rows, arrays: Any, samples: int) -> None:
-        of, kernels = rows.pieces, rows.kernels
         vectors = zeros(samples, 2 * rows.places, dtype=rows.scalar)
         self.dilatation = zeros(samples, rows.places, dtype=rows.scalar)
         self.fits, self.size = (samples, threads()), vectors.size + self.dilatation.size
-
-        def recorded(weight: int, kernel: Any, pieces: wp.array[Any], *inputs: Any) -> Recorded:
-            *given, output = pieces, *inputs
-            return Recorded(kernel, len(pieces), given, (output,), samples=samples, weight=weight)
-
-        shared = (rows.offset, arrays, structs(rows.scalar, 2).Law(), vectors)
-        sweep = kernels.lanes // FASTER  # a copy is less work than that
-        self._lay_out = recorded(1, kernels.laid_out, of.images, rows.one, None, vectors)
-        self._dilatation = recorded(sweep, kernels.dilatation, of.needed, *shared, self.dilatation)
-        self._force = recorded(sweep, kernels.force, of.forces, *shared, self.dilatation, None)
+        pieces = rows.pieces.images, rows.pieces.needed, rows.pieces.forces
+        given = rows.one, arrays, structs(rows.scalar, 2).Law(), None
+        fields = vectors, self.dilatation, None
+        self.launch = rows.shared(rows.kernels.forward, pieces, *given, *fields)
 
     def __call__(self, law: Any, u: wp.array[Any], Lu: wp.array[Any]) -> None:
         """L u into an array, both [S, N] and [S, I] of vectors."""
-        self._lay_out.give(2, u)
-        self._dilatation.give(3, law)
-        self._force.give(3, law)
-        self._force.give(6, Lu)
+        for place, value in ((6, law), (7, u), (10, Lu)):
+            self.launch.give(place, value)
         self.launch()
 
-    def launch(self) -> None:
-        """The three kernels on what was given last."""
-        self._lay_out()
-        self._dilatation()
-        self._force()
+
+@contextmanager
+def lent(ready: list[Any], fits: Any, make: Callable[[], Any]) -> Iterator[Any]:
+    """One of the ready that fits and nobody else uses meanwhile, made where there is none; ready
+    again afterwards unless its size is too large."""
+    one = None
+    while one is None or one.fits != fits:
+        try:
+            one = ready.pop()
+        except IndexError:
+            one = make()
+    yield one
+    if one.size <= KEPT:
+        ready.append(one)
 
 
 def rows_of(

@@ -27,7 +27,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import RunFile, agreed
 from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage.motion import halves
-from warp_peri.kernels.damage.sweeps import sweeps
+from warp_peri.kernels.damage.sweeps import sweep
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.families import HORIZON_TOLERANCE
@@ -489,8 +489,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         material.linear.check_dimension(piece)
         how, begin, records, run = options_of_steps(options)
     model = material.model
-    d, made = piece.dimension, sweeps(piece.dimension, bool(material.tension_only))
-    build(comm, neighbours.lattice_neighbours, made.state_based, halves(d).kick_and_drift)
+    d = piece.dimension
+    build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
     felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if model.lam == model.mu else 2)
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
