@@ -31,6 +31,8 @@ class CutSolid:
         held: components of the displacement that are given, shape [N] or [N, d] bool.
         neighbour: with broken bonds, shape [N, B]; the body's own by default.
         cracks: polylines, in space flat polygons, that cut it, instead.
+        corrected: bonds that a node lacks, at edges and cracks, take the mean gradient of those
+            that it has (C26).
 
     Attributes:
         matrix: L of (C4), symmetric, shape [d N, d N].
@@ -48,8 +50,9 @@ class CutSolid:
         *,
         neighbour: np.ndarray | None = None,
         cracks: Sequence[ArrayLike] = (),
+        corrected: bool = False,
     ) -> None:
-        self.model, self.body = material.linear, body
+        self.model, self.body, self.corrected = material.linear, body, corrected
         check_horizon(self.model, body)
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
         held = np.asarray(held, dtype=bool)
@@ -62,7 +65,8 @@ class CutSolid:
         self.one = not hasattr(material, "moduli")
         one = self.model.mu, self.model.lam - self.model.mu
         mu, excess = one if self.one else material.moduli(body, weights)
-        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess)
+        how = {"corrected": corrected}
+        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess, **how)
         self.free, self.inside = ~held.ravel(), ~held.all(axis=1)
         inner = self.matrix[self.free][:, self.free]
         if self.one and (weights < 0).any():
@@ -329,7 +333,7 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     strain = (stress - lam / bulk * np.trace(stress) * np.eye(d)) / (2 * mu)
     u = (body.x @ strain).ravel()
     w = bond_weights(model, body.classes)
-    whole = cut_matrix(body, w, body.neighbour, mu, lam - mu)
+    whole = cut_matrix(body, w, body.neighbour, mu, lam - mu, corrected=cut.corrected)
     load: np.ndarray = (whole @ u - cut.matrix @ u).reshape(body.x.shape)
     return load
 

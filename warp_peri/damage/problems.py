@@ -48,6 +48,9 @@ class Cracked:
             by default all of the interior.
         pressure: stress [d, d] of what presses on the faces of the cracks, p n⊗n of a fluid (C13);
             of bodies at rest.
+        corrected: whether bonds that a node lacks, at edges and faces of cracks, take the mean
+            gradient of those that it has, so that both are as stiff as the solid (C26); of bodies
+            at rest.
 
     >>> wp.solve(model, wp.Cracked(points, u=0.01 * x, cracks=[[(-60, 2.5), (0, 2.5)]])).u.shape
     (441, 2)
@@ -59,6 +62,7 @@ class Cracked:
     cracks: Sequence[ArrayLike] = ()
     free: np.ndarray | None = None
     pressure: ArrayLike | None = None
+    corrected: bool = False
     learns = True  # at rest, and pulled
 
     @property
@@ -92,7 +96,8 @@ class Cracked:
         refuse_solver(solver, (Direct,), "a body with cracks")
         taken(options, "solve")
         body = self.body(material, "solve")
-        cut = CutSolid(material, body, self.held, cracks=self.cracks)
+        how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected}
+        cut = CutSolid(material, body, self.held, **how)
         x = body.x
         b: Any
         b, u = (np.zeros_like(x) if one is None else one for one in (self.b, self.u))
@@ -125,6 +130,8 @@ class Cracked:
         body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
+        if self.corrected:
+            raise InputError("corrected: expected False, a Cracked is corrected at rest alone")
         slow = "events" in options or "loads" in options
         if "loads" not in options:
             felt = self if slow else replace(self, b=None, u=None)

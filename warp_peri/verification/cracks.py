@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered
 from warp_peri.damage.cut_solid import westergaard
-from warp_peri.damage.lattice_body import box, penny, rectangle, size_and_normal
+from warp_peri.damage.lattice_body import box, penny, point_force, rectangle, size_and_normal
 from warp_peri.damage.problems import Cracked
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.errors import InputError
@@ -38,7 +38,8 @@ def energy_release(
             counts.
         cracks: for each length its polylines, two or more; what longer ones add is the new area.
         shift: how much further a tip acts than it is cut [length], `tip_shift` of the solid; G is
-            then that of the length asked for, by a parabola through three lengths or more (C25).
+            then that of the length asked for, by a parabola through three lengths or a quartic
+            through five or more (C25).
 
     Returns what is released per length added, in space per area, by least squares
     [stress · length]; with two tips, of each.
@@ -66,8 +67,8 @@ def energy_release(
     if not shift:
         return -float(np.polyfit(lengths, energies, 1)[0])
     off = np.array(lengths) - np.mean(lengths)
-    bend, slope, _ = np.polyfit(off, energies, 2)
-    return -float(slope - 2 * bend * shift * _moving(cracks))
+    slope = np.polyder(np.polyfit(off, energies, 2 if len(lengths) < 5 else 4))
+    return -float(np.polyval(slope, -shift * _moving(cracks)))
 
 
 def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
@@ -81,7 +82,7 @@ def _moving(cracks: Sequence[Sequence[ArrayLike]]) -> int:
     return sum(not np.array_equal(a, b) for a, b in ends)
 
 
-def tip_shift(material: Any, spacing: float) -> float:
+def tip_shift(material: Any, spacing: float, *, corrected: bool = False) -> float:
     """How much further the tip of a crack along rows of nodes acts than it is cut (C25) [length].
 
     The field of a tip in an endless sheet is given around squares of four and eight horizons half
@@ -91,23 +92,26 @@ def tip_shift(material: Any, spacing: float) -> float:
     Args:
         material: a solid with a linear part, in the plane.
         spacing: of the nodes [length].
+        corrected: as of the Cracked that it is for.
 
     Raises InputError for a solid in space, or one without a linear part.
     """
     model = offered(material, "linear", "tip_shift", "a solid with a linear part")
     if model.dimension != 2:
         raise InputError("tip_shift: expected a solid in the plane")
-    smaller, larger = (_shift(model, spacing, times * RADIUS * model.horizon) for times in (1, 2))
+    sides = RADIUS * model.horizon * np.array([1.0, 2.0])
+    smaller, larger = (_shift(model, spacing, side, corrected) for side in sides)
     return 2 * larger - smaller
 
 
-def _shift(model: Model, h: float, radius: float) -> float:
+def _shift(model: Model, h: float, radius: float, corrected: bool) -> float:
     """As tip_shift, of one square."""
     inner = np.ceil(radius / h) * h
     side = 2 * (inner + 2 * np.ceil(model.horizon / h) * h)
     x = rectangle(side, side, h)
     points = Points(x, (np.abs(x) < inner).all(axis=1), h, units=model.units)
-    problem, energies, places = Cracked(points, u=_tip_field(x, model)), [], np.arange(-1, 2) * h
+    problem = Cracked(points, u=_tip_field(x, model), corrected=corrected)
+    energies, places = [], np.arange(-1, 2) * h
     for place in places:
         solution = replace(problem, cracks=[[(-side, 0.0), (place, 0.0)]]).solved(model, None, {})
         energies.append(solution.operator.energy(solution.u))
@@ -127,12 +131,15 @@ def _tip_field(x: np.ndarray, model: Model) -> np.ndarray:
 NU = {"LPS": 0.3, "bond-based": 1 / 3}
 HALF = 13
 """Spacings of a crack, and of its ligament; a spacing is a metre."""
+LENGTHS = range(-2, 3)
+"""Of a crack whose energies are compared, in spacings beyond its own."""
 
 
 @cache
 def shift_of(name: str) -> float:
     """The shift of a tip [m], in a metre's lattice."""
-    return tip_shift(material(name, plane(1000.0, NU[name]).tensor, 1.0, UnitScale()), 1.0)
+    law = material(name, plane(1000.0, NU[name]).tensor, 1.0, UnitScale())
+    return tip_shift(law, 1.0, corrected=True)
 
 
 def intensity(
@@ -144,14 +151,15 @@ def intensity(
         name: of the material.
         x: nodes [m], a metre apart, held nowhere.
         stress: what pulls on the nodes [MPa/m], shape [N, 2], balanced.
-        tips: three sets of polylines [m], each a spacing longer than the last.
+        tips: sets of polylines [m] by LENGTHS.
     """
     law = material(name, plane(1000.0, NU[name]).tensor, 1.0, s)
     points = Points(s.length * x, np.ones(len(x), bool), s.length, units=s.units)
     free, low = np.ones(x.shape, bool), np.argsort(np.abs(x - [0, x[:, 1].min()]).sum(axis=1))
     free[low[0]] = free[low[1], 1] = False
     cracks = [[s.length * np.asarray(line, float) for line in one] for one in tips]
-    problem = Cracked(points, s.stiffness / s.length * stress, cracks=cracks[1], free=free)
+    load, here = s.stiffness / s.length * stress, cracks[LENGTHS.index(0)]
+    problem = Cracked(points, load, cracks=here, free=free, corrected=True)
     G = energy_release(law, problem, cracks, shift=s.length * shift_of(name))
     u = problem.solved(law, None, {}).u[:, 1] / s.length
     return float(np.sqrt(G / s.length / s.stiffness * 1000)), {
@@ -170,7 +178,7 @@ def ends(x: np.ndarray) -> np.ndarray:
 def centre_crack(name: str, s: UnitScale) -> Outcome:
     """K over σ√(πa) of a crack over half of a strip."""
     a, x = HALF, rectangle(4.0 * HALF, 8.0 * HALF, 1.0)
-    tips = [[[(-a - d, 0), (a + d, 0)]] for d in (-1, 0, 1)]
+    tips = [[[(-a - d, 0), (a + d, 0)]] for d in LENGTHS]
     K, told = intensity(name, s, x, ends(x), tips)
     return Outcome(K / np.sqrt(np.pi * a), **told)
 
@@ -179,8 +187,8 @@ def edge_crack(name: str, s: UnitScale, *, double: bool = False) -> Outcome:
     """K over σ√(πa) of a crack from an edge to the middle of a strip, or of one from each."""
     a, width = HALF, 2 * HALF * (1 + double)
     x, w = rectangle(width, (6.0 + 2 * double) * HALF, 1.0), width / 2
-    tips = [[[(-w - 1, 0), (a + d - w, 0)]] for d in (-1, 0, 1)]
-    for d, one in zip((-1, 0, 1), tips):
+    tips = [[[(-w - 1, 0), (a + d - w, 0)]] for d in LENGTHS]
+    for d, one in zip(LENGTHS, tips):
         one += [[(w - a - d, 0), (w + 1, 0)]] if double else []
     K, told = intensity(name, s, x, ends(x), tips)
     return Outcome(K / np.sqrt(np.pi * a), **told)
@@ -189,12 +197,11 @@ def edge_crack(name: str, s: UnitScale, *, double: bool = False) -> Outcome:
 def bend_bar(name: str, s: UnitScale) -> Outcome:
     """f of the bend bar of ASTM E399, K = P S / (B W^1.5) f, at a/W = 1/2 and S = 4 W."""
     a, W = HALF, 2 * HALF
-    x, b = rectangle(4.0 * W + 8, W, 1.0), np.zeros((4 * W + 8) * W)
+    x, b = rectangle(4.0 * W + 8, W, 1.0), np.zeros(((4 * W + 8) * W, 2))
     for place, side, force in ((0, 1, -1.0), (-2 * W, -1, 0.5), (2 * W, -1, 0.5)):
-        at = (np.abs(x[:, 0] - place) < 1) & (side * x[:, 1] == x[:, 1].max())
-        b = b + np.where(at, force / at.sum(), 0.0)
-    tips = [[[(0, -W), (0, a + d - W / 2)]] for d in (-1, 0, 1)]
-    K, told = intensity(name, s, x, b[:, None] * [0.0, 1.0], tips)
+        b += point_force(x, 1.0, (place, side * W / 2), (0.0, force))
+    tips = [[[(0, -W), (0, a + d - W / 2)]] for d in LENGTHS]
+    K, told = intensity(name, s, x, b, tips)
     return Outcome(K * W**1.5 / (4 * W), **told)
 
 
@@ -206,7 +213,7 @@ def compact_tension(name: str, s: UnitScale) -> Outcome:
     rim = np.hypot(x[:, 0], np.abs(x[:, 1]) - 0.275 * W) < 0.125 * W + 1
     pushed = rim & (np.abs(x[:, 1]) > 0.275 * W + 0.09 * W)
     b = np.where(pushed, np.sign(x[:, 1]) * 2 / pushed.sum(), 0.0)[:, None] * [0.0, 1.0]
-    tips = [[[(-W, 0), (W / 2 + d, 0)]] for d in (-1, 0, 1)]
+    tips = [[[(-W, 0), (W / 2 + d, 0)]] for d in LENGTHS]
     K, told = intensity(name, s, x, b, tips)
     return Outcome(K * np.sqrt(W), **told)
 
@@ -216,9 +223,8 @@ def brazilian_disc(name: str, s: UnitScale) -> Outcome:
     a, R = HALF, 2.0 * HALF
     x = rectangle(2 * R, 2 * R, 1.0)
     x = x[np.hypot(*x.T) <= R]
-    at = (np.abs(x[:, 0]) < 1) & (np.abs(x[:, 1]) == x[:, 1].max())
-    b = np.where(at, -np.sign(x[:, 1]) / 2, 0.0)[:, None] * [0.0, 1.0]
-    tips = [[[(0, -a - d), (0, a + d)]] for d in (-1, 0, 1)]
+    b = sum(point_force(x, 1.0, (0.0, y), (0.0, -np.sign(y))) for y in (-R, R))
+    tips = [[[(0, -a - d), (0, a + d)]] for d in LENGTHS]
     K, told = intensity(name, s, x, b, tips)
     return Outcome(K * np.sqrt(np.pi / a) * R, **told)
 
@@ -233,8 +239,8 @@ def slanted_crack(name: str, s: UnitScale, *, angle: bool = False) -> Outcome:
     inside = np.abs(x).max(axis=1) < 2 * a
     points = Points(s.length * x, inside, s.length, units=s.units)
     u = s.length * slanted(x, float(a), plane(1000.0, NU[name]))
-    cracks = [[s.length * np.array([(-a - d, 0.0), (a + d, 0.0)])] for d in (-1, 0, 1)]
-    problem = Cracked(points, u=u, cracks=cracks[1])
+    cracks = [[s.length * np.array([(-a - d, 0.0), (a + d, 0.0)])] for d in LENGTHS]
+    problem = Cracked(points, u=u, cracks=cracks[LENGTHS.index(0)], corrected=True)
     found = problem.solved(law, None, {}).u / s.length
     told = {"x": x, "shown": found[:, 1], "label": "u_y [m]"}
     if angle:
