@@ -11,8 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered
-from warp_peri.damage.cut_solid import westergaard
-from warp_peri.damage.lattice_body import box, penny, point_force, rectangle, size_and_normal
+from warp_peri.damage.cut_solid import CutSolid, westergaard
+from warp_peri.damage.lattice_body import (
+    box,
+    lattice_body,
+    penny,
+    point_force,
+    rectangle,
+    size_and_normal,
+)
 from warp_peri.damage.problems import Cracked
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.errors import InputError
@@ -90,15 +97,13 @@ def tip_shift(material: Any, spacing: float, *, corrected: bool = False) -> floa
     shift. What is left falls with the inverse of the side and is taken off.
 
     Args:
-        material: a solid with a linear part, in the plane.
+        material: a solid with a linear part; in space the strain is plane.
         spacing: of the nodes [length].
         corrected: as of the Cracked that it is for.
 
-    Raises InputError for a solid in space, or one without a linear part.
+    Raises InputError for a solid without a linear part.
     """
     model = offered(material, "linear", "tip_shift", "a solid with a linear part")
-    if model.dimension != 2:
-        raise InputError("tip_shift: expected a solid in the plane")
     sides = RADIUS * model.horizon * np.array([1.0, 2.0])
     smaller, larger = (_shift(model, spacing, side, corrected) for side in sides)
     return 2 * larger - smaller
@@ -106,24 +111,35 @@ def tip_shift(material: Any, spacing: float, *, corrected: bool = False) -> floa
 
 def _shift(model: Model, h: float, radius: float, corrected: bool) -> float:
     """As tip_shift, of one square."""
-    inner = np.ceil(radius / h) * h
+    d, inner = model.dimension, np.ceil(radius / h) * h
     side = 2 * (inner + 2 * np.ceil(model.horizon / h) * h)
-    x = rectangle(side, side, h)
-    points = Points(x, (np.abs(x) < inner).all(axis=1), h, units=model.units)
-    problem = Cracked(points, u=_tip_field(x, model), corrected=corrected)
-    energies, places = [], np.arange(-1, 2) * h
+    x = box((side, side, h)[:d], h)  # all layers are alike
+    held, u = (np.abs(x) >= inner).any(axis=1), np.zeros_like(x)
+    u[:, :2] = _tip_field(x, model)
+    body, energies, places = lattice_body(x, h, model.horizon, endless=d == 3), [], THREE * h
     for place in places:
-        solution = replace(problem, cracks=[[(-side, 0.0), (place, 0.0)]]).solved(model, None, {})
-        energies.append(solution.operator.energy(solution.u))
+        crack: list[tuple[float, ...]] = [(-side, 0.0), (place, 0.0)]
+        if d == 3:
+            crack = [(at, 0.0, z) for at, z in zip((-side, -side, place, place), FRAME * side)]
+        cut = CutSolid(model, body, held, cracks=[crack], corrected=corrected)
+        energies.append(cut.energy(cut.solve(None, u)) / h ** (d - 2))
     bend, slope, _ = np.polyfit(places, energies, 2)
-    return float((slope + 1 / model.E) / (2 * bend))
+    released = (_kolosov(model) + 1) / (8 * model.mu)  # 1/E of a sheet, (1 − ν²)/E in space
+    return float((slope + released) / (2 * bend))
+
+
+THREE, FRAME = np.arange(-1, 2), np.array([-1, 1, 1, -1])
+
+
+def _kolosov(model: Model) -> float:
+    return (model.lam + 3 * model.mu) / (model.lam + model.mu)
 
 
 def _tip_field(x: np.ndarray, model: Model) -> np.ndarray:
     """Displacement about a crack's tip at the origin, K = 1; M. L. Williams, 1957."""
-    kolosov = (model.lam + 3 * model.mu) / (model.lam + model.mu)
     angle = np.arctan2(x[:, 1], x[:, 0])
-    size = np.sqrt(np.hypot(*x.T) / (2 * np.pi)) / (2 * model.mu) * (kolosov - np.cos(angle))
+    size = np.sqrt(np.hypot(*x[:, :2].T) / (2 * np.pi)) / (2 * model.mu)
+    size *= _kolosov(model) - np.cos(angle)
     field: np.ndarray = size[:, None] * np.column_stack([np.cos(angle / 2), np.sin(angle / 2)])
     return field
 
