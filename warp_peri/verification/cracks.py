@@ -111,8 +111,8 @@ def tip_shift(material: Any, spacing: float, *, corrected: bool = False) -> floa
 
 def _shift(model: Model, h: float, radius: float, corrected: bool) -> float:
     """As tip_shift, of one square."""
-    d, inner = model.dimension, np.ceil(radius / h) * h
-    side = 2 * (inner + 2 * np.ceil(model.horizon / h) * h)
+    d, inner = model.dimension, np.ceil(radius / h - 1e-6) * h
+    side = 2 * (inner + 2 * np.ceil(model.horizon / h - 1e-6) * h)
     x = box((side, side, h)[:d], h)  # all layers are alike
     held, u = (np.abs(x) >= inner).any(axis=1), np.zeros_like(x)
     u[:, :2] = _tip_field(x, model)
