@@ -10,8 +10,8 @@ from scipy.sparse.linalg import spsolve
 
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import difference, fitted_order, kernel
-from warp_peri import InputError, Points, move, solve
-from warp_peri.damage import Cracked, box, lattice_body, point_force, rectangle
+from warp_peri import InputError, Krylov, Points, move, solve
+from warp_peri.damage import Cracked, box, lattice_body, penny, point_force, rectangle
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.operator import bond_weights, cut_matrix
 from warp_peri.verification import cracks
@@ -173,3 +173,46 @@ def test_three_lengths_are_a_parabola_and_five_a_quartic(reach, exact):
         found = energy_release(None, Known(terms), lengths, shift=0.3)
         true = -np.polyval(np.polyder(terms), 9 - 0.3)
         assert (abs(found - true) < 1e-10) == (degree == exact)
+
+
+def test_conjugate_gradients_find_what_factors_find():
+    x = box((8, 7, 8), 1.0)
+    points = Points(x, np.abs(x).max(axis=1) < 3, 1.0)
+    model = solid(0.4, horizon=2.0, dimension=3).model
+    u, b = (np.random.default_rng(n).normal(size=x.shape) for n in (0, 1))
+    problem = Cracked(points, b, u, cracks=[penny(2.0)], corrected=True)
+    solvers = None, Krylov(tolerance=1e-10)
+    by_factors, by_search = (solve(model, problem, solver=one) for one in solvers)
+    assert (by_factors.method, by_search.method) == ("lu", "cg")
+    np.testing.assert_allclose(by_search.u, by_factors.u, atol=1e-7)
+    assert by_search.residual < 1e-10
+    body = plate(16, 16)
+    held = (np.abs(body.x) > 5).any(axis=1)
+    for flat, solver in ((kernel("sign-changing", 3.0), Krylov()), (solid().model, Krylov("sine"))):
+        with pytest.raises(InputError, match=r"solver: expected Krylov\(\) for one material"):
+            CutSolid(flat, body, held, solver=solver)
+
+
+def test_the_field_of_a_penny_is_at_rest_and_opens_as_sneddon_says():
+    E, nu, a = 7.0, 0.25, 3.0
+    lam, mu = E * nu / (1 + nu) / (1 - 2 * nu), E / 2 / (1 + nu)
+    x = np.array([[1.0, 2.0, 0.5], [4.0, -0.7, 1.0], [0.3, 5.0, -2.0]])
+    step, one = 0.02, np.eye(3)
+
+    def u(at):
+        return cracks.penny_field(at, a, E, nu)
+
+    def at(*steps):
+        return u(x + step * np.sum([way * one[axis] for axis, way in steps], axis=0))
+
+    second = np.empty((3, 3, 3, 3))  # ∂_j ∂_k u_i
+    for j, k in np.ndindex(3, 3):
+        pairs = [(p, q, p * q) for p in (1, -1) for q in (1, -1)]
+        second[:, j, k] = sum(s * at((j, p), (k, q)) for p, q, s in pairs) / (4 * step**2)
+    force = (lam + mu) * np.einsum("nijj->ni", second) + mu * np.einsum("njji->ni", second)
+    assert np.abs(force).max() < 1e-3 * mu * np.abs(second).max()
+    near = np.array([[1.0, 0.05, 0.5], [0.1, 0.05, 2.0]])
+    opening = 4 * (1 - nu**2) / (np.pi * E) * np.sqrt(a**2 - near[:, 0] ** 2 - near[:, 2] ** 2)
+    np.testing.assert_allclose(u(near)[:, 1], opening, rtol=0.05)
+    far = np.array([[30.0, 40.0, 20.0]])
+    np.testing.assert_allclose(u(far), far * [-nu, 1, -nu] / E, rtol=0.02)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,8 @@ from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked
 from warp_peri.statics import direct
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.conjugate_gradients import definite
+from warp_peri.statics.solution import Direct, Krylov, Solution
 
 
 class CutSolid:
@@ -39,7 +41,7 @@ class CutSolid:
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
-    with negative eigenvalues, and for a body of another horizon.
+    with negative eigenvalues, for a body of another horizon, and Krylov for another material.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class CutSolid:
         neighbour: np.ndarray | None = None,
         cracks: Sequence[ArrayLike] = (),
         corrected: bool = False,
+        solver: Direct | Krylov | None = None,
     ) -> None:
         self.model, self.body, self.corrected = material.linear, body, corrected
         check_horizon(self.model, body)
@@ -65,14 +68,23 @@ class CutSolid:
         self.one = not hasattr(material, "moduli")
         one = self.model.mu, self.model.lam - self.model.mu
         mu, excess = one if self.one else material.moduli(body, weights)
-        how = {"corrected": corrected}
-        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess, **how)
+        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess, corrected=corrected)
         self.free, self.inside = ~held.ravel(), ~held.all(axis=1)
         inner = self.matrix[self.free][:, self.free]
-        if self.one and (weights < 0).any():
+        squares = self.one and not (weights < 0).any()
+        if self.one and not squares:
             check_cut(inner)
         rows = sp.csr_array(self.matrix[self.free])
-        self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
+        how: dict[str, Any] = {"factorise": symmetric_factors}
+        if isinstance(solver, Krylov):
+            if not squares or solver.preconditioner:
+                raise InputError(
+                    "solver: expected Krylov() for one material with a positive influence "
+                    f"function, or Direct(), got {solver}"
+                )
+            limit = solver.tolerance
+            how = {"factorise": partial(Iterated, tolerance=limit), "tolerance": limit}
+        self._problem = direct.MatrixProblem(rows, ~held, **how)
         factors = self._problem.factors
         if not self.one:
             check_mixed(factors)
@@ -125,6 +137,26 @@ class CutSolid:
         """Elastic energy [stress · length^d], bonds among held nodes included."""
         flat = np.ravel(u)
         return float(self.body.spacing**self.body.dimension * (flat @ (self.matrix @ flat)) / 2)
+
+
+class Iterated:
+    """The inverse of a positive definite matrix by conjugate gradients, as factors offer it."""
+
+    def __init__(self, matrix: sp.csc_array, tolerance: float) -> None:
+        self.matrix, self.tolerance = sp.csr_array(matrix), tolerance
+        self._diagonal = self.matrix.diagonal()
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """The answer to columns, shape [n] or [n, S]."""
+        inverse = partial(
+            definite,
+            lambda u: self.matrix @ u,
+            lambda r: r / self._diagonal,
+            tolerance=self.tolerance,
+            hint="; Direct() factorises the operator",
+        )
+        found = [inverse(column)[0] for column in right.reshape(len(right), -1).T]
+        return np.stack(found, axis=1).reshape(right.shape)
 
 
 def symmetric_factors(matrix: sp.csc_array) -> Any:

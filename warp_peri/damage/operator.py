@@ -132,8 +132,12 @@ def cut_matrix(
         share = d * ((lack * weights) @ along).ravel()
         entries = share, (np.repeat(node, size), np.arange(size * width))
         theta = theta + sp.csr_array(entries, shape=(len(neighbour), size * width)) @ gradient
-    total = total + theta.T @ (sp.diags_array(np.broadcast_to(excess, len(neighbour))) @ theta)
-    return sp.csr_array(total)
+    if np.any(excess):  # else it is as wide as two balls, and zero
+        each = np.broadcast_to(excess, len(neighbour))
+        total = total + theta.T @ (sp.diags_array(each) @ theta)
+    total = sp.csr_array(total)
+    total.eliminate_zeros()
+    return total
 
 
 def mean_gradients(

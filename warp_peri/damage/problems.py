@@ -22,7 +22,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.solution import Direct, Solution, refuse_solver
+from warp_peri.statics.solution import Direct, Krylov, Solution, refuse_solver
 
 
 class Broken(NamedTuple):
@@ -93,10 +93,10 @@ class Cracked:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The body at rest, of a solid with a linear part, or of one with several moduli."""
-        refuse_solver(solver, (Direct,), "a body with cracks")
+        refuse_solver(solver, (Direct, Krylov), "a body with cracks")
         taken(options, "solve")
         body = self.body(material, "solve")
-        how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected}
+        how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected, "solver": solver}
         cut = CutSolid(material, body, self.held, **how)
         x = body.x
         b: Any
@@ -110,7 +110,8 @@ class Cracked:
         else:
             load = checked("b", b, float, x.shape) + extra
             solved = cut.solve(load, u)
-        return Solution(solved, self.points, cut, load[cut.inside], "lu", measured=cut.left)
+        method = "cg" if isinstance(solver, Krylov) else "lu"
+        return Solution(solved, self.points, cut, load[cut.inside], method, measured=cut.left)
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """Bonds that break: in motion, event by event, or under loads that rise slowly.

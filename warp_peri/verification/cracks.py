@@ -27,6 +27,7 @@ from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
+from warp_peri.statics.solution import Direct, Krylov
 from warp_peri.verification.statics import LEARNED, Outcome, UnitScale, material, plane, solid
 
 RADIUS = 4.0
@@ -34,7 +35,12 @@ RADIUS = 4.0
 
 
 def energy_release(
-    material: Any, problem: Cracked, cracks: Sequence[Sequence[ArrayLike]], *, shift: float = 0.0
+    material: Any,
+    problem: Cracked,
+    cracks: Sequence[Sequence[ArrayLike]],
+    *,
+    shift: float = 0.0,
+    solver: Direct | Krylov | None = None,
 ) -> float:
     """G by energies of cracks of several lengths, at given displacement and dead loads (C11).
 
@@ -49,6 +55,7 @@ def energy_release(
         shift: how much further a tip acts than it is cut [length], `tip_shift` of the solid; G is
             then that of the length asked for, by a parabola through three lengths or a quartic
             through five or more (C25).
+        solver: as of `solve`.
 
     Returns what is released per length added, in space per area, by least squares
     [stress · length]; with two tips, of each.
@@ -63,7 +70,7 @@ def energy_release(
         )
     energies, lengths = [], []
     for polylines in cracks:
-        solution = replace(problem, cracks=polylines).solved(material, None, {})
+        solution = replace(problem, cracks=polylines).solved(material, solver, {})
         cell = problem.points.spacing**problem.points.dimension
         work = cell * float(np.vdot(solution.load, solution.u[solution.operator.inside]))
         energies.append(solution.operator.energy(solution.u) - work)
@@ -284,18 +291,40 @@ def slanted(x: np.ndarray, a: float, moduli: Any) -> np.ndarray:
 
 
 def penny_crack(name: str, s: UnitScale) -> Outcome:
-    """K over 2 σ √(a/π) of a penny of three spacings in a block that is pulled."""
-    C, nu, h = solid(1000.0, 0.25), 0.25, s.length
-    law = replace(material("LPS", C, 1.0, s), horizon=2 * h)
-    x = h * box((14, 14, 14), 1.0)
-    points = Points(x, np.abs(x).max(axis=1) < 5 * h, h, units=s.units)
-    problem = Cracked(points, u=x * np.array([-nu, 1, -nu]) / 1000)
-    G = energy_release(law, problem, [[h * np.array(penny(r))] for r in (2.0, 4.0)])
+    """K over 2 σ √(a/π) of a penny in an endless solid, whose field is given around it."""
+    a, nu, h = 8.0, 0.25, s.length
+    law = replace(material("LPS", solid(1000.0, nu), 1.0, s), horizon=2 * h)
+    x = box((28, 28, 28), 1.0)
+    points = Points(h * x, np.abs(x).max(axis=1) < 12, h, units=s.units)
+    problem = Cracked(points, u=h * penny_field(x, a, 1000.0, nu), corrected=True)
+    pennies, by = [[h * penny(a + d)] for d in (-1, -0.5, 0, 0.5, 1)], Krylov()
+    G = energy_release(law, problem, pennies, solver=by)
     K2 = G / h / s.stiffness * 1000 / (1 - nu**2)
-    u = problem.solved(law, None, {}).u
-    return Outcome(
-        float(np.sqrt(K2 * np.pi / 3) / 2), x=x[:, :2] / h, shown=u[:, 1] / h, label="u_y [m]"
+    u = replace(problem, cracks=pennies[2]).solved(law, by, {}).u
+    told = {"x": x[:, :2], "shown": u[:, 1] / h, "label": "u_y [m]"}
+    return Outcome(float(np.sqrt(K2 * np.pi / a) / 2), **told)
+
+
+def penny_field(x: np.ndarray, a: float, E: float, nu: float) -> np.ndarray:
+    """u of a penny of radius a on y = 0 under unit tension along y, shape [N, 3].
+
+    I. N. Sneddon's (1946), his harmonic function as an integral of sources at i t, t < a.
+    """
+    t, weight = np.polynomial.legendre.leggauss(80)
+    t, weight = a * (t + 1) / 2, a * weight / 2
+    flat, away = np.hypot(x[:, 0], x[:, 2]), np.abs(x[:, 1])
+    z, r = away[:, None] - 1j * t, flat[:, None]
+    R, share = np.sqrt(r**2 + z**2), 2 / np.pi * t * weight
+    F_z, F_r, F_zz, F_rz = (
+        sign * (share * term).imag.sum(axis=1)
+        for sign, term in ((-1, 1 / R), (-1, (1 - z / R) / r), (1, z / R**3), (1, r / R**3))
     )
+    out = (1 + nu) / E * ((1 - 2 * nu) * F_r + away * F_rz) - nu * flat / E
+    up = (1 + nu) / E * (-2 * (1 - nu) * F_z + away * F_zz) + away / E
+    u: np.ndarray = np.column_stack(
+        [out * x[:, 0] / flat, up * np.sign(x[:, 1]), out * x[:, 2] / flat]
+    )
+    return u
 
 
 def griffith(name: str, s: UnitScale, *, calibrated: bool = False) -> Outcome:
