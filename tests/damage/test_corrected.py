@@ -141,12 +141,11 @@ def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
 
 
 def test_the_shift_of_a_front_in_space_is_that_of_its_layer():
-    for horizon in (2.0, 3.0):
-        model = solid(1.0, horizon=horizon, dimension=3).model
-        plain, corrected = (tip_shift(model, 1.0, corrected=one) for one in (False, True))
-        assert abs(plain) < 0.3
-        assert abs(corrected) < 0.3
-        assert tip_shift(model.in_units(("nm", "TPa")), 0.1) == pytest.approx(0.1 * plain)
+    model = solid(1.0, horizon=2.0, dimension=3).model
+    plain, corrected = (tip_shift(model, 1.0, corrected=one) for one in (False, True))
+    assert abs(plain) < 0.3
+    assert abs(corrected) < 0.3
+    assert tip_shift(model.in_units(("nm", "TPa")), 0.1) == pytest.approx(0.1 * plain)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,7 +175,7 @@ def test_three_lengths_are_a_parabola_and_five_a_quartic(reach, exact):
 
 
 def test_conjugate_gradients_find_what_factors_find():
-    x = box((8, 7, 8), 1.0)
+    x = box((8, 8, 8), 1.0)
     points = Points(x, np.abs(x).max(axis=1) < 3, 1.0)
     model = solid(0.4, horizon=2.0, dimension=3).model
     u, b = (np.random.default_rng(n).normal(size=x.shape) for n in (0, 1))
@@ -197,7 +196,7 @@ def test_the_field_of_a_penny_is_at_rest_and_opens_as_sneddon_says():
     E, nu, a = 7.0, 0.25, 3.0
     lam, mu = E * nu / (1 + nu) / (1 - 2 * nu), E / 2 / (1 + nu)
     x = np.array([[1.0, 2.0, 0.5], [4.0, -0.7, 1.0], [0.3, 5.0, -2.0]])
-    step, one = 0.02, np.eye(3)
+    step, one = 0.01, np.eye(3)
 
     def u(at):
         return cracks.penny_field(at, a, E, nu)

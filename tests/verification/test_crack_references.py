@@ -7,8 +7,9 @@ from warp_peri.verification import chosen
 from warp_peri.verification.statics import plane
 
 fem = pytest.importorskip("skfem")
+helpers = pytest.importorskip("skfem.helpers")
 WIDE, HIGH, LEVELS, STEP = 26.0, 78.0, 8, 0.02
-"""Half the strip, or all of it; half its height; times that the tip is refined; shift of the tip."""
+"""The strip or half of it, half its height, how often its tip is refined, shift of the tip."""
 
 
 def potential(mesh, tip, kind):
@@ -19,9 +20,9 @@ def potential(mesh, tip, kind):
 
     @fem.BilinearForm
     def energy(u, v, w):
-        e, f = (fem.helpers.sym_grad(field) for field in (u, v))
-        trace = fem.helpers.trace
-        return lam * trace(e) * trace(f) + 2 * mu * fem.helpers.ddot(e, f)
+        e, f = (helpers.sym_grad(field) for field in (u, v))
+        trace = helpers.trace
+        return lam * trace(e) * trace(f) + 2 * mu * helpers.ddot(e, f)
 
     top = mesh.facets_satisfying(lambda x: np.abs(x[1] - HIGH) < 1e-9)
     pull = fem.LinearForm(lambda v, w: v[1]).assemble(fem.FacetBasis(mesh, element, facets=top))
