@@ -248,7 +248,7 @@ def brazilian_disc(name: str, s: UnitScale) -> Outcome:
     a, R = HALF, 2.0 * HALF
     x = rectangle(2 * R, 2 * R, 1.0)
     x = x[np.hypot(*x.T) <= R]
-    b = sum(point_force(x, 1.0, (0.0, y), (0.0, -np.sign(y))) for y in (-R, R))
+    b = point_force(x, 1.0, (0.0, R), (0.0, -1.0)) + point_force(x, 1.0, (0.0, -R), (0.0, 1.0))
     tips = [[[(0, -a - d), (0, a + d)]] for d in LENGTHS]
     K, told = intensity(name, s, x, b, tips)
     return Outcome(K * np.sqrt(np.pi / a) * R, **told)
