@@ -254,8 +254,6 @@ def test_a_tip_acts_further_than_it_is_cut():
     lengths = [one, [[(-9, 0), (1, 0)]], [*one, [(2, 0), (3, 0)]], [*one, [(2, 0), (4, 0)]]]
     with pytest.raises(InputError, match="the same number of polylines"):
         energy_release(model, problem, lengths, shift=0.1)
-    with pytest.raises(InputError, match="in the plane"):
-        tip_shift(Model(1.0, 1.0, 1.0, np.ones(1), 2.0, dimension=3), 1.0)
 
 
 def test_the_release_of_an_inclined_crack_needs_several_lengths():

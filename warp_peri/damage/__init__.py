@@ -1,7 +1,14 @@
 """Cracks: bonds that are cut, break or soften, at rest and in motion (theory, C)."""
 
 from warp_peri.damage.cut_solid import contour_integral, opening_volume, westergaard
-from warp_peri.damage.lattice_body import LatticeBody, box, lattice_body, penny, rectangle
+from warp_peri.damage.lattice_body import (
+    LatticeBody,
+    box,
+    lattice_body,
+    penny,
+    point_force,
+    rectangle,
+)
 from warp_peri.damage.problems import Cracked, Injected
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.damage.softening import BondLaw, SoftSolid
@@ -21,6 +28,7 @@ __all__ = [
     "lattice_body",
     "opening_volume",
     "penny",
+    "point_force",
     "positive_kernel",
     "rectangle",
     "westergaard",

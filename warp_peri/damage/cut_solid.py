@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 from typing import Any
 
@@ -22,7 +22,8 @@ from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.statics import direct
-from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
+from warp_peri.statics.conjugate_gradients import definite
+from warp_peri.statics.solution import Direct, Krylov, Solution, Solver, refuse_solver
 
 
 def in_torch() -> Any:
@@ -40,13 +41,15 @@ class CutSolid(OnPoints):
         held: components of the displacement that are given, shape [N] or [N, d] bool.
         neighbour: with broken bonds, shape [N, B]; the body's own by default.
         cracks: polylines, in space flat polygons, that cut it, instead.
+        corrected: bonds that a node lacks, at edges and cracks, take the mean gradient of those
+            that it has (C26).
 
     Attributes:
         matrix: L of (C4), symmetric, shape [d N, d N].
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
-    with negative eigenvalues, and for a body of another horizon.
+    with negative eigenvalues, for a body of another horizon, and Krylov for another material.
     """
 
     is_linear = is_symmetric = True
@@ -59,8 +62,11 @@ class CutSolid(OnPoints):
         *,
         neighbour: np.ndarray | None = None,
         cracks: Sequence[ArrayLike] = (),
+        corrected: bool = False,
+        solver: Direct | Krylov | None = None,
     ) -> None:
-        self.model, self.body = material.linear, body
+        self.model, self.body, self.corrected = material.linear, body, corrected
+        self.solver = solver
         check_horizon(self.model, body)
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
         held = np.asarray(held, dtype=bool)
@@ -73,13 +79,23 @@ class CutSolid(OnPoints):
         self.one = not hasattr(material, "moduli")
         one = self.model.mu, self.model.lam - self.model.mu
         mu, excess = one if self.one else material.moduli(body, weights)
-        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess)
+        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess, corrected=corrected)
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
         inner = self.matrix[self.free][:, self.free]
-        if self.one and (weights < 0).any():
+        squares = self.one and not (weights < 0).any()
+        if self.one and not squares:
             check_cut(inner)
         rows = sp.csr_array(self.matrix[self.free])
-        self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
+        how: dict[str, Any] = {"factorise": symmetric_factors}
+        if isinstance(solver, Krylov):
+            if not squares or solver.preconditioner:
+                raise InputError(
+                    "solver: expected Krylov() for one material with a positive influence "
+                    f"function, or Direct(), got {solver}"
+                )
+            limit = solver.tolerance
+            how = {"factorise": partial(Iterated, tolerance=limit), "tolerance": limit}
+        self._problem = direct.MatrixProblem(rows, ~held, **how)
         factors = self._problem.factors
         if not self.one:
             check_mixed(factors)
@@ -127,19 +143,21 @@ class CutSolid(OnPoints):
 
     def rest(self, b: Any, u: Any, solver: Solver = None) -> Solution:
         """The Solution of `solve`, of nodes that are not held."""
-        refuse_solver(solver, (Direct,), "a body with cracks")
+        refuse_solver(solver, (Direct, Krylov), "a body with cracks")
         solved, load = self.solve(b, u), np.asarray(b, float)[..., self.inside, :]
-        return Solution(solved, self.points, self, load, "lu", measured=self.left)
+        method = "cg" if isinstance(self.solver, Krylov) else "lu"
+        return Solution(solved, self.points, self, load, method, measured=self.left)
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α and D by name, no λ where it is μ; none of several materials."""
-        return self.model.learnable if self.one else {}
+        """λ, μ, α and D by name, no λ where it is μ; none of several materials, or corrected."""
+        return self.model.learnable if self.one and not self.corrected else {}
 
     def at(self, numbers: Mapping[str, Any]) -> CutSolid:
         """The same body with other numbers; InputError where they leave it indefinite."""
         model = self.model.having(numbers)
-        return CutSolid(model, self.body, self.held, neighbour=self.neighbour)
+        how: dict[str, Any] = {"neighbour": self.neighbour, "solver": self.solver}
+        return CutSolid(model, self.body, self.held, **how)
 
     def force_with(self, u: Any, numbers: Any) -> Any:
         """The force of tensors [S, N, d] with other numbers, which has every derivative."""
@@ -155,6 +173,26 @@ class CutSolid(OnPoints):
         flat = np.reshape(u, (*np.shape(u)[:-2], -1))
         energy = (flat * (flat @ self.matrix)).sum(axis=-1) / 2
         return self.body.spacing**self.body.dimension * energy
+
+
+class Iterated:
+    """The inverse of a positive definite matrix by conjugate gradients, as factors offer it."""
+
+    def __init__(self, matrix: sp.csc_array, tolerance: float) -> None:
+        self.matrix, self.tolerance = sp.csr_array(matrix), tolerance
+        self._diagonal = self.matrix.diagonal()
+
+    def solve(self, right: np.ndarray) -> np.ndarray:
+        """The answer to columns, shape [n] or [n, S]."""
+        inverse = partial(
+            definite,
+            lambda u: self.matrix @ u,
+            lambda r: r / self._diagonal,
+            tolerance=self.tolerance,
+            hint="; Direct() factorises the operator",
+        )
+        found = [inverse(column)[0] for column in right.reshape(len(right), -1).T]
+        return np.stack(found, axis=1).reshape(right.shape)
 
 
 def symmetric_factors(matrix: sp.csc_array) -> Any:
@@ -363,7 +401,7 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     strain = (stress - lam / bulk * np.trace(stress) * np.eye(d)) / (2 * mu)
     u = (body.x @ strain).ravel()
     w = bond_weights(model, body.classes)
-    whole = cut_matrix(body, w, body.neighbour, mu, lam - mu)
+    whole = cut_matrix(body, w, body.neighbour, mu, lam - mu, corrected=cut.corrected)
     load: np.ndarray = (whole @ u - cut.matrix @ u).reshape(body.x.shape)
     return load
 

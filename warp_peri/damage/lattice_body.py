@@ -22,6 +22,8 @@ HAIR = 1e-3
 """How far a crack through a row of nodes is moved to one side, in spacings."""
 ON_LINE = 1e-6
 """Distance from a crack at which a node lies on it, in spacings."""
+FELT = 2.0
+"""Distance within which nodes take a force that acts at a place, in spacings."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +124,40 @@ def penny(radius: float, corners: int = 48) -> np.ndarray:
     t = 2 * np.pi * np.arange(corners) / corners
     reach = radius * np.sqrt(2 * np.pi / corners / np.sin(2 * np.pi / corners))
     return np.asarray(reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1))
+
+
+def point_force(
+    x: np.ndarray, spacing: float, place: Sequence[float], force: Sequence[float]
+) -> np.ndarray:
+    """Body force density of a force at a place, as on an edge between or beyond nodes (C27).
+
+    Least squares of the nodes within two spacings: in any affine displacement they do the work that
+    the force does at its place.
+
+    Args:
+        x: nodes [length], shape [N, d].
+        spacing: h [length].
+        place: where it acts [length], shape [d].
+        force: per thickness in the plane, shape [d].
+
+    Returns b [force / length^d], shape [N, d].
+
+    Raises InputError where these nodes do not span the space.
+    """
+    d, away = x.shape[1], (x - np.asarray(place, dtype=float)) / spacing
+    near = np.flatnonzero((away**2).sum(axis=1) < FELT**2)
+    affine = np.column_stack([np.ones(len(near)), away[near]])
+    weight = 1 - (away[near] ** 2).sum(axis=1) / FELT**2
+    moments = (affine.T * weight) @ affine
+    if len(near) <= d or np.linalg.eigvalsh(moments)[0] < 1e-6 * len(near):
+        raise InputError(
+            f"place: expected nodes that span the space within {FELT:g} spacings of "
+            f"{list(place)}, got {len(near)}"
+        )
+    share = weight * (affine @ np.linalg.inv(moments)[0])
+    b = np.zeros(x.shape)
+    b[near] = share[:, None] * np.asarray(force, dtype=float) / spacing**d
+    return b
 
 
 def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:

@@ -23,6 +23,8 @@ from warp_peri.points.lattice import straight_steps
 
 WEIGHT = 4
 """Work of a piece, that of a node in other sweeps being 1: two threads pay from 16 000 nodes on."""
+SPANNED = 1e-3
+"""Least eigenvalue of a node's shape tensor, over that of a whole ball, whose bonds span space."""
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
@@ -101,6 +103,8 @@ def cut_matrix(
     neighbour: np.ndarray,
     mu: float | np.ndarray,
     excess: float | np.ndarray,
+    *,
+    corrected: bool = False,
 ) -> sp.csr_array:
     """L of a cut body as a symmetric matrix [stress / length²], shape [d N, d N] (C4).
 
@@ -110,15 +114,54 @@ def cut_matrix(
         neighbour: with broken bonds, shape [N, B].
         mu: shear modulus, one or by bond [N, B], the same in both directions.
         excess: λ − μ, one or by node [N].
+        corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
     """
     stretch, place = stretch_matrix(body, neighbour)
-    bond, d = place % neighbour.shape[1], body.dimension
-    along = mu if np.ndim(mu) == 0 else np.ravel(mu)[place]
-    stiffness = d * (d + 2) * along * weights[bond] / body.r[bond] ** 2
+    d = body.dimension
+    each = d * (d + 2) * np.broadcast_to(mu, neighbour.shape) * weights / body.r**2
     theta = dilatation_matrix(body, weights, neighbour)
-    total = stretch.T @ (sp.diags_array(stiffness) @ stretch)
-    total = total + theta.T @ (sp.diags_array(np.broadcast_to(excess, len(neighbour))) @ theta)
-    return sp.csr_array(total)
+    total = stretch.T @ (sp.diags_array(each.ravel()[place]) @ stretch)
+    if corrected:
+        node, gradient = mean_gradients(body, weights, neighbour)
+        xi, lack = body.xi, neighbour[node] < 0
+        along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
+        squares = np.einsum("nb,bp,bq->npq", lack * each[node], along, along, optimize=True)
+        blocks = sp.bsr_array((squares, np.arange(len(node)), np.arange(len(node) + 1)))
+        total = total + gradient.T @ (sp.csr_array(blocks) @ gradient)
+        size, width = along.shape[1], len(node)
+        share = d * ((lack * weights) @ along).ravel()
+        entries = share, (np.repeat(node, size), np.arange(size * width))
+        theta = theta + sp.csr_array(entries, shape=(len(neighbour), size * width)) @ gradient
+    if np.any(excess):  # else it is as wide as two balls, and zero
+        each = np.broadcast_to(excess, len(neighbour))
+        total = total + theta.T @ (sp.diags_array(each) @ theta)
+    total = sp.csr_array(total)
+    total.eliminate_zeros()
+    return total
+
+
+def mean_gradients(
+    body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
+) -> tuple[np.ndarray, sp.csr_array]:
+    """∂u_i/∂x_j by the bonds that are left, of nodes that lack some: their numbers [n], and it.
+
+    It is the matrix [d² n, d N], rows by node, j and i; least squares with the weights |w| (C26).
+    Nodes whose bonds do not span the space are left out: what they lack stays without force.
+    """
+    d, xi, pull = body.dimension, body.xi, np.abs(weights)
+    whole = np.linalg.eigvalsh((pull * xi.T) @ xi)[0]
+    node = np.flatnonzero((neighbour < 0).any(axis=1))
+    there = neighbour[node] >= 0
+    shape = np.einsum("nb,bi,bj->nij", there * pull, xi, xi, optimize=True)
+    spans = np.linalg.eigvalsh(shape)[:, 0] > SPANNED * whole
+    node, there = node[spans], there[spans]
+    by_bond = np.einsum("nb,bi,nij->njb", there * pull, xi, np.linalg.inv(shape[spans]))
+    row, bond = np.nonzero(by_bond.reshape(d * len(node), -1))
+    value, own = by_bond.reshape(d * len(node), -1)[row, bond], node[row // d]
+    columns = np.concatenate([neighbour[own, bond], own])
+    entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
+    slopes = sp.csr_array(sp.coo_array(entries, shape=(d * len(node), len(neighbour))))
+    return node, sp.csr_array(sp.kron(slopes, sp.eye_array(d)))
 
 
 def dilatation_matrix(

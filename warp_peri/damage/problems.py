@@ -21,7 +21,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.solution import Solution
+from warp_peri.statics.solution import Direct, Krylov, Solution, refuse_solver
 
 
 class Broken(NamedTuple):
@@ -47,6 +47,9 @@ class Cracked:
             by default all of the interior.
         pressure: [stress], shape [d, d], of what presses on the faces of the cracks, p n⊗n of a
             fluid (C13); of bodies in equilibrium.
+        corrected: whether bonds that a node lacks, at edges and faces of cracks, take the mean
+            gradient of those that it has, so that both are as stiff as the solid (C26); of bodies
+            in equilibrium.
 
     `solve` and `move` raise InputError for points that are no plain lattice, fields of other
     shapes or not finite, a piece that nothing holds, a material without a linear part, and one
@@ -62,6 +65,7 @@ class Cracked:
     cracks: Sequence[ArrayLike] = ()
     free: np.ndarray | None = None
     pressure: ArrayLike | None = None
+    corrected: bool = False
     learns = True  # at rest, and pulled
 
     @property
@@ -92,18 +96,22 @@ class Cracked:
 
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The body at rest, of a solid with a linear part, or of one with several moduli."""
+        refuse_solver(solver, (Direct, Krylov), "a body with cracks")
         numbers = options.pop("parameters", None)
         taken(options, "solve")
         body = self.body(material, "solve")
-        cut = CutSolid(material, body, self.held, cracks=self.cracks)
+        how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected, "solver": solver}
+        cut = CutSolid(material, body, self.held, **how)
         b: Any
         b, u = (np.zeros_like(body.x) if one is None else one for one in (self.b, self.u))
         learns = numbers is not None or is_tensor(b) or is_tensor(u)
         if self.pressure is not None:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
             extra = crack_load(cut, pressure)  # refuses what does not fit
-            if learns:
+            if learns and not self.corrected:
                 b = in_torch().pressed(cut, b, pressure, numbers or {})
+            elif learns:
+                b = in_torch().as_tensor("b", b) + extra
             else:
                 b = checked("b", b, float, body.x.shape) + extra
         solved = cut.rest_in_torch(b, u, solver, numbers) if learns else cut.rest(b, u, solver)
@@ -127,6 +135,8 @@ class Cracked:
         body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
+        if self.corrected:
+            raise InputError("corrected: expected False, a Cracked is corrected at rest alone")
         slow = "events" in options or "loads" in options
         if "loads" not in options:
             felt = self if slow else replace(self, b=None, u=None)

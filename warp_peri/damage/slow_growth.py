@@ -20,6 +20,7 @@ from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import check_whole
+from warp_peri.points.families import BondClasses
 
 TOGETHER = 1e-6
 """Bonds so close to the most stretched one break with it: mirror images, to rounding."""
@@ -115,14 +116,30 @@ def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length:
         ends = side * np.array([-1.0, 1.0])
         crack = [(tip, 0, z) for tip, z in zip((-half, -half, half, half), [*ends, *ends[::-1]])]
     body = lattice_body(x, h, model.horizon, endless=d == 3)
-    up = body.classes.steps[:, 1]
-    each = int(up[up > 0].sum())
-    growth = grow(model, body, held, u, events=length * each + 1, cracks=[crack])
-    grown = growth["broken"] / (4 * each)  # spacings of each tip; an event is 4 directed bonds
+    events = length * cut_by_spacing(body.classes) + 1  # an event is 4 directed bonds
+    growth = grow(model, body, held, u, events=events, cracks=[crack])
+    return spent(growth, body.classes, tips=2) / unit_toughness(model, body.classes)
+
+
+def cut_by_spacing(classes: BondClasses) -> int:
+    """Bonds that a straight crack cuts as it grows by a spacing."""
+    up = classes.steps[:, 1]
+    return int(up[up > 0].sum())
+
+
+def spent(growth: Motion, classes: BondClasses, *, tips: int) -> float:
+    """G at a unit critical stretch of a growth along a row, the mean of each spacing's largest.
+
+    Args:
+        growth: of `grow`, by one spacing or more.
+        classes: of its body.
+        tips: that grow alike.
+    """
+    grown = growth["broken"] / (2 * tips * cut_by_spacing(classes))  # spacings of each tip
     peaks = []
     for k in range(int(grown[-1])):
         cycle = (grown >= k) & (grown < k + 1)
         ends = np.interp([k, k + 1], grown, growth["energy"])
-        released = (ends[0] - ends[1]) / (2 * h ** (d - 1))  # at unit load
-        peaks.append(growth.time[cycle].max() ** 2 * released)
-    return float(np.mean(peaks) / unit_toughness(model, body.classes))
+        area = tips * classes.spacing ** (classes.steps.shape[1] - 1)
+        peaks.append(growth.time[cycle].max() ** 2 * (ends[0] - ends[1]) / area)  # at unit load
+    return float(np.mean(peaks))

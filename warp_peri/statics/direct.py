@@ -66,6 +66,7 @@ class MatrixProblem:
             shape [d I, d N].
         interior: unknown nodes, shape [N] bool, or components of them, [N, d].
         factorise: of the unknowns' matrix; RuntimeError for one that is singular.
+        tolerance: largest residual of an answer, over the right-hand side.
     """
 
     def __init__(
@@ -74,7 +75,9 @@ class MatrixProblem:
         interior: np.ndarray,
         *,
         factorise: Callable[[sp.csc_array], Any] = factorised,
+        tolerance: float = RESIDUAL,
     ) -> None:
+        self.tolerance = tolerance
         self.unknown = np.repeat(interior.ravel(), L.shape[1] // interior.size)
         self.factorise, self.left, self.components = factorise, 0.0, L.shape[1] // len(interior)
         self.stiffness = sp.csc_array(L[:, self.unknown])
@@ -118,7 +121,7 @@ class MatrixProblem:
         size = np.linalg.norm(right, axis=0)
         self.left = float(np.max(wrong / np.where(size > 0, size, np.inf), initial=0.0))
         wrong = np.maximum(wrong, self.rounding * np.linalg.norm(solution, axis=0))
-        if not (wrong <= RESIDUAL * size).all():
+        if not (wrong <= self.tolerance * size).all():
             raise InputError(
                 "the operator on these nodes is singular to working precision: "
                 f"the residual of the solve is {wrong.max():.1e}"

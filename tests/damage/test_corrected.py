@@ -1,0 +1,217 @@
+"""Bodies whose missing bonds take the mean gradient of those that are left (theory, C26, C27)."""
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from scipy.sparse.linalg import spsolve
+
+from tests.support.bodies import plate, random_breaking, solid
+from tests.support.problems import difference, fitted_order, kernel
+from warp_peri import InputError, Krylov, Points, move, solve
+from warp_peri.damage import Cracked, box, lattice_body, penny, point_force, rectangle
+from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.damage.operator import bond_weights, cut_matrix
+from warp_peri.verification import cracks
+from warp_peri.verification.cracks import energy_release, tip_shift
+from warp_peri.verification.statics import UnitScale
+
+
+def matrix(model, body, table, corrected=True):
+    w = bond_weights(model, body.classes)
+    return cut_matrix(body, w, table, model.mu, model.lam - model.mu, corrected=corrected)
+
+
+def stiff(model, corrected, width=13, height=40):
+    """Force of a strip under unit strain along it over E: what it counts for as wide."""
+    body = plate(width, height, horizon=model.horizon)
+    x, L = body.x, matrix(model, body, body.neighbour, corrected).tocsr()
+    grips, held = np.abs(x[:, 1]) > height / 2 - model.horizon, np.zeros(x.shape, bool)
+    held[grips, 1] = held[np.argmin(np.abs(x).sum(axis=1)), 0] = True
+    free, u = ~held.ravel(), np.where(held, x * (0, 1), 0.0).ravel()
+    u[free] = spsolve(L[free][:, free].tocsc(), -(L[free] @ u))
+    pull = (L @ u).reshape(x.shape)[grips & (x[:, 1] > 0), 1].sum()
+    middle = np.abs(x[:, 1]) < 6
+    return pull / np.polyfit(x[middle, 1], u.reshape(x.shape)[middle, 1], 1)[0] / model.E
+
+
+@pytest.mark.parametrize(
+    ("horizon", "cut", "off"), [(2.0, 0.15, 1e-4), (3.0, 0.4, 0.01), (4.0, 0.6, 0.02)]
+)
+@pytest.mark.parametrize("lam", [1.0, 0.3])
+def test_a_strip_is_as_stiff_as_it_is_wide(horizon, cut, off, lam):
+    model = solid(lam, horizon=horizon).model
+    assert stiff(model, False) < 13 - cut
+    assert stiff(model, True) == pytest.approx(13, abs=off)
+
+
+@pytest.mark.parametrize("sides", [(9, 8), (5, 4, 5)])
+@pytest.mark.parametrize("lam", [1.0, 3.0, -0.3])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.7])
+def test_no_breaking_makes_an_energy_negative(sides, lam, share):
+    d = len(sides)
+    body, model = plate(*sides, horizon=2.0), solid(lam, horizon=2.0, dimension=d).model
+    table = random_breaking(body, np.random.default_rng(1), share)
+    L = matrix(model, body, table)
+    assert abs(L - L.T).max() < 1e-13
+    corrected, cut = (
+        np.linalg.eigvalsh(one.toarray()) for one in (L, matrix(model, body, table, False))
+    )
+    assert corrected[0] > -1e-12 * corrected[-1]
+    assert np.sum(corrected < 1e-9 * corrected[-1]) <= np.sum(cut < 1e-9 * cut[-1])
+    for rigid in (np.ones(d) + 0 * body.x, body.x @ (np.tri(d) - np.tri(d).T)):
+        assert np.abs(L @ rigid.ravel()).max() < 1e-12
+    f = (L @ np.random.default_rng(2).normal(size=body.x.size)).reshape(body.x.shape)
+    np.testing.assert_allclose(f.sum(axis=0), 0, atol=1e-11)
+    np.testing.assert_allclose(body.x.T @ f, f.T @ body.x, atol=1e-10)
+
+
+def test_uniform_strain_has_the_energy_of_all_cells_whatever_the_outline():
+    model, x = solid(0.4).model, rectangle(14, 14, 1.0)
+    body = lattice_body(x[np.hypot(*x.T) < 6.6], 1.0, 3.0)
+    strain = np.array([[0.3, 0.1], [0.1, -0.2]])
+    L, u = matrix(model, body, body.neighbour), (body.x @ strain).ravel()
+    each = model.mu * (strain**2).sum() + model.lam / 2 * np.trace(strain) ** 2
+    assert u @ L @ u / 2 == pytest.approx(len(body.x) * each, rel=1e-12)
+
+
+def test_cracks_at_edges_converge_and_are_near_from_few_nodes_on(monkeypatch):
+    sizes, errors = np.array([5, 7, 10]), []
+    for n in sizes:
+        monkeypatch.setattr(cracks, "HALF", int(n))
+        errors.append(cracks.centre_crack("bond-based", UnitScale()).value / 1.1866 - 1)
+    assert fitted_order(1 / sizes, np.abs(errors)) > 0.8
+    assert np.max(np.abs(errors)) < 0.01
+
+
+def test_a_pressure_on_faces_is_as_if_there_were_no_crack():
+    model, x = solid(0.4).model, rectangle(30, 30, 1.0)
+    stress, inside = np.array([[0.0, 0.0], [0.0, 1.0]]), np.abs(x).max(axis=1) < 8
+    strain = (stress - model.lam / 2 / (model.lam + model.mu) * np.eye(2)) / (2 * model.mu)
+    how = {"cracks": [[(-4, 0), (4, 0)]], "pressure": stress, "corrected": True}
+    u = -x @ strain  # pressed all around
+    found = solve(model, Cracked(Points(x, inside, 1.0), u=u, **how)).u
+    np.testing.assert_allclose(found, u, atol=1e-12)
+
+
+def test_derivatives_by_load_and_displacement_agree_with_differences():
+    x, random = rectangle(10, 8, 1.0), np.random.default_rng(0)
+    points = Points(x, np.abs(x[:, 1]) < 3, 1.0)
+    problem = Cracked(points, cracks=[[(-5, 0), (0, 0)]], corrected=True)
+    b, u, g = (random.normal(size=x.shape) for _ in range(3))
+    leaves = [torch.tensor(one, requires_grad=True) for one in (b, u)]
+    answer = solve(solid(0.4).model, dataclasses.replace(problem, b=leaves[0], u=leaves[1])).u
+    (answer * torch.tensor(g)).sum().backward()
+    for number, (leaf, way) in enumerate(zip(leaves, random.normal(size=(2, *x.shape)))):
+
+        def along(t, number=number, way=way):
+            given = [one + t[0] * way * (k == number) for k, one in enumerate((b, u))]
+            found = solve(solid(0.4).model, dataclasses.replace(problem, b=given[0], u=given[1]))
+            return (found.u * g).sum()
+
+        slope = difference(along, [0.0], 1e-3)[0]
+        assert (leaf.grad.numpy() * way).sum() == pytest.approx(slope, rel=1e-8)
+
+
+def test_a_learned_kernel_that_changes_sign_may_be_checked_with_edges():
+    model, body = kernel("sign-changing", 3.0), plate(16, 16)
+    held = np.abs(body.x[:, 1]) > 5
+    CutSolid(model, body, held, cracks=[[(-8, 0), (0, 0)]], corrected=True)
+
+
+def test_what_breaks_is_not_corrected():
+    x = rectangle(12, 10, 1.0)
+    problem = Cracked(Points(x, np.abs(x[:, 1]) < 3, 1.0), u=x, corrected=True)
+    with pytest.raises(InputError, match="corrected: expected False"):
+        move(solid(), problem, events=1)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
+    x, h = 0.5 * box((8,) * d, 1.0), 0.5
+    place, force = np.array([0.3, 2.0, 0.1][:d]), np.array([1.0, -3.0, 2.0][:d])
+    b = point_force(x, h, place, force)
+    np.testing.assert_allclose(h**d * b.sum(axis=0), force, atol=1e-12)
+    np.testing.assert_allclose(h**d * x.T @ b, np.outer(place, force), atol=1e-12)
+    assert np.linalg.norm(x[np.abs(b).sum(axis=1) > 0] - place, axis=1).max() < 2 * h
+    with pytest.raises(InputError, match="span the space within 2 spacings"):
+        point_force(x, h, place + 1.0, force)
+
+
+def test_the_shift_of_a_front_in_space_is_that_of_its_layer():
+    model = solid(1.0, horizon=2.0, dimension=3).model
+    plain, corrected = (tip_shift(model, 1.0, corrected=one) for one in (False, True))
+    assert abs(plain) < 0.3
+    assert abs(corrected) < 0.3
+    assert tip_shift(model.in_units(("nm", "TPa")), 0.1) == pytest.approx(0.1 * plain)
+
+
+@dataclasses.dataclass(frozen=True)
+class Known:
+    """A problem whose energy is a polynomial of the crack's length."""
+
+    terms: tuple[float, ...]
+    cracks: tuple = ()
+    points = Points(rectangle(2, 2, 1.0), np.ones(4, bool), 1.0)
+    b = u = np.ones((4, 2))
+    pressure = None
+
+    def solved(self, *_):
+        length = np.ptp(np.asarray(self.cracks[0])[:, 0])
+        operator = SimpleNamespace(inside=slice(0), energy=lambda u: np.polyval(self.terms, length))
+        return SimpleNamespace(load=np.zeros(0), u=np.zeros((0, 2)), operator=operator)
+
+
+@pytest.mark.parametrize(("reach", "exact"), [(1, 2), (2, 4)])
+def test_three_lengths_are_a_parabola_and_five_a_quartic(reach, exact):
+    lengths = [[[(0, 0), (9 + d, 0)]] for d in range(-reach, reach + 1)]
+    for degree in (exact, exact + 1):
+        terms = (1e-3, 0.02, -0.3, 0.2, -1.0, 2.0)[-degree - 1 :]
+        found = energy_release(None, Known(terms), lengths, shift=0.3)
+        true = -np.polyval(np.polyder(terms), 9 - 0.3)
+        assert (abs(found - true) < 1e-10) == (degree == exact)
+
+
+def test_conjugate_gradients_find_what_factors_find():
+    x = box((8, 8, 8), 1.0)
+    points = Points(x, np.abs(x).max(axis=1) < 3, 1.0)
+    model = solid(0.4, horizon=2.0, dimension=3).model
+    u, b = (np.random.default_rng(n).normal(size=x.shape) for n in (0, 1))
+    problem = Cracked(points, b, u, cracks=[penny(2.0)], corrected=True)
+    solvers = None, Krylov(tolerance=1e-10)
+    by_factors, by_search = (solve(model, problem, solver=one) for one in solvers)
+    assert (by_factors.method, by_search.method) == ("lu", "cg")
+    np.testing.assert_allclose(by_search.u, by_factors.u, atol=1e-7)
+    assert by_search.residual < 1e-10
+    body = plate(16, 16)
+    held = (np.abs(body.x) > 5).any(axis=1)
+    for flat, solver in ((kernel("sign-changing", 3.0), Krylov()), (solid().model, Krylov("sine"))):
+        with pytest.raises(InputError, match=r"solver: expected Krylov\(\) for one material"):
+            CutSolid(flat, body, held, solver=solver)
+
+
+def test_the_field_of_a_penny_is_at_rest_and_opens_as_sneddon_says():
+    E, nu, a = 7.0, 0.25, 3.0
+    lam, mu = E * nu / (1 + nu) / (1 - 2 * nu), E / 2 / (1 + nu)
+    x = np.array([[1.0, 2.0, 0.5], [4.0, -0.7, 1.0], [0.3, 5.0, -2.0]])
+    step, one = 0.01, np.eye(3)
+
+    def u(at):
+        return cracks.penny_field(at, a, E, nu)
+
+    def at(*steps):
+        return u(x + step * np.sum([way * one[axis] for axis, way in steps], axis=0))
+
+    second = np.empty((3, 3, 3, 3))  # ∂_j ∂_k u_i
+    for j, k in np.ndindex(3, 3):
+        pairs = [(p, q, p * q) for p in (1, -1) for q in (1, -1)]
+        second[:, j, k] = sum(s * at((j, p), (k, q)) for p, q, s in pairs) / (4 * step**2)
+    force = (lam + mu) * np.einsum("nijj->ni", second) + mu * np.einsum("njji->ni", second)
+    assert np.abs(force).max() < 1e-3 * mu * np.abs(second).max()
+    near = np.array([[1.0, 0.05, 0.5], [0.1, 0.05, 2.0]])
+    opening = 4 * (1 - nu**2) / (np.pi * E) * np.sqrt(a**2 - near[:, 0] ** 2 - near[:, 2] ** 2)
+    np.testing.assert_allclose(u(near)[:, 1], opening, rtol=0.05)
+    far = np.array([[30.0, 40.0, 20.0]])
+    np.testing.assert_allclose(u(far), far * [-nu, 1, -nu] / E, rtol=0.02)
