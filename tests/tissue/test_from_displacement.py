@@ -8,7 +8,7 @@ import pytest
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from warp_peri import InputError
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.equilibrium import StaticProblem
+from warp_peri.tissue.equilibrium import StaticProblem, TangentPattern
 from warp_peri.tissue.fibres import (
     families,
     grouped,
@@ -97,6 +97,45 @@ def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
         assert gradient[n] == pytest.approx(slope, rel=1e-3, abs=1e-6 * np.abs(gradient).max())
 
 
+def noisy(frames, size=0.002):
+    """The same with noise in spacings."""
+    noise = np.random.default_rng(1).standard_normal(frames.u.shape)
+    return Samples(frames.points, frames.u + size * frames.spacing * noise)
+
+
+def test_a_frame_left_out_by_one_step_is_as_by_a_fit_of_its_own(frames):
+    seen = noisy(frames)
+    settings = dict(stiffness=(0.1, 0.1), most_steps=20)
+    fit = fit_displacement(seen, sheet(), **settings, tolerance=3e-3)
+    for n, other in enumerate(fit.others):
+        rest = Samples(seen.points, np.delete(seen.u, n, axis=0))
+        full = fit_displacement(rest, sheet(), **settings, tolerance=1e-9)
+        moved = full.material.coefficients - fit.material.coefficients
+        step = other.material.coefficients - fit.material.coefficients
+        assert np.abs(moved).max() > 1e-4
+        np.testing.assert_allclose(step, moved, atol=0.05 * np.abs(moved).max())
+        assert other.frames_left_out == [n]
+        np.testing.assert_allclose(np.delete(other.errors, n), full.errors, rtol=1e-2)
+
+
+def test_a_material_that_fits_takes_three_tangents_a_frame(frames, monkeypatch):
+    made, factors = [], TangentPattern.factors
+
+    def counted(pattern, u, c):
+        made.append(u)
+        return factors(pattern, u, c)
+
+    monkeypatch.setattr(TangentPattern, "factors", counted)
+    seen = noisy(frames, 1e-3)
+    fit = fit_displacement(seen, sheet(), tolerance=1e-3)
+    assert len(made) <= 3 * len(seen)
+    assert fit.history[-1] < 2e-3
+    np.testing.assert_allclose(
+        [np.linalg.norm((u - v)[seen.interior]) / np.linalg.norm(v[seen.interior])
+         for u, v in zip(fit.fields, seen.u)], fit.errors, rtol=1e-6,
+    )  # fmt: skip
+
+
 @pytest.fixture(scope="module")
 def uneven_frames():
     """The same sheet where it is 1.8 times as thick at one side as at the other."""
@@ -121,6 +160,15 @@ def test_thickness_and_material_are_found_together(uneven_frames):
     np.testing.assert_allclose(
         fit.material.coefficients, TRUTH / (measure @ TRUTH), rtol=1e-3, atol=1e-5
     )
+
+
+def test_an_uneven_sheet_goes_on_from_an_even_fit_or_begins_anew(uneven_frames):
+    frames, thickness = uneven_frames
+    settings = dict(stiffness=0.0, most_steps=20, tolerance=1e-9)
+    even = fit_displacement(frames, sheet(), **settings)
+    fit = fit_displacement(frames, sheet(), start=even, thickness=2, **settings)
+    assert fit.history[-1] < 1e-5
+    np.testing.assert_allclose(fit.thickness.numbers, thickness.numbers, atol=1e-3)
 
 
 def test_a_known_material_tells_the_thickness_of_another_sheet(uneven_frames):

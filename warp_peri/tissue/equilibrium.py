@@ -45,34 +45,72 @@ class FullFactors:
 
 
 class BandFactors:
-    """Cholesky's factors of a banded matrix, as rows of nodes on a lattice have it."""
+    """Cholesky's factors of a banded matrix, as rows of nodes on a lattice have it.
 
-    def __init__(self, factor: np.ndarray) -> None:
-        self.factor, self.shape = factor, (factor.shape[1],) * 2
+    Args:
+        factor: the lower triangle by diagonals.
+        order: of the unknowns in it.
+    """
+
+    def __init__(self, factor: np.ndarray, order: np.ndarray) -> None:
+        self.factor, self.order, self.shape = factor, order, (factor.shape[1],) * 2
 
     def solve(self, y: np.ndarray) -> np.ndarray:
-        """K⁻¹ y by the factors."""
-        return np.asarray(cho_solve_banded((self.factor, True), y, check_finite=False))
+        """K⁻¹ y by the factors, in their precision."""
+        given = y[self.order].astype(self.factor.dtype)  # else SciPy turns the factor, every time
+        x = np.empty(y.shape)
+        x[self.order] = cho_solve_banded((self.factor, True), given, check_finite=False)
+        return x
 
 
-def _banded(K: sp.csc_matrix) -> np.ndarray | None:
-    """The lower triangle by diagonals; None where they are too many, or entries no numbers."""
-    below = sp.tril(K, format="coo")
-    away = below.row - below.col
-    if (away.max() + 1) * K.shape[0] > LARGEST_BAND or not np.isfinite(below.data).all():
-        return None
-    band = np.zeros((away.max() + 1, K.shape[0]))
-    band[away, below.col] = below.data
-    return band
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Where the entries of a symmetric sparse matrix stand in a band.
+
+    Attributes:
+        order: of the unknowns in it.
+        below: which of the entries belong to its lower triangle.
+        places: theirs, diagonal by diagonal of each column.
+        width: number of diagonals.
+    """
+
+    order: np.ndarray
+    below: np.ndarray
+    places: np.ndarray
+    width: int
+
+    @classmethod
+    def of(cls, indices: np.ndarray, ends: np.ndarray, order: np.ndarray) -> Band:
+        """The band of a matrix by columns."""
+        place = np.argsort(order)
+        row, column = place[indices], np.repeat(place, np.diff(ends))
+        width = int((row - column).max()) + 1
+        places = column * width + row - column
+        below = np.flatnonzero(row >= column)
+        below = below[np.argsort(places[below])]
+        return cls(order, below, places[below], width)
+
+    def filled(self, entries: np.ndarray) -> np.ndarray | None:
+        """The lower triangle by diagonals; None where they are too many, or entries no numbers."""
+        values, size = entries[self.below], self.width * len(self.order)
+        if size > LARGEST_BAND or not np.isfinite(values).all():
+            return None
+        band = np.zeros(size)
+        band[self.places] = values
+        return band.reshape((self.width, -1), order="F")
 
 
-def positive_factors(K: sp.csc_matrix) -> Any:
-    """Factors with a `solve` of a symmetric matrix where it is positive definite, else None."""
+def positive_factors(K: sp.csc_matrix, band: Band | None = None) -> Any:
+    """Factors with a `solve` of a symmetric matrix where it is positive definite, else None.
+
+    Where its entries stand in a band is found in the order of the unknowns, unless it is given.
+    """
     if K.shape[0] > DENSE:
-        if (band := _banded(K)) is None:
+        band = band or Band.of(K.indices, K.indptr, np.arange(K.shape[0]))
+        if (filled := band.filled(K.data)) is None:
             return definite_factors(K)
         try:
-            return BandFactors(cholesky_banded(band, True, True, check_finite=False))
+            return BandFactors(cholesky_banded(filled, True, True, check_finite=False), band.order)
         except np.linalg.LinAlgError:
             return None
     factor, fault = lapack.dpotrf(K.toarray(order="F"), lower=1, overwrite_a=1, clean=0)
@@ -83,7 +121,7 @@ def positive_factors(K: sp.csc_matrix) -> Any:
 def rough(factors: Any) -> Any:
     """The same in half the memory where that is large: for fields near by."""
     if isinstance(factors, BandFactors):
-        return BandFactors(factors.factor.astype(np.float32))
+        return BandFactors(factors.factor.astype(np.float32), factors.order)
     return factors
 
 
@@ -99,6 +137,7 @@ class TangentPattern:
         taken: places that are entries of the matrix, row by row.
         columns: their columns.
         ends: where rows begin among them.
+        band: of the matrix, narrow by lines of nodes along the shorter side.
     """
 
     op: HyperelasticOperator
@@ -108,6 +147,7 @@ class TangentPattern:
     taken: np.ndarray
     columns: np.ndarray
     ends: np.ndarray
+    band: Band
 
     @classmethod
     def of(cls, op: HyperelasticOperator) -> TangentPattern:
@@ -134,9 +174,14 @@ class TangentPattern:
         columns = np.broadcast_to(2 * far[row, which][:, None, None] + axis, taken.shape).ravel()
         order = np.lexsort((columns, rows))
         ends = np.searchsorted(rows[order], np.arange(2 * len(interior) + 1))
+        inner = place[interior]
+        shorter = int(np.argmin(np.ptp(inner, axis=0)))
+        nodes = np.lexsort((inner[:, shorter], inner[:, 1 - shorter]))
+        columns = columns[order].astype(np.int32)
+        unknowns = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
         return cls(
             op, window, side**2, ints(interior), taken.ravel()[order],
-            columns[order].astype(np.int32), ends.astype(np.int32),
+            columns, ends.astype(np.int32), Band.of(columns, ends, unknowns),
         )  # fmt: skip
 
     def matrix(self, u: np.ndarray, c: np.ndarray) -> sp.csc_matrix:
@@ -144,6 +189,10 @@ class TangentPattern:
         size = len(self.ends) - 1
         # symmetric: rows stand for columns
         return sp.csc_matrix((self._entries(u, c), self.columns, self.ends), shape=(size, size))
+
+    def factors(self, u: np.ndarray, c: np.ndarray) -> Any:
+        """Factors of that matrix where it is positive definite, else None."""
+        return positive_factors(self.matrix(u, c), self.band)
 
     def _entries(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """Entries of the matrix, row by row."""
@@ -171,6 +220,8 @@ def reached(steps: np.ndarray, near: np.ndarray, linked: np.ndarray) -> np.ndarr
     return offsets
 
 
+MANY = 12
+"""Products that make factors of another tangent dearer than its own."""
 DIRECT = 20_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
 LINEAR = 1e-5
@@ -451,17 +502,18 @@ class StaticProblem:
     ) -> tuple[np.ndarray, float, Any]:
         """A direction of descent, the shift that makes the tangent positive definite, factors."""
         if self.pattern is None:
-            step, shift = self._krylov(c, u, residual, self._laplace.solve)
-            return step, shift, None
+            return *self._krylov(c, u, residual, self._laplace.solve)[:2], None
         if near is not None:
             inverse = lambda r: near.solve(r.ravel()).reshape(r.shape)  # noqa: E731
-            step, shift = self._krylov(c, u, residual, inverse)
+            step, shift, products = self._krylov(c, u, residual, inverse)
             if shift == 0:
-                return step, shift, near
+                return step, shift, near if products <= MANY else None
         K = self.pattern.matrix(u, c)
         shift, size = 0.0, 1e-3 * abs(K.diagonal()).max()
         for _ in range(12):
-            factor = positive_factors(K + shift * sp.eye(K.shape[0]) if shift else K)
+            shifted = K.copy()
+            shifted.setdiag(K.diagonal() + shift)  # a sum would drop entries that are zero
+            factor = positive_factors(shifted if shift else K, self.pattern.band)
             if factor is not None:
                 return factor.solve(residual.ravel()).reshape(residual.shape), shift, factor
             shift = size if shift == 0 else 4 * shift
@@ -475,21 +527,24 @@ class StaticProblem:
         u: np.ndarray,
         residual: np.ndarray,
         inverse: Callable[[np.ndarray], np.ndarray],
-    ) -> tuple[np.ndarray, float]:
-        """The same by conjugate gradients that stop at negative curvature (Steihaug)."""
+    ) -> tuple[np.ndarray, float, int]:
+        """Direction, shift and products of conjugate gradients.
+
+        They stop at negative curvature (Steihaug).
+        """
         inner = self.op.interior
         x, r = np.zeros_like(residual), residual.copy()
         z = inverse(r)
         p, rz, first = z.copy(), float((r * z).sum()), np.linalg.norm(r)
         if first == 0:
-            return x, 0.0
-        v = np.zeros_like(u)
-        for _ in range(500):
+            return x, 0.0, 0
+        v, count = np.zeros_like(u), 0
+        for count in range(1, 501):
             v[inner] = p
             Kp = self.op.product(u, c, v)[inner]
             curvature = float((p * Kp).sum())
             if curvature <= 0:
-                return (x if x.any() else z), 1.0
+                return (x if x.any() else z), 1.0, count
             step = rz / curvature
             x += step * p
             r -= step * Kp
@@ -498,7 +553,7 @@ class StaticProblem:
             z = inverse(r)
             rz, before = float((r * z).sum()), rz
             p = z + rz / before * p
-        return x, 0.0
+        return x, 0.0, count
 
     def _search(
         self,
@@ -541,7 +596,7 @@ class StaticProblem:
         """
         if self.pattern is not None:
             K = self.pattern.matrix(u, c)
-            factor = positive_factors(K)
+            factor = positive_factors(K, self.pattern.band)
             if factor is None:  # what is nearest to zero need not be the smallest
                 return smallest_eigenvalue(K)
             inverse = LinearOperator(K.shape, factor.solve, dtype=float)

@@ -18,7 +18,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import is_number
 from warp_peri.points.samples import Samples, seen_of
 from warp_peri.tissue.energy_fit import lower_bounds
-from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, positive_factors, rough
+from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, rough
 from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.tissue.placed import bond_slopes, largest_stretch, piola_stress
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
@@ -106,6 +106,15 @@ class Thickness:
 
 SCALE_WEIGHT = 1e3
 """Of the equation that fixes the initial stiffness, before it is met exactly."""
+TOGETHER, NEAR = 10, (0.03, 0.1)
+"""Steps of unknowns and fields at once, until fields move by such parts of their errors at most: by
+the unknowns, and to equilibrium, off which slopes and errors have the same noise."""
+DAMPING = (1e-9, 1e-6, 1e-3)
+"""Levenberg's: least, that of a step from the optimum, first."""
+STALE = 0.1
+"""Part of the loss: a step that lowers it by less leaves the slopes as they are."""
+STIFFEN = 30.0
+"""Largest ratio of a deviation that is stiffer than the sheet at rest to itself before a step."""
 TURN, GROWTH = 0.2, 1.0
 """Largest change of a fibre's angle [rad] and exponent in one step."""
 THICKEN = 0.5
@@ -120,9 +129,12 @@ class DisplacementFit:
     Attributes:
         material: with an initial stiffness (H14) of one.
         errors: relative error of the solved displacement of every training frame.
-        history: root mean square of those errors after every step.
-        frames_left_out: frames whose equilibrium was not found at the start.
+        history: root mean square of those errors after every step that solves for equilibria.
+        frames_left_out: frames that it does not stand on: no equilibrium was found at the start.
         thickness: of the sheet, where it was an unknown.
+        others: the same with each frame left out in turn, by one Gauss-Newton step from here, with
+            the errors that its linear equations tell.
+        fields: solved displacement of every training frame, shape [S, N, 2].
     """
 
     material: HyperelasticSolid
@@ -130,6 +142,8 @@ class DisplacementFit:
     history: list[float]
     frames_left_out: list[int]
     thickness: Thickness | None = None
+    others: list[DisplacementFit] = field(default_factory=list)
+    fields: np.ndarray | None = None
 
 
 def initial_stiffness(op: HyperelasticOperator) -> np.ndarray:
@@ -198,6 +212,8 @@ class Search:
         self.fields = self.data.copy()
         self.squares = np.full(len(self.data), np.inf)
         self.c = np.zeros(len(dictionary))
+        self.linear: dict[int, tuple[np.ndarray, Any]] = {}
+        self.stale, self.growth = False, STIFFEN
 
     @property
     def loss(self) -> float:
@@ -233,31 +249,108 @@ class Search:
         return self.scaled(least.x / length)
 
     def descended(
-        self, c: np.ndarray, most_steps: int, tolerance: float, progress: bool | str
+        self,
+        c: np.ndarray,
+        most_steps: int,
+        tolerance: float,
+        progress: bool | str,
+        known: DisplacementFit | None = None,
     ) -> DisplacementFit:
-        """The whole search from coefficients c."""
-        self.begin(c)
-        damping, history = 1e-3, [self.rms]
+        """The whole search from coefficients c, or from a known fit where that promises more."""
         name = progress if isinstance(progress, str) else "Gauss-Newton"
         bar = tqdm(range(most_steps), desc=name, disable=not progress, leave=False)
+        start, near = vars(self).copy(), self.approached(c, known)
+        try:
+            self.begin(near)
+        except NoEquilibrium:
+            if near is c:
+                raise
+            self.left_out = [*range(len(self.data))]
+        if self.left_out and near is not c:  # the first coefficients may keep what these lose
+            vars(self).update(start)
+            self.begin(c)
+        damping, history = DAMPING[2], [self.rms]
         for _ in bar:
-            before = self.loss
-            damping = self.step(damping)
+            before, last = self.loss, not self.promising(tolerance)
+            damping = self.step(damping, last=last)
             history.append(self.rms)
             bar.set_postfix(error=f"{100 * self.rms:.3f} %")
-            if not self.loss < (1 - tolerance) * before:
+            if last or not self.loss < (1 - tolerance) * before:
                 break
-        op = self.problem.op
-        samples = Samples(op.points, self.data)
+        stretch = largest_stretch(self.problem.op, self.data)
+        others = [self._without(n, stretch) for n in self.linear] if len(self.linear) > 1 else []
+        fit = self._fit(self.now, np.sqrt(self.squares), self.left_out, stretch)
+        return replace(fit, history=history, others=others, fields=self.fields)
+
+    def _fit(
+        self, numbers: np.ndarray, errors: np.ndarray, left_out: list[int], stretch: float
+    ) -> DisplacementFit:
+        """What unknowns come to."""
+        K = len(self.c)
+        problem, thickness = self._moved(numbers[K:])
+        points = problem.op.points
         solid = HyperelasticSolid(
-            op.dictionary,
-            self.c,
-            op.points.spacing,
-            largest_stretch(op, samples.u),
+            problem.op.dictionary,
+            numbers[:K],
+            points.spacing,
+            stretch,
             {"stresses": "scaled to a stiffness of one at rest, no force is known"},
-            units=op.points.units,
+            units=points.units,
         )
-        return DisplacementFit(solid, np.sqrt(self.squares), history, self.left_out, self.thickness)
+        rms = float(np.sqrt(np.delete(errors**2, left_out).mean()))
+        return DisplacementFit(solid, errors, [rms], left_out, thickness)
+
+    def _without(self, left: int, stretch: float) -> DisplacementFit:
+        """One step from here with another frame left out."""
+        rest = np.concatenate([rows for n, rows in self.equations_of.items() if n != left])
+        moved = self.nearest(rest, DAMPING[1])
+        errors = np.full(len(self.data), np.inf)
+        for n, rows in self.equations_of.items():
+            errors[n] = np.linalg.norm(rows @ np.array([*(moved - self.now), 1.0]))
+        return self._fit(moved, errors, [*self.left_out, left], stretch)
+
+    def approached(self, c: np.ndarray, known: DisplacementFit | None = None) -> np.ndarray:
+        """Coefficients after steps that move unknowns and fields at once, from the measured fields.
+
+        A step costs a tangent a frame and no equilibrium. They end where one does not lower the
+        errors that the equations tell, where a tangent is not positive definite or a field folds.
+        """
+        starts, begun, least = [(c, self.data, 1.0)], vars(self).copy(), np.inf
+        if known is not None and known.fields is not None:
+            starts.append((self.scaled(known.material.coefficients), known.fields, STIFFEN))
+        for self.c, self.fields, self.growth in starts:  # stiffer ones would add to noise at first
+            if self.linearise(ahead=True):
+                change = self.nearest(self.equations, DAMPING[2]) - self.now
+                left = float((self._after(change) ** 2).sum())
+                if left < least:
+                    begun, least = vars(self).copy(), left
+        vars(self).update(begun)
+        if least == np.inf:
+            return c
+        damping = DAMPING[2]
+        for _ in range(TOGETHER):
+            before = vars(self).copy()
+            change = self.nearest(self.equations, damping) - self.now
+            fields, squares = self.fields.copy(), np.zeros(2)
+            for n, (slopes, _) in self.linear.items():
+                for k, way in enumerate([slopes @ change, slopes[:, : len(c)] @ self.c]):
+                    away = way.reshape(-1, 2)
+                    fields[n, self.inner] += away
+                    squares[k] += ((away * self.seen[n]) ** 2).sum() / self.size[n] ** 2
+            if min(map(self.problem.op.smallest_area, fields)) <= SMALLEST_AREA:
+                break
+            loss, left = (float((self._after(step) ** 2).sum()) for step in (0 * change, change))
+            moved = self.now + change
+            self.problem, self.thickness = self._moved(moved[len(c) :])
+            self.c, self.fields, self.stale, self.growth = moved[: len(c)], fields, True, STIFFEN
+            if (squares <= np.square(NEAR) * left).all():
+                break
+            if not self.linearise(ahead=True) or (self.equations[:, -1] ** 2).sum() > loss:
+                vars(self).update(before)
+                break
+            damping = max(damping / 10, DAMPING[0])
+        self.growth = STIFFEN
+        return self.c
 
     def begin(self, c: np.ndarray) -> None:
         """Solve all frames with the first coefficients; what has no equilibrium is left out."""
@@ -267,7 +360,11 @@ class Search:
         if not self.kept:
             raise NoEquilibrium("no frame has an equilibrium with the first coefficients")
         self.c, self.fields, self.squares = c, fields, squares
-        self.linearise()
+        if self.linear.keys() >= set(self.kept):
+            self.linear, self.stale = {n: self.linear[n] for n in self.kept}, True
+            self._reduce()
+        else:
+            self.linearise()
 
     def _solve(
         self, problem: StaticProblem, c: np.ndarray, change: np.ndarray | None = None
@@ -278,13 +375,15 @@ class Search:
         """
         fields, squares = self.fields.copy(), np.full(len(self.data), np.inf)
         for n in self.kept:
-            start, near = self.fields[n].copy(), None
-            if change is not None and n in self.linear:
-                slopes, near = self.linear[n]
+            start = self.fields[n].copy()
+            slopes, near = self.linear.get(n, (None, None))
+            if change is not None and slopes is not None:
                 start[self.inner] += (slopes @ change).reshape(-1, 2)
                 if problem.op.smallest_area(start) <= SMALLEST_AREA:
                     start = self.fields[n]
             equilibrium = problem.find(c, None, self.data[n], start=start, near=near)
+            if equilibrium is None and near is not None and change is None:
+                equilibrium = problem.find(c, None, self.data[n], start=self.data[n])
             if equilibrium is None:
                 if self.squares[n] < np.inf:
                     return fields, squares
@@ -294,19 +393,19 @@ class Search:
             squares[n] = (gap**2).sum() / self.size[n] ** 2
         return fields, squares
 
-    def linearise(self) -> bool:
+    def linearise(self, *, ahead: bool = False) -> bool:
         """Derivatives of the fields by all unknowns in the order of `now`; whether all are stable.
 
-        With the reduced equations of their errors.
+        With the reduced equations of their errors, a Newton step `ahead` where they are no
+        equilibria.
         """
         op, K = self.problem.op, len(self.c)
         if (pattern := self.problem.pattern) is None:
             raise InputError("problem: expected one whose tangent is factorised")
-        triangle = np.zeros((0, len(self.now) + 1))
         linear: dict[int, tuple[np.ndarray, Any]] = {}
         for n in self.kept:
             u = self.fields[n]
-            factor = positive_factors(pattern.matrix(u, self.c))
+            factor = pattern.factors(u, self.c)
             if factor is None:
                 continue
             F = [op.features(u).reshape(-1, K)]
@@ -316,18 +415,39 @@ class Search:
             if self.thickness is not None:
                 slopes = op.by_thickness(u, self.c, self.thickness.slopes(self.x))
                 F.append(slopes.reshape(len(F[0]), -1))
-            J = -factor.solve(np.concatenate(F, axis=1))
-            linear[n] = J, rough(factor)
-            gap = (u - self.data[n])[self.inner].reshape(-1, 1)
-            rows = np.concatenate([J, gap], axis=1) / self.size[n]
-            rows = np.concatenate([triangle, rows * np.repeat(self.seen[n], 2, axis=0)])
-            triangle = np.asarray(np.linalg.qr(rows, mode="r"))
-        self.linear, self.equations = linear, triangle
+            linear[n] = -factor.solve(np.concatenate(F, axis=1)), rough(factor)
+        self.linear, self.stale = linear, False
+        self._reduce(ahead=ahead)
         return len(linear) == len(self.kept)
 
-    def step(self, damping: float) -> float:
-        """One step of Gauss, Newton and Levenberg; the next damping."""
-        J, r = self.equations[:, :-1], self.equations[:, -1]
+    def _reduce(self, *, ahead: bool = False) -> None:
+        """The equations of the errors of every frame, as triangles."""
+        self.equations_of = {}
+        for n, (J, _) in self.linear.items():
+            gap = (self.fields[n] - self.data[n])[self.inner].reshape(-1, 1)
+            if ahead:  # the force is linear in the coefficients, and so are Newton's steps
+                gap += J[:, : len(self.c)] @ self.c[:, None]
+            rows = np.concatenate([J, gap], axis=1) / self.size[n]
+            rows *= np.repeat(self.seen[n], 2, axis=0)
+            self.equations_of[n] = np.asarray(np.linalg.qr(rows, mode="r"))
+
+    @property
+    def equations(self) -> np.ndarray:
+        """Rows whose squared sum is the loss: slopes by the unknowns, and errors as they are."""
+        return np.concatenate([np.zeros((0, len(self.now) + 1)), *self.equations_of.values()])
+
+    def _after(self, change: np.ndarray) -> np.ndarray:
+        """Errors after a change of the unknowns, to first order, as the equations have them."""
+        return np.asarray(self.equations @ np.array([*change, 1.0]))
+
+    def promising(self, tolerance: float) -> bool:
+        """Whether the equations promise a step that lowers the loss by more than a fraction."""
+        change = self.nearest(self.equations, DAMPING[0]) - self.now
+        return float((self._after(change) ** 2).sum()) < (1 - tolerance) * self.loss
+
+    def nearest(self, equations: np.ndarray, damping: float) -> np.ndarray:
+        """Unknowns between their bounds that meet the equations best, as Levenberg damps them."""
+        J, r = equations[:, :-1], equations[:, -1]
         K, now = len(self.c), self.now
         lower, upper = self._bounds(now)
         free: np.ndarray = np.arange(len(now)) >= (K if self.held else 0)
@@ -335,22 +455,38 @@ class Search:
         length[length == 0] = 1.0
         fixed = np.zeros((1, len(now)))
         fixed[0, :K] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
-        for _ in range(8):
-            A = np.concatenate([J, np.sqrt(damping) * np.diag(length), fixed]) / length
-            y = np.concatenate([J @ now - r, np.sqrt(damping) * length * now, fixed @ now])
-            y -= A[:, ~free] @ (now * length)[~free]
-            bounds = (lower * length)[free], (upper * length)[free]
-            moved = now.copy()
-            moved[free] = lsq_linear(A[:, free], y, bounds, method="bvls").x / length[free]
+        A = np.concatenate([J, np.sqrt(damping) * np.diag(length), fixed]) / length
+        y = np.concatenate([J @ now - r, np.sqrt(damping) * length * now, fixed @ now])
+        y -= A[:, ~free] @ (now * length)[~free]
+        bounds = (lower * length)[free], (upper * length)[free]
+        moved = now.copy()
+        moved[free] = lsq_linear(A[:, free], y, bounds, method="bvls").x / length[free]
+        moved[:K] = self.scaled(np.maximum(moved[:K], 0.0))
+        return moved
+
+    def step(self, damping: float, *, last: bool = False) -> float:
+        """One step of Gauss, Newton and Levenberg; the next damping.
+
+        The last one, of which little is promised, goes by the slopes that are there.
+        """
+        if self.stale and not last and not self.linearise():
+            return damping
+        K, now = len(self.c), self.now
+        for _ in range(1 if last else 8):
+            moved = self.nearest(self.equations, damping)
             problem, thickness = self._moved(moved[K:])
-            c = self.scaled(np.maximum(moved[:K], 0.0))
-            before = vars(self).copy()
-            fields, squares = self._solve(problem, c, np.array([*c, *moved[K:]]) - now)
-            if squares[self.kept].sum() < self.loss:
-                self.problem, self.c, self.fields, self.squares = problem, c, fields, squares
+            before, loss = vars(self).copy(), self.loss
+            fields, squares = self._solve(problem, moved[:K], moved - now)
+            if squares[self.kept].sum() < loss:
+                self.problem, self.c, self.fields, self.squares = (
+                    problem, moved[:K], fields, squares,
+                )  # fmt: skip
                 self.thickness = thickness
-                if self.linearise():
-                    return max(damping / 10, 1e-9)
+                self.stale = last or self.loss > (1 - STALE) * loss
+                if self.stale:
+                    self._reduce()
+                if self.stale or self.linearise():
+                    return max(damping / 10, DAMPING[0])
                 vars(self).update(before)
             damping = max(10 * damping, 1e-6)
         return damping
@@ -371,11 +507,15 @@ class Search:
 
     def _bounds(self, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Between what the unknowns may be after a step."""
+        dictionary = self.problem.op.dictionary
         K, M = len(self.c), len(self.moving)
         reach = np.full(len(now), np.inf)
         reach[K : K + M], reach[K + M : K + 2 * M], reach[K + 2 * M :] = TURN, GROWTH, THICKEN
         lower, upper = now - reach, now + reach
         lower[:K], upper[:K] = self.lower, self.upper
+        own = slice(dictionary.first_deviation, dictionary.first_term)
+        most = np.maximum(self.growth * now[own], now[own] if self.growth == 1 else 1.0)
+        upper[own] = np.minimum(upper[own], most)
         of_exponents = slice(K + M, K + 2 * M)
         lower[of_exponents] = np.maximum(lower[of_exponents], [self._least(n) for n in self.moving])
         upper[of_exponents] = np.minimum(upper[of_exponents], LARGEST_EXPONENT)
@@ -399,8 +539,8 @@ class Search:
 
 INTERPOLATES = 50.0
 """Times as stiff as the sheet at rest: such deviations fill in the collar as a stiff plate does."""
-NODES = 10
-"""Measured components, or nodes inside, for each number that is learned, at least."""
+TEN = 10
+"""Of what `check_enough` counts, for each number that is learned, at least."""
 AFFINE = 1e-6
 """A set of frames whose distance from affine displacement is below this fraction says nothing."""
 
@@ -411,7 +551,7 @@ def fit_displacement(
     *,
     stiffness: float | tuple[float, float] = 0.05,
     moving: bool = False,
-    start: np.ndarray | None = None,
+    start: np.ndarray | DisplacementFit | None = None,
     thickness: int = 0,
     most_steps: int = 15,
     tolerance: float = 1e-4,
@@ -425,7 +565,8 @@ def fit_displacement(
         stiffness: least coefficient of the deviations, in units of the initial stiffness, or the
             least and the greatest: what is held low does not fit the frames in place of a material.
         moving: whether angles and exponents of fibres are unknowns too.
-        start: coefficients to begin with, shape [K]; those of least equation error where none.
+        start: coefficients to begin with, shape [K]; those of least equation error where none. Of
+            a fit of the same frames and energies the search begins there if that promises more.
         thickness: degree of the polynomial that is the logarithm of the sheet's thickness, (H18);
             0 for an even sheet.
         most_steps: of Gauss and Newton.
@@ -444,22 +585,20 @@ def fit_displacement(
         )
     check_identifiable(frames)
     uneven = Thickness.over(frames.x, thickness) if thickness else None
-    numbers = len(dictionary)
-    count = 2 * np.count_nonzero(seen_of(frames)[:, frames.interior])
-    if count < NODES * numbers:
-        raise InputError(
-            f"frames: expected {NODES * numbers} measured components inside for {numbers} numbers, "
-            f"got {count}"
-        )
+    measured = 2 * int(np.count_nonzero(seen_of(frames)[:, frames.interior]))
+    check_enough(measured, "measured components inside", len(dictionary))
     bounds = bounds_of(stiffness)
     search = Search(frames, dictionary, bounds, moving, uneven)
+    known: DisplacementFit | None = None
+    if isinstance(start, DisplacementFit):
+        known, start = start, None
     if start is None:
         c = search.equation_error()
     else:
         if np.shape(start) != (len(dictionary),):
             raise InputError(f"start: expected {len(dictionary)} coefficients, got {start!r:.60}")
         c = search.scaled(np.clip(start, search.lower, search.upper))
-    fit = search.descended(c, most_steps, tolerance, progress)
+    fit = search.descended(c, most_steps, tolerance, progress, known)
     warn_of_interpolation(fit.material)
     return fit
 
@@ -499,6 +638,17 @@ def bounds_of(stiffness: float | tuple[float, float]) -> tuple[float, float]:
     if not (0 <= least <= greatest and least < np.inf):
         raise InputError(f"stiffness: expected 0 ≤ least ≤ greatest, got {stiffness!r:.60}")
     return least, greatest
+
+
+def check_enough(count: int, what: str, numbers: int) -> None:
+    """Raise InputError where there are fewer than ten of what is counted for each number.
+
+    A fit counts components of all frames. A choice counts nodes: frames of one test are much alike.
+    """
+    if count < TEN * numbers:
+        raise InputError(
+            f"frames: expected {TEN * numbers} {what} for {numbers} numbers, got {count}"
+        )
 
 
 def check_unloaded(frames: Samples) -> None:

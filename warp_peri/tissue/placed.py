@@ -158,9 +158,15 @@ def hyperelastic_errors(
         fields = np.zeros_like(samples.u)
         for n in range(len(samples)):
             b = None if samples.b is None else samples.b[n]
-            start = None if near is None else _combined(problem, near, samples.u[n])
-            solved = problem.find(solid.coefficients, b, samples.u[n], start=start)
-            if solved is not None:
+            solved, start = None, None
+            if near is not None:
+                start = _combined(problem, near, samples.u[n])
+                factors = problem.pattern and problem.pattern.factors(start, solid.coefficients)
+                solved = factors and problem.find(
+                    solid.coefficients, b, samples.u[n], start=start, near=factors
+                )
+            solved = solved or problem.find(solid.coefficients, b, samples.u[n], start=start)
+            if solved:
                 fields[n] = solved.u
                 gap, size = (f[inner] * seen[n] for f in (solved.u - truth[n], truth[n]))
                 errors[n] = np.linalg.norm(gap) / np.linalg.norm(size)

@@ -24,9 +24,9 @@ from warp_peri.points.samples import Samples, part, seen_of
 from warp_peri.tissue.fibres import rose
 from warp_peri.tissue.from_displacement import (
     INTERPOLATES,
-    NODES,
     DisplacementFit,
     Thickness,
+    check_enough,
     fit_displacement,
     stiffest_deviation,
 )
@@ -71,6 +71,10 @@ class KeptFits:
                     "history": found.history,
                     "frames_left_out": found.frames_left_out,
                     "thickness": None if found.thickness is None else vars(found.thickness),
+                    "others": [
+                        [other.material.coefficients, other.thickness and other.thickness.numbers]
+                        for other in found.others
+                    ],
                 },
             )
         return found
@@ -79,10 +83,22 @@ class KeptFits:
 def _read(record: Path, model: Path) -> DisplacementFit | None:
     try:
         content = json.loads(record.read_text(encoding="utf-8"))
-        thickness = content["thickness"]
-        errors = np.array(content["errors"], float)
-        fit = DisplacementFit(HyperelasticSolid.load(model), **(content | {"errors": errors}))
-        return replace(fit, thickness=thickness and Thickness(**thickness))
+        thickness = content["thickness"] and Thickness(**content["thickness"])
+        read: dict[str, Any] = {
+            "errors": np.array(content["errors"], float),
+            "thickness": thickness,
+            "others": [],
+        }
+        fit = DisplacementFit(HyperelasticSolid.load(model), **(content | read))
+        others = [
+            replace(
+                fit,
+                material=replace(fit.material, coefficients=np.array(c, float)),
+                thickness=thickness and replace(thickness, numbers=numbers),
+            )
+            for c, numbers in content["others"]
+        ]
+        return replace(fit, others=others)
     except (OSError, ValueError, TypeError, KeyError, InputError):
         return None
 
@@ -91,12 +107,12 @@ REACH = 3.0
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 DEVIATIONS = (0.05, np.inf)
 """Least and greatest, in units of the initial stiffness."""
-STEPS, TOLERANCE, AGAIN = 10, 1e-3, 3
-"""Of a fit; and steps of one that begins at its answer, a frame left out."""
+STEPS, TOLERANCE = 10, 3e-3
+"""Of a fit."""
 UNEVEN = 2
 """Degree of the polynomial that is the logarithm of a thickness."""
 LEAST_FRAMES = 4
-SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, AGAIN, UNEVEN)
+SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, UNEVEN)
 
 Candidates = dict[str, tuple[tuple[Term, ...], int]]
 """Terms and degree of the thickness by name."""
@@ -128,7 +144,7 @@ class SheetChoice:
     Attributes:
         candidates: all of them, the best first: of those that as many independent residuals cannot
             tell from the least error, that of the fewest numbers.
-        others: fits of the best with each learned frame left out in turn.
+        others: the best with each learned frame left out in turn, by one Gauss-Newton step.
     """
 
     candidates: list[Candidate]
@@ -239,10 +255,12 @@ def _chosen(
 ) -> SheetChoice:
     pick = np.arange(len(frames))[::-1] % 2 == 0
     train, test = part(frames, pick), part(frames, ~pick)
-    tried = []
+    tried: list[Candidate] = []
     for name, (terms, degree) in candidates.items():
         dictionary = Dictionary(REACH, (), NEAREST, terms)
-        tried.append(_tried(name, train, test, dictionary, degree, kept, progress))
+        even = [c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary]
+        start = even[0] if even else None
+        tried.append(_tried(name, train, test, dictionary, degree, kept, progress, start))
         done(tried[-1])
     least = min(candidate.held_out for candidate in tried)
     alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
@@ -250,19 +268,7 @@ def _chosen(
     best = tried[0].fit
     if best is None:
         raise InputError("frames: no material fits them; " + "; ".join(c.why for c in tried))
-    others = []
-    for left in range(len(train)):
-        rest = part(train, np.arange(len(train)) != left)
-        degree = 0 if best.thickness is None else UNEVEN
-        name = f"{tried[0].name}, band {left + 1} of {len(train)}"
-        try:
-            fit = _fit(name, rest, best.material.dictionary, degree, best, kept, progress)
-        except OSError:
-            raise
-        except Exception:  # a frame without which nothing is found gives no band
-            continue
-        others.append(fit)
-    return SheetChoice(tried, others)
+    return SheetChoice(tried, best.others)
 
 
 def _candidates(fibres: int, uneven: bool) -> Candidates:
@@ -285,18 +291,15 @@ def _tried(
     degree: int,
     kept: KeptFits | None,
     progress: bool,
+    start: DisplacementFit | None = None,
 ) -> Candidate:
     numbers = len(dictionary) + (len(Thickness.over(train.x, degree).names) if degree else 0)
-    count = np.count_nonzero(train.interior)
-    if count < NODES * numbers:
-        why = (
-            f"{name}: expected {NODES * numbers} interior nodes for {numbers} numbers, got {count}"
-        )
-        return Candidate(name, None, np.inf, why, numbers)
     try:
-        fit = _fit(name, train, dictionary, degree, None, kept, progress)
+        check_enough(int(np.count_nonzero(train.interior)), "interior nodes", numbers)
+        fit = _fit(name, train, dictionary, degree, kept, progress, start)
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
-        errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness, near=train.u)
+        near = train.u if fit.fields is None else fit.fields
+        errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness, near=near)
     except OSError:  # a full disk is no fault of the candidate
         raise
     except Exception as error:  # solvers below run into anything; the others go on
@@ -312,18 +315,18 @@ def _fit(
     train: Samples,
     dictionary: Dictionary,
     degree: int,
-    near: DisplacementFit | None,
     kept: KeptFits | None,
     progress: bool,
+    start: DisplacementFit | None,
 ) -> DisplacementFit:
     def compute() -> DisplacementFit:
         return fit_displacement(
             train,
             dictionary,
             stiffness=DEVIATIONS,
-            start=None if near is None else near.material.coefficients,
+            start=start,
             thickness=degree,
-            most_steps=STEPS if near is None else AGAIN,
+            most_steps=STEPS,
             tolerance=TOLERANCE,
             progress=progress and name,
         )
