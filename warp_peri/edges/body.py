@@ -183,8 +183,9 @@ def solve_body(
         stiff, spacing, tried = _of_crystal(model, mesh, coupling), model.spacing, ()
         reach, usual = model.horizon, CRYSTAL_OVERLAP * spacing
     overlap = usual if coupling.overlap is None else coupling.overlap
-    lattice = bulk_points(mesh, spacing, reach, units=model.units)
-    collar = reach + MARGIN * spacing
+    least = coupling.depth or 0.0
+    lattice = bulk_points(mesh, spacing, reach, units=model.units, depth=least)
+    collar = max(reach + MARGIN * spacing, least)
     depth = mesh.distance(mesh.x, spacing / 10)
     kept = _rim_cells(mesh, depth < collar + overlap, lattice)
     rim = Rim(mesh, kept, coupling.degree)
