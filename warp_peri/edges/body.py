@@ -302,6 +302,8 @@ def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str
     cures = [f"a body {np.ceil(11 * needed / deepest) / 10:g} times as large"]
     own, horizons = (0.0, 4) if coupling.overlap is None else (coupling.overlap, 2)
     room = (deepest - own) / (horizons * LARGEST + MARGIN)  # of kernels with the most bonds
+    if coupling.depth is not None:
+        cures.insert(0, "a smaller depth")
     if room > 0 and plane:
         digits = 10.0 ** (np.floor(np.log10(room)) - 1)
         cures.insert(0, f"Coupling(spacing={np.floor(room / digits) * digits:.2g}) or less")

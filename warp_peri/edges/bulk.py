@@ -106,12 +106,13 @@ class Bulk:
         if isinstance(model, Model):
             self.linear = lps_linear(points, model.solid, model.horizon)
             self.stress = lambda u: np.asarray(node_fields(model, points, u).stress[0])
+            lam, mu = model.lam, model.mu
         else:
             placed = model.on(points)
             self.linear, self.stress = placed.linear, placed.stress
+            lam, mu = model.tensor()[0, 0, 1, 1], model.tensor()[0, 1, 0, 1]
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
-        stiff = isinstance(model, Model) and model.lam > STIFF * model.mu
-        self.inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=stiff)
+        self.inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=bool(lam > STIFF * mu))
 
     def pull(self, collar: np.ndarray) -> np.ndarray:
         """L of what the collar moves, shape [C, d], on the unknown nodes, shape [I, d]."""
