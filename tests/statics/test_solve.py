@@ -158,8 +158,7 @@ def test_a_small_load_on_a_large_mean_is_answered():
 
 
 @pytest.mark.parametrize(
-    ("stiff", "loads", "method"),
-    [(True, 40, "lu"), (True, 1, "strip"), (False, 40, "multigrid")],
+    ("stiff", "loads", "method"), [(True, 40, "lu"), (True, 1, "strip"), (False, 40, "multigrid")]
 )
 def test_more_nodes_are_factorised_where_each_of_many_loads_takes_long(stiff, loads, method):
     assert cheapest_method(2 * DIRECT, box=False, stiff=stiff, loads=loads) == method
