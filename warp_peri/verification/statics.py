@@ -249,8 +249,8 @@ def posed(
     loads = {name: at(value, s.stiffness) for name, value in (pulled or {}).items()}
     h, wide = (law.certified_on[0], 6) if isinstance(law, Model) else (law.spacing, 4)
     reach, coarse = (2 if isinstance(law, Model) else 1) * law.horizon, level / LEVELS[0]
-    like = {"overlap": wide * h * coarse, "depth": (reach + MARGIN * h) * coarse}
-    coupling = Coupling(spacing=h, tolerance=1e-9, **like)
+    deep = (reach + MARGIN * h) * coarse if law.dimension == 2 else None  # room is dear in space
+    coupling = Coupling(spacing=h, overlap=wide * h * coarse, depth=deep, tolerance=1e-9)
     found: BodySolution = solve(law, Body(mesh, given, loads, coupling=coupling)).details
     return found
 
