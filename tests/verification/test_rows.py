@@ -59,6 +59,7 @@ MISSED = {
     "bar, longitudinal: LPS",
     "bar, longitudinal: bond-based",
     "bar, torsional: LPS",
+    "cantilever: crystal",
     "plate that is hit, angle of its cracks: LPS",
     "plate that is hit, angle of its cracks: bond-based",
 }
