@@ -142,6 +142,7 @@ def test_bad_input_is_named(model, change, message):
         ({"spacing": 0.0}, "spacing: expected a lattice spacing > 0"),
         ({"overlap": np.nan}, "overlap: expected a length > 0"),
         ({"overlap": -1.0}, "overlap: expected a length > 0"),
+        ({"depth": 0.0}, "depth: expected a length > 0"),
         ({"tolerance": 0.0}, "tolerance: expected a number between 0 and 1"),
         ({"tolerance": "fine"}, "tolerance: expected a number between 0 and 1"),
     ],
@@ -149,6 +150,29 @@ def test_bad_input_is_named(model, change, message):
 def test_a_coupling_that_cannot_be(change, message):
     with pytest.raises(InputError, match=message):
         Coupling(**change)
+
+
+def test_elements_reach_as_deep_as_asked(model):
+    """Beyond a collar, and no less than that where less is asked for."""
+    field, mesh, found = exact(model), plate(RADIUS, HALF, 16, 80), []
+    for depth in (None, 0.1, 1.2):
+        coupling = Coupling(spacing=SPACING, overlap=5.0, depth=depth and depth * 2 * model.horizon)
+        solution = solve_body(
+            model, mesh, displacement={"sides": lambda x: field(x)[0]}, coupling=coupling
+        )
+        unknown = solution.points.x[solution.points.interior]
+        found.append(mesh.distance(unknown, SPACING / 10).min())
+        assert error(solution.u_bulk, field(solution.points.x)[0]) < 5e-4
+    assert found[1] == found[0] >= 2 * model.horizon
+    assert found[2] >= 1.2 * 2 * model.horizon > found[0]
+
+
+def test_a_depth_that_leaves_no_room_is_named(model):
+    coupling = Coupling(spacing=SPACING, overlap=9.0, depth=10 * HALF)
+    with pytest.warns(UserWarning, match="Room for the lattice: .*a smaller depth"):
+        solve_body(
+            model, plate(RADIUS, HALF, 8, 32), displacement={"sides": (0, 0)}, coupling=coupling
+        )
 
 
 @pytest.mark.parametrize("unit", [1e-10, 1e10])

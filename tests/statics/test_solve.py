@@ -14,6 +14,7 @@ from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.solving import solve as at_rest
+from warp_peri.statics.linear import DIRECT, cheapest_method
 from warp_peri.transfer.operator import LPSOperator
 
 SOLVABLE = ("1/r", "steep", "positive", "growing", "sign-changing")
@@ -154,3 +155,10 @@ def test_a_small_load_on_a_large_mean_is_answered():
     known = at_rest(law, Periodic(points, wave)).u
     found = at_rest(law, Periodic(points, 1e6 + wave)).u
     np.testing.assert_allclose(found, known, rtol=0, atol=1e-8 * np.abs(known).max())
+
+
+@pytest.mark.parametrize(
+    ("stiff", "loads", "method"), [(True, 40, "lu"), (True, 1, "strip"), (False, 40, "multigrid")]
+)
+def test_more_nodes_are_factorised_where_each_of_many_loads_takes_long(stiff, loads, method):
+    assert cheapest_method(2 * DIRECT, box=False, stiff=stiff, loads=loads) == method

@@ -183,8 +183,9 @@ def solve_body(
         stiff, spacing, tried = _of_crystal(model, mesh, coupling), model.spacing, ()
         reach, usual = model.horizon, CRYSTAL_OVERLAP * spacing
     overlap = usual if coupling.overlap is None else coupling.overlap
-    lattice = bulk_points(mesh, spacing, reach, units=model.units)
-    collar = reach + MARGIN * spacing
+    least = coupling.depth or 0.0
+    lattice = bulk_points(mesh, spacing, reach, units=model.units, depth=least)
+    collar = max(reach + MARGIN * spacing, least)
     depth = mesh.distance(mesh.x, spacing / 10)
     kept = _rim_cells(mesh, depth < collar + overlap, lattice)
     rim = Rim(mesh, kept, coupling.degree)
@@ -301,6 +302,8 @@ def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str
     cures = [f"a body {np.ceil(11 * needed / deepest) / 10:g} times as large"]
     own, horizons = (0.0, 4) if coupling.overlap is None else (coupling.overlap, 2)
     room = (deepest - own) / (horizons * LARGEST + MARGIN)  # of kernels with the most bonds
+    if coupling.depth is not None:
+        cures.insert(0, "a smaller depth")
     if room > 0 and plane:
         digits = 10.0 ** (np.floor(np.log10(room)) - 1)
         cures.insert(0, f"Coupling(spacing={np.floor(room / digits) * digits:.2g}) or less")

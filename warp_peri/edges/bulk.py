@@ -18,6 +18,7 @@ from warp_peri.lps.model import Model
 from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
+from warp_peri.statics.linear import STIFF
 from warp_peri.statics.lps import lps_linear
 from warp_peri.transfer import LEAST
 from warp_peri.transfer.cache import on_lattice
@@ -38,7 +39,12 @@ LOOSEST = 1e-3
 
 
 def bulk_points(
-    mesh: Mesh | Tetrahedra, spacing: float, reach: float, *, units: Units = USUAL
+    mesh: Mesh | Tetrahedra,
+    spacing: float,
+    reach: float,
+    *,
+    units: Units = USUAL,
+    depth: float = 0.0,
 ) -> tuple[Points, np.ndarray] | None:
     """Lattice nodes of a body, unknown where they are a collar and a margin off the outline.
 
@@ -46,6 +52,8 @@ def bulk_points(
         mesh: of the body.
         spacing: h [Å]; nodes are multiples of it.
         reach: of the collar [Å]: 2δ of a peridynamic solid, δ of a crystal.
+        units: of lengths.
+        depth: of unknown nodes at least [Å].
 
     Returns:
         The nodes with their collar, and the cell that holds each, shape [N]; None where no node is
@@ -63,7 +71,7 @@ def bulk_points(
     inside = np.flatnonzero(held >= 0)
     away = np.zeros(len(x))
     away[inside] = mesh.distance(x[inside], SAMPLED * spacing)
-    unknown = away >= reach + MARGIN * spacing
+    unknown = away >= max(reach + MARGIN * spacing, depth)
     if not unknown.any():
         return None
     from_unknown = spacing * distance_transform_edt(~unknown.reshape(shape)).ravel()
@@ -98,11 +106,13 @@ class Bulk:
         if isinstance(model, Model):
             self.linear = lps_linear(points, model.solid, model.horizon)
             self.stress = lambda u: np.asarray(node_fields(model, points, u).stress[0])
+            lam, mu = model.lam, model.mu
         else:
             placed = model.on(points)
             self.linear, self.stress = placed.linear, placed.stress
+            lam, mu = model.tensor()[0, 0, 1, 1], model.tensor()[0, 1, 0, 1]
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
-        self.inverse = self.linear.cheapest_inverse(EXCHANGES)
+        self.inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=bool(lam > STIFF * mu))
 
     def pull(self, collar: np.ndarray) -> np.ndarray:
         """L of what the collar moves, shape [C, d], on the unknown nodes, shape [I, d]."""

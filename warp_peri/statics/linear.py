@@ -30,6 +30,10 @@ METHODS = ("sine", "multigrid", "strip", "fft")
 FEW = DIRECT = 4_000
 """Most unknown nodes for which multigrid, whose iterations do not grow, is not worth its set-up;
 and most that are factorised."""
+STIFFEST = 4 * DIRECT
+"""Likewise most that are factorised where λ ≫ μ and loads are many: each takes long to iterate."""
+MANY = 10
+"""Loads that are many."""
 FEW_IN_SPACE = 500
 """Most unknown nodes in space whose factors, which fill up there, cost less than iteration."""
 PAYS = {"sine": 1700, "fft": 3500}
@@ -202,16 +206,17 @@ class Linear:
         return self.grid.gather(z[None])[0], record
 
     def cheapest_inverse(
-        self, loads: int, bonds: float = BONDS, *, definite: bool = True
+        self, loads: int, bonds: float = BONDS, *, definite: bool = True, stiff: bool = False
     ) -> Inverse:
         """L_II⁻¹ for so many loads: factorised, or iterated to the tolerance that it is asked for.
 
         Few nodes are factorised too where the symbol does not prove L_II definite. Raises
         InputError as check_definite for more, and for factors that show that it is not; with
-        `definite` false, any factors will do.
+        `definite` false, any factors will do. `stiff` says that λ ≫ μ.
         """
         nodes, space = len(self.grid.interior), self.grid.dimension == 3
-        how = cheapest_method(nodes, box=self.grid.is_box, space=space, loads=loads, bonds=bonds)
+        about: Any = {"box": self.grid.is_box, "space": space, "loads": loads, "bonds": bonds}
+        how = cheapest_method(nodes, stiff=stiff, **about)
         try:
             self.check_definite()
             if how != "lu":
@@ -314,7 +319,8 @@ def cheapest_method(
     if space and nodes <= FEW_IN_SPACE and loads:
         return "lu"
     pays = 2 + nodes * bonds / PAYS["sine" if box else "fft"]
-    if not space and nodes <= DIRECT and loads and (stiff or loads > pays):
+    most = STIFFEST if stiff and loads >= MANY else DIRECT
+    if not space and nodes <= most and loads and (stiff or loads > pays):
         return "lu"
     if stiff:
         return "strip"

@@ -136,6 +136,8 @@ class Coupling:
         spacing: of the bulk's lattice [Å]; None for the coarsest that resolves loads and body.
         overlap: width of what both solve for [Å]; None for two horizons, of a crystal four
             spacings.
+        depth: least distance of the lattice's unknown nodes from the outline [Å]; None for as near
+            as families are whole.
         degree: 2 for quadratic elements, curved at the outline; 1 for linear ones.
         tolerance: of the mismatch on the rim's inner side.
 
@@ -144,6 +146,7 @@ class Coupling:
 
     spacing: float | None = None
     overlap: float | None = None
+    depth: float | None = None
     degree: int = 2
     tolerance: float = TOLERANCE
 
@@ -151,6 +154,7 @@ class Coupling:
         for name, expected, value, largest in (
             ("spacing", "a lattice spacing > 0", self.spacing, np.inf),
             ("overlap", "a length > 0", self.overlap, np.inf),
+            ("depth", "a length > 0", self.depth, np.inf),
             ("tolerance", "a number between 0 and 1", self.tolerance, 1.0),
         ):
             if value is not None and not (is_number(value) and 0 < value < largest):

@@ -44,7 +44,10 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class Row:
-    """One problem of one material, as rows.toml says; `why` where it does not apply."""
+    """One problem of one material, as rows.toml says.
+
+    `why` says why it does not apply, `misses` why it does not hold.
+    """
 
     problem: str
     material: str
@@ -55,6 +58,7 @@ class Row:
     least: float | None = None
     quick: bool = False
     why: str = ""
+    misses: str = ""
 
     @property
     def name(self) -> str:
@@ -75,8 +79,10 @@ def _read() -> list[Row]:
             posed, why = [], why | dict.fromkeys(posed, f"{needed} is not installed")
         why = told["besides"] | why
         why, pose, how = why | one.pop("without", {}), POSED[one.pop("run")], one.pop("with", {})
+        limits = one.pop("misses", {})
         for name in told["materials"]:
             said = {"material": name, "why": "" if name in posed else why[name]}
+            said["misses"] = limits.get(name, "")
             rows.append(Row(run=partial(pose, name, **how), **said, **one))
     return rows
 
@@ -132,7 +138,7 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
         draw(one, found, out)
     line |= {"answer": float(found.value), "error": float(error), "order": found.order}
     line["seconds"] = round(time.perf_counter() - begin, 2)
-    return line | {"holds": bool(holds), "note": found.note}
+    return line | {"holds": bool(holds), "note": found.note if holds else one.misses or found.note}
 
 
 def _numbered(number: int, scaled: bool, out: Path | None) -> Line:
@@ -238,9 +244,9 @@ def by_atoms(seed: int, model: Path | None = None) -> list[Line]:
 
 
 def table(lines: Sequence[Line]) -> str:
-    """Rows as Markdown, with their sources and notes."""
-    words = ["| problem | material | reference | answer | error | allowed | order | s | holds |"]
-    words, sources = [*words, "|" + "---|" * 9], dict[str, int]()
+    """Rows as Markdown, with their sources and notes, and why one does not hold beside it."""
+    names = "problem", "material", "reference", "answer", "error", "allowed", "order", "s", "holds"
+    words, sources = [f"| {' | '.join((*names, 'why'))} |", "|" + "---|" * 10], dict[str, int]()
     for line in (line for line in lines if line["holds"] is not None):
         number = sources.setdefault(line["source"], len(sources) + 1)
         answer = "–" if line["answer"] is None else f"{line['answer']:.5g}"
@@ -248,11 +254,12 @@ def table(lines: Sequence[Line]) -> str:
         order += "" if line["least"] is None else f" (≥ {line['least']:g})"
         cells = [line["problem"], line["material"], f"{line['reference']:.5g} [{number}]", answer]
         cells += [_percent(line, "error"), _percent(line, "allowed"), order]
-        cells += [f"{line['seconds']:.1f}", "yes" if line["holds"] else "**does not hold**"]
+        holds = ("yes", "") if line["holds"] else ("**does not hold**", line["note"])
+        cells += [f"{line['seconds']:.1f}", *holds]
         words.append(f"| {' | '.join(cells)} |")
     words += ["", "References:", ""] + [f"{n}. {source}." for source, n in sources.items()]
     by_note = dict[str, list[str]]()
-    for line in (line for line in lines if line["note"]):
+    for line in (line for line in lines if line["note"] and line["holds"] is not False):
         by_note.setdefault(line["note"], []).append(line["name"])
     notes = [f"- {note}: {'; '.join(names)}." for note, names in by_note.items()]
     return "\n".join(words + (["", "Notes:", "", *notes] if notes else []))
