@@ -241,10 +241,10 @@ class CutOperator:
 
     def kept(self, links: wp.array[Any], node: Any = None, bond: Any = None) -> np.ndarray:
         """Which bonds are unbroken, [N, B] bool, or of these nodes those of these numbers."""
-        node = np.arange(len(self.home))[:, None] if node is None else node
-        bond = np.arange(self.bonds) if bond is None else bond
-        words = links.numpy().reshape(-1, self.bonds)[self._row[node], bond]
-        return np.asarray(words >> self._lane[node] & 1, bool)
+        words, lane = links.numpy().reshape(-1, self.bonds), self._lane
+        if node is None:
+            return np.asarray(words[self._row] >> lane[:, None] & 1, bool)
+        return np.asarray(words[self._row[node], bond] >> lane[node] & 1, bool)
 
     def dilatation(self, nodes: np.ndarray) -> np.ndarray:
         """θ of these nodes in the last sweep, where λ ≠ μ."""
