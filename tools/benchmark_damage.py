@@ -99,18 +99,18 @@ def compare(
     model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio)
     limits = 0.02 * body.r**2
     operator = CutOperator(model, body, limits=limits)
-    count, w = len(body.x), operator.weights
+    count, stiffness = len(body.x), operator.bonded[0]
     u = np.zeros((operator.places, 2))
     u[:count] = scale * np.random.default_rng(0).standard_normal((count, 2))
     field, links = floats(u.copy(), wp.vec2d), operator.links(body.neighbour)
     force, energy = zeros(operator.places, dtype=wp.vec2d), zeros(operator.places)
     theirs = (np.zeros((count, 2)), np.zeros(count), np.zeros(count, np.int32))
     table, no_fail = body.neighbour.copy(), np.zeros(count, np.uint8)
-    inputs = (u[:count].copy(), body.xi, 16 * w / body.r**2, limits, no_fail, table)
+    inputs = (u[:count].copy(), body.xi, 2 * stiffness, limits, no_fail, table)
     sweep = rivals[lam != 1]
     more: tuple = ()
     if lam != 1:
-        more = (2 * w, lam - 1, np.zeros(count))
+        more = (operator.bonded[1], lam - 1, np.zeros(count))
     jobs = (
         lambda: operator.sweep(field, links, force, energy, breaking=True),
         lambda: sweep(*inputs, *theirs, *more),

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
 from warp_peri.damage.lattice_body import LatticeBody, cracked
-from warp_peri.damage.operator import bond_weights, cut_matrix
+from warp_peri.damage.operator import bond_matrix, bond_weights, bonds_of, cut_matrix
 from warp_peri.damage.solid import check_cut, check_horizon
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
@@ -58,19 +58,22 @@ class CutSolid:
         if held.shape != (count, d):
             raise InputError(f"held: expected shape [{count}] or [{count}, {d}] of bool")
         check_pieces(body, self.neighbour, held)
-        weights = bond_weights(self.model, body.classes)
-        self.one = not hasattr(material, "moduli")
-        one = self.model.mu, self.model.lam - self.model.mu
-        mu, excess = one if self.one else material.moduli(body, weights)
-        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess)
+        bonds, uneven = bonds_of(self.model, body.classes), hasattr(material, "moduli")
+        self.one = isinstance(self.model, Model) and not uneven
+        if uneven:
+            weights = bond_weights(self.model, body.classes)
+            moduli = material.moduli(body, weights)
+            self.matrix = cut_matrix(body, weights, self.neighbour, *moduli)
+        else:
+            self.matrix = bond_matrix(body, self.neighbour, *bonds)
         self.free, self.inside = ~held.ravel(), ~held.all(axis=1)
         inner = self.matrix[self.free][:, self.free]
-        if self.one and (weights < 0).any():
+        if self.one and (bonds.stiffness < 0).any():
             check_cut(inner)
         rows = sp.csr_array(self.matrix[self.free])
         self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
         factors = self._problem.factors
-        if not self.one:
+        if uneven:
             check_mixed(factors)
         self.left = np.inf
 

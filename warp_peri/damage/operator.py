@@ -7,7 +7,7 @@ the energy is a sum of squares of stretches that any breaking leaves positive wh
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -23,6 +23,31 @@ from warp_peri.points.families import BondClasses
 PAIR = 2
 """Nodes that the recorded sweeps take at a time. Two threads pay from 4000 nodes on, see
 docs/archive/cracks.md."""
+
+
+class Bonds(NamedTuple):
+    """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1, C26).
+
+    Attributes:
+        stiffness: c of the bonds of a ball [stress / length⁴], shape [B].
+        share: a, of a bond in the dilatation [1 / length²], shape [B].
+        excess: x [stress].
+    """
+
+    stiffness: np.ndarray
+    share: np.ndarray
+    excess: float
+
+
+def bonds_of(linear: Any, classes: BondClasses) -> Bonds:
+    """Of a Model, or of a solid with bonds of its own, `bonds(classes)`.
+
+    Raises InputError as bond_weights, or as that method does.
+    """
+    if hasattr(linear, "bonds"):
+        return linear.bonds(classes)  # type: ignore[no-any-return]
+    d, w, r = linear.dimension, bond_weights(linear, classes), classes.r[classes.bond_class]
+    return Bonds(d * (d + 2) * linear.mu * w / r**2, d * w, linear.lam - linear.mu)
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
@@ -111,12 +136,24 @@ def cut_matrix(
         mu: shear modulus, one or by bond [N, B], the same in both directions.
         excess: λ − μ, one or by node [N].
     """
+    d = body.dimension
+    return bond_matrix(
+        body, neighbour, d * (d + 2) * mu * weights / body.r**2, d * weights, excess
+    )
+
+
+def bond_matrix(
+    body: LatticeBody,
+    neighbour: np.ndarray,
+    stiffness: np.ndarray,
+    share: np.ndarray,
+    excess: float | np.ndarray,
+) -> sp.csr_array:
+    """L of a cut body as cut_matrix, of Bonds; the stiffness may be by bond [N, B]."""
     stretch, place = stretch_matrix(body, neighbour)
-    bond, d = place % neighbour.shape[1], body.dimension
-    along = mu if np.ndim(mu) == 0 else np.ravel(mu)[place]
-    stiffness = d * (d + 2) * along * weights[bond] / body.r[bond] ** 2
-    theta = dilatation_matrix(body, weights, neighbour)
-    total = stretch.T @ (sp.diags_array(stiffness) @ stretch)
+    along = np.broadcast_to(stiffness, neighbour.shape).ravel()[place]
+    theta = _gathered(body, share, neighbour, stretch, place)
+    total = stretch.T @ (sp.diags_array(along) @ stretch)
     total = total + theta.T @ (sp.diags_array(np.broadcast_to(excess, len(neighbour))) @ theta)
     return sp.csr_array(total)
 
@@ -125,11 +162,19 @@ def dilatation_matrix(
     body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
 ) -> sp.csr_array:
     """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, d N]."""
-    stretch, place = stretch_matrix(body, neighbour)
+    return _gathered(body, body.dimension * weights, neighbour, *stretch_matrix(body, neighbour))
+
+
+def _gathered(
+    body: LatticeBody,
+    share: np.ndarray,
+    neighbour: np.ndarray,
+    stretch: sp.csr_array,
+    place: np.ndarray,
+) -> sp.csr_array:
     node, bond = np.divmod(place, neighbour.shape[1])
     shape = (len(neighbour), len(place))
-    share = body.dimension * weights[bond]
-    gather = sp.csr_array((share, (node, np.arange(len(place)))), shape=shape)
+    gather = sp.csr_array((share[bond], (node, np.arange(len(place)))), shape=shape)
     return sp.csr_array(gather @ stretch)
 
 
@@ -137,7 +182,7 @@ class CutOperator:
     """Forces and energies of a lattice body over its unbroken bonds, by Warp.
 
     Args:
-        model: one influence function for both parts.
+        model: one influence function for both parts, or a solid with bonds of its own.
         body: the nodes and their bonds.
         limits: by bond of the ball, of the criterion, shape [B]; none breaks by default.
         by_energy: the criterion is the bond's energy density instead of e = s r².
@@ -147,7 +192,7 @@ class CutOperator:
 
     def __init__(
         self,
-        model: Model,
+        model: Any,
         body: LatticeBody,
         *,
         limits: np.ndarray | None = None,
@@ -156,18 +201,16 @@ class CutOperator:
         no_fail: np.ndarray | None = None,
     ) -> None:
         self.model, self.body = model, body
-        self.weights = bond_weights(model, body.classes)
-        self.bonds = len(self.weights)
+        self.bonded = stiffness, share, self.excess = bonds_of(model, body.classes)
+        self.bonds = len(share)
         self.nodes = len(body.x)
         self.places = self.nodes + self.nodes % 2  # the sweep takes two nodes at a time
-        self.bond_based = model.lam == model.mu and not by_energy
+        self.bond_based = self.excess == 0 and not by_energy
         self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
-        r = body.r
         self.limits = np.full(self.bonds, np.inf) if limits is None else limits
         d = body.dimension
         self._kernels = kernels.sweeps(d, bool(tension_only))
-        stiffness = 2 * d * (d + 2) * model.mu * self.weights / r**2
-        table = np.column_stack([body.xi, d * self.weights, stiffness, self.limits])
+        table = np.column_stack([body.xi, share, 2 * stiffness, self.limits])
         self._table = floats(np.ascontiguousarray(table), self._kernels.bond)
         self.vector = self._kernels.vec
         self._recorded: dict[tuple[int, ...], tuple[list[Recorded], list[Recorded]]] = {}
@@ -225,7 +268,7 @@ class CutOperator:
         """The sweeps over these arrays with the stretch criterion, packed: early ones and late."""
         outputs = (force, energy, self.lost, links)
         shapes = (u, self.bonds, self._table)
-        excess, (near, far) = self.model.lam - self.model.mu, self.early
+        excess, (near, far) = self.excess, self.early
         made: list[tuple[Any, ...]] = [
             (near, self._kernels.paired_dilatation, (*shapes, links), (self.theta,)),
             (far, self._kernels.paired_state_based,
@@ -281,7 +324,7 @@ class CutOperator:
         force: wp.array[Any],
         energy: wp.array[Any],
     ) -> None:
-        excess = self.model.lam - self.model.mu
+        excess = self.excess
         if excess != 0:
             launch_slices(
                 self._kernels.dilatation,
