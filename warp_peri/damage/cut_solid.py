@@ -34,6 +34,7 @@ class CutSolid:
 
     Attributes:
         matrix: L of (C4), symmetric, shape [d N, d N].
+        factors: of its rows and columns that are free.
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
@@ -72,9 +73,9 @@ class CutSolid:
             check_cut(inner)
         rows = sp.csr_array(self.matrix[self.free])
         self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
-        factors = self._problem.factors
+        self.factors = self._problem.factors
         if uneven:
-            check_mixed(factors)
+            check_mixed(self.factors)
         self.left = np.inf
 
     def __call__(self, u: np.ndarray) -> np.ndarray:

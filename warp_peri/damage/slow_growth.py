@@ -11,12 +11,13 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.damage.cut_solid import CutSolid, westergaard
+from warp_peri.damage.cut_solid import CutSolid, check_pieces, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, cracked, lattice_body
-from warp_peri.damage.operator import unit_toughness
+from warp_peri.damage.operator import bonds_of, stretch_rows, unit_toughness
 from warp_peri.damage.solid import (
     BrittleCrystal,
     CrystalBonds,
@@ -28,8 +29,89 @@ from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import check_whole, checked
 
+MOST_LOST, LEFT = 200, 1e-9
+"""Rank beyond which a body is factorised anew, and the residual that its changed factors may leave
+over the largest force."""
+BEGUN = 2
+"""Spacings that a crack's tip takes from a straight cut to the shape that it keeps."""
 TOGETHER = 1e-6
 """Bonds so close to the most stretched one break with it: mirror images, to rounding."""
+
+
+class _Weakened:
+    """A cut solid that loses bonds, by its first factors and a change of low rank (C30).
+
+    Attributes:
+        field, energy: of the body at rest.
+        holds: whether they are to be had this way still.
+    """
+
+    def __init__(self, solid: CutSolid, u: np.ndarray) -> None:
+        self.solid, self.holds = solid, True
+        self._bonds = bonds_of(solid.model, solid.body.classes)
+        self.field = solid.solve(None, u)
+        self.energy, self._first = solid.energy(self.field), self.field.ravel()
+        count = self._first.size
+        self._pairs, self._theta = sp.csr_array((0, count)), sp.csr_array((0, count))
+        self._answers: list[np.ndarray] = [np.zeros((int(solid.free.sum()), 0))] * 2
+        self._ends, self._kinds = np.zeros((0, 2), int), np.zeros(0, int)
+        self._nodes = np.zeros(0, int)
+
+    def lose(self, node: np.ndarray, bond: np.ndarray) -> None:
+        """Come to rest without these bonds, given from both of their ends."""
+        body, neighbour = self.solid.body, self.solid.neighbour
+        once = node < neighbour[node, bond]
+        node, bond = node[once], bond[once]
+        ends = np.stack([node, neighbour[node, bond]], axis=1)
+        self._ends, self._kinds = np.vstack([self._ends, ends]), np.append(self._kinds, bond)
+        self._pairs = self._more(0, self._pairs, stretch_rows(body, node, bond, ends[:, 1]))
+        if self._bonds.excess != 0:
+            new = np.setdiff1d(ends, self._nodes)
+            self._nodes = np.append(self._nodes, new)
+            at, its = np.nonzero(neighbour[new] >= 0)
+            rows = stretch_rows(body, new[at], its, neighbour[new[at], its])
+            shape = (len(new), len(at))
+            sums = sp.csr_array((self._bonds.share[its], (at, np.arange(len(at)))), shape=shape)
+            self._theta = self._more(1, self._theta, sp.csr_array(sums @ rows))
+        self.holds = len(self._kinds) + len(self._nodes) <= MOST_LOST and self._settled()
+
+    def _more(self, which: int, rows: sp.csr_array, new: sp.csr_array) -> sp.csr_array:
+        felt = new[:, self.solid.free].toarray().T
+        answers = self.solid.factors.solve(np.ascontiguousarray(felt))
+        self._answers[which] = np.hstack([self._answers[which], answers])
+        return sp.csr_array(sp.vstack([rows, new]))
+
+    def _settled(self) -> bool:
+        """Find the rest; whether it is one."""
+        solid, (stiffness, share, excess) = self.solid, self._bonds
+        pairs, nodes = len(self._kinds), len(self._nodes)
+        change = np.zeros((pairs + nodes,) * 2)
+        change[range(pairs), range(pairs)] = -2 * stiffness[self._kinds]
+        if nodes:
+            part = np.zeros((nodes, pairs))
+            order = np.argsort(self._nodes)
+            for side in self._ends.T:
+                place = order[np.searchsorted(self._nodes, side, sorter=order)]
+                part[place, range(pairs)] = share[self._kinds]
+            change[:pairs, :pairs] += excess * part.T @ part
+            change[:pairs, pairs:] = -excess * part.T
+            change[pairs:, :pairs] = -excess * part
+        rows = sp.csr_array(sp.vstack([self._pairs, self._theta]))
+        answers = np.hstack(self._answers)
+        inner = np.eye(len(change)) + rows[:, solid.free] @ answers @ change
+        try:
+            felt = change @ np.linalg.solve(inner, rows @ self._first)
+        except np.linalg.LinAlgError:
+            return False
+        flat = self._first.copy()
+        flat[solid.free] -= answers @ felt
+        strains = rows @ flat
+        held, pull = solid.matrix @ flat, change @ strains
+        left = (held + rows.T @ pull)[solid.free]
+        self.field = flat.reshape(self.field.shape)
+        cell = solid.body.spacing**solid.body.dimension
+        self.energy = float(cell * (flat @ held + strains @ pull) / 2)
+        return bool(np.abs(left).max() <= LEFT * np.abs(held).max())
 
 
 def grow(
@@ -69,18 +151,22 @@ def grow(
     check_breakable(model, body.classes)
     neighbour = cracked(body, cracks)
     xi, r = body.xi, body.r
-    safe = check_no_fail(no_fail, len(body.x))
+    safe, given = check_no_fail(no_fail, len(body.x)), np.asarray(held, bool)
+    given = np.repeat(given[:, None], body.dimension, axis=1) if given.ndim == 1 else given
     loads: list[float] = []
     energies, counts = [], []
     start, end = int((neighbour >= 0).sum()), np.zeros_like(body.x)
+    weak: _Weakened | None = None
     for _ in tqdm(range(events), disable=not progress, unit="event"):
         try:
-            solid = CutSolid(model, body, held, neighbour=neighbour)
+            check_pieces(body, neighbour, given)
+            if weak is None or not weak.holds:
+                weak = _Weakened(CutSolid(model, body, held, neighbour=neighbour), u)
         except InputError:
             if not loads:
                 raise
             break  # a piece has come off
-        field = solid.solve(None, u)
+        field = weak.field
         reach = field[neighbour] - field[:, None]
         stretch = (xi * reach).sum(axis=-1) / r**2 / np.asarray(stretches)
         stretch[(neighbour < 0) | safe[:, None] | safe[np.maximum(neighbour, 0)]] = -np.inf
@@ -88,9 +174,10 @@ def grow(
         if not largest > 0:
             break
         loads.append(1 / largest)
-        energies.append(solid.energy(field))
+        energies.append(weak.energy)
         counts.append(start - int((neighbour >= 0).sum()))
         chosen = stretch > largest * (1 - TOGETHER)
+        weak.lose(*np.nonzero(chosen))
         neighbour = np.where(chosen, -1 - neighbour, neighbour)
         end = field * loads[-1]
     history = dict(zip(("load", "energy", "broken"), map(np.array, (loads, energies, counts))))
@@ -178,8 +265,8 @@ def apparent_toughness(
         length: spacings of growth that are averaged.
     """
     if isinstance(model, BrittleCrystal):
-        found = cleaved(replace(model, spent=1.0), spacing, cells=cells, length=length + 1)
-        return float(np.square(found.loads[1:]).mean() * found.release / model.toughness)
+        found = cleaved(replace(model, spent=1.0), spacing, cells=cells, length=length + BEGUN)
+        return float(np.square(found.loads[BEGUN:]).mean() * found.release / model.toughness)
     h, reach, d = spacing, int(np.ceil(model.horizon / spacing)), model.dimension
     side = 2 * (cells + 2 * reach) * h
     half = round(0.4 * cells) * h
