@@ -215,35 +215,45 @@ def cleaved(
         progress: shows a bar.
     """
     h, d, wide = spacing, solid.dimension, 2 * cells + 2 * length
-    u_of = h * np.eye(d)[1] if apart is None else checked("apart", apart, float, (d,))
-
-    def body_of(wide: int) -> tuple[LatticeBody, np.ndarray, np.ndarray]:
-        reach = 2 * int(np.ceil(solid.horizon / h))
-        x = box((wide * h, (cells + reach) * h, h)[:d], h)
-        held = np.abs(x[:, 1]) > cells * h / 2
-        body = lattice_body(x, h, solid.horizon, endless=d == 3)
-        return body, held, np.outer(np.sign(x[:, 1]) * held / 2, u_of)
-
-    body, held, u = body_of(wide)
-    energies = []
-    for more in (0, 2):
-        whole, grips, pulled = body_of(wide + more)
-        cut = CutSolid(solid, whole, grips)
-        energies.append(cut.energy(cut.solve(None, pulled)))
-    release = (energies[1] - energies[0]) / (2 * h ** (d - 1))
+    release = strip_release(solid, h, cells=cells, apart=apart)
+    body, held, u = _strip(solid, h, cells, wide, apart)
     line: list[tuple[float, ...]] = [(-wide * h, 0), (-length * h, 0)]
     if d == 3:
         line = [(*end, z) for end, z in zip([*line, *line[::-1]], (-wide, -wide, wide, wide))]
     up = body.classes.steps[:, 1]
     each = int(up[up > 0].sum())  # bonds of a cut, by spacing
     stretches = solid.stretches(body.classes)
-    how: dict[str, Any] = {"cracks": [line], "stretches": stretches, "progress": progress}
+    how: dict[str, Any] = {"cracks": [line], "stretches": stretches, "no_fail": held, "progress": progress}
     growth = grow(solid.model, body, held, u, events=2 * length * each, **how)
     grown = np.concatenate([[0], growth["broken"][:-1]]) / (2 * each)
     loads = [
         growth.time[(grown >= k) & (grown < k + 1)].max() for k in range(min(length, int(grown[-1])))
     ]
-    return Cleavage(np.array(loads), float(release))
+    return Cleavage(np.array(loads), release)
+
+
+def strip_release(
+    solid: BrittleCrystal, spacing: float, *, cells: int, apart: ArrayLike | None = None
+) -> float:
+    """G at unit load of the strip of `cleaved`: what a column far from its ends stores (C29)."""
+    energies = []
+    for wide in (2 * cells, 2 * cells + 2):
+        body, held, u = _strip(solid, spacing, cells, wide, apart)
+        whole = CutSolid(solid, body, held)
+        energies.append(whole.energy(whole.solve(None, u)))
+    return float(energies[1] - energies[0]) / (2 * spacing ** (solid.dimension - 1))
+
+
+def _strip(
+    solid: BrittleCrystal, h: float, cells: int, wide: int, apart: ArrayLike | None
+) -> tuple[LatticeBody, np.ndarray, np.ndarray]:
+    """The body, which of its nodes are held, and their displacement at unit load."""
+    d, reach = solid.dimension, 2 * int(np.ceil(solid.horizon / h))
+    by = h * np.eye(d)[1] if apart is None else checked("apart", apart, float, (d,))
+    x = box((wide * h, (cells + reach) * h, h)[:d], h)
+    held = np.abs(x[:, 1]) > cells * h / 2
+    body = lattice_body(x, h, solid.horizon, endless=d == 3)
+    return body, held, np.outer(np.sign(x[:, 1]) * held / 2, by)
 
 
 def apparent_toughness(

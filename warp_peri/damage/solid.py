@@ -190,23 +190,25 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=2):
         return content | {"version": cls.VERSION, "model": model.content()}
 
 
-LEAST = 0.5
-"""Of a bond's critical energy, over that of a crystal with one critical stretch."""
-EVEN = 1.0
-"""Weight of one critical stretch beside the energies of planes. With less, weak bonds break far
-from a crack before it grows."""
+EVEN = 0.2
+"""Weight of one critical stretch for all bonds beside the energies of planes."""
 NEARLY = 1e-3
 """Weight of evenness beside what stiffnesses are to sum up to, before its part is taken off."""
 SAME = 1e-6
 """Relative, of moduli that are one."""
 
 
-def _nearest(rows: np.ndarray, y: np.ndarray, least: float, even: float) -> np.ndarray:
-    """min ‖rows x − y‖² + even² mean (x − 1)² over x ≥ least, of rows of y's own size."""
-    weight = even / np.sqrt(len(rows.T))
-    both = np.vstack([rows, weight * np.eye(len(rows.T))])
-    wanted = np.concatenate([y, np.full(len(rows.T), weight)])
-    return np.asarray(lsq_linear(both, wanted, (least, np.inf), tol=ROUNDING).x)
+def _nearest(
+    rows: np.ndarray, y: np.ndarray, least: float, even: float, spare: np.ndarray | None = None
+) -> np.ndarray:
+    """x of min ‖rows x − spare z − y‖² + even² mean (x − 1)², x ≥ least, z ≥ 0; rows of y's size."""
+    count = len(rows.T)
+    spare = np.zeros((len(y), 0)) if spare is None else spare
+    weight = even / np.sqrt(count) * np.eye(count, count + len(spare.T))
+    both = np.vstack([np.hstack([rows, -spare]), weight])
+    wanted = np.concatenate([y, weight.sum(axis=1)])
+    lowest = np.where(np.arange(len(both.T)) < count, least, 0.0)
+    return np.asarray(lsq_linear(both, wanted, (lowest, np.inf), tol=ROUNDING).x[:count])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -381,12 +383,14 @@ class BrittleCrystal(OnLinear, format="warp_peri.brittle_crystal"):
         return np.asarray(np.where(live, even * e / r2, np.inf))
 
     def _bond_energies(self, classes: BondClasses, stiffness: np.ndarray) -> np.ndarray:
-        """ω [stress] of the bonds of a ball, Σ |n·ξ| ω / 2 nearly 2γ(n) (C28), shape [B]."""
+        """ω [stress] of the bonds of a ball, Σ |n·ξ| ω / 2 ≥ 2γ(n), or nearly (C28), shape [B]."""
         even = stiffness * classes.r[classes.bond_class] ** 4
         each = np.abs(self.normals @ classes.xi.T) / 2 * even / self.energies[:, None]
-        scale = each.sum() / np.square(each.sum(axis=1)).sum()
-        share = _nearest(each * scale, np.ones(len(each)), LEAST, EVEN)
-        return np.asarray(even * scale * share)
+        own = np.abs(self.normals[:, 1]).argmax()
+        each /= each[own].sum()
+        others = np.delete(np.eye(len(each)), own, axis=1)  # by how much these cost more
+        share = _nearest(each, np.ones(len(each)), 1.0, EVEN, spare=others)
+        return np.asarray(even * share)
 
 
 def positive_kernel(model: Model, horizon: float) -> Model:
