@@ -419,11 +419,13 @@ def cleavage_energy(
         thickness: of a sheet [Å]; the plane then stands on it.
         relaxed: whether the atoms of both faces may find their rest, without a new bonding.
 
-    Raises InputError for a plane that is none.
+    Raises InputError for a plane that is none, or that does not stand on a sheet.
     """
     given = np.array(plane)
     if given.shape != (3,) or given.dtype.kind != "i" or not given.any():
         raise InputError(f"plane: expected three whole numbers, not all zero, got {plane!r:.60}")
+    if thickness is not None and given[2]:
+        raise InputError(f"plane: expected one that stands on the sheet, (h, k, 0), got {plane!r}")
     along, second, out = _edges_on(given // np.gcd.reduce(given), np.array(cell.cell))
     across = np.cross(along @ cell.cell, second @ cell.cell)
     area = float(np.linalg.norm(across))
