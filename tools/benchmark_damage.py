@@ -117,12 +117,12 @@ def compare(
     )
     processor, wall = alternating(jobs, repeats)
     same = np.array_equal(force.numpy()[:count], theirs[0])
-    same &= np.array_equal(links.numpy()[: count * len(w)], table.ravel())
+    same &= np.array_equal(links.numpy()[: count * len(stiffness)], table.ravel())
     ratios = processor[1] / processor[0]
     return {
         "lambda": lam,
         "nodes": count,
-        "bonds": len(w),
+        "bonds": len(stiffness),
         "warp_ms": float(np.median(processor[0])),
         "numba_ms": float(np.median(processor[1])),
         "ratio": float(np.median(ratios)),

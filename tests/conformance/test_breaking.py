@@ -46,9 +46,7 @@ def crystal(d):
         cubic = np.diag([2.6] * 3 + [0.9] * 3)
         cubic[:3, :3] += 0.6 * (1 - np.eye(3))
         elastic = voigt(turned(from_voigt(cubic), turn(3, 0.3)))
-    return BrittleCrystal(
-        CrystalBonds(elastic, 3.0), 2.0, np.eye(d), 0.01 * np.arange(2.0, 2 + d)
-    )
+    return BrittleCrystal(CrystalBonds(elastic, 3.0), 2.0, np.eye(d), 0.01 * np.arange(2.0, 2 + d))
 
 
 SOLIDS = {

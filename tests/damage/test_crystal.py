@@ -177,7 +177,9 @@ def hexagonal():
         (lambda: replace(brittle(), energies=-np.ones(6)), "energies: expected numbers > 0"),
         (lambda: replace(brittle(), normals=np.eye(2)[[0]], energies=[1.0]), "the second axis"),
         (
-            lambda: wp.solve(brittle(), Cracked(wp.Points(box((3, 3, 3), 1.0), np.arange(27) > 3, 1.0))),
+            lambda: wp.solve(
+                brittle(), Cracked(wp.Points(box((3, 3, 3), 1.0), np.arange(27) > 3, 1.0))
+            ),
             "expected 2 dimensions, the crystal's",
         ),
     ],

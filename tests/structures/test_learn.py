@@ -634,7 +634,7 @@ def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monk
 
 
 def test_faces_cost_the_bonds_that_they_cut():
-    """Stillinger and Weber's silicon: 2.1678 eV a bond, and no face of these finds a better rest."""
+    """Stillinger and Weber's silicon: 2.1678 eV a bond, and no face finds a better rest."""
     cell, sw = ase.build.bulk("Si", a=5.43095, cubic=True), lammps_calculator("sw", ["Si"], "Si.sw")
     bonds = {(1, 1, 1): 4 / 3**0.5, (1, 1, 0): 4 / 2**0.5, (1, 0, 0): 4.0, (2, 1, 1): 8 / 6**0.5}
     for plane, per_area in bonds.items():

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from warp_peri.damage.lattice_body import HAIR, cells, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
-from warp_peri.damage.solid import BrittleCrystal
+from warp_peri.damage.solid import CrystalBonds
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
@@ -252,7 +252,7 @@ class CrackRun:
     def _key(self) -> dict[str, str]:
         """What the run depends on, by name; its load history is kept by its values, `_applied`."""
         body, solid, model = self.body, self.body.solid, self.body.solid.model
-        if isinstance(solid, BrittleCrystal):
+        if isinstance(model, CrystalBonds):
             numbers = (*model.elastic.ravel(), model.horizon, solid.density)
         else:
             numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)

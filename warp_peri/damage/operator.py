@@ -137,9 +137,7 @@ def cut_matrix(
         excess: λ − μ, one or by node [N].
     """
     d = body.dimension
-    return bond_matrix(
-        body, neighbour, d * (d + 2) * mu * weights / body.r**2, d * weights, excess
-    )
+    return bond_matrix(body, neighbour, d * (d + 2) * mu * weights / body.r**2, d * weights, excess)
 
 
 def bond_matrix(

@@ -18,12 +18,7 @@ from tqdm import tqdm
 from warp_peri.damage.cut_solid import CutSolid, check_pieces, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, cracked, lattice_body
 from warp_peri.damage.operator import bonds_of, stretch_rows, unit_toughness
-from warp_peri.damage.solid import (
-    BrittleCrystal,
-    CrystalBonds,
-    check_breakable,
-    check_no_fail,
-)
+from warp_peri.damage.solid import BrittleCrystal, CrystalBonds, check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
@@ -141,9 +136,9 @@ def grow(
 
     Returns:
         A motion whose time is the load, the factor of u at which each event's bond breaks, over the
-        critical stretch where none is given. Its histories are load, energy: elastic at unit load before each event
-        [stress · area], and broken: bonds up to it, both directions. The details are the neighbours
-        at the end, shape [N, B].
+        critical stretch where none is given. Its histories are load, energy: elastic at unit load
+        before each event [stress · area], and broken: bonds up to it, both directions. The details
+        are the neighbours at the end, shape [N, B].
 
     Raises InputError for a body that CutSolid refuses, and another `no_fail`.
     """
@@ -223,11 +218,17 @@ def cleaved(
     up = body.classes.steps[:, 1]
     each = int(up[up > 0].sum())  # bonds of a cut, by spacing
     stretches = solid.stretches(body.classes)
-    how: dict[str, Any] = {"cracks": [line], "stretches": stretches, "no_fail": held, "progress": progress}
+    how: dict[str, Any] = {
+        "cracks": [line],
+        "stretches": stretches,
+        "no_fail": held,
+        "progress": progress,
+    }
     growth = grow(solid.model, body, held, u, events=2 * length * each, **how)
     grown = np.concatenate([[0], growth["broken"][:-1]]) / (2 * each)
     loads = [
-        growth.time[(grown >= k) & (grown < k + 1)].max() for k in range(min(length, int(grown[-1])))
+        growth.time[(grown >= k) & (grown < k + 1)].max()
+        for k in range(min(length, int(grown[-1])))
     ]
     return Cleavage(np.array(loads), release)
 

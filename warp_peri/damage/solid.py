@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.optimize import lsq_linear
 
-from warp_peri.core.elastic import compliance, from_voigt, voigt
+from warp_peri.core.elastic import compliance, from_voigt
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.core.record import Entry, Length, OnLinear, Positive, Record
@@ -201,7 +201,7 @@ SAME = 1e-6
 def _nearest(
     rows: np.ndarray, y: np.ndarray, least: float, even: float, spare: np.ndarray | None = None
 ) -> np.ndarray:
-    """x of min ‖rows x − spare z − y‖² + even² mean (x − 1)², x ≥ least, z ≥ 0; rows of y's size."""
+    """x of min ‖rows x − spare z − y‖² + even² mean (x − 1)², over x ≥ least and z ≥ 0."""
     count = len(rows.T)
     spare = np.zeros((len(y), 0)) if spare is None else spare
     weight = even / np.sqrt(count) * np.eye(count, count + len(spare.T))
@@ -349,7 +349,9 @@ class BrittleCrystal(OnLinear, format="warp_peri.brittle_crystal"):
             raise InputError(f"energies: expected numbers > 0, got {self.energies.min():g}")
         object.__setattr__(self, "normals", self.normals / size[:, None])
         if not np.abs(self.normals[:, 1]).max() > 1 - SAME:
-            raise InputError("normals: expected the second axis among them, across which cracks run")
+            raise InputError(
+                "normals: expected the second axis among them, across which cracks run"
+            )
 
     @property
     def linear(self) -> CrystalBonds:
