@@ -68,7 +68,7 @@ class Case:
         cell = self.built(self.guess)
         calculator = named_calculator(f"lammps:pair_style {style}", cell.symbols, file)
         rest = at_rest(cell, calculator)
-        moduli = known_constants(rest, calculator)[1]
+        moduli = np.asarray(known_constants(rest, calculator)[1])  # LAMMPS has stresses
         share = len(cell) / len(rest.cell) * rest.cell.get_volume() / cell.get_volume()
         cell = self.built(self.guess * share ** (1 / 3))
         return moduli, {p: cleavage_energy(cell, calculator, p) for p in self.planes}
