@@ -25,7 +25,7 @@ PAIR = 2
 docs/archive/cracks.md."""
 
 
-class Bonds(NamedTuple):
+class SplitBonds(NamedTuple):
     """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1, C26).
 
     Attributes:
@@ -39,7 +39,7 @@ class Bonds(NamedTuple):
     excess: float
 
 
-def bonds_of(linear: Any, classes: BondClasses) -> Bonds:
+def bonds_of(linear: Any, classes: BondClasses) -> SplitBonds:
     """Of a Model, or of a solid with bonds of its own, `bonds(classes)`.
 
     Raises InputError as bond_weights, or as that method does.
@@ -47,7 +47,7 @@ def bonds_of(linear: Any, classes: BondClasses) -> Bonds:
     if hasattr(linear, "bonds"):
         return linear.bonds(classes)  # type: ignore[no-any-return]
     d, w, r = linear.dimension, bond_weights(linear, classes), classes.r[classes.bond_class]
-    return Bonds(d * (d + 2) * linear.mu * w / r**2, d * w, linear.lam - linear.mu)
+    return SplitBonds(d * (d + 2) * linear.mu * w / r**2, d * w, linear.lam - linear.mu)
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
@@ -147,7 +147,7 @@ def bond_matrix(
     share: np.ndarray,
     excess: float | np.ndarray,
 ) -> sp.csr_array:
-    """L of a cut body as cut_matrix, of Bonds; the stiffness may be by bond [N, B]."""
+    """L of a cut body as cut_matrix, of SplitBonds; the stiffness may be by bond [N, B]."""
     stretch, place = stretch_matrix(body, neighbour)
     along = np.broadcast_to(stiffness, neighbour.shape).ravel()[place]
     theta = _gathered(body, share, neighbour, stretch, place)

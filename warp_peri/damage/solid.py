@@ -22,7 +22,7 @@ from warp_peri.core.proof import largest
 from warp_peri.core.record import Entry, Length, OnLinear, Positive, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.damage.lattice_body import LatticeBody
-from warp_peri.damage.operator import Bonds, bond_weights, stiffness_across
+from warp_peri.damage.operator import SplitBonds, bond_weights, stiffness_across
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, stencil_of
 from warp_peri.points.families import BondClasses, bond_classes
@@ -271,7 +271,7 @@ class CrystalBonds(Record, format="warp_peri.crystal_bonds"):
             )
         return even, x
 
-    def bonds(self, classes: BondClasses) -> Bonds:
+    def bonds(self, classes: BondClasses) -> SplitBonds:
         """Stiffness, share in the dilatation, and excess, of the bonds of a ball.
 
         Raises InputError for a tensor that no bonds of the ball have, all of them pulling.
@@ -294,7 +294,7 @@ class CrystalBonds(Record, format="warp_peri.crystal_bonds"):
                 f"{classes.spacing:g} have it, all of them pulling; take a longer horizon"
             )
         stretch = np.einsum("ijkk->ij", compliance(S))  # what unit pressure of the bonds does
-        return Bonds(found, found * np.einsum("bi,ij,bj->b", xi, stretch, xi), excess)
+        return SplitBonds(found, found * np.einsum("bi,ij,bj->b", xi, stretch, xi), excess)
 
     def largest_stiffness(self, classes: BondClasses) -> float:
         """A proven upper bound of Λmax L of every body under any breaking (C27)."""

@@ -154,7 +154,7 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
 
     @property
     def plain(self) -> Model | CrystalBonds:
-        """The base of bonds as a linear solid, in which cracks grow (Dr12): K(r) = 1/r, or a crystal.
+        """The base of bonds as a linear solid in which cracks grow: of 1/r, or a crystal (Dr12).
 
         Raises InputError for elements and for a base of two functions.
         """
