@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 import warp_peri as wp
 import warp_peri.damage.slow_growth as slow
@@ -148,6 +149,27 @@ def test_a_crack_runs_above_griffiths_load_and_stops_below():
         assert motion.missing < 5e-3
     assert ran[0.9] < 4
     assert ran[1.1] > 15
+
+
+def test_a_motion_has_the_gradient_between_breakings():
+    solid, x, random = brittle(horizon=3.0), box((8.0, 8.0), 1.0), np.random.default_rng(0)
+    points, crack = wp.Points(x, x[:, 1] > -3, 1.0), [[(-4, 0), (0, 0)]]
+    step, weights = 0.5 * solid.longest_step(1.0), random.normal(size=x.shape)
+    v = torch.tensor(0.8 * x * [0, 1] + 0.1 * random.normal(size=x.shape), requires_grad=True)
+    load, along = random.normal(size=x.shape), random.normal(size=x.shape)
+
+    def end(v):
+        run = wp.move(solid, Cracked(points, load, cracks=crack), v=v, step=step, steps=12)
+        return run.u, run.details.damage.sum()
+
+    with pytest.warns(UserWarning, match="ends of bonds broke"):
+        u, damage = end(v)
+    assert damage > 0.1
+    (u * torch.from_numpy(weights)).sum().backward()
+    ends = [end(v.detach().numpy() + side * 1e-5 * along) for side in (1, -1)]
+    assert ends[0][1] == ends[1][1] == damage
+    slope = ((ends[0][0] - ends[1][0]) * weights).sum() / 2e-5
+    assert (v.grad.numpy() * along).sum() == pytest.approx(slope, rel=1e-7)
 
 
 def test_a_crystal_is_kept(tmp_path):

@@ -194,7 +194,7 @@ def contour_integral(solution: Solution, tip: Sequence[float], radii: tuple[floa
     by a spacing or do not fit into the body.
     """
     if not getattr(solution.operator, "one", False):
-        raise InputError("solution: expected that of a Cracked, of one material")
+        raise InputError("solution: expected that of a Cracked, of one material, isotropic")
     return domain_integral(solution.operator.model, solution.operator.body, solution.u, tip, radii)
 
 
@@ -320,7 +320,7 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     Raises InputError for another stress, and several materials.
     """
     if not cut.one:
-        raise InputError("pressure: expected one material, got several")
+        raise InputError("pressure: expected one material, isotropic")
     model, body = cut.model, cut.body
     lam, mu, d = model.lam, model.mu, model.dimension
     stress = np.asarray(stress, dtype=float)
