@@ -39,7 +39,7 @@ from warp_peri.structures.rest import at_rest, cleavage_energy
 
 REACH, HEIGHT = 4.0, 200.0
 """Of bonds in spacings, and of the strips between their held edges [Å]."""
-MEASURED, CELLS, GROWTH = 20, (16, 24), 4
+MEASURED, CELLS, GROWTH = 20, (16, 24, 32), 4
 """Heights in spacings, of the strip that `spent` is of and of those predicted; growth of these."""
 HELD, RUN = 0.9, 1.05
 """Shares of Griffith's load that edges go to in motion."""

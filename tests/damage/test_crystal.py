@@ -198,6 +198,7 @@ def hexagonal():
         (lambda: replace(brittle(), energies=np.ones(5)), "each of 5 energies"),
         (lambda: replace(brittle(), energies=-np.ones(6)), "energies: expected numbers > 0"),
         (lambda: replace(brittle(), normals=np.eye(2)[[0]], energies=[1.0]), "the second axis"),
+        (lambda: slow.strip_release(brittle(), 1.0, cells=9), "cells: expected an even number"),
         (
             lambda: wp.solve(
                 brittle(), Cracked(wp.Points(box((3, 3, 3), 1.0), np.arange(27) > 3, 1.0))

@@ -208,7 +208,10 @@ def cleaved(
         apart: by which the edges are moved apart at unit load [length], [d]; along the second axis
             by a spacing where none is given.
         progress: shows a bar.
+
+    Raises InputError for a height that is not even, and as `grow`.
     """
+    check_whole("length", length, 1)
     h, d, wide = spacing, solid.dimension, 2 * cells + 2 * length
     release = strip_release(solid, h, cells=cells, apart=apart)
     body, held, u = _strip(solid, h, cells, wide, apart)
@@ -224,8 +227,8 @@ def cleaved(
         "no_fail": held,
         "progress": progress,
     }
-    growth = grow(solid.model, body, held, u, events=2 * length * each, **how)
-    grown = np.concatenate([[0], growth["broken"][:-1]]) / (2 * each)
+    growth = grow(solid.model, body, held, u, events=length * each + 1, **how)
+    grown = growth["broken"] / (2 * each)
     loads = [
         growth.time[(grown >= k) & (grown < k + 1)].max()
         for k in range(min(length, int(grown[-1])))
@@ -249,6 +252,9 @@ def _strip(
     solid: BrittleCrystal, h: float, cells: int, wide: int, apart: ArrayLike | None
 ) -> tuple[LatticeBody, np.ndarray, np.ndarray]:
     """The body, which of its nodes are held, and their displacement at unit load."""
+    check_whole("cells", cells, 2)
+    if cells % 2:
+        raise InputError(f"cells: expected an even number, the crack in the middle, got {cells}")
     d, reach = solid.dimension, 2 * int(np.ceil(solid.horizon / h))
     by = h * np.eye(d)[1] if apart is None else checked("apart", apart, float, (d,))
     x = box((wide * h, (cells + reach) * h, h)[:d], h)
