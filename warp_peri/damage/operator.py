@@ -44,8 +44,9 @@ def bonds_of(linear: Any, classes: BondClasses) -> SplitBonds:
 
     Raises InputError as bond_weights, or as that method does.
     """
-    if hasattr(linear, "bonds"):
-        return linear.bonds(classes)  # type: ignore[no-any-return]
+    own = getattr(linear, "bonds", None)
+    if callable(own):
+        return own(classes)  # type: ignore[no-any-return]
     d, w, r = linear.dimension, bond_weights(linear, classes), classes.r[classes.bond_class]
     return SplitBonds(d * (d + 2) * linear.mu * w / r**2, d * w, linear.lam - linear.mu)
 
