@@ -26,7 +26,7 @@ docs/archive/cracks.md."""
 
 
 class SplitBonds(NamedTuple):
-    """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1, C26).
+    """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1, C28).
 
     Attributes:
         stiffness: c of the bonds of a ball [stress / length⁴], shape [B].

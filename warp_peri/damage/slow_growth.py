@@ -34,7 +34,7 @@ TOGETHER = 1e-6
 
 
 class _Weakened:
-    """A cut solid that loses bonds, by its first factors and a change of low rank (C30).
+    """A cut solid that loses bonds, by its first factors and a change of low rank (C32).
 
     Attributes:
         field, energy: of the body at rest.
@@ -198,7 +198,7 @@ def cleaved(
     """A long strip of a crystal, half of it cut along its middle, whose edges are moved apart.
 
     Ahead of the crack all columns store the same, behind it nothing, so that G is what a column
-    stores (C29). In space the strain is plane.
+    stores (C31). In space the strain is plane.
 
     Args:
         solid: the crystal; the crack grows between node rows across the second axis.
@@ -239,7 +239,7 @@ def cleaved(
 def strip_release(
     solid: BrittleCrystal, spacing: float, *, cells: int, apart: ArrayLike | None = None
 ) -> float:
-    """G at unit load of the strip of `cleaved`: what a column far from its ends stores (C29)."""
+    """G at unit load of the strip of `cleaved`: what a column far from its ends stores (C31)."""
     energies = []
     for wide in (2 * cells, 2 * cells + 2):
         body, held, u = _strip(solid, spacing, cells, wide, apart)

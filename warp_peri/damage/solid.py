@@ -84,7 +84,7 @@ def largest_stiffness(model: Model | CrystalBonds, classes: BondClasses) -> floa
     """A proven upper bound of Λmax L of every body on the lattice under any breaking (C9).
 
     max(μ, κ d / (d + 2)) max_k Λmax Γ(k), κ = λ + 2 μ/d, [stress / length²]; the model must be
-    breakable. Of a crystal's bonds as (C27) says.
+    breakable. Of a crystal's bonds as (C29) says.
     """
     check_breakable(model, classes)
     if isinstance(model, CrystalBonds):
@@ -215,7 +215,7 @@ def _nearest(
 class CrystalBonds(Record, format="warp_peri.crystal_bonds"):
     """A linear solid of any plane tensor, or of a cubic crystal in space, whose bonds may break.
 
-    The bonds carry a tensor that is symmetric in all indices, a dilatation carries the rest (C26).
+    The bonds carry a tensor that is symmetric in all indices, a dilatation carries the rest (C28).
     Whatever is broken, the energy is a sum of squares.
 
     Attributes:
@@ -297,7 +297,7 @@ class CrystalBonds(Record, format="warp_peri.crystal_bonds"):
         return SplitBonds(found, found * np.einsum("bi,ij,bj->b", xi, stretch, xi), excess)
 
     def largest_stiffness(self, classes: BondClasses) -> float:
-        """A proven upper bound of Λmax L of every body under any breaking (C27)."""
+        """A proven upper bound of Λmax L of every body under any breaking (C29)."""
         found, _, excess = self.bonds(classes)
         xi, half = classes.xi, _half(classes.steps)
         tensors = 2 * found[half, None, None] * xi[half, :, None] * xi[half, None]
@@ -314,7 +314,7 @@ def _half(steps: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class BrittleCrystal(OnLinear, format="warp_peri.brittle_crystal"):
-    """A crystal whose bonds break at a stretch by direction, from the energies of its faces (C28).
+    """A crystal whose bonds break at a stretch by direction, from the energies of its faces (C30).
 
     Attributes:
         model: the crystal before anything breaks.
@@ -385,7 +385,7 @@ class BrittleCrystal(OnLinear, format="warp_peri.brittle_crystal"):
         return np.asarray(np.where(live, even * e / r2, np.inf))
 
     def _bond_energies(self, classes: BondClasses, stiffness: np.ndarray) -> np.ndarray:
-        """ω [stress] of the bonds of a ball, Σ |n·ξ| ω / 2 ≥ 2γ(n), or nearly (C28), shape [B]."""
+        """ω [stress] of the bonds of a ball, Σ |n·ξ| ω / 2 ≥ 2γ(n), or nearly (C30), shape [B]."""
         even = stiffness * classes.r[classes.bond_class] ** 4
         each = np.abs(self.normals @ classes.xi.T) / 2 * even / self.energies[:, None]
         own = np.abs(self.normals[:, 1]).argmax()
