@@ -71,7 +71,7 @@ def shared(samples="1", **phases):
     `phases`: what is done with a piece, by the name of the pieces.
     """
     text = """
-#if defined(__linux__) || defined(__APPLE__)
+#if defined(__linux__)
     int rest(void) asm("sched_yield");
 #else
     const auto rest = [] {};

@@ -149,14 +149,15 @@ def compare(
     model = Model(lam=lam, mu=1.0, alpha=1.0, D=np.ones(1), horizon=ratio)
     limits = 0.02 * body.r**2
     operator = CutOperator(model, body, limits=limits)
-    count, w, table = len(body.x), operator.weights, body.neighbour.copy()
+    (stiffness, felt, _), table = operator.bonded, body.neighbour.copy()
+    count = len(body.x)
     table[random.random(table.shape) < share] = -1
     u = 3e-3 * random.standard_normal((count, 2))
     field, links = floats(u.copy(), operator.vector), operator.links(table)
     force, energy = zeros(count, dtype=operator.vector), zeros(count)
     theirs = (np.zeros((count, 2)), np.zeros(count), np.zeros(count, np.int32))
-    inputs = (u, body.xi, 16 * w / body.r**2, limits, np.zeros(count, np.uint8), table)
-    more = () if lam == 1 else (2 * w, lam - 1, np.zeros(count))
+    inputs = (u, body.xi, 2 * stiffness, limits, np.zeros(count, np.uint8), table)
+    more = () if lam == 1 else (felt, lam - 1, np.zeros(count))
     jobs = (
         lambda: operator.sweep(field, links, force, energy, breaking=True),
         lambda: rivals[lam != 1](*inputs, *theirs, *more),
@@ -169,7 +170,7 @@ def compare(
     return {
         "lambda": lam,
         "nodes": count,
-        "bonds": len(w),
+        "bonds": len(felt),
         "broken": share,
         "ms": float(np.median(processor[0])),
         "Numba ms": float(np.median(processor[1])),

@@ -235,7 +235,8 @@ class Shared:
     ) -> None:
         count = max(1, min(_count, work // SLICE))
         self._turns = np.zeros(2 + phases * (1 + count), np.int32)
-        self._launch = recorded(kernel, 1, [ints(self._turns), *inputs], outputs)
+        self._held = [ints(self._turns), *inputs, *outputs]  # of which the launch knows addresses
+        self._launch = recorded(kernel, 1, self._held[: 1 + len(inputs)], outputs)
         self._jobs = count * [self._launch.launch]
 
     def give(self, place: int, value: Any) -> None:

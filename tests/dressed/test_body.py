@@ -8,6 +8,10 @@ import pytest
 import warp_peri as wp
 from tests.dressed.solids import ISOTROPIC, SPACING, nodes, rigid, solid
 from tests.micromodulus.crystals import cubic_tensor, lattice
+from tests.support.bodies import random_breaking
+from warp_peri.core.elastic import voigt
+from warp_peri.damage import BrittleCrystal, lattice_body
+from warp_peri.damage.operator import bond_matrix
 from warp_peri.dressed import grown, torn
 from warp_peri.dressed.sweeps import ByLayers, dilatation_range
 from warp_peri.dynamics.verlet import inertia
@@ -239,6 +243,49 @@ def test_a_crack_costs_what_it_costs_the_base():
         _ = replace(law, dilatation=0.15).plain
     with pytest.raises(InputError, match="split"):
         solid(split=True).on(points, edges=True).displacement(u)
+
+
+def crystal(size=0.02):
+    """A base of bonds that is no isotropic sheet, under a short G."""
+    C = np.array([[3.1, 0.7, 0.1], [0.7, 2.4, 0.2], [0.1, 0.2, 0.9]])
+    return replace(solid(2, "bonds", 1.0, size), elastic=C, symmetry="1")
+
+
+def test_a_crystals_bonds_are_those_that_break_whatever_is_broken():
+    law, points = crystal(), nodes(2, 9)
+    np.testing.assert_allclose(voigt(law.crystal.tensor()), law.elastic, atol=1e-12)
+    body = lattice_body(points.x, SPACING, law.plain.horizon)
+    neighbour = random_breaking(body, np.random.default_rng(3), 0.4)
+    node, bond = np.nonzero((neighbour < 0) & (body.neighbour >= 0))
+    broken = np.stack([node, body.neighbour[node, bond]], axis=1)
+    bonds = law.plain.bonds(body.classes)
+    expected = bond_matrix(body, neighbour, *bonds)
+    even = replace(law, tensors=0 * law.tensors).on(points, edges=True, broken=broken)
+    np.testing.assert_allclose(even.L.toarray(), expected.toarray(), atol=1e-12)
+    torn_body = law.on(points, edges=True, broken=broken)
+    values = np.linalg.eigvalsh(torn_body.L.toarray())
+    assert values[0] > -1e-13 * values[-1]
+    far = lattice(2, 3, 9, SPACING)
+    rng = np.random.default_rng(0)
+    maps = {name: rng.uniform(0, 2, len(far.x)) for name in law.parts.names}
+    u = rng.normal(size=far.x.shape)
+    whole = law.on(far, edges=True, maps=maps)(u)
+    np.testing.assert_allclose(law.on(far, maps=maps)(u), whole, atol=1e-12 * np.abs(whole).max())
+
+
+def test_a_crystal_cleaves_in_the_base_and_the_atoms_show_it():
+    """Dr12: what growth costs the base it costs the dressed body."""
+    law = crystal()
+    points = nodes(2, 13, interior=lambda x: np.abs(x[:, 1] - 6 * SPACING) < 3.5 * SPACING)
+    middle = 6.5 * SPACING
+    pull = np.sign(points.x - 6 * SPACING) * ~points.interior[:, None] * [0.0, 1.0]
+    brittle = BrittleCrystal(law.plain, 1.0, np.eye(2), np.ones(2))
+    problem = wp.damage.Cracked(points, u=pull, cracks=[[(-1, middle), (middle, middle)]])
+    before, growth = (wp.move(brittle, problem, events=events) for events in (5, 6))
+    body = law.on(points, edges=True, broken=grown(points, before))
+    v = growth.u / growth.time[-1]
+    assert body.energy(body.displacement(v)) == pytest.approx(growth["energy"][-1], rel=1e-9)
+    assert growth["energy"][-1] < growth["energy"][0]
 
 
 @pytest.mark.parametrize(

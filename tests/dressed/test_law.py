@@ -45,8 +45,8 @@ def test_bonds_are_the_peridynamic_solid_of_two_spacings():
     k = np.random.default_rng(0).normal(size=(20, 2))
     own = 2 * np.tensordot(1 - np.cos(k @ steps.T), tensors, 1)
     np.testing.assert_allclose(own, expected.symbol(k), atol=1e-13)
-    with pytest.raises(InputError, match="square in 2 dimensions; take elements"):
-        base("bonds", cubic_tensor(2))
+    with pytest.raises(InputError, match="expected an isotropic sheet, got a crystal"):
+        base("bonds", cubic_tensor(2), 0.2)
 
 
 @pytest.mark.parametrize(("lam", "side"), [(-0.2, 1), (-0.2, -1), (0.5, 1)])

@@ -5,6 +5,8 @@ import os
 import signal
 import subprocess
 import sys
+import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from tests.support.jobs import problem
 from tests.support.problems import kernel, lattice, noise
 from tests.support.solving import solve
 from warp_peri import Bernstein
-from warp_peri.launch import set_threads, threads
+from warp_peri.launch import at_once, set_threads, threads
 from warp_peri.learning.fit import learn as fit
 from warp_peri.methods import TwoStage
 from warp_peri.transfer.operator import LPSOperator
@@ -97,3 +99,26 @@ def test_a_process_that_forks_after_threads_have_run_has_threads_of_its_own(monk
         finally:
             os._exit(status)
     assert os.waitpid(child, 0)[1] == 0
+
+
+def test_every_job_is_done_once_and_a_failure_of_a_helper_is_told():
+    before = threads()
+    set_threads(3)
+    try:
+        done = []
+        at_once([lambda n=n: (time.sleep(0.002), done.append(n)) for n in range(20)])
+        assert sorted(done) == list(range(20))
+        inner = [lambda: at_once([lambda: done.append(0)] * 4)] * 4  # a helper may ask others
+        at_once(inner)
+        assert len(done) == 36
+        main = threading.get_ident()
+
+        def fails_elsewhere():
+            time.sleep(0.01)
+            if threading.get_ident() != main:
+                raise KeyError("of a helper")
+
+        with pytest.raises(KeyError, match="of a helper"):
+            at_once([fails_elsewhere] * 30)
+    finally:
+        set_threads(before)

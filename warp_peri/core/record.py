@@ -55,6 +55,8 @@ HOMES = {
     "warp_peri.model": "third_order.material",
     "warp_peri.third_order_crystal": "third_order.material",
     "warp_peri.brittle_solid": "damage.solid",
+    "warp_peri.brittle_crystal": "damage.solid",
+    "warp_peri.crystal_bonds": "damage.solid",
     "warp_peri.soft_solid": "damage.softening",
     "warp_peri.micromodulus": "micromodulus.law",
     "warp_peri.dressed": "dressed.law",

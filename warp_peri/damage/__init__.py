@@ -12,12 +12,20 @@ from warp_peri.damage.lattice_body import (
 from warp_peri.damage.problems import Cracked, Injected
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.damage.softening import BondLaw, SoftSolid
-from warp_peri.damage.solid import BrittleSolid, continuum_stretch, positive_kernel
+from warp_peri.damage.solid import (
+    BrittleCrystal,
+    BrittleSolid,
+    CrystalBonds,
+    continuum_stretch,
+    positive_kernel,
+)
 
 __all__ = [
     "BondLaw",
+    "BrittleCrystal",
     "BrittleSolid",
     "Cracked",
+    "CrystalBonds",
     "Injected",
     "LatticeBody",
     "SoftSolid",

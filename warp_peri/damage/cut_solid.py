@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from warp_peri.contract import OnPoints
 from warp_peri.damage.lattice_body import LatticeBody, cracked
-from warp_peri.damage.operator import bond_weights, cut_matrix
+from warp_peri.damage.operator import bond_matrix, bond_weights, bonds_of, cut_matrix
 from warp_peri.damage.solid import check_cut, check_horizon
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
@@ -46,6 +46,7 @@ class CutSolid(OnPoints):
 
     Attributes:
         matrix: L of (C4), symmetric, shape [d N, d N].
+        factors: of its rows and columns that are free.
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
@@ -75,14 +76,19 @@ class CutSolid(OnPoints):
         if held.shape != (count, d):
             raise InputError(f"held: expected shape [{count}] or [{count}, {d}] of bool")
         check_pieces(body, self.neighbour, held)
-        weights = bond_weights(self.model, body.classes)
-        self.one = not hasattr(material, "moduli")
-        one = self.model.mu, self.model.lam - self.model.mu
-        mu, excess = one if self.one else material.moduli(body, weights)
-        self.matrix = cut_matrix(body, weights, self.neighbour, mu, excess, corrected=corrected)
+        bonds, uneven = bonds_of(self.model, body.classes), hasattr(material, "moduli")
+        self.one = isinstance(self.model, Model) and not uneven
+        if corrected and not (self.one or uneven):
+            raise InputError("corrected: expected a linear peridynamic solid, got a crystal")
+        if uneven:
+            weights = bond_weights(self.model, body.classes)
+            moduli = material.moduli(body, weights)
+            self.matrix = cut_matrix(body, weights, self.neighbour, *moduli, corrected=corrected)
+        else:
+            self.matrix = bond_matrix(body, self.neighbour, *bonds, corrected=corrected)
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
         inner = self.matrix[self.free][:, self.free]
-        squares = self.one and not (weights < 0).any()
+        squares = not uneven and not (bonds.stiffness < 0).any()
         if self.one and not squares:
             check_cut(inner)
         rows = sp.csr_array(self.matrix[self.free])
@@ -96,9 +102,9 @@ class CutSolid(OnPoints):
             limit = solver.tolerance
             how = {"factorise": partial(Iterated, tolerance=limit), "tolerance": limit}
         self._problem = direct.MatrixProblem(rows, ~held, **how)
-        factors = self._problem.factors
-        if not self.one:
-            check_mixed(factors)
+        self.factors = self._problem.factors
+        if uneven:
+            check_mixed(self.factors)
         self.left = np.inf
 
     @property
@@ -262,7 +268,7 @@ def contour_integral(solution: Solution, tip: Sequence[float], radii: tuple[floa
     by a spacing or do not fit into the body.
     """
     if not getattr(solution.operator, "one", False):
-        raise InputError("solution: expected that of a Cracked, of one material")
+        raise InputError("solution: expected that of a Cracked, of one material, isotropic")
     return domain_integral(solution.operator.model, solution.operator.body, solution.u, tip, radii)
 
 
@@ -388,7 +394,7 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     Raises InputError for another stress, and several materials.
     """
     if not cut.one:
-        raise InputError("pressure: expected one material, got several")
+        raise InputError("pressure: expected one material, isotropic")
     model, body = cut.model, cut.body
     lam, mu, d = model.lam, model.mu, model.dimension
     stress = np.asarray(stress, dtype=float)

@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from warp_peri.damage.lattice_body import HAIR, cells, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
+from warp_peri.damage.solid import CrystalBonds
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
@@ -98,14 +99,14 @@ class Section:
     def carried(self, state: BreakingState) -> np.ndarray:
         """Force density of each bond across the line, shape [E, d]."""
         owner, node, bond = self._owner, self._node, self._bond
-        body, model, w = owner.body, owner.operator.model, owner.operator.weights[self._bond]
+        body, (stiffness, share, excess) = owner.body, owner.operator.bonded
         far, kept = body.neighbour[node, bond], owner.operator.kept(state.links, node, bond)
-        u, xi, d = owner.displacement(state), body.xi[bond], body.dimension
+        u, xi = owner.displacement(state), body.xi[bond]
         e = (xi * (u[far] - u[node])).sum(axis=1)
-        pull = 2 * d * (d + 2) * model.mu * w * e / body.r[bond] ** 2
-        if model.lam != model.mu:
+        pull = 2 * stiffness[bond] * e
+        if excess != 0:
             theta = owner.operator.dilatation(node) + owner.operator.dilatation(far)
-            pull = pull + d * (model.lam - model.mu) * w * theta
+            pull = pull + excess * share[bond] * theta
         carried: np.ndarray = (pull * kept)[:, None] * xi
         return carried
 
@@ -250,7 +251,10 @@ class CrackRun:
     def _key(self) -> dict[str, str]:
         """What the run depends on, by name; its load history is kept by its values, `_applied`."""
         body, solid, model = self.body, self.body.solid, self.body.solid.model
-        numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)
+        if isinstance(model, CrystalBonds):
+            numbers = (*model.elastic.ravel(), model.horizon, solid.density)
+        else:
+            numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)
         return {
             "start": self._began,
             "nodes": self.nodes.mark(body.body.x),

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from warp_peri.damage.lattice_body import LatticeBody, cracked
 from warp_peri.damage.operator import CutOperator, unit_bond_energy, unit_toughness
 from warp_peri.damage.solid import (
+    BrittleCrystal,
     BrittleSolid,
     breaking_time_step,
     check_breakable,
@@ -117,7 +118,7 @@ class BreakingBody:
 
     def __init__(
         self,
-        solid: BrittleSolid,
+        solid: BrittleSolid | BrittleCrystal,
         body: LatticeBody,
         *,
         no_fail: ArrayLike | None = None,
@@ -234,8 +235,16 @@ class BreakingBody:
         return Ledger(state.time, *(body.spacing**body.dimension * sums).tolist())
 
 
-def criterion(solid: BrittleSolid, body: LatticeBody) -> tuple[float | None, np.ndarray]:
-    """Critical stretch, None by energy, and the limit of each bond of the ball, shape [B]."""
+def criterion(
+    solid: BrittleSolid | BrittleCrystal, body: LatticeBody
+) -> tuple[float | None, np.ndarray]:
+    """Critical stretch, None by energy, and the limit of each bond of the ball, shape [B].
+
+    Of a crystal the least critical stretch.
+    """
+    if isinstance(solid, BrittleCrystal):
+        stretches = solid.stretches(body.classes)
+        return float(stretches.min()), stretches * body.r**2
     if solid.critical_energy is not None:
         return None, solid.critical_energy * body.classes.weight[body.classes.bond_class]
     stretch = solid.critical_stretch

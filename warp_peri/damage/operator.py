@@ -7,7 +7,7 @@ the energy is a sum of squares of stretches that any breaking leaves positive wh
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -25,6 +25,32 @@ WEIGHT = 4
 """Work of a piece, that of a node in other sweeps being 1: two threads pay from 16 000 nodes on."""
 SPANNED = 1e-3
 """Least eigenvalue of a node's shape tensor, over that of a whole ball, whose bonds span space."""
+
+
+class SplitBonds(NamedTuple):
+    """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1, C28).
+
+    Attributes:
+        stiffness: c of the bonds of a ball [stress / length⁴], shape [B].
+        share: a, of a bond in the dilatation [1 / length²], shape [B].
+        excess: x [stress].
+    """
+
+    stiffness: np.ndarray
+    share: np.ndarray
+    excess: float
+
+
+def bonds_of(linear: Any, classes: BondClasses) -> SplitBonds:
+    """Of a Model, or of a solid with bonds of its own, `bonds(classes)`.
+
+    Raises InputError as bond_weights, or as that method does.
+    """
+    own = getattr(linear, "bonds", None)
+    if callable(own):
+        return own(classes)  # type: ignore[no-any-return]
+    d, w, r = linear.dimension, bond_weights(linear, classes), classes.r[classes.bond_class]
+    return SplitBonds(d * (d + 2) * linear.mu * w / r**2, d * w, linear.lam - linear.mu)
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
@@ -116,25 +142,39 @@ def cut_matrix(
         excess: λ − μ, one or by node [N].
         corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
     """
-    stretch, place = stretch_matrix(body, neighbour)
     d = body.dimension
-    each = d * (d + 2) * np.broadcast_to(mu, neighbour.shape) * weights / body.r**2
-    theta = dilatation_matrix(body, weights, neighbour)
+    stiffness, share = d * (d + 2) * mu * weights / body.r**2, d * weights
+    return bond_matrix(body, neighbour, stiffness, share, excess, corrected=corrected)
+
+
+def bond_matrix(
+    body: LatticeBody,
+    neighbour: np.ndarray,
+    stiffness: np.ndarray,
+    share: np.ndarray,
+    excess: float | np.ndarray,
+    *,
+    corrected: bool = False,
+) -> sp.csr_array:
+    """L of a cut body as cut_matrix, of SplitBonds; the stiffness may be by bond [N, B]."""
+    stretch, place = stretch_matrix(body, neighbour)
+    each = np.broadcast_to(stiffness, neighbour.shape)
+    theta = _gathered(body, share, neighbour, stretch, place)
     total = stretch.T @ (sp.diags_array(each.ravel()[place]) @ stretch)
     if corrected:
-        node, gradient = mean_gradients(body, weights, neighbour)
+        node, gradient = mean_gradients(body, share, neighbour)
         xi, lack = body.xi, neighbour[node] < 0
         along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
         squares = np.einsum("nb,bp,bq->npq", lack * each[node], along, along, optimize=True)
         blocks = sp.bsr_array((squares, np.arange(len(node)), np.arange(len(node) + 1)))
         total = total + gradient.T @ (sp.csr_array(blocks) @ gradient)
         size, width = along.shape[1], len(node)
-        share = d * ((lack * weights) @ along).ravel()
-        entries = share, (np.repeat(node, size), np.arange(size * width))
+        felt = ((lack * share) @ along).ravel()
+        entries = felt, (np.repeat(node, size), np.arange(size * width))
         theta = theta + sp.csr_array(entries, shape=(len(neighbour), size * width)) @ gradient
     if np.any(excess):  # else it is as wide as two balls, and zero
-        each = np.broadcast_to(excess, len(neighbour))
-        total = total + theta.T @ (sp.diags_array(each) @ theta)
+        of_nodes = np.broadcast_to(excess, len(neighbour))
+        total = total + theta.T @ (sp.diags_array(of_nodes) @ theta)
     total = sp.csr_array(total)
     total.eliminate_zeros()
     return total
@@ -168,11 +208,19 @@ def dilatation_matrix(
     body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
 ) -> sp.csr_array:
     """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, d N]."""
-    stretch, place = stretch_matrix(body, neighbour)
+    return _gathered(body, body.dimension * weights, neighbour, *stretch_matrix(body, neighbour))
+
+
+def _gathered(
+    body: LatticeBody,
+    share: np.ndarray,
+    neighbour: np.ndarray,
+    stretch: sp.csr_array,
+    place: np.ndarray,
+) -> sp.csr_array:
     node, bond = np.divmod(place, neighbour.shape[1])
     shape = (len(neighbour), len(place))
-    share = body.dimension * weights[bond]
-    gather = sp.csr_array((share, (node, np.arange(len(place)))), shape=shape)
+    gather = sp.csr_array((share[bond], (node, np.arange(len(place)))), shape=shape)
     return sp.csr_array(gather @ stretch)
 
 
@@ -180,7 +228,7 @@ class CutOperator:
     """Forces and energies of a lattice body over its unbroken bonds, by rows in Warp.
 
     Args:
-        model: one influence function for both parts.
+        model: one influence function for both parts, or a solid with bonds of its own.
         body: the nodes and their bonds.
         limits: by bond of the ball, of the criterion, shape [B]; none breaks by default.
         by_energy: the criterion is the bond's energy density instead of e = s r².
@@ -190,7 +238,7 @@ class CutOperator:
 
     def __init__(
         self,
-        model: Model,
+        model: Any,
         body: LatticeBody,
         *,
         limits: np.ndarray | None = None,
@@ -199,15 +247,13 @@ class CutOperator:
         no_fail: np.ndarray | None = None,
     ) -> None:
         self.model, self.body = model, body
-        self.weights = bond_weights(model, body.classes)
-        self.bonds = len(self.weights)
-        self.excess = model.lam - model.mu
+        self.bonded = stiffness, share, self.excess = bonds_of(model, body.classes)
+        self.bonds = len(share)
         self.limits = np.full(self.bonds, np.inf) if limits is None else limits
-        d, r = body.dimension, body.r
+        d = body.dimension
         self._kernels = kernels.sweep(d)
         self.vector = self._kernels.vec
-        stiffness = 2 * d * (d + 2) * model.mu * self.weights / r**2
-        table = np.column_stack([body.xi, d * self.weights, stiffness, self.limits])
+        table = np.column_stack([body.xi, share, 2 * stiffness, self.limits])
         offset, self.home = _places(body)
         first, self._row = _rows(self.home)
         self._lane = (self.home - first[self._row]).astype(np.uint16)
@@ -241,10 +287,10 @@ class CutOperator:
 
     def kept(self, links: wp.array[Any], node: Any = None, bond: Any = None) -> np.ndarray:
         """Which bonds are unbroken, [N, B] bool, or of these nodes those of these numbers."""
-        node = np.arange(len(self.home))[:, None] if node is None else node
-        bond = np.arange(self.bonds) if bond is None else bond
-        words = links.numpy().reshape(-1, self.bonds)[self._row[node], bond]
-        return np.asarray(words >> self._lane[node] & 1, bool)
+        words, lane = links.numpy().reshape(-1, self.bonds), self._lane
+        if node is None:
+            return np.asarray(words[self._row] >> lane[:, None] & 1, bool)
+        return np.asarray(words[self._row[node], bond] >> lane[node] & 1, bool)
 
     def dilatation(self, nodes: np.ndarray) -> np.ndarray:
         """θ of these nodes in the last sweep, where λ ≠ μ."""

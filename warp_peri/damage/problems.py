@@ -166,7 +166,9 @@ class Cracked:
         u: Any = np.zeros_like(body.x) if self.u is None else self.u
         u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
-            (how,) = taken(options, "move", grow, given=("cracks",))
+            (how,) = taken(options, "move", grow, given=("cracks", "stretches"))
+            if hasattr(material, "stretches"):
+                how["stretches"] = material.stretches(body.classes)
             return grow(material.linear, body, self.held, u, cracks=self.cracks, **how)
         law = offered(material, "law", "move", "a SoftSolid for loads=…")
         numbers = options.pop("parameters", None)

@@ -7,37 +7,122 @@ its limit; what a growing crack spends follows from the largest of them (theory,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.damage.cut_solid import CutSolid, westergaard
+from warp_peri.damage.cut_solid import CutSolid, check_pieces, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, cracked, lattice_body
-from warp_peri.damage.operator import unit_toughness
-from warp_peri.damage.solid import check_breakable, check_no_fail
+from warp_peri.damage.operator import bonds_of, stretch_rows, unit_toughness
+from warp_peri.damage.solid import BrittleCrystal, CrystalBonds, check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
-from warp_peri.points.arrays import check_whole
+from warp_peri.points.arrays import check_whole, checked
 from warp_peri.points.families import BondClasses
 
+MOST_LOST, LEFT = 200, 1e-9
+"""Rank beyond which a body is factorised anew, and the residual that its changed factors may leave
+over the largest force."""
+BEGUN = 2
+"""Spacings that a crack's tip takes from a straight cut to the shape that it keeps."""
 TOGETHER = 1e-6
 """Bonds so close to the most stretched one break with it: mirror images, to rounding."""
 
 
+class _Weakened:
+    """A cut solid that loses bonds, by its first factors and a change of low rank (C32).
+
+    Attributes:
+        field, energy: of the body at rest.
+        holds: whether they are to be had this way still.
+    """
+
+    def __init__(self, solid: CutSolid, u: np.ndarray) -> None:
+        self.solid, self.holds = solid, True
+        self._bonds = bonds_of(solid.model, solid.body.classes)
+        self.field = solid.solve(None, u)
+        self.energy, self._first = solid.energy(self.field), self.field.ravel()
+        count = self._first.size
+        self._pairs, self._theta = sp.csr_array((0, count)), sp.csr_array((0, count))
+        self._answers: list[np.ndarray] = [np.zeros((int(solid.free.sum()), 0))] * 2
+        self._ends, self._kinds = np.zeros((0, 2), int), np.zeros(0, int)
+        self._nodes = np.zeros(0, int)
+
+    def lose(self, node: np.ndarray, bond: np.ndarray) -> None:
+        """Come to rest without these bonds, given from both of their ends."""
+        body, neighbour = self.solid.body, self.solid.neighbour
+        once = node < neighbour[node, bond]
+        node, bond = node[once], bond[once]
+        ends = np.stack([node, neighbour[node, bond]], axis=1)
+        self._ends, self._kinds = np.vstack([self._ends, ends]), np.append(self._kinds, bond)
+        self._pairs = self._more(0, self._pairs, stretch_rows(body, node, bond, ends[:, 1]))
+        if self._bonds.excess != 0:
+            new = np.setdiff1d(ends, self._nodes)
+            self._nodes = np.append(self._nodes, new)
+            at, its = np.nonzero(neighbour[new] >= 0)
+            rows = stretch_rows(body, new[at], its, neighbour[new[at], its])
+            shape = (len(new), len(at))
+            sums = sp.csr_array((self._bonds.share[its], (at, np.arange(len(at)))), shape=shape)
+            self._theta = self._more(1, self._theta, sp.csr_array(sums @ rows))
+        self.holds = len(self._kinds) + len(self._nodes) <= MOST_LOST and self._settled()
+
+    def _more(self, which: int, rows: sp.csr_array, new: sp.csr_array) -> sp.csr_array:
+        felt = new[:, self.solid.free].toarray().T
+        answers = self.solid.factors.solve(np.ascontiguousarray(felt))
+        self._answers[which] = np.hstack([self._answers[which], answers])
+        return sp.csr_array(sp.vstack([rows, new]))
+
+    def _settled(self) -> bool:
+        """Find the rest; whether it is one."""
+        solid, (stiffness, share, excess) = self.solid, self._bonds
+        pairs, nodes = len(self._kinds), len(self._nodes)
+        change = np.zeros((pairs + nodes,) * 2)
+        change[range(pairs), range(pairs)] = -2 * stiffness[self._kinds]
+        if nodes:
+            part = np.zeros((nodes, pairs))
+            order = np.argsort(self._nodes)
+            for side in self._ends.T:
+                place = order[np.searchsorted(self._nodes, side, sorter=order)]
+                part[place, range(pairs)] = share[self._kinds]
+            change[:pairs, :pairs] += excess * part.T @ part
+            change[:pairs, pairs:] = -excess * part.T
+            change[pairs:, :pairs] = -excess * part
+        rows = sp.csr_array(sp.vstack([self._pairs, self._theta]))
+        answers = np.hstack(self._answers)
+        inner = np.eye(len(change)) + rows[:, solid.free] @ answers @ change
+        try:
+            felt = change @ np.linalg.solve(inner, rows @ self._first)
+        except np.linalg.LinAlgError:
+            return False
+        flat = self._first.copy()
+        flat[solid.free] -= answers @ felt
+        strains = rows @ flat
+        held, pull = solid.matrix @ flat, change @ strains
+        left = (held + rows.T @ pull)[solid.free]
+        self.field = flat.reshape(self.field.shape)
+        cell = solid.body.spacing**solid.body.dimension
+        self.energy = float(cell * (flat @ held + strains @ pull) / 2)
+        return bool(np.abs(left).max() <= LEFT * np.abs(held).max())
+
+
 def grow(
-    model: Model,
+    model: Model | CrystalBonds,
     body: LatticeBody,
     held: ArrayLike,
     u: np.ndarray,
     *,
     events: int,
+    stretches: ArrayLike = 1.0,
     cracks: Sequence[ArrayLike] = (),
     no_fail: np.ndarray | None = None,
     progress: bool = False,
 ) -> Motion:
-    """Break the most stretched bond, and its mirror images, event by event.
+    """Break the bond most stretched beside its limit, and its mirror images, event by event.
 
     Args:
         model: positive on the lattice; others are refused.
@@ -45,15 +130,16 @@ def grow(
         held: components of the displacement that are given, shape [N] or [N, 2] bool.
         u: their values at unit load, shape [N, 2].
         events: how many, fewer when the body comes apart.
+        stretches: critical ones of the bonds of a ball, shape [B], of which the load is told.
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
         progress: shows a bar.
 
     Returns:
         A motion whose time is the load, the factor of u at which each event's bond breaks, over the
-        critical stretch. Its histories are load, energy: elastic at unit load before each event
-        [stress · area], and broken: bonds up to it, both directions. The details are the neighbours
-        at the end, shape [N, B].
+        critical stretch where none is given. Its histories are load, energy: elastic at unit load
+        before each event [stress · area], and broken: bonds up to it, both directions. The details
+        are the neighbours at the end, shape [N, B].
 
     Raises InputError for a body that CutSolid refuses, and another `no_fail`.
     """
@@ -61,49 +147,144 @@ def grow(
     check_breakable(model, body.classes)
     neighbour = cracked(body, cracks)
     xi, r = body.xi, body.r
-    safe = check_no_fail(no_fail, len(body.x))
+    safe, given = check_no_fail(no_fail, len(body.x)), np.asarray(held, bool)
+    given = np.repeat(given[:, None], body.dimension, axis=1) if given.ndim == 1 else given
     loads: list[float] = []
     energies, counts = [], []
     start, end = int((neighbour >= 0).sum()), np.zeros_like(body.x)
+    weak: _Weakened | None = None
     for _ in tqdm(range(events), disable=not progress, unit="event"):
         try:
-            solid = CutSolid(model, body, held, neighbour=neighbour)
+            check_pieces(body, neighbour, given)
+            if weak is None or not weak.holds:
+                weak = _Weakened(CutSolid(model, body, held, neighbour=neighbour), u)
         except InputError:
             if not loads:
                 raise
             break  # a piece has come off
-        field = solid.solve(None, u)
+        field = weak.field
         reach = field[neighbour] - field[:, None]
-        stretch = (xi * reach).sum(axis=-1) / r**2
+        stretch = (xi * reach).sum(axis=-1) / r**2 / np.asarray(stretches)
         stretch[(neighbour < 0) | safe[:, None] | safe[np.maximum(neighbour, 0)]] = -np.inf
         largest = float(stretch.max())
         if not largest > 0:
             break
         loads.append(1 / largest)
-        energies.append(solid.energy(field))
+        energies.append(weak.energy)
         counts.append(start - int((neighbour >= 0).sum()))
         chosen = stretch > largest * (1 - TOGETHER)
+        weak.lose(*np.nonzero(chosen))
         neighbour = np.where(chosen, -1 - neighbour, neighbour)
         end = field * loads[-1]
     history = dict(zip(("load", "energy", "broken"), map(np.array, (loads, energies, counts))))
     return Motion(history["load"], end, None, history, neighbour)
 
 
-def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length: int = 3) -> float:
+class Cleavage(NamedTuple):
+    """Largest load while a crack has grown by each spacing, [n], and G of unit load."""
+
+    loads: np.ndarray
+    release: float
+
+
+def cleaved(
+    solid: BrittleCrystal,
+    spacing: float,
+    *,
+    cells: int,
+    length: int,
+    apart: ArrayLike | None = None,
+    progress: bool = False,
+) -> Cleavage:
+    """A long strip of a crystal, half of it cut along its middle, whose edges are moved apart.
+
+    Ahead of the crack all columns store the same, behind it nothing, so that G is what a column
+    stores (C31). In space the strain is plane.
+
+    Args:
+        solid: the crystal; the crack grows between node rows across the second axis.
+        spacing: h.
+        cells: height of what is free, in spacings.
+        length: spacings of growth.
+        apart: by which the edges are moved apart at unit load [length], [d]; along the second axis
+            by a spacing where none is given.
+        progress: shows a bar.
+
+    Raises InputError for a height that is not even, and as `grow`.
+    """
+    check_whole("length", length, 1)
+    h, d, wide = spacing, solid.dimension, 2 * cells + 2 * length
+    release = strip_release(solid, h, cells=cells, apart=apart)
+    body, held, u = _strip(solid, h, cells, wide, apart)
+    line: list[tuple[float, ...]] = [(-wide * h, 0), (-length * h, 0)]
+    if d == 3:
+        line = [(*end, z) for end, z in zip([*line, *line[::-1]], (-wide, -wide, wide, wide))]
+    up = body.classes.steps[:, 1]
+    each = int(up[up > 0].sum())  # bonds of a cut, by spacing
+    stretches = solid.stretches(body.classes)
+    how: dict[str, Any] = {
+        "cracks": [line],
+        "stretches": stretches,
+        "no_fail": held,
+        "progress": progress,
+    }
+    growth = grow(solid.model, body, held, u, events=length * each + 1, **how)
+    grown = growth["broken"] / (2 * each)
+    loads = [
+        growth.time[(grown >= k) & (grown < k + 1)].max()
+        for k in range(min(length, int(grown[-1])))
+    ]
+    return Cleavage(np.array(loads), release)
+
+
+def strip_release(
+    solid: BrittleCrystal, spacing: float, *, cells: int, apart: ArrayLike | None = None
+) -> float:
+    """G at unit load of the strip of `cleaved`: what a column far from its ends stores (C31)."""
+    energies = []
+    for wide in (2 * cells, 2 * cells + 2):
+        body, held, u = _strip(solid, spacing, cells, wide, apart)
+        whole = CutSolid(solid, body, held)
+        energies.append(whole.energy(whole.solve(None, u)))
+    return float(energies[1] - energies[0]) / (2 * spacing ** (solid.dimension - 1))
+
+
+def _strip(
+    solid: BrittleCrystal, h: float, cells: int, wide: int, apart: ArrayLike | None
+) -> tuple[LatticeBody, np.ndarray, np.ndarray]:
+    """The body, which of its nodes are held, and their displacement at unit load."""
+    check_whole("cells", cells, 2)
+    if cells % 2:
+        raise InputError(f"cells: expected an even number, the crack in the middle, got {cells}")
+    d, reach = solid.dimension, 2 * int(np.ceil(solid.horizon / h))
+    by = h * np.eye(d)[1] if apart is None else checked("apart", apart, float, (d,))
+    x = box((wide * h, (cells + reach) * h, h)[:d], h)
+    held = np.abs(x[:, 1]) > cells * h / 2
+    body = lattice_body(x, h, solid.horizon, endless=d == 3)
+    return body, held, np.outer(np.sign(x[:, 1]) * held / 2, by)
+
+
+def apparent_toughness(
+    model: Model | BrittleCrystal, spacing: float, *, cells: int = 20, length: int = 3
+) -> float:
     """What a growing crack spends over the toughness of (C6) behind its critical stretch.
 
     A central crack in a plane under tension, `cells` spacings from its middle to the collar and 0.4
     of that long to each side, grown by `length` spacings; the largest load of each spacing counts,
     and their mean, with G from the energies. Divide a stretch by the root of this to calibrate it
     (C7). In space the strain is plane, and the front straight: it advances as one, which a bent
-    front does not; there this is an upper end.
+    front does not; there this is an upper end. A crystal is cleaved as a strip, and what it spends
+    is told over 2γ of the plane across the second axis.
 
     Args:
-        model: positive on the lattice.
+        model: positive on the lattice; or a crystal with its planes.
         spacing: h; the ratio of horizon to spacing is what matters.
         cells: from the middle to the collar.
         length: spacings of growth that are averaged.
     """
+    if isinstance(model, BrittleCrystal):
+        found = cleaved(replace(model, spent=1.0), spacing, cells=cells, length=length + BEGUN)
+        return float(np.square(found.loads[BEGUN:]).mean() * found.release / model.toughness)
     h, reach, d = spacing, int(np.ceil(model.horizon / spacing)), model.dimension
     side = 2 * (cells + 2 * reach) * h
     half = round(0.4 * cells) * h

@@ -30,15 +30,16 @@ if TYPE_CHECKING:
     from warp_peri.dressed.law import DressedSolid
 
 
-def torn(points: Points, cracks: Sequence[ArrayLike]) -> np.ndarray:
+def torn(points: Points, cracks: Sequence[ArrayLike], *, reach: float = 1.5) -> np.ndarray:
     """Pairs of neighbouring nodes of a plane lattice that cracks part, [n, 2], for `broken`.
 
     Args:
         points: without a box.
         cracks: polylines [length], shape [P, 2] each.
+        reach: of what is parted, in spacings; 3 for a crystal's bonds.
     """
-    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
-    return _parted(body, cracked(body, cracks))
+    body = lattice_body(points.x, points.spacing, max(2.0, reach) * points.spacing)
+    return _parted(body, cracked(body, cracks), reach)
 
 
 def grown(points: Points, growth: Motion) -> np.ndarray:
@@ -50,15 +51,16 @@ def grown(points: Points, growth: Motion) -> np.ndarray:
 
     Raises InputError for another motion.
     """
-    body = lattice_body(points.x, points.spacing, 2 * points.spacing)
-    if np.shape(growth.details) != body.neighbour.shape:
-        raise InputError("growth: expected slow growth, move(…, events=…), on these points")
-    return _parted(body, np.asarray(growth.details))
+    for horizon, reach in ((2.0, 1.5), (3.0, 3.0)):  # of a sheet, and of a crystal
+        body = lattice_body(points.x, points.spacing, horizon * points.spacing)
+        if np.shape(growth.details) == body.neighbour.shape:
+            return _parted(body, np.asarray(growth.details), reach)
+    raise InputError("growth: expected slow growth, move(…, events=…), on these points")
 
 
-def _parted(body: LatticeBody, neighbour: np.ndarray) -> np.ndarray:
+def _parted(body: LatticeBody, neighbour: np.ndarray, reach: float) -> np.ndarray:
     cut = (neighbour < 0) & (body.neighbour >= 0)
-    node, bond = np.nonzero(cut & (body.r < 1.5 * body.spacing))
+    node, bond = np.nonzero(cut & (body.r < (reach + 1e-3) * body.spacing))
     other = body.neighbour[node, bond]
     return np.stack([node, other], axis=1)[node < other]
 

@@ -17,9 +17,11 @@ from warp_peri.core.groups import Symmetry, checked_orientation, point_group, sh
 from warp_peri.core.proof import Proof
 from warp_peri.core.record import Entry, Length
 from warp_peri.core.stencil import Basis, Stencil, invariant_basis
+from warp_peri.damage.solid import CrystalBonds
 from warp_peri.dressed.body import DressedBody
 from warp_peri.dressed.sweeps import (
     AXIS_WEIGHT,
+    CRYSTAL_REACH,
     Base,
     ByLayers,
     base,
@@ -151,8 +153,8 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
         return bool(np.abs(self.crystal.steps).max() == reach)
 
     @property
-    def plain(self) -> Model:
-        """The base of bonds as a linear solid with K(r) = 1/r, in which cracks grow (Dr12).
+    def plain(self) -> Model | CrystalBonds:
+        """The base of bonds as a linear solid in which cracks grow: of 1/r, or a crystal (Dr12).
 
         Raises InputError for elements and for a base of two functions.
         """
@@ -160,6 +162,8 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
             kind = "elements" if self.base != "bonds" else "two influence functions"
             raise InputError(f"plain: expected a base of bonds with K(r) = 1/r, got {kind}")
         C = self.elastic
+        if self.dimension == 3 or len(self.parts.corners) != EIGHT + 1:
+            return CrystalBonds(C, CRYSTAL_REACH * self.spacing, self.units)
         return Model(C[0, 1], C[2, 2], 1.0, np.ones(1), 2 * self.spacing, units=self.units)
 
     def tensor(self) -> np.ndarray:
@@ -234,6 +238,8 @@ def held(tensor: np.ndarray) -> np.ndarray:
     return np.where(np.abs(C) > 1e-9 * np.abs(C).max(), (C + C.T) / 2, 0.0)
 
 
+EIGHT = 8
+"""Bonds of an isotropic sheet."""
 REACH = {2: {4: 1.0, 8: 2**0.5, 12: 2.0, 20: 5**0.5}, 3: {6: 1.0, 18: 2**0.5, 26: 3**0.5}}
 """Of G in spacings, by dimension and number of neighbours."""
 REACH_OF_MODULI = 3.0
@@ -532,8 +538,8 @@ class Dressed:
     """L = Gᵗ K G: a positive base, its short waves lifted to the atoms' by G (theory, Dr).
 
     Attributes:
-        base: "elements" (multilinear, any elastic tensor), or "bonds" (isotropic sheets, 1/r on
-            eight bonds, which may break).
+        base: "elements" (multilinear, any elastic tensor), or "bonds", which may break:
+            1/r on eight bonds of isotropic sheets, up to three spacings of crystals (Dr28).
         neighbours: of G: 4, 8, 12 or 20 in the plane, 6, 18 or 26 in space.
         symmetry: name of the crystal's point group, or rotations.
         orientation: the crystal's axes in the coordinates of the points, columns of a rotation

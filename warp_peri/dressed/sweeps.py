@@ -15,11 +15,13 @@ from scipy.ndimage import maximum_filter
 from warp_peri.core.elastic import PAIRS, named_symmetry, voigt
 from warp_peri.core.grid import Grid
 from warp_peri.core.sweeps import FASTER, SCALARS, convolved, entries, inverse, row_pieces
+from warp_peri.damage.solid import CrystalBonds
 from warp_peri.errors import InputError
 from warp_peri.kernels.dressed.bonds import bonds as bond_kernels
 from warp_peri.kernels.dressed.elements import element_planes, elements
 from warp_peri.kernels.micromodulus.rows import rows
 from warp_peri.launch import DEVICE, floats, ints, launch_slices, threads
+from warp_peri.points.families import bond_classes
 
 KINDS = ("elements", "bonds")
 EQUAL = 1e-6
@@ -81,8 +83,9 @@ def base(kind: str, tensor: np.ndarray, dilatation: float = AXIS_WEIGHT) -> Base
     """The base of a name for an elastic tensor [stress] along the nodes' axes, [d, d, d, d].
 
     "elements": squares or cubes of multilinear displacement, any tensor; their parts are what the
-    tensor's eigenstrains store (Dr2). "bonds": a linear peridynamic solid with K(r) = 1/r on eight
-    bonds in the plane, isotropic, which may break (Dr3). `dilatation` is the weight in θ of its
+    tensor's eigenstrains store (Dr2). "bonds", which may break: a linear peridynamic solid with
+    K(r) = 1/r on eight bonds in the plane, isotropic (Dr3); of a crystal bonds up to three spacings
+    and a dilatation (Dr28). `dilatation` is the weight in θ of its
     bonds along the axes; 1/8 is that of 1/r, another a second influence function (Dr26).
 
     Raises InputError for another name, a tensor that is not stable, and one that a base cannot
@@ -95,7 +98,7 @@ def base(kind: str, tensor: np.ndarray, dilatation: float = AXIS_WEIGHT) -> Base
             raise InputError("dilatation: expected a base of bonds, got elements")
         return _elements(tensor)
     found = bonds(tensor, dilatation)
-    reach = dilatation_range(tensor)
+    reach = np.inf if dilatation == AXIS_WEIGHT else dilatation_range(tensor)
     if not abs(dilatation - AXIS_WEIGHT) <= reach:
         raise InputError(
             f"dilatation: expected a weight within {reach:.3g} of {AXIS_WEIGHT}, beyond which a "
@@ -164,13 +167,40 @@ def dilatation_range(tensor: np.ndarray) -> float:
     return float(np.sqrt((lam + shear) / (shear - lam)) / 8) if lam < shear else np.inf
 
 
+CRYSTAL_REACH = 3.0
+"""Of the bonds of a crystal, in spacings."""
+
+
+def crystal_bonds(tensor: np.ndarray) -> Base:
+    """Bonds and a dilatation that have a tensor together (Dr28); InputError for one they cannot."""
+    d = tensor.shape[0]
+    classes = bond_classes(1.0, CRYSTAL_REACH, dimension=d)
+    stiffness, share, excess = CrystalBonds(voigt(tensor), CRYSTAL_REACH).bonds(classes)
+    order = np.lexsort(classes.steps.T[::-1])  # a half of them, then the opposite ones
+    r, steps = np.linalg.norm(classes.steps, axis=1)[order], classes.steps[order]
+    strains = np.zeros((len(r), 1 + len(r), d))
+    for j, direction in enumerate(steps / r[:, None]):
+        strains[j, 0], strains[j, j + 1] = -direction, direction
+    a, c = share[order] * r, stiffness[order] * r**2
+    felt = c > NOTHING * c.max()
+    soft = float(np.sum(a[felt] ** 2 / c[felt]))
+    shear = float(np.trace(voigt(tensor)[d:, d:])) / (d * (d - 1) / 2)
+    theta = np.outer(a, a)
+    parts = np.array([theta, (np.diag(c) - theta / soft) / shear])
+    corner = np.vstack([np.zeros((1, d), int), steps])
+    moduli = np.array([excess + 1 / soft, shear])
+    return Base("bonds", corner, strains, parts, moduli, ("bulk", "shear"), np.eye(1 + len(r))[0])
+
+
 def bonds(tensor: np.ndarray, dilatation: float = AXIS_WEIGHT) -> Base:
-    """Eight bonds of an isotropic tensor; the first modulus is negative beyond dilatation_range."""
+    """Eight bonds of an isotropic sheet, those of a crystal of any other tensor.
+
+    The first modulus is negative beyond dilatation_range.
+    """
     if tensor.shape[0] != 2 or named_symmetry(tensor) != "isotropic":
-        raise InputError(
-            "base: bonds are for isotropic sheets, got an elastic tensor that is "
-            f"{named_symmetry(tensor)} in {tensor.shape[0]} dimensions; take elements"
-        )
+        if dilatation != AXIS_WEIGHT:
+            raise InputError("dilatation: expected an isotropic sheet, got a crystal")
+        return crystal_bonds(tensor)
     C = voigt(tensor)
     shear, bulk = C[2, 2], (C[0, 0] + C[0, 1]) / 2
     corner = np.array([(0, 0), *(v for v in np.ndindex(3, 3) if v != (1, 1))])
@@ -271,7 +301,8 @@ class ByLayers:
         self.beyond = max(ends) + self.kernels.lanes + int(self.strides.sum()) > places
         self.kind, self.maps = base.kind, None
         if factors is not None:
-            sites = self._pieces(maximum_filter(mask, 2 * (own + 1) + 1))
+            far = own + int(np.abs(base.corners).max())
+            sites = self._pieces(maximum_filter(mask, 2 * far + 1))
             flat = factors.reshape(len(factors), -1) / spacing**2
             where: Any  # offsets of bonds, or of the next row of elements
             if base.kind == "bonds":

@@ -414,10 +414,12 @@ class Prepared:
         self._numbers, self._key = [array.numpy() for array in arrays], b""
         tables: list[wp.array[Any]] = []
         self._volumes: list[Any] = []
+        self._held: list[Any] = [arrays, tables]  # of which the launches know addresses
         self._bonds, sweeps = bonds, lps.sweeps(bonds.scalar, bonds.dimension)
         for degree, D in zip(degrees, coefficients):
             tables += (kw := bonds.zeros(len(bonds.r))), (m := bonds.zeros(1))
             given = (*influence_inputs(bonds, degree), alpha, D)
+            self._held.append(given)
             kernel = influence_kernels.influence(degree, bonds.scalar)
             of = bonds.full, bonds.arrays, bonds.r, kw
             self._volumes.append(recorded(kernel, len(bonds.r), (0, *given), (kw,)))

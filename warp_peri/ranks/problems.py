@@ -20,6 +20,7 @@ from warp_peri.contract import MATERIAL, SINGULAR, OnPoints, is_tensor, offered,
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.march import CrackRun
 from warp_peri.damage.motion import BreakingBody
+from warp_peri.damage.operator import bonds_of
 from warp_peri.damage.problems import Cracked, broken, options_of_steps
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
@@ -30,7 +31,7 @@ from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweep
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked_fields, plain
-from warp_peri.points.families import HORIZON_TOLERANCE
+from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.halo import NodeHalo
@@ -490,8 +491,9 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         how, begin, records, run = options_of_steps(options)
     model = material.model
     d = piece.dimension
+    excess = bonds_of(model, bond_classes(piece.spacing, model.horizon, dimension=d)).excess
     build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
-    felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if model.lam == model.mu else 2)
+    felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if excess == 0 else 2)
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
     given |= {name: how.pop(name, None) for name in ("no_fail", "grip")}
