@@ -96,6 +96,25 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
     assert "cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("style", ["atomic", "charge"])
+def test_a_data_file_of_lammps_is_learned_from_with_its_potential(tmp_path, style):
+    """Skewed boxes and types in any order: types are elements by their masses."""
+    cell = ase.build.bulk("GaN", "wurtzite", a=3.19, c=5.19)
+    data = tmp_path / "GaN.data"
+    ase.io.write(
+        data, cell, format="lammps-data", masses=True, atom_style=style, specorder=["N", "Ga"]
+    )
+    line = f"learn {data} --calculator lammps:sw --potential GaN.sw --supercell 3 3 2 --out"
+    assert main([*line.split(), str(tmp_path / "out")]) == 0
+    figures = json.loads((tmp_path / "out" / "learn.json").read_text())
+    wanted = {"C11": 353.5, "C12": 139.9, "C13": 123.9, "C33": 369.6, "C44": 97.2, "C66": 106.8}
+    assert figures["moduli_GPa"]["finite strains"] == pytest.approx(wanted, rel=1e-3)
+    bare = data.read_text().replace(f"Atoms # {style}", "Atoms")
+    data.write_text(bare)
+    read_again = main([*line.split(), str(tmp_path / "again")])
+    assert read_again == (0 if style == "atomic" else 2)
+
+
 def test_any_calculator_of_ase_does():
     found = wp.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
     assert off(found) < 0.005

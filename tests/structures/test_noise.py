@@ -14,8 +14,9 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures.noise import Orbits, measured, projected
+from warp_peri.structures.noise import LARGEST, PULLED, Orbits, measured, projected
 from warp_peri.structures.phonons import check_phonons
+from warp_peri.structures.rest import at_rest
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
 """Under EMT, by finite strains of 1e-4 [GPa]."""
@@ -214,5 +215,15 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
     assert small > 1.2 * large  # the dimple is there
     assert abs(value - large) < bar
     assert abs(value - small) < 3 * bar < small
+    for size in PULLED:  # what the modulus is on each of the sizes is within its error
+        assert abs(value - secant(LARGEST * size)) < 1.05 * bar
     assert "largest steps" in crystal.said["rough"]
     assert crystal.certificate.holds
+
+
+def test_a_dimple_is_looked_for_at_rest_and_not_where_the_cell_was_given():
+    wide = ase.build.bulk("Al", a=1.012 * 2**0.5 * Dimpled.REST)
+    assert measured(wide, Dimpled(), False).rough == 0
+    found = at_rest(wide, Dimpled())
+    assert found.noise.rough > 100 * found.noise.force
+    assert found.noise.length == 0.03

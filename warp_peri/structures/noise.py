@@ -40,6 +40,8 @@ LEAST, MOST = 0.003, 0.03
 """Displacements [Å] that noise may ask for."""
 PULLED, STRAIN, LARGEST = (0.3, 0.6, 1.0), 0.003, 0.01
 """Sizes of strains over the largest; what that is without noise, and where that asks for MOST."""
+SMALLER = len(PULLED) - 1
+"""Sizes of strains below the largest."""
 TIMES = 3
 """Pairs of displaced crystals; numbers asked of each unknown; standard errors that are told."""
 AWAY = 30.0
@@ -410,7 +412,7 @@ def by_strains(
         atoms: force constants.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
         rough: whether slopes depend on the size of strains: those of the whole size are taken then,
-            and how the smallest differ is the last error.
+            and how those of each smaller one differ are the last errors.
 
     Returns [d, d, d, d] and [Q, d, d, d, d].
     """
@@ -439,15 +441,15 @@ def by_strains(
         0
     ]
     slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
-    few = 1 if rough else 2
-    short, _, wider = _slope((S[0] - S[1])[:few] / 2, e[:few], rough)
+    few = [slice(k, k + 1) for k in range(SMALLER)] if rough else [slice(0, 2)]
+    short, _, wider = zip(*(_slope((S[0] - S[1])[k] / 2, e[k], rough) for k in few))
     onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
     U, sizes, _ = np.linalg.svd(onto, full_matrices=False)
-    C, off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, slope - short))
+    C, *off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, *(slope - short)))
     errors = [*np.tensordot((U * sizes * error).T, allowed, 1)]
-    seen = TIMES * error * wider / gain * np.sum(sizes)
-    if not rough and np.linalg.norm(onto @ (slope - short).ravel()) > seen:
-        errors.append(off)
+    seen = TIMES * error * wider[0] / gain * np.sum(sizes)
+    if not rough and np.linalg.norm(onto @ (slope - short[0]).ravel()) > seen:
+        errors.append(off[0])
     # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
     rest = even[0].reshape(len(kinds), -1).mean(axis=0)
     if atoms.stress is not None:
@@ -464,7 +466,7 @@ def by_strains(
         for one in () if atoms.doubt is None else atoms.doubt:
             errors.append(taken - _relaxed(atoms, Lambda, tau, allowed, atoms.values + one)[0])
         C = C - taken
-    return C, np.array([*errors, off] if rough else errors)
+    return C, np.array([*errors, *off] if rough else errors)
 
 
 def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:
@@ -518,7 +520,7 @@ def joined(
         atoms: force constants with `doubt`.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
         C, errors: of finite strains, as `by_strains` gives them.
-        rough: whether the last error is of both, so that joining does not make it smaller.
+        rough: whether the last errors are of both, so that joining does not make them smaller.
 
     Returns them, χ² between both for each modulus, and how far Φ moved. Errors of force constants
     are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
@@ -526,7 +528,7 @@ def joined(
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
     J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
     spread = onto @ errors.reshape(len(errors), -1).T
-    spread, both = np.split(spread, [len(errors) - rough], axis=1)
+    spread, both = np.split(spread, [len(errors) - SMALLER * rough], axis=1)
     other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
     off = other - seen
     chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)
