@@ -147,11 +147,13 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
 def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():
     """Sites of symmetry 3: charges with an antisymmetric part, as of aluminium in corundum."""
     turned = np.array([[2.9, 0.2, 0.0], [-0.2, 2.9, 0.0], [0.0, 0.0, 2.8]])
-    polar = Polar(np.array([turned, -turned + 0.1 * np.eye(3)]), 3 * np.eye(3), decay=1.0)
+    other = np.diag([-1.5, -2.1, -1.8])  # of two charges alone that are opposite all is symmetric
+    born = np.array([turned, other, 0.1 * np.eye(3) - turned - other])
+    polar = Polar(born, 3 * np.eye(3), decay=1.0)
     assert np.abs(polar.born.sum(axis=0)).max() < 1e-12
     cell = np.array([[4.0, 0, 0], [-2.0, 12**0.5, 0], [0, 0, 5.0]])
-    x = np.array([[0, 0, 0], [2.0, 1.1, 1.3]])
-    D = polar.matrix(np.array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(6, 6)
+    x = np.array([[0, 0, 0], [2.0, 1.1, 1.3], [0.3, 2.0, 3.1]])
+    D = polar.matrix(np.array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(9, 9)
     assert np.abs(D - D.conj().T).max() < 1e-12 * np.abs(D).max()
 
 
