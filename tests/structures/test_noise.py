@@ -14,7 +14,7 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures.noise import LARGEST, PULLED, Orbits, measured, projected
+from warp_peri.structures.noise import BENDING, LARGEST, PULLED, ROUGH, Orbits, measured, projected
 from warp_peri.structures.phonons import check_phonons
 from warp_peri.structures.rest import at_rest
 
@@ -223,8 +223,23 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
     assert crystal.certificate.holds
 
 
+class Shallow(Dimpled):
+    """A wide dimple, of which a hundredth of an angstrom shows little."""
+
+    WIDTH, STIFF = 0.03, 0.1
+
+
+def test_a_surface_that_strains_alone_show_to_be_rough_is_called_so():
+    cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST)
+    found = measured(cell, Shallow(), False)
+    assert BENDING < found.rough / found.linear < ROUGH  # less than asked of displacements
+    assert found.length == 0.03
+    for noise in (1e-6, 1e-4, 1e-3):  # noise is not taken for it
+        assert measured(cell, Noisy(EMT(), noise), False).rough == 0
+
+
 def test_a_dimple_is_looked_for_at_rest_and_not_where_the_cell_was_given():
-    wide = ase.build.bulk("Al", a=1.012 * 2**0.5 * Dimpled.REST)
+    wide = ase.build.bulk("Al", a=1.025 * 2**0.5 * Dimpled.REST)
     assert measured(wide, Dimpled(), False).rough == 0
     found = at_rest(wide, Dimpled())
     assert found.noise.rough > 100 * found.noise.force
