@@ -14,7 +14,17 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures.noise import BENDING, LARGEST, PULLED, ROUGH, Orbits, measured, projected
+from warp_peri.structures.calculators import lammps_calculator
+from warp_peri.structures.noise import (
+    BENDING,
+    LARGEST,
+    PULLED,
+    ROUGH,
+    Orbits,
+    bent_by_strain,
+    measured,
+    projected,
+)
 from warp_peri.structures.phonons import check_phonons
 from warp_peri.structures.rest import at_rest
 
@@ -221,6 +231,16 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
         assert abs(value - secant(LARGEST * size)) < 1.05 * bar
     assert "largest steps" in crystal.said["rough"]
     assert crystal.certificate.holds
+
+
+@pytest.mark.parametrize("name", ["Al", "Cu", "Ni", "Ag", "Pt", "Au", "Si", "W", "Zr"])
+def test_stress_over_strain_of_a_smooth_potential_changes_by_less_than_half_of_what_is_rough(name):
+    files = {"Si": ("sw", "Si.sw"), "W": ("eam/alloy", "W_zhou.eam.alloy"),
+             "Zr": ("eam/fs", "Zr_mm.eam.fs")}  # fmt: skip
+    style, file = files.get(name, ("", ""))
+    calculator = lammps_calculator(style, [name], file) if file else EMT()
+    cell = at_rest(ase.build.bulk(name), calculator).cell
+    assert 0 < bent_by_strain(cell, calculator, False, 0.0) < BENDING / 2
 
 
 class Shallow(Dimpled):

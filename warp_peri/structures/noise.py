@@ -154,13 +154,13 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
         many.positions -= sign * u / 2
     bent = float(np.sqrt(np.mean((short[0] - short[1] - odd) ** 2)))
     if bent <= max(ROUGH * found.linear, 2 * TIMES * found.force):
-        share = _bent_by_strain(cell, calculator, flat, found.stress) if known else 0.0
+        share = bent_by_strain(cell, calculator, flat, found.stress) if known else 0.0
         bent = share * found.linear if share > BENDING else 0.0
     return replace(found, rough=bent)
 
 
-def _bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -> float:
-    """What stress over strain is off between STRAIN and LARGEST, over it; zero below noise."""
+def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -> float:
+    """What stress over strain changes by from STRAIN to LARGEST, over it; 0 within noise [TPa]."""
     rng, slopes = np.random.default_rng(0), []
     G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
     ways = G + G.swapaxes(1, 2)
