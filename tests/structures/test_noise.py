@@ -14,6 +14,7 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
+from warp_peri.structures import learn
 from warp_peri.structures.calculators import lammps_calculator
 from warp_peri.structures.noise import (
     BENDING,
@@ -152,6 +153,18 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
     ):
         check_phonons(sure)
     check_phonons(replace(atoms, doubt=0.5 * atoms.values[None]))
+
+
+def test_force_constants_that_are_unstable_within_their_error_are_mended_by_strains(monkeypatch):
+    calculator = Noisy(EMT(), 1e-5)
+    reference = at_rest(ase.build.bulk("Al"), calculator)
+    true = from_calculator(reference.cell, EMT(), (5, 5, 5))
+    unsure = replace(true, values=-0.2 * true.values, doubt=1.2 * true.values[None])
+    monkeypatch.setattr(learn, "force_constants", lambda *_: (unsure, {}))
+    found, _, told = learn.known_constants(reference, calculator)
+    assert "C44 -7" in told["moduli, force constants alone"]
+    moduli = wp.atoms.from_force_constants(found).content()["moduli_GPa"]["atoms"]
+    assert moduli == pytest.approx(ALUMINIUM, rel=3e-3)
 
 
 def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():

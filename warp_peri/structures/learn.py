@@ -581,7 +581,8 @@ def known_constants(
     found = by_strains(reference.cell, calculator, largest, atoms, allowed, rough=rough)
     if found is None or noise is None:
         return atoms, None if found is None else found[0], told | _doubts(atoms)
-    alone = _written(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
+    # what is unstable within its errors is refused only if strains do not mend it
+    alone = _written(atoms.nearest_elastic(allowed)[0], atoms.elastic_doubt(allowed))
     new, chi, moved = joined(atoms, allowed, *found, shared=SMALLER * rough)
     check_phonons(new)
     told["moduli, force constants alone"] = alone
