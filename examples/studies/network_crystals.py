@@ -41,7 +41,7 @@ PROTOTYPES = {
     "L1_2": "AlNi3:3.57 AuCu3:3.75",
 }
 """Sixty crystals, chosen before any was tried, with edges [Å] that relaxation starts at."""
-CRYSTALS = {one.split(":")[0]: (kind, *map(float, one.split(":")[1:]))
+CRYSTALS: dict[str, tuple[Any, ...]] = {one.split(":")[0]: (kind, *map(float, one.split(":")[1:]))
             for kind, names in PROTOTYPES.items() for one in names.split()}  # fmt: skip
 QUIET = 0.01
 """Forces [eV/Å] that the other tools relax to; matcalc's default is 0.1, without relaxed ions."""
@@ -49,7 +49,7 @@ QUIET = 0.01
 
 def kind_of(name: str) -> str:
     """Symmetry of a crystal, as matscipy calls it."""
-    return SYMMETRY.get(str(CRYSTALS[name][0]), "cubic")
+    return SYMMETRY.get(CRYSTALS[name][0], "cubic")
 
 
 def structure(name: str) -> Any:
@@ -58,7 +58,7 @@ def structure(name: str) -> Any:
     if kind not in GROUPS:
         known = {key: value for key, value in zip("ac", edges)}
         return ase.build.bulk(name, kind if edges else None, **known)
-    group, sites = GROUPS[str(kind)]
+    group, sites = GROUPS[kind]
     a, c = edges[0], edges[-1]
     turn = 120 if group == 167 else 90
     symbols = list(dict.fromkeys(ase.Atoms(name).get_chemical_symbols()))

@@ -152,7 +152,13 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
         wp.InputError, match=r"imaginary phonon, the worst of [\d.]+ ± [\d.e-]+i THz"
     ):
         check_phonons(sure)
-    check_phonons(replace(atoms, doubt=0.5 * atoms.values[None]))
+    unsure = replace(atoms, doubt=0.5 * atoms.values[None])
+    check_phonons(unsure)
+    k = np.array([[0.0, 0.0, 1.0], [0.9, 0.9, 0.9]])
+    with pytest.raises(
+        wp.InputError, match=r"stable crystal, got the stiffness -[\d.e+-]+ ± [\d.]+"
+    ):
+        unsure.answer(k, np.ones((2, 3)))
 
 
 def test_force_constants_that_are_unstable_within_their_error_are_mended_by_strains(monkeypatch):
