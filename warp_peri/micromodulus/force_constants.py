@@ -212,7 +212,7 @@ class ForceConstants:
         return np.asarray(moved if f.ndim == 3 else moved[..., 0])
 
     def stiffness_error(self, k: np.ndarray, wave: np.ndarray) -> float:
-        """Standard error [eV/Å²] of the stiffness of a wave [n, m] at k [1/Å]; 0 if none is told."""
+        """Error [eV/Å²] of the stiffness of a wave [n, m] at k [1/Å]; 0 where none is told."""
         if self.doubt is None:
             return 0.0
         phase, m = np.exp(1j * (self.vectors[:, : len(k)] @ k)), wave.shape[1]
