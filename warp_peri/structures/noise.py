@@ -48,9 +48,9 @@ AWAY = 30.0
 """Noise over the stiffness, of the distance from sites that it may leave an atom at."""
 ROUGH = 0.05
 """Of the force, that is not linear in displacements of SHAKEN, from which a surface is rough."""
-BENDING = 0.02
-"""Of stress over strain, that changes from STRAIN to LARGEST, from which a surface is rough; twice
-what was seen of potentials that are smooth."""
+BENDING = 0.01
+"""Of stress over strain, that changes from STRAIN to LARGEST, from which a surface is rough; more
+than was seen of any potential that is smooth."""
 NONE = 1e-8
 """Of singular values of the rules: an equation that holds by symmetry."""
 
