@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 52_539,
+    "lines of warp_peri": 52_581,
     "files of warp_peri": 200,
     "lines of kernels": 5_870,
-    "lines of examples and tools": 30_431,
-    "lines of tests": 34_506,
+    "lines of examples and tools": 30_519,
+    "lines of tests": 34_596,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,
