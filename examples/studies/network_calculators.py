@@ -1,15 +1,16 @@
 """Laws and elastic constants of a network's forces, beside other tools on the same calculator.
 
-python examples/studies/network_calculators.py                          a table
-python examples/studies/network_calculators.py Al Si --json             one object on stdout
-python examples/studies/network_calculators.py --with matcalc matscipy  their moduli too
+python examples/studies/network_calculators.py Al Si                    laws of two crystals
+python examples/studies/network_calculators.py --tools law matcalc matscipy    all sixty by three
 
-The network is CHGNet (pip install chgnet); its weights come with it.
+The network is CHGNet (pip install chgnet); its weights come with it. Each result is kept in a file
+as it ends, and a second start goes on from there.
 """
 
 import contextlib
-import importlib
+import itertools
 import json
+import signal
 import sys
 import time
 import warnings
@@ -18,137 +19,130 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 
-import ase
-import ase.build
 import numpy as np
-from ase.filters import FrechetCellFilter
-from ase.optimize import BFGS
-from ase.units import GPa
 
 import warp_peri as wp
+from examples.studies.network_crystals import (
+    CRYSTALS,
+    by_matcalc,
+    by_matscipy,
+    kind_of,
+    needed,
+    structure,
+)
 from tools.options import Options
 from warp_peri.errors import exit_status
+from warp_peri.files.atomic import finite, plain, write_json
 
-CRYSTALS: dict[str, dict[str, Any]] = {
-    "Al": {}, "Cu": {}, "W": {}, "Si": {}, "Mg": {},
-    "MgO": {"crystalstructure": "rocksalt", "a": 4.21},
-    "NaCl": {"crystalstructure": "rocksalt", "a": 5.64},
-    "GaAs": {"crystalstructure": "zincblende", "a": 5.65},
-}  # fmt: skip
-"""Names, and what `ase.build.bulk` does not know of them."""
-TOLD = ("noise", "displacements", "rough", "both", "moduli, force constants alone",
-        "moduli, finite strains alone", "force constants")  # fmt: skip
-QUIET = 0.01
-"""Forces [eV/Å] that the other tools relax to; matcalc's default is 0.1, without relaxed ions."""
+LIMIT = 180.0
+"""Processor seconds that a tool may take for a crystal."""
 
 
-def needed(module: str, package: str) -> Any:
-    """A module that this study needs and the library does not; InputError without it."""
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise wp.InputError(f"{package}: expected it here; pip install {package}") from None
+class Late(BaseException):
+    """Time is over; no tool catches it."""
 
 
-def network() -> Any:
-    """CHGNet on the processor, loaded once."""
-    module = needed("chgnet.model.dynamics", "chgnet")
-    with contextlib.redirect_stdout(sys.stderr):
-        return module.CHGNetCalculator(use_device="cpu")
+def by_law(name: str, calculator: Any) -> dict[str, Any]:
+    """Moduli [GPa] and their errors of this library, whether the law is proven, amplitudes."""
+    found = wp.from_atoms(structure(name), calculator)
+    told = found.content()
+    return {
+        "C": np.array(told["elastic_tensor_GPa"]["atoms"]),
+        "errors_GPa": told["standard_errors_GPa"],
+        "proven": bool(found.certificate and found.certificate.holds),
+        "said": found.said,
+    }
 
 
-def law(name: str, calculator: Any) -> dict[str, Any]:
-    """The law, or why there is none; moduli [GPa], their errors, amplitudes, seconds."""
+TOOLS: dict[str, Any] = {"law": by_law, "matcalc": by_matcalc, "matscipy": by_matscipy}
+
+
+def timed(tool: str, name: str, calculator: Any) -> dict[str, Any]:
+    """What a tool finds, or what it says, and seconds by the clock and of the processor."""
     begin = time.perf_counter(), time.process_time()
-    try:
-        found = wp.from_atoms(ase.build.bulk(name, **CRYSTALS[name]), calculator)
-    except wp.InputError as error:
-        made: dict[str, Any] = {"law": False, "why": str(error)}
-    else:
-        figures = found.content()
-        made = {
-            "law": True,
-            "proven": bool(found.certificate and found.certificate.holds),
-            "moduli_GPa": figures["moduli_GPa"]["atoms"],
-            "errors_GPa": figures["standard_errors_GPa"],
-            "said": {key: found.said[key] for key in TOLD if key in found.said},
-        }
-    end = time.perf_counter(), time.process_time()
-    return made | {"seconds": end[0] - begin[0], "processor": end[1] - begin[1]}
-
-
-def of_matcalc(name: str, calculator: Any) -> np.ndarray:
-    """Voigt matrix [GPa] by matcalc, ions relaxed."""
-    tool = needed("matcalc", "matcalc").ElasticityCalc(
-        calculator, fmax=QUIET, relax_deformed_structures=True, units_GPa=True
-    )
-    found = tool.calc(ase.build.bulk(name, **CRYSTALS[name]))
-    return np.array(found["elastic_tensor"].voigt)
-
-
-def of_matscipy(name: str, calculator: Any) -> np.ndarray:
-    """Voigt matrix [GPa] by matscipy, ions relaxed."""
-    tool = needed("matscipy.elasticity", "matscipy")
-    cell = ase.build.bulk(name, **CRYSTALS[name])
-    cell.calc = calculator
-    moving: Any = FrechetCellFilter(cell)
-    BFGS(moving, logfile=None).run(fmax=QUIET / 10, steps=200)
-    how: dict[str, Any] = {"verbose": False, "graphics": False, "logfile": None, "fmax": QUIET}
-    symmetry = "trigonal_high" if name == "Mg" else "cubic"
-    C, _ = tool.fit_elastic_constants(cell, symmetry, 5, 0.005, BFGS, **how)
-    return np.array(C) / GPa
-
-
-RIVALS: dict[str, Any] = {"matcalc": of_matcalc, "matscipy": of_matscipy}
-
-
-def beside(tool: str, name: str, calculator: Any) -> dict[str, Any]:
-    """Moduli [GPa] of another tool, or what it says, and seconds."""
-    begin, places = time.perf_counter(), ("C11", "C12", "C13", "C33", "C44")
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
     try:
         with contextlib.redirect_stdout(sys.stderr):
-            C = RIVALS[tool](name, calculator)
-        told: Any = {"moduli_GPa": {key: C[int(key[1]) - 1, int(key[2]) - 1] for key in places}}
+            found = TOOLS[tool](name, calculator)
+    except Late:
+        found = {"why": f"more than {LIMIT:.0f} s"}
     except Exception as error:  # tools raise whatever they run into
-        told = {"why": f"{type(error).__name__}: {error}"}
-    return told | {"seconds": time.perf_counter() - begin}
+        found = {"why": f"{type(error).__name__}: {error}"}
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+    end = time.perf_counter(), time.process_time()
+    return found | {"seconds": end[0] - begin[0], "processor": end[1] - begin[1]}
 
 
-def shown(found: dict[str, dict[str, Any]]) -> str:
-    """A table in Markdown."""
-    tools = [tool for tool in RIVALS if tool in next(iter(found.values()))]
-    lines = ["| | moduli ± standard error [GPa] | s |" + "".join(f" {t} | s |" for t in tools),
-             "|" + "---|" * (3 + 2 * len(tools))]  # fmt: skip
-    for name, one in found.items():
-        C, bars = one.get("moduli_GPa", {}), one.get("errors_GPa", {})
-        told = ", ".join(f"{key} {C[key]:.1f} ± {bars[key]:.1f}" for key in C) or one["why"]
-        line = f"| {name} | {told} | {one['seconds']:.0f} |"
-        for tool in tools:
-            theirs = one[tool].get("moduli_GPa", {})
-            rival = ", ".join(f"{theirs[key]:.1f}" for key in C or theirs if key in theirs)
-            line += f" {rival or one[tool]['why']} | {one[tool]['seconds']:.0f} |"
-        lines.append(line)
+def moduli(name: str, one: dict[str, Any]) -> dict[str, float]:
+    """Those [GPa] that a crystal of a symmetry has, by name; none of a tool that failed."""
+    places = (11, 12, 44) if kind_of(name) == "cubic" else (11, 12, 13, 33, 44, 66)
+    C = one.get("C")
+    return {} if C is None else {f"C{mn}": C[mn // 10 - 1][mn % 10 - 1] for mn in places}
+
+
+def cell(name: str, one: dict[str, Any]) -> str:
+    """Moduli with their errors, or why there are none, and seconds, as two cells of a table."""
+    C, bars = moduli(name, one), one.get("errors_GPa", {})
+    told = [f"{C[key]:.1f}" + (f" ± {bars[key]:.2g}" if bars else "") for key in C]
+    unstable = " (unstable)" if C and np.linalg.eigvalsh(one["C"])[0] <= 0 else ""
+    return f" {', '.join(told) or one['why']}{unstable} | {one['processor']:.0f} |"
+
+
+def shown(found: dict[str, dict[str, Any]], tools: list[str]) -> str:
+    """A table in Markdown, and how far tools are apart, over the largest modulus of a crystal."""
+    lines = ["| |" + "".join(f" {tool} [GPa] | s |" for tool in tools)]
+    lines.append("|---|" + "---|---|" * len(tools))
+    for name, each in found.items():
+        cells = "".join(cell(name, each[tool]) for tool in tools)
+        lines.append(f"| {name}, {CRYSTALS[name][0]} |{cells}")
+    for tool in tools:
+        ends = [each[tool] for each in found.values()]
+        made, took = sum("C" in one for one in ends), [one["processor"] for one in ends]
+        quick = f"median {np.median(took):.0f} s, most {max(took):.0f} s"
+        lines.append(f"\n{tool}: {made} of {len(ends)}, {quick}")
+    for a, b in itertools.combinations(tools, 2):
+        apart, within = [], []
+        for name, each in found.items():
+            first, second = moduli(name, each[a]), moduli(name, each[b])
+            off = {key: abs(first[key] - second[key]) for key in first if second}
+            apart += [max(off.values()) / max(first.values())] if off else []
+            bars = each[a].get("errors_GPa", {})
+            within += [off[key] <= 2 * bars[key] for key in off if bars]
+        parts = ", ".join(f"{part:.1%}" for part in np.quantile(apart or [np.nan], [0.5, 0.9, 1]))
+        told = f"; {np.mean(within):.0%} of moduli within two errors" if within else ""
+        lines.append(f"\n{a}, {b}: apart by {parts} (median, 90 %, worst of {len(apart)}){told}")
     return "\n".join(lines)
 
 
+def late(*_: Any) -> None:
+    """What the alarm calls."""
+    raise Late
+
+
 def main(words: list[str] | None = None) -> None:
-    """Print the table, or JSON."""
-    parser = Options(__doc__)
+    """Run what is not there yet, and print the table."""
+    parser = Options(__doc__, out="network_calculators")
     parser.add("crystals", nargs="*", default=list(CRYSTALS), metavar="NAME")
-    parser.add("--with", nargs="+", default=[], choices=list(RIVALS), dest="tools", help="beside")
-    parser.add("--json", action="store_true", help="print all figures as JSON")
+    parser.add("--tools", nargs="+", default=["law"], choices=list(TOOLS), help="that are asked")
     given = parser.parse_args(words)
     if unknown := [name for name in given.crystals if name not in CRYSTALS]:
         raise wp.InputError(f"crystals: expected of {', '.join(CRYSTALS)}, got {unknown[0]}")
-    calculator, found = network(), {}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        for name in given.crystals:
-            found[name] = law(name, calculator)
-            for tool in given.tools:
-                found[name][tool] = beside(tool, name, calculator)
-            print(f"{name} {json.dumps(found[name])}", file=sys.stderr, flush=True)
-    print(json.dumps(found, indent=1) if given.json else shown(found))
+    signal.signal(signal.SIGPROF, late)
+    calculator, found = None, dict[str, dict[str, Any]]()
+    for tool, name in itertools.product(given.tools, given.crystals):
+        file = given.out / f"{name}_{tool}.json"
+        if not file.is_file():
+            if calculator is None:
+                with contextlib.redirect_stdout(sys.stderr):
+                    module = needed("chgnet.model.dynamics", "chgnet")
+                    calculator = module.CHGNetCalculator(use_device="cpu")
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                write_json(file, finite(plain(timed(tool, name, calculator))))
+            print(file.read_text(), file=sys.stderr, flush=True)
+        found.setdefault(name, {})[tool] = json.loads(file.read_text())
+    print(shown(found, given.tools))
 
 
 if __name__ == "__main__":

@@ -21,6 +21,7 @@ from ase.optimize import BFGS
 
 import warp_peri as wp
 from examples.noisy_calculators import rigid_ions
+from warp_peri.cli.learn import read_structure
 from warp_peri.cli.main import main
 from warp_peri.core.elastic import voigt
 from warp_peri.core.groups import group_of_structure
@@ -94,6 +95,28 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
     (tmp_path / "file").write_text("")
     assert main([*line, str(tmp_path / "file" / "out")]) == 2
     assert "cannot be written" in capsys.readouterr().err
+
+
+def test_a_data_file_of_lammps_is_learned_from_with_its_potential(tmp_path, capsys):
+    """Skewed boxes, and types in any order: they are elements by their masses."""
+    data, out = tmp_path / "a.data", tmp_path / "out"
+    ase.io.write(data, ase.build.bulk("Si"), format="lammps-data", masses=True)
+    line = f"learn {data} --calculator lammps:sw --potential Si.sw --out {out}"
+    assert main(line.split()) == 0
+    found = json.loads((out / "learn.json").read_text())["moduli_GPa"]["finite strains"]
+    assert found == pytest.approx({"C11": 151.42, "C12": 76.42, "C44": 56.45}, rel=1e-3)
+    salt = ase.build.bulk("GaN", "wurtzite", a=3.19, c=5.19)
+    calculator = lammps_calculator("sw", ["Ga", "N"], "GaN.sw")
+    ends = []
+    how = {"masses": True, "atom_style": "charge", "specorder": ["N", "Ga"]}
+    ase.io.write(data, salt, format="lammps-data", **how)
+    for one in (salt, read_structure(data)):
+        one.calc = calculator
+        ends.append(one.get_potential_energy())
+    assert ends[0] == pytest.approx(ends[1], rel=1e-6)
+    data.write_text(data.read_text().replace("Atoms # charge", "Atoms"))
+    assert main(line.split()) == 2
+    assert "says it behind Atoms, as in: Atoms # charge" in capsys.readouterr().err
 
 
 def test_any_calculator_of_ase_does():

@@ -14,8 +14,20 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures.noise import Orbits, measured, projected
+from warp_peri.structures import learn
+from warp_peri.structures.calculators import lammps_calculator
+from warp_peri.structures.noise import (
+    BENDING,
+    LARGEST,
+    PULLED,
+    ROUGH,
+    Orbits,
+    bent_by_strain,
+    measured,
+    projected,
+)
 from warp_peri.structures.phonons import check_phonons
+from warp_peri.structures.rest import at_rest
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
 """Under EMT, by finite strains of 1e-4 [GPa]."""
@@ -140,17 +152,37 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
         wp.InputError, match=r"imaginary phonon, the worst of [\d.]+ ± [\d.e-]+i THz"
     ):
         check_phonons(sure)
-    check_phonons(replace(atoms, doubt=0.5 * atoms.values[None]))
+    unsure = replace(atoms, doubt=0.5 * atoms.values[None])
+    check_phonons(unsure)
+    k = np.array([[0.0, 0.0, 1.0], [0.9, 0.9, 0.9]])
+    with pytest.raises(
+        wp.InputError, match=r"stable crystal, got the stiffness -[\d.e+-]+ ± [\d.]+"
+    ):
+        unsure.answer(k, np.ones((2, 3)))
+
+
+def test_force_constants_that_are_unstable_within_their_error_are_mended_by_strains(monkeypatch):
+    calculator = Noisy(EMT(), 1e-5)
+    reference = at_rest(ase.build.bulk("Al"), calculator)
+    true = from_calculator(reference.cell, EMT(), (5, 5, 5))
+    unsure = replace(true, values=-0.2 * true.values, doubt=1.2 * true.values[None])
+    monkeypatch.setattr(learn, "force_constants", lambda *_: (unsure, {}))
+    found, _, told = learn.known_constants(reference, calculator)
+    assert "C44 -7" in told["moduli, force constants alone"]
+    moduli = wp.atoms.from_force_constants(found).content()["moduli_GPa"]["atoms"]
+    assert moduli == pytest.approx(ALUMINIUM, rel=3e-3)
 
 
 def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():
     """Sites of symmetry 3: charges with an antisymmetric part, as of aluminium in corundum."""
     turned = np.array([[2.9, 0.2, 0.0], [-0.2, 2.9, 0.0], [0.0, 0.0, 2.8]])
-    polar = Polar(np.array([turned, -turned + 0.1 * np.eye(3)]), 3 * np.eye(3), decay=1.0)
+    other = np.diag([-1.5, -2.1, -1.8])  # of two charges alone that are opposite all is symmetric
+    born = np.array([turned, other, 0.1 * np.eye(3) - turned - other])
+    polar = Polar(born, 3 * np.eye(3), decay=1.0)
     assert np.abs(polar.born.sum(axis=0)).max() < 1e-12
     cell = np.array([[4.0, 0, 0], [-2.0, 12**0.5, 0], [0, 0, 5.0]])
-    x = np.array([[0, 0, 0], [2.0, 1.1, 1.3]])
-    D = polar.matrix(np.array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(6, 6)
+    x = np.array([[0, 0, 0], [2.0, 1.1, 1.3], [0.3, 2.0, 3.1]])
+    D = polar.matrix(np.array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(9, 9)
     assert np.abs(D - D.conj().T).max() < 1e-12 * np.abs(D).max()
 
 
@@ -214,5 +246,40 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
     assert small > 1.2 * large  # the dimple is there
     assert abs(value - large) < bar
     assert abs(value - small) < 3 * bar < small
+    for size in PULLED:  # what the modulus is on each of the sizes is within its error
+        assert abs(value - secant(LARGEST * size)) < 1.05 * bar
     assert "largest steps" in crystal.said["rough"]
     assert crystal.certificate.holds
+
+
+@pytest.mark.parametrize("name", ["Al", "Cu", "Ni", "Ag", "Pt", "Au", "Si", "W", "Zr"])
+def test_stress_over_strain_of_a_smooth_potential_changes_by_less_than_what_is_rough(name):
+    files = {"Si": ("sw", "Si.sw"), "W": ("eam/alloy", "W_zhou.eam.alloy"),
+             "Zr": ("eam/fs", "Zr_mm.eam.fs")}  # fmt: skip
+    style, file = files.get(name, ("", ""))
+    calculator = lammps_calculator(style, [name], file) if file else EMT()
+    cell = at_rest(ase.build.bulk(name), calculator).cell
+    assert 0 < bent_by_strain(cell, calculator, False, 0.0) < BENDING
+
+
+class Shallow(Dimpled):
+    """A wide dimple, of which a hundredth of an angstrom shows little."""
+
+    WIDTH, STIFF = 0.03, 0.1
+
+
+def test_a_surface_that_strains_alone_show_to_be_rough_is_called_so():
+    cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST)
+    found = measured(cell, Shallow(), False)
+    assert BENDING < found.rough / found.linear < ROUGH  # less than asked of displacements
+    assert found.length == 0.03
+    for noise in (1e-6, 1e-4, 1e-3):  # noise is not taken for it
+        assert measured(cell, Noisy(EMT(), noise), False).rough == 0
+
+
+def test_a_dimple_is_looked_for_at_rest_and_not_where_the_cell_was_given():
+    wide = ase.build.bulk("Al", a=1.025 * 2**0.5 * Dimpled.REST)
+    assert measured(wide, Dimpled(), False).rough == 0
+    found = at_rest(wide, Dimpled())
+    assert found.noise.rough > 100 * found.noise.force
+    assert found.noise.length == 0.03

@@ -136,6 +136,8 @@ def read_structure(path: Path) -> Any:
             raise InputError(f"{path}: {error}") from None
         except Exception as error:  # ASE's readers raise whatever their parsing runs into
             why = f"{type(error).__name__}: {error}"
+            if "atom_style" in why:
+                why += "; a data file of LAMMPS says it behind Atoms, as in: Atoms # charge"
             raise InputError(f"{path}: ASE reads no structure from it ({why})") from None
     return found
 

@@ -199,14 +199,28 @@ class ForceConstants:
         least = np.linalg.eigvalsh(D)
         bad = least[:, 0] <= SOFT * 1e-7 * np.abs(self.values).max()
         if bad.any():
+            wave = np.linalg.eigh(D[bad][0])[1][:, 0].reshape(n, m)
+            error = self.stiffness_error(k[bad][0], wave)
+            bar = f" ± {error:.2g}" if error else ""
             raise InputError(
                 f"force constants: expected a stable crystal, got the stiffness "
-                f"{least[bad][0, 0]:.2e} eV/Å² at k = {np.round(k[bad][0], 4).tolist()} 1/Å"
+                f"{least[bad][0, 0]:.2e}{bar} eV/Å² at k = {np.round(k[bad][0], 4).tolist()} 1/Å"
             )
         force = np.zeros((len(k), n, m, f.shape[-1] if f.ndim == 3 else 1), complex)
         force[:, :, :d] = f.reshape(len(k), 1, d, -1)
         moved = np.linalg.solve(D, force.reshape(len(k), n * m, -1)).reshape(force.shape)[:, :, :d]
         return np.asarray(moved if f.ndim == 3 else moved[..., 0])
+
+    def stiffness_error(self, k: np.ndarray, wave: np.ndarray) -> float:
+        """Error [eV/Å²] of the stiffness of a wave [n, m] at k [1/Å]; 0 where none is told."""
+        if self.doubt is None:
+            return 0.0
+        phase, m = np.exp(1j * (self.vectors[:, : len(k)] @ k)), wave.shape[1]
+        first, second = (wave[self.pairs[:, side]] for side in (0, 1))
+        off = np.einsum(
+            "p,pa,qpab,pb->q", phase, first.conj(), self.doubt[..., :m, :m], second, optimize=True
+        )
+        return float(np.linalg.norm(off.real))
 
     def effective(self, k: np.ndarray) -> np.ndarray:
         """D_eff(k) = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ [TPa/Å²], shape [K, d, d] (T14).

@@ -31,7 +31,7 @@ from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
-from warp_peri.structures.noise import EV_IN_TPA, PULLED, by_strains, joined
+from warp_peri.structures.noise import EV_IN_TPA, PULLED, SMALLER, by_strains, joined
 from warp_peri.structures.noise import STRAIN as STRETCH
 from warp_peri.structures.phonons import (
     Loads,
@@ -581,8 +581,9 @@ def known_constants(
     found = by_strains(reference.cell, calculator, largest, atoms, allowed, rough=rough)
     if found is None or noise is None:
         return atoms, None if found is None else found[0], told | _doubts(atoms)
-    alone = _written(_of_long_waves(atoms, group), atoms.elastic_doubt(allowed))
-    new, chi, moved = joined(atoms, allowed, *found, rough=rough)
+    # what is unstable within its errors is refused only if strains do not mend it
+    alone = _written(atoms.nearest_elastic(allowed)[0], atoms.elastic_doubt(allowed))
+    new, chi, moved = joined(atoms, allowed, *found, shared=SMALLER * rough)
     check_phonons(new)
     told["moduli, force constants alone"] = alone
     told["moduli, finite strains alone"] = (

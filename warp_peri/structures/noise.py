@@ -40,12 +40,17 @@ LEAST, MOST = 0.003, 0.03
 """Displacements [Å] that noise may ask for."""
 PULLED, STRAIN, LARGEST = (0.3, 0.6, 1.0), 0.003, 0.01
 """Sizes of strains over the largest; what that is without noise, and where that asks for MOST."""
+SMALLER = len(PULLED) - 1
+"""Sizes of strains below the largest."""
 TIMES = 3
 """Pairs of displaced crystals; numbers asked of each unknown; standard errors that are told."""
 AWAY = 30.0
 """Noise over the stiffness, of the distance from sites that it may leave an atom at."""
 ROUGH = 0.05
 """Of the force, that is not linear in displacements of SHAKEN, from which a surface is rough."""
+BENDING = 0.01
+"""Of stress over strain, that changes from STRAIN to LARGEST, from which a surface is rough; more
+than was seen of any potential that is smooth."""
 NONE = 1e-8
 """Of singular values of the rules: an equation that holds by symmetry."""
 
@@ -58,14 +63,20 @@ class Noise:
         force: standard error of a component [eV/Å].
         stress: of a component [TPa], on the cell at rest; zero where there is none.
         stiffness: root mean square force over the displacement that made it [eV/Å²].
-        rough: what the force on twice a small displacement is off twice that force [eV/Å]; zero
-            of surfaces that are smooth. Those of networks may have a dimple at perfect crystals.
+        rough: what the force on twice a small displacement, or stress likewise, is off twice that
+            force [eV/Å]; zero of surfaces that are smooth. Those of networks may have a dimple at
+            perfect crystals.
     """
 
     force: float
     stress: float
     stiffness: float
     rough: float = 0.0
+
+    @property
+    def linear(self) -> float:
+        """Root mean square of a component of the force on SHAKEN [eV/Å]."""
+        return SHAKEN * self.stiffness / 3**0.5
 
     @property
     def rounding(self) -> bool:
@@ -142,8 +153,29 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
         short.append(np.array(many.get_forces(apply_constraint=False)))
         many.positions -= sign * u / 2
     bent = float(np.sqrt(np.mean((short[0] - short[1] - odd) ** 2)))
-    rough = bent > max(ROUGH * stiffness * SHAKEN / 3**0.5, 2 * TIMES * found.force)
-    return replace(found, rough=bent if rough else 0.0)
+    if bent <= max(ROUGH * found.linear, 2 * TIMES * found.force):
+        share = bent_by_strain(cell, calculator, flat, found.stress) if known else 0.0
+        bent = share * found.linear if share > BENDING else 0.0
+    return replace(found, rough=bent)
+
+
+def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -> float:
+    """What stress over strain changes by from STRAIN to LARGEST, over it; 0 within noise [TPa]."""
+    rng, slopes = np.random.default_rng(0), []
+    G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
+    ways = G + G.swapaxes(1, 2)
+    ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
+    for size in (STRAIN, LARGEST):
+        ends = []
+        for strain in (*size * ways, *-size * ways):
+            one = cell.copy()
+            one.set_cell(np.array(cell.cell) @ (np.eye(3) + strain), scale_atoms=True)
+            one.calc = calculator
+            ends.append(one.get_stress(apply_constraint=False))
+        slopes.append(np.subtract(*np.split(np.array(ends), 2)) / (2 * size))
+    off, error = np.linalg.norm(slopes[1] - slopes[0]), noise / EV_IN_TPA / STRAIN
+    share = off / np.linalg.norm(slopes[0])
+    return float(share) if off > 2 * TIMES * error * slopes[0].size ** 0.5 else 0.0
 
 
 def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray:
@@ -382,9 +414,9 @@ def rattled(
     }
     if noise.rough:
         said["rough"] = (
-            f"forces on {SHAKEN:g} Å are {noise.rough:.1e} eV/Å off twice those on half of it: "
-            "moduli are those of the largest steps, and how they change down to the smallest is "
-            "in their errors"
+            f"forces on {SHAKEN:g} Å, or stress on {LARGEST:.0%} of strain, are "
+            f"{noise.rough / noise.linear:.0%} off what smaller steps say: moduli are those of the "
+            "largest steps, and how they change down to the smallest is in their errors"
         )
     return found, said
 
@@ -410,7 +442,7 @@ def by_strains(
         atoms: force constants.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
         rough: whether slopes depend on the size of strains: those of the whole size are taken then,
-            and how the smallest differ is the last error.
+            and how those of each smaller one differ are the last errors.
 
     Returns [d, d, d, d] and [Q, d, d, d, d].
     """
@@ -439,15 +471,15 @@ def by_strains(
         0
     ]
     slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
-    few = 1 if rough else 2
-    short, _, wider = _slope((S[0] - S[1])[:few] / 2, e[:few], rough)
+    few = [slice(k, k + 1) for k in range(SMALLER)] if rough else [slice(0, 2)]
+    short, _, wider = zip(*(_slope((S[0] - S[1])[k] / 2, e[k], rough) for k in few))
     onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
     U, sizes, _ = np.linalg.svd(onto, full_matrices=False)
-    C, off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, slope - short))
+    C, *off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, *(slope - short)))
     errors = [*np.tensordot((U * sizes * error).T, allowed, 1)]
-    seen = TIMES * error * wider / gain * np.sum(sizes)
-    if not rough and np.linalg.norm(onto @ (slope - short).ravel()) > seen:
-        errors.append(off)
+    seen = TIMES * error * wider[0] / gain * np.sum(sizes)
+    if not rough and np.linalg.norm(onto @ (slope - short[0]).ravel()) > seen:
+        errors.append(off[0])
     # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
     rest = even[0].reshape(len(kinds), -1).mean(axis=0)
     if atoms.stress is not None:
@@ -464,7 +496,7 @@ def by_strains(
         for one in () if atoms.doubt is None else atoms.doubt:
             errors.append(taken - _relaxed(atoms, Lambda, tau, allowed, atoms.values + one)[0])
         C = C - taken
-    return C, np.array([*errors, off] if rough else errors)
+    return C, np.array([*errors, *off] if rough else errors)
 
 
 def _slope(y: np.ndarray, e: np.ndarray, secant: bool) -> tuple[np.ndarray, float, float]:
@@ -510,7 +542,7 @@ def joined(
     C: np.ndarray,
     errors: np.ndarray,
     *,
-    rough: bool = False,
+    shared: int = 0,
 ) -> tuple[ForceConstants, float, float]:
     """Force constants moved by their own errors until their moduli agree with others (R. Kalman).
 
@@ -518,7 +550,7 @@ def joined(
         atoms: force constants with `doubt`.
         allowed: elastic tensors of the symmetry, shape [m, d, d, d, d].
         C, errors: of finite strains, as `by_strains` gives them.
-        rough: whether the last error is of both, so that joining does not make it smaller.
+        shared: how many of the last errors are of both, so that joining makes them no smaller.
 
     Returns them, χ² between both for each modulus, and how far Φ moved. Errors of force constants
     are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
@@ -526,7 +558,7 @@ def joined(
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
     J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
     spread = onto @ errors.reshape(len(errors), -1).T
-    spread, both = np.split(spread, [len(errors) - rough], axis=1)
+    spread, both = np.split(spread, [len(errors) - shared], axis=1)
     other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
     off = other - seen
     chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)

@@ -393,7 +393,7 @@ def check_phonons(atoms: ForceConstants) -> None:
     error = 0.0
     if atoms.doubt is not None and least[worst, 0] < 0:
         wave = np.linalg.eigh(D[worst])[1][:, 0] * weight
-        error = float(np.linalg.norm(_changes(atoms, parts[worst] @ back, wave.reshape(-1, 3))))
+        error = atoms.stiffness_error(parts[worst] @ back, wave.reshape(-1, 3))
     if least[worst, 0] >= -max(SOFT * top, TIMES * error):
         stiffest = np.linalg.eigvalsh(atoms.dynamical(parts @ back))[:, 0].max()
         if stiffest <= SOFT * np.abs(atoms.values).max():
@@ -407,12 +407,3 @@ def check_phonons(atoms: ForceConstants) -> None:
         f"{imaginary:.2f}{bar}i THz at k = {np.round(parts[worst], 4).tolist()} of the reciprocal "
         f"edges ({np.round(k, 4).tolist()} 1/Å); displace atoms along it in a larger cell and relax"
     )
-
-
-def _changes(atoms: ForceConstants, k: np.ndarray, wave: np.ndarray) -> np.ndarray:
-    """By each standard error of Φ, of the eigenvalue that a wave [n, 3] has at k, shape [Q]."""
-    doubt: Any = atoms.doubt
-    phase = np.exp(1j * (atoms.vectors[:, : len(k)] @ k))
-    first, second = (wave[atoms.pairs[:, side]] for side in (0, 1))
-    off = np.einsum("p,pa,qpab,pb->q", phase, first.conj(), doubt, second, optimize=True)
-    return np.asarray(off.real)

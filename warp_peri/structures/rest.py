@@ -310,6 +310,8 @@ def at_rest(
         cell.set_constraint(FixSymmetry(cell, ON_SITES))
         _relax(cell, flat, held, noise)
         cell.set_constraint()
+        here = measured(cell, calculator, flat)  # dimples lie at rest, not where a cell was given
+        noise = noise if here.rounding else here
     size, rule = thickness, "as given"
     if flat and size is None:
         size, rule = thickness_of(cell)

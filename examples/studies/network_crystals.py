@@ -1,0 +1,94 @@
+"""Sixty crystals, and their elastic constants by tools that people use, ions relaxed.
+
+Each tool is asked by its own way, on the calculator that it is given.
+"""
+
+import importlib
+from typing import Any
+
+import ase.build
+import numpy as np
+from ase.filters import FrechetCellFilter
+from ase.optimize import BFGS
+from ase.spacegroup import crystal
+from ase.units import GPa
+
+import warp_peri as wp
+
+SYMMETRY = {"hcp": "hexagonal", "wurtzite": "hexagonal", "rutile": "tetragonal_high",
+            "corundum": "trigonal_high"}  # fmt: skip
+"""Of prototypes that are not cubic."""
+GROUPS: dict[str, tuple[int, list[tuple[float, ...]]]] = {
+    "rutile": (136, [(0, 0, 0), (0.305, 0.305, 0)]),
+    "perovskite": (221, [(0, 0, 0), (0.5, 0.5, 0.5), (0.5, 0.5, 0)]),
+    "L1_2": (221, [(0, 0, 0), (0.5, 0.5, 0)]),
+    "corundum": (167, [(0, 0, 0.352), (0.306, 0, 0.25)]),
+}
+"""Space group and sites of what `ase.build.bulk` has not."""
+PROTOTYPES = {
+    "fcc": "Al Cu Ag Au Ni Pd Pt Ir Rh Ca Pb",
+    "bcc": "Li Na K V Nb Ta Mo W Fe Cr",
+    "hcp": "Mg Ti Zr Co Zn Ru Be",
+    "diamond": "C Si Ge",
+    "rocksalt": "MgO:4.21 NaCl:5.64 LiF:4.03 KCl:6.29 CaO:4.81 TiC:4.33 TiN:4.24 PbTe:6.46",
+    "zincblende": "GaAs:5.65 ZnS:5.41 SiC:4.36 InP:5.87 BN:3.62",
+    "wurtzite": "GaN:3.19:5.19 ZnO:3.25:5.21 AlN:3.11:4.98",
+    "cesiumchloride": "CsCl:4.12 NiAl:2.89 CuZn:2.95",
+    "fluorite": "CaF2:5.46 CeO2:5.41 SiMg2:6.35",
+    "rutile": "TiO2:4.59:2.96 SnO2:4.74:3.19",
+    "perovskite": "SrTiO3:3.91 KMgF3:3.99",
+    "corundum": "Al2O3:4.76:12.99",
+    "L1_2": "AlNi3:3.57 AuCu3:3.75",
+}
+"""Sixty crystals, chosen before any was tried, with edges [Å] that relaxation starts at."""
+CRYSTALS: dict[str, tuple[Any, ...]] = {one.split(":")[0]: (kind, *map(float, one.split(":")[1:]))
+            for kind, names in PROTOTYPES.items() for one in names.split()}  # fmt: skip
+QUIET = 0.01
+"""Forces [eV/Å] that the other tools relax to; matcalc's default is 0.1, without relaxed ions."""
+
+
+def kind_of(name: str) -> str:
+    """Symmetry of a crystal, as matscipy calls it."""
+    return SYMMETRY.get(CRYSTALS[name][0], "cubic")
+
+
+def structure(name: str) -> Any:
+    """A crystal's cell in the axes of its conventional one."""
+    kind, *edges = CRYSTALS[name]
+    if kind not in GROUPS:
+        known = {key: value for key, value in zip("ac", edges)}
+        return ase.build.bulk(name, kind if edges else None, **known)
+    group, sites = GROUPS[kind]
+    a, c = edges[0], edges[-1]
+    turn = 120 if group == 167 else 90
+    symbols = list(dict.fromkeys(ase.Atoms(name).get_chemical_symbols()))
+    cell = [a, a, c, 90, 90, turn]
+    return crystal(symbols, sites, spacegroup=group, cellpar=cell, primitive_cell=True)
+
+
+def needed(module: str, package: str) -> Any:
+    """A module that this study needs and the library does not; InputError without it."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise wp.InputError(f"{package}: expected it here; pip install {package}") from None
+
+
+def by_matcalc(name: str, calculator: Any) -> dict[str, Any]:
+    """Voigt matrix [GPa] by matcalc, ions relaxed; strains are its own, 1 and 6 %."""
+    tool = needed("matcalc", "matcalc").ElasticityCalc(
+        calculator, fmax=QUIET, relax_deformed_structures=True, units_GPa=True
+    )
+    return {"C": np.array(tool.calc(structure(name))["elastic_tensor"].voigt)}
+
+
+def by_matscipy(name: str, calculator: Any) -> dict[str, Any]:
+    """Voigt matrix [GPa] by matscipy, ions relaxed, five strains up to 1 %."""
+    tool = needed("matscipy.elasticity", "matscipy")
+    cell = structure(name)
+    cell.calc = calculator
+    moving: Any = FrechetCellFilter(cell)
+    BFGS(moving, logfile=None).run(fmax=QUIET / 10, steps=200)
+    how: dict[str, Any] = {"verbose": False, "graphics": False, "logfile": None, "fmax": QUIET}
+    C, _ = tool.fit_elastic_constants(cell, kind_of(name), 5, 0.005, BFGS, **how)
+    return {"C": np.array(C) / GPa}
