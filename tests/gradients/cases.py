@@ -176,6 +176,8 @@ ELSEWHERE = {
     "SoftSolid": "tests/damage/test_softening.py: pulls, to 1e-6",
     "Members": "its operator is that of a member, which the table has",
     "NeuralFile": "a file of the neural operator",
+    "BrittleCrystal": "tests/damage/test_crystal.py: motion between breakings",
+    "CrystalBonds": "tests/damage/test_crystal.py: motion between breakings",
 }
 """Records of the library without rows, and why."""
 CASES = {"force": force, "solve": solve, "move": move}

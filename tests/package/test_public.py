@@ -145,8 +145,8 @@ def test_kernels_refuse_to_be_imported_under_another_name(name):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: warp_peri.fit(None, 20.0), "fit: expected a law: LPS"),
-        (lambda: warp_peri.fit(None, horizon=20.0), "fit: expected a law: LPS"),
+        (lambda: warp_peri.fit(None, 20.0), "fit: expected a model: LPS"),
+        (lambda: warp_peri.fit(None, horizon=20.0), "fit: expected a model: LPS"),
         (lambda: warp_peri.solve(None, 3), "expected a problem: Dirichlet"),
         (lambda: warp_peri.move(None, 3), "expected a problem that moves"),
         (lambda: warp_peri.save("x.json", 3), "expected a data set or a material, got int"),

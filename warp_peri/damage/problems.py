@@ -105,6 +105,8 @@ class Cracked:
         b: Any
         b, u = (np.zeros_like(body.x) if one is None else one for one in (self.b, self.u))
         learns = numbers is not None or is_tensor(b) or is_tensor(u)
+        if not learns:
+            u = checked("u", u, float, body.x.shape, self.held)
         if self.pressure is not None:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
             extra = crack_load(cut, pressure)  # refuses what does not fit
