@@ -406,8 +406,8 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     bulk = d * (lam + 2 * mu / d)
     strain = (stress - lam / bulk * np.trace(stress) * np.eye(d)) / (2 * mu)
     u = (body.x @ strain).ravel()
-    w = bond_weights(model, body.classes)
-    whole = cut_matrix(body, w, body.neighbour, mu, lam - mu, corrected=cut.corrected)
+    bonds = bonds_of(model, body.classes)
+    whole = bond_matrix(body, body.neighbour, *bonds, corrected=cut.corrected)
     load: np.ndarray = (whole @ u - cut.matrix @ u).reshape(body.x.shape)
     return load
 

@@ -219,8 +219,7 @@ def cleaved(
     line: list[tuple[float, ...]] = [(-wide * h, 0), (-length * h, 0)]
     if d == 3:
         line = [(*end, z) for end, z in zip([*line, *line[::-1]], (-wide, -wide, wide, wide))]
-    up = body.classes.steps[:, 1]
-    each = int(up[up > 0].sum())  # bonds of a cut, by spacing
+    each = cut_by_spacing(body.classes)
     stretches = solid.stretches(body.classes)
     how: dict[str, Any] = {
         "cracks": [line],

@@ -21,7 +21,7 @@ from tqdm import tqdm
 from warp_peri.core.record import OnLinear
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
 from warp_peri.damage.lattice_body import LatticeBody, cracked, crossing_bonds, size_and_normal
-from warp_peri.damage.operator import bond_weights, stretch_rows
+from warp_peri.damage.operator import bonds_of, stretch_rows
 from warp_peri.damage.solid import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
@@ -185,10 +185,8 @@ class SoftBody:
         node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
         far = table[node, bond]
         self.node, self.bond = node, bond
-        self.rows, d = stretch_rows(body, node, bond, far), body.dimension
-        self.stiffness = (
-            2 * d * (d + 2) * model.mu * bond_weights(model, body.classes)[bond] / body.r[bond] ** 2
-        )
+        self.rows = stretch_rows(body, node, bond, far)
+        self.stiffness = 2 * bonds_of(model, body.classes).stiffness[bond]
         self.square = body.r[bond] ** 2
         self.breakable = ~(safe[node] | safe[far])
         self.free = ~held.ravel()

@@ -20,7 +20,7 @@ from warp_peri.core.elastic import compliance, from_voigt
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.core.record import Entry, Length, OnLinear, Positive, Record
-from warp_peri.core.stencil import Stencil
+from warp_peri.core.stencil import Stencil, in_half
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import SplitBonds, bond_weights, stiffness_across
 from warp_peri.errors import InputError
@@ -299,17 +299,12 @@ class CrystalBonds(Record, format="warp_peri.crystal_bonds"):
     def largest_stiffness(self, classes: BondClasses) -> float:
         """A proven upper bound of Λmax L of every body under any breaking (C29)."""
         found, _, excess = self.bonds(classes)
-        xi, half = classes.xi, _half(classes.steps)
+        xi, half = classes.xi, in_half(classes.steps)
         tensors = 2 * found[half, None, None] * xi[half, :, None] * xi[half, None]
         stencil = Stencil(classes.spacing, classes.steps[half], tensors)
         group = [g for g in lattice_group(self.dimension) if stencil.asymmetry(g[None]) < SAME]
         soft = float(np.einsum("iijj", compliance(self._split()[0])))
         return max(1.0, 1 + excess * soft) * largest(stencil, np.array(group))
-
-
-def _half(steps: np.ndarray) -> np.ndarray:
-    """Which of a ball's steps are of one half of it."""
-    return np.asarray(steps @ (2 * np.abs(steps).max() + 1) ** np.arange(steps.shape[1]) > 0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

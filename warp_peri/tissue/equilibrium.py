@@ -509,14 +509,14 @@ class StaticProblem:
             if shift == 0:
                 return step, shift, near if products <= MANY else None
         K = self.pattern.matrix(u, c)
-        shift, size = 0.0, 1e-3 * abs(K.diagonal()).max()
+        shift, diagonal = 0.0, K.diagonal()
+        size = 1e-3 * abs(diagonal).max()
         for _ in range(12):
-            shifted = K.copy()
-            shifted.setdiag(K.diagonal() + shift)  # a sum would drop entries that are zero
-            factor = positive_factors(shifted if shift else K, self.pattern.band)
+            factor = positive_factors(K, self.pattern.band)
             if factor is not None:
                 return factor.solve(residual.ravel()).reshape(residual.shape), shift, factor
             shift = size if shift == 0 else 4 * shift
+            K.setdiag(diagonal + shift)  # a sum would drop entries that are zero
             if not shifts:
                 break
         return residual / size, size, None
