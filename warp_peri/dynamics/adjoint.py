@@ -314,7 +314,7 @@ class Implicit:
             p[n] += w[n] @ self.behind
         by_load[:, self.free] = w
         by = [p[0].reshape(one), *(x.reshape(steps, *one) for x in (by_load, by_given))]
-        totals = dict[str, Any].fromkeys(wanted, 0.0)
+        totals: dict[str, Any] = dict.fromkeys(wanted, 0.0)
         own: Any = getattr(self.operator, "storage_slopes", lambda *_: {})
         if wanted and steps:
             weights = -w.reshape(steps, -1, *one[1:])
