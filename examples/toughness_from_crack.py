@@ -78,6 +78,7 @@ def picture(rows: dict[str, torch.Tensor]) -> Any:
     for style, (name, row) in zip((".", ":", "-"), rows.items()):
         ax.plot(2 * GRIP * LOADS[: len(row)], row.detach(), style, label=name)
     ax.set(xlabel="displacement of the grips [mm]", ylabel="force over thickness [GPa mm]")
+    ax.set_title("Strength and toughness of bonds follow from one pull")
     ax.legend()
     return figure
 
