@@ -46,6 +46,27 @@ def test_fields_that_are_none_are_refused_in_words(name):
             wp.solve(operator, wp.Dirichlet(points, b, zero))
 
 
+@pytest.mark.parametrize("name", LAWS)
+def test_an_operator_itself_reads_no_half_of_a_field(name):
+    points = LAWS[name].points(4)
+    op, zero = LAWS[name].material().on(points), np.zeros(points.x.shape)
+    hidden = np.ma.masked_array(zero, np.zeros(zero.shape, bool))
+    hidden[np.flatnonzero(points.interior)[0]] = np.ma.masked
+    reads = (
+        op,
+        op.load,
+        op.stress,
+        op.energy,
+        lambda bad: op.product(zero, bad),
+        lambda bad: op.product_transpose(zero, bad[points.interior]),
+    )
+    for bad in (hidden, zero * 1j, zero.astype(str), zero.astype(object)):
+        for read in reads:
+            if read != op.energy or op.energy(zero) is not None:
+                with pytest.raises(wp.InputError, match="expected (float )?values"):
+                    read(bad)
+
+
 @pytest.mark.parametrize("name", [name for name in LAWS if LAWS[name].sheet])
 def test_loads_of_a_period_that_are_none_are_refused_in_words(name):
     points, material = LAWS[name].sheet(), LAWS[name].material()

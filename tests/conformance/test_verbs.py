@@ -93,6 +93,7 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
     for verb, call in {
         "certify": lambda: wp.certify(solid, spacing=0.1),
         "diagnose": lambda: wp.diagnose(solid, many),
+        "uniqueness": lambda: wp.proofs.uniqueness(solid, spacing=0.1),
         "choose_model": lambda: wp.choice.choose_model(tolerance=0.1, scene=scene, model=solid),
     }.items():
         with pytest.raises(wp.InputError, match=f"{verb}: expected .*, got HyperelasticSolid"):

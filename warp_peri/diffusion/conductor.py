@@ -27,6 +27,7 @@ from warp_peri.points.arrays import (
     checked,
     checked_fields,
     mean_inverse,
+    plain,
 )
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -193,7 +194,7 @@ class DiffusionOperator(OnPoints):
 
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Lᵗ w on all nodes, [..., N], of w on the interior, [..., I], whatever φ."""
-        return np.asarray(w @ self._matrix)
+        return np.asarray(plain("w", w) @ self._matrix)
 
     @cached_property
     def _matrix(self) -> sp.csr_array:
