@@ -343,7 +343,10 @@ def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.nd
             xi -= np.asarray(points.box) * np.rint(xi / points.box)
 
         def along(place: float) -> np.ndarray:
-            values = np.asarray(kappa(points.x[near] + place * xi), dtype=float)
+            values = checked("conductivity", kappa(points.x[near] + place * xi))
+            if values.shape not in ((), (len(near),)):
+                shown = list(values.shape)
+                raise InputError(f"conductivity: expected one a position, {len(near)}, got {shown}")
             _check(values)
             return np.broadcast_to(values, len(near))
 
