@@ -118,6 +118,6 @@ def test_a_body_refuses_what_it_does_not_take():
 @pytest.mark.parametrize("name", ["LPS", "third order, energy", "dressed"])
 def test_a_motion_is_of_what_has_a_mass(name, density):
     material, points = LAWS[name].material(), LAWS[name].points(4)
+    how = {"density": density, "step": 1e-6, "steps": 2}
     with pytest.raises(wp.InputError, match="density: expected a number > 0"):
-        how = {"density": density, "step": 1e-6, "steps": 2}
         wp.move(material, wp.Dirichlet(points, None, 0 * points.x), **how)
