@@ -228,7 +228,7 @@ class OnPoints(Remade):
         """Fields of the interior nodes [..., I, d] as those of all, zero elsewhere, [..., N, d]."""
         rest = len(self.shape)
         fields = np.zeros((*np.shape(w)[:-rest], *self.shape))
-        fields[(..., self.points.interior, *[slice(None)] * (rest - 1))] = w
+        fields[(..., self.points.interior, *[slice(None)] * (rest - 1))] = plain("w", w)
         return fields
 
 

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
+from tests.conformance.test_breaking import SOLIDS
+from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.problems import lattice, smooth
 from tests.support.sheets import NEAREST, square, waves
 from warp_peri.cli.main import main
@@ -63,6 +65,36 @@ def test_what_it_is_and_how_far_off(folder, capsys, name):
     assert main(["evaluate", f"{folder / name}.json", f"{folder / name}.h5"]) == 0
     (line,) = [each for each in capsys.readouterr().out.splitlines() if each.startswith("test")]
     assert ("–" in line) == (name == "sheet")  # without loads there is no residual
+
+
+EACH = {name: law.material for name, law in LAWS.items()}
+EACH |= {name: lambda name=name: SOLIDS[name](2) for name in ("brittle", "brittle, a crystal")}
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", EACH)
+def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsys):
+    wp.save(tmp_path / "m.json", EACH[name]())
+    if name in LAWS:
+        points = LAWS[name].points(4)
+        samples = solved_samples(LAWS[name], EACH[name]().on(points), points)
+    else:
+        samples = wp.Samples(lattice(4, 2.0), np.zeros((1, 144, 2)), np.zeros((1, 144, 2)))
+    wp.save(tmp_path / "d.h5", wp.Dataset({"test": samples}, 3.35, 2200.0))
+    model, data = str(tmp_path / "m.json"), str(tmp_path / "d.h5")
+    for words in (
+        ["evaluate", model, data],
+        ["evaluate", model, data, "--json"],
+        ["certify", model],
+        *(["export", what, model, "--data", data] for what in ("fields", "operator")),
+        *(["export", what, model] for what in ("influence", "kernel")),
+    ):
+        out = ["--out", str(tmp_path / words[1])] if words[0] == "export" else []
+        status, said = main([*words, *out]), capsys.readouterr()
+        assert status in (0, 2), words
+        assert bool(said.out) == (status == 0)
+        if words[-1] == "--json" and status == 0:
+            assert json.loads(said.out)["test"]["samples"] == len(samples)
 
 
 def test_a_crystal_is_certified_and_solved_by_its_commands(folder, tmp_path, capsys):

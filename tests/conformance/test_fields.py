@@ -46,6 +46,27 @@ def test_fields_that_are_none_are_refused_in_words(name):
             wp.solve(operator, wp.Dirichlet(points, b, zero))
 
 
+@pytest.mark.parametrize("name", LAWS)
+def test_an_operator_itself_reads_no_half_of_a_field(name):
+    points = LAWS[name].points(4)
+    op, zero = LAWS[name].material().on(points), np.zeros(points.x.shape)
+    hidden = np.ma.masked_array(zero, np.zeros(zero.shape, bool))
+    hidden[np.flatnonzero(points.interior)[0]] = np.ma.masked
+    reads = (
+        op,
+        op.load,
+        op.stress,
+        op.energy,
+        lambda bad: op.product(zero, bad),
+        lambda bad: op.product_transpose(zero, bad[points.interior]),
+    )
+    for bad in (hidden, zero * 1j, zero.astype(str), zero.astype(object)):
+        for read in reads:
+            if read != op.energy or op.energy(zero) is not None:
+                with pytest.raises(wp.InputError, match="expected (float )?values"):
+                    read(bad)
+
+
 @pytest.mark.parametrize("name", [name for name in LAWS if LAWS[name].sheet])
 def test_loads_of_a_period_that_are_none_are_refused_in_words(name):
     points, material = LAWS[name].sheet(), LAWS[name].material()
@@ -89,12 +110,19 @@ def test_scalar_fields_conductivities_and_cracked_bodies_too():
             wp.solve(law, wp.Dirichlet(points, bad, zero))
         with pytest.raises(wp.InputError, match="conductivity: expected"):
             law.on(points, kappa=bad)
+    with pytest.raises(wp.InputError, match=r"conductivity: expected one a position, .* got \[3\]"):
+        law.on(points, kappa=lambda x: np.ones(3))
     x = box((13, 13), 1.0)
     cut = wp.Points(x, (np.abs(x) < 5).all(axis=1), 1.0)
     for bad, words in wrong(0 * x, cut.interior):
         for name in ("b", "u"):
             with pytest.raises(wp.InputError, match=f"{name}: .*{words}"):
                 wp.solve(solid().model, Cracked(cut, **{name: bad}))
+    for bad, words in (({"steps": 1.5}, "steps: expected a whole"), ({"watch": [3]}, "watch: ")):
+        with pytest.raises(wp.InputError, match=words):
+            wp.move(solid(), Cracked(cut, u=1e-4 * x), **{"steps": 1, "step": 0.01} | bad)
+    with pytest.raises(wp.InputError, match="cracks: expected a list"):
+        wp.solve(solid().model, Cracked(cut, cracks=5))
     for events in (1.5, 0, "a", np.nan):
         with pytest.raises(wp.InputError, match="events: expected a whole number ≥ 1"):
             wp.move(solid(), Cracked(cut, u=0.01 * x), events=events)
@@ -120,6 +148,10 @@ def test_vectors_of_a_body_that_are_none_are_refused_in_words():
         wp.solve(model, plate(functions[0]))
     with pytest.raises(wp.InputError, match="part 'right': expected float values"):
         wp.solve(model, plate(traction=functions[1]))
+    with pytest.raises(wp.InputError, match="part 'left': expected it held or pulled, got both"):
+        wp.solve(model, wp.Body(PLATE, {"left": (0, 0)}, {"left": (5e-3, 0)}))
+    half = wp.Body(PLATE, {"left": (0, np.nan), "right": (0, 0)}, {"left": (5e-3, 0)})
+    assert wp.solve(model, half).residual < 1e-8
     with pytest.raises(wp.InputError, match="displacement: expected values by part"):
         wp.solve(model, wp.Body(PLATE, None))
 

@@ -17,7 +17,7 @@ FOLDER = Path(__file__).parent.parent / "frozen"
 FILES = sorted(path.stem for path in FOLDER.glob("*.json") if path.stem != "record")
 """Files of every material that an earlier version wrote, most of them without a hash."""
 OTHER = ("nm", "GPa")
-HOSTILE = ([], {}, "x", None, True, -1, 0.5, 10**400, -(10**30), np.nan, np.inf, {"x": 1},
+HOSTILE = ([], {}, "x", None, True, -1, 0.5, 10**400, 1e308, -(10**30), np.nan, np.inf, {"x": 1},
            [[1.0], [1.0, 2.0]], [None], ["x"], [[[1.0]]], [10**400])  # fmt: skip
 PROVEN = ("proven", "symbol_bound", "strain", "long_waves")
 """Keys of what is said to be proven, in a certificate."""

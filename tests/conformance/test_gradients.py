@@ -516,6 +516,19 @@ def test_a_nonlinear_solve_is_differentiated_once(name, made):
         wp.solve(op, wp.Dirichlet(op.points, b, forward_ad.make_dual(fixed, fixed)))
 
 
+@pytest.mark.parametrize("name", [name for name in LAWS if name != "neural operator"])
+def test_a_tangent_of_a_number_is_not_lost(name, made):
+    op = made(name)
+    number, own = next(iter(op.learnable.items()))
+    value = torch.as_tensor(own, dtype=torch.float64)
+    with forward_ad.dual_level(), pytest.raises(wp.InputError, match="tangent"):
+        wp.solve(
+            op,
+            wp.Dirichlet(op.points, None, 0 * field(op)),
+            parameters={number: forward_ad.make_dual(value, torch.ones_like(value))},
+        )
+
+
 @pytest.mark.parametrize("name", ["LPS", "crystal"])
 def test_a_period_has_the_gradient_of_differences(name):
     points = LAWS[name].sheet()

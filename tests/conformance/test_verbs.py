@@ -93,6 +93,7 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
     for verb, call in {
         "certify": lambda: wp.certify(solid, spacing=0.1),
         "diagnose": lambda: wp.diagnose(solid, many),
+        "uniqueness": lambda: wp.proofs.uniqueness(solid, spacing=0.1),
         "choose_model": lambda: wp.choice.choose_model(tolerance=0.1, scene=scene, model=solid),
     }.items():
         with pytest.raises(wp.InputError, match=f"{verb}: expected .*, got HyperelasticSolid"):
@@ -111,3 +112,12 @@ def test_a_body_refuses_what_it_does_not_take():
     for option in ("transfer", "coupling", "tolerance"):
         with pytest.raises(wp.InputError, match=f"among allow_uncertified, got {option}"):
             wp.solve(material, body, **{option: False})
+
+
+@pytest.mark.parametrize("density", [0.0, -3.0, np.nan])
+@pytest.mark.parametrize("name", ["LPS", "third order, energy", "dressed"])
+def test_a_motion_is_of_what_has_a_mass(name, density):
+    material, points = LAWS[name].material(), LAWS[name].points(4)
+    how = {"density": density, "step": 1e-6, "steps": 2}
+    with pytest.raises(wp.InputError, match="density: expected a number > 0"):
+        wp.move(material, wp.Dirichlet(points, None, 0 * points.x), **how)

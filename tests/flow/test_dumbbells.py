@@ -126,6 +126,16 @@ def test_a_protocol_without_time_or_steps_is_refused(given, words):
         simulate(Dumbbells(2, 10), K, **({"interval": 0.1} | given))
 
 
+def test_a_protocol_that_is_no_real_field_is_refused():
+    K = held(shear(np.ones(2)), 4)
+    for bad in (K + 1j, np.ma.masked_array(K, K == 1), np.full(K.shape, np.nan)):
+        with pytest.raises(InputError, match="K: expected"):
+            simulate(Dumbbells(2, 10), bad, 0.1)
+    for given in ({"ensembles": np.nan}, {"count": 10.5}, {"b": "x"}):
+        with pytest.raises(InputError, match="expected a"):
+            Dumbbells(**{"ensembles": 2, "count": 10} | given)
+
+
 def test_records_that_are_none_are_refused():
     K, C = np.zeros((3, 1, 4)), np.ones((4, 1, 4))
     Ensembles(0.1, K, C, C, 0)

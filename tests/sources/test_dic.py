@@ -250,6 +250,7 @@ def linear(x=BIG):
         ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv.."),
         ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
          "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv."),
+        ("X,Y,U,V,MODEL_X,MODEL_Y,MODEL_Z,MODEL_U,MODEL_V", "1234xy.uv"),
         ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
          "disp.Vertical Displacement V [mm]", "xyuv"),
         ("v,y,u,x,x_def", "vyux."),

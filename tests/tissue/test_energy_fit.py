@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+import warp_peri as wp
 from tests.support.sheets import everything, hgo_dictionary, square, waves
 from warp_peri import InputError
 from warp_peri.tissue.energy_fit import (
@@ -39,6 +40,10 @@ def test_least_squares_finds_the_truth(samples):
     np.testing.assert_allclose(fit.material.coefficients, TRUTH, rtol=1e-6)
     assert fit.residual < 1e-8
     assert 1.1 < fit.material.stretch < 1.8
+    again = wp.fit(samples, hgo_dictionary(), ridge=0.0, progress=False)
+    assert np.array_equal(again.material.coefficients, fit.material.coefficients)
+    with pytest.raises(InputError, match="fit: expected options among positive, .*, got rigde"):
+        wp.fit(samples, hgo_dictionary(), rigde=0.0)
 
 
 def test_signs_are_kept_and_bounds_too(samples):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import warnings
 from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Any
@@ -112,9 +113,11 @@ def run_evaluate(given: argparse.Namespace) -> dict[str, dict[str, Any]]:
     for name in given.sets or data:
         points = data[name]
         try:
-            tables[name] = {"samples": len(points)} | warp_peri.evaluate(
+            found = warp_peri.evaluate(
                 model, points, transfer=given.transfer, allow_uncertified=given.allow_uncertified
             )
+            each = {f"{key}_samples": one for key, one in found.pop("samples", {}).items()}
+            tables[name] = finite(plain({"samples": len(points)} | found | each))
         except InputError as error:
             if given.sets:
                 raise InputError(f"set '{name}': {error}") from None
@@ -277,9 +280,10 @@ def run_verify(given: argparse.Namespace) -> Result:
 
 def linear_of(material: Any) -> Any:
     """The linear solid of a material; InputError for a law that has none."""
-    if not hasattr(material, "linear"):
+    if not warp_peri.export.is_linear_solid(material):
         raise InputError(
-            f"model: expected a solid with a linear part, got {type(material).__name__}"
+            "model: expected a solid with a linear part, a Model, got "
+            f"{type(getattr(material, 'linear', material)).__name__}"
         )
     return material.linear
 
@@ -319,6 +323,8 @@ def run_export(given: argparse.Namespace) -> Result:
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
         asked = asked if solid else {}
         if given.what == "operator":
+            if solid and material.linear is not material:
+                warnings.warn("operator: the matrix is that of the linear part", stacklevel=2)
             operator = (material.linear if solid else material).on(points, **asked)
             paths = [warp_peri.export.write_operator(given.out, operator.model, points)]
         else:

@@ -39,7 +39,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arrays import LARGEST, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
 from warp_peri.shown import Shown
 
@@ -452,8 +452,9 @@ WORDS: dict[Any, str] = {
 
 def _number(key: str, value: Any, positive: bool) -> float:
     found = float(value) if is_number(value) else np.nan
-    if not (0 < found < np.inf if positive else np.isfinite(found)):
+    if not (0 < found <= LARGEST if positive else abs(found) <= LARGEST):
         what = "a number > 0" if positive else "a finite number"
+        what += f" up to {LARGEST:g}" if np.isfinite(found) and found > LARGEST else ""
         raise InputError(f"{key}: expected {what}, got {value!r:.50}")
     return found
 

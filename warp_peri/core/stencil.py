@@ -119,7 +119,7 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
 
     Raises InputError for a ball without bonds, or with more than MOST_BONDS of a half.
     """
-    most = reach**2 * (1 + HORIZON_TOLERANCE) ** 2
+    most = min(reach, 4.0 * MOST_BONDS) ** 2 * (1 + HORIZON_TOLERANCE) ** 2
     side = int(np.sqrt(most))
     if (2 * side + 1) ** dimension > 4 * MOST_BONDS:
         raise InputError(f"horizon: expected a few spacings, got {reach:g} of them")

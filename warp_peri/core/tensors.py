@@ -259,7 +259,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
             numbers of a network are learned without being named.
 
     Raises InputError as `rest`, for what does not fit, where L′ is singular, and for a tangent of
-    forward mode of what is not linear.
+    forward mode of a number, or of what is not linear.
     """
     b, u = pair_of(operator, b, u)
     named = {n: as_tensor(n, v).to("cpu", torch.float64) for n, v in (parameters or {}).items()}
@@ -275,10 +275,11 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     def back(g: np.ndarray) -> np.ndarray:
         return np.stack(_pulled(operator, g, g, solver)[1:])
 
+    refuse_tangents(*numbers)
     if operator.is_linear and not any(one.requires_grad for one in numbers):
         answer = linear(torch.stack(fields), there, back)
     else:
-        refuse_tangents(*fields, *numbers)
+        refuse_tangents(*fields)
         answer = _at_rest(operator, there, solver, list(named), *fields, *numbers)
     return replace(found[0], u=answer.to(u if u.is_floating_point() else answer))
 

@@ -304,6 +304,8 @@ def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
         body: the body.
         cracks: polylines [length], shape [P, 2] each; in space flat polygons, [P, 3].
     """
+    if not np.iterable(cracks):
+        raise InputError(f"cracks: expected a list of polylines, got {cracks!r:.50}")
     neighbour = body.neighbour.copy()
     for polyline in cracks:
         cut = crossing_bonds(body, polyline)

@@ -158,6 +158,8 @@ class CrackRun:
         with agreed(comm):
             check_step(body, step, allow_unstable=allow_unstable)
             check_whole("every", every, 1)
+            if not isinstance(watch, Mapping | None):
+                raise InputError(f"watch: expected functions by name, got {watch!r:.50}")
             check_whole("checkpoint_every", checkpoint_every, 1)
             self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
             for name, mask in self.regions.items():
@@ -193,6 +195,7 @@ class CrackRun:
         if not self._began or state.steps == 0:
             self._first, self._ramp = (state.time, state.steps), []
             self._began = self._start_mark(state)
+        check_whole("steps", steps, 0)
         state = self._resumed(state, steps)
         if state.steps > steps:
             raise InputError(

@@ -82,7 +82,7 @@ class Cracked:
     def body(self, material: Any, verb: str) -> LatticeBody:
         """Nodes and bonds; InputError for what has no linear part, and for other points."""
         refuse_uncut(material, "Cracked")
-        if hasattr(material, "numbers"):
+        if hasattr(material, "numbers") and hasattr(material, "linear"):
             raise InputError(
                 f"{verb}: expected a linear solid for a Cracked, got {type(material).__name__}, "
                 "whose third order no cut bond knows of; its .linear is solved alone"

@@ -20,7 +20,18 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
 from warp_peri.lps.model import ALPHA_BOUND, bernstein_basis
+<<<<<<< HEAD
 from warp_peri.points.arrays import checked, checked_fields, mean_inverse
+=======
+from warp_peri.points.arrays import (
+    check_positive,
+    check_whole,
+    checked,
+    checked_fields,
+    mean_inverse,
+    plain,
+)
+>>>>>>> attack45
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
@@ -191,7 +202,7 @@ class DiffusionOperator(OnPoints):
 
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Lᵗ w on all nodes, [..., N], of w on the interior, [..., I], whatever φ."""
-        return np.asarray(w @ self._matrix)
+        return np.asarray(plain("w", w) @ self._matrix)
 
     @cached_property
     def _matrix(self) -> sp.csr_array:
@@ -284,7 +295,10 @@ def bond_conductivity(operator: DiffusionOperator, kappa: Conductivity) -> np.nd
             xi -= np.asarray(points.box) * np.rint(xi / points.box)
 
         def along(place: float) -> np.ndarray:
-            values = np.asarray(kappa(points.x[near] + place * xi), dtype=float)
+            values = checked("conductivity", kappa(points.x[near] + place * xi))
+            if values.shape not in ((), (len(near),)):
+                shown = list(values.shape)
+                raise InputError(f"conductivity: expected one a position, {len(near)}, got {shown}")
             _check(values)
             return np.broadcast_to(values, len(near))
 

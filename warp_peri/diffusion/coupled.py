@@ -20,7 +20,7 @@ from warp_peri.diffusion.conductor import Conductivity, Conductor, DiffusionOper
 from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
 from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
@@ -141,7 +141,7 @@ class CoupledOperator(OnPoints):
 
     def force(self, u: np.ndarray) -> np.ndarray:
         """On the interior, shape [N, 3] or [S, N, 3] to [..., I, 3]."""
-        u = np.asarray(u, dtype=float)
+        u = plain("u", u)
         self.check(u)
         if u.ndim > 2:
             return np.stack([self.force(one) for one in u])
@@ -163,6 +163,7 @@ class CoupledOperator(OnPoints):
 
     def product_transpose(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """That transposed: of w on the interior, [..., I, 3], on all nodes, [..., N, 3]."""
+        w = plain("w", w)
         flat, source = w[..., :2].reshape(*w.shape[:-2], -1), w[..., 2]
         pushed = (flat @ self._solid).reshape(*w.shape[:-2], -1, 2)
         phi = flat @ self._pull + source @ self._flux

@@ -23,7 +23,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.dressed.finite import gather, pull, spread
 from warp_peri.launch import floats, ints, launch_slices
 from warp_peri.micromodulus.learning import one_set
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike, Samples, axis_of
@@ -426,7 +426,7 @@ class FiniteBody(OnPoints):
 
     def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
-        fields, w = self.fields(u), np.asarray(w, dtype=float)
+        fields, w = self.fields(u), plain("w", w)
         pairs = zip(fields, w.reshape(len(fields), -1), strict=True)
         return np.reshape([self.tangent(f).T @ one for f, one in pairs], np.shape(u))
 

@@ -99,8 +99,10 @@ NO_FORCE = 1e-9
 def inertia(density: float, units: Units) -> float:
     """ρ in units of stress · ps² over length², of kg/m³.
 
-    Raises InputError for reduced units, which have neither kilograms nor picoseconds.
+    Raises InputError for reduced units, which have neither kilograms nor picoseconds, and for a
+    density not > 0.
     """
+    check_positive("density", density)
     length, stress = factors(units, USUAL)
     return INERTIA * density * length**2 / stress
 

@@ -364,6 +364,8 @@ class BodyLoads:
             nodes = rim.nodes_of(name)
             there = values(rim.x[nodes])
             known = np.isfinite(there)
+            if name in self.pulls and known.all():
+                raise InputError(f"part '{name}': expected it held or pulled, got both")
             given[nodes] = np.where(known, there, given[nodes])
             fixed[nodes] |= known
         return given, fixed

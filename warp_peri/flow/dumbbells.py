@@ -23,7 +23,7 @@ from warp_peri.files.checkpoint import fingerprint
 from warp_peri.flow.laws import IDENTITY, trace
 from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
-from warp_peri.points.arrays import check_positive, check_whole, checked
+from warp_peri.points.arrays import check_positive, check_whole, checked, is_positive
 
 BLOCK = 2000
 """Dumbbells a thread sums up in single precision."""
@@ -66,9 +66,9 @@ class Dumbbells:
         matched: bool = False,
         device: str = DEVICE,
     ) -> None:
-        if ensembles < 1 or count < 2:
-            raise InputError(f"dumbbells: expected ≥ 2 in ≥ 1 ensembles, got {count}, {ensembles}")
-        if b is not None and not (np.isfinite(b) and b > 3):
+        check_whole("dumbbells", count, 2)
+        check_whole("ensembles", ensembles, 1)
+        if b is not None and not (is_positive(b) and b > 3):
             raise InputError(f"b: expected a number above 3, got {b}")
         self.b, self.seed, self.common, self.matched = b, seed, common, matched
         self.count, self.ensembles, self.steps = count, ensembles, 0
@@ -90,9 +90,7 @@ class Dumbbells:
         Hookean dumbbells take any step exactly, so that steps are one. Raises InputError for a
         step beyond |K| Δt = 1 of FENE dumbbells.
         """
-        K = np.broadcast_to(np.asarray(K, dtype=float), (self.ensembles, 4))
-        if not np.isfinite(K).all():
-            raise InputError("velocity gradient: expected finite numbers")
+        K = np.broadcast_to(checked("velocity gradient", K), (self.ensembles, 4))
         largest = float(np.abs(K).max()) * dt
         if self.b is not None and largest > LARGEST_STEP:
             raise InputError(
@@ -344,7 +342,7 @@ def simulate(
     """
     check_positive("interval", interval)
     check_whole("steps", steps, 1)
-    K = np.asarray(K, dtype=float)
+    K = checked("K", K)
     if K.ndim != 3 or K.shape[1:] != (dumbbells.ensembles, 4):
         raise InputError(f"K: expected shape [T, {dumbbells.ensembles}, 4], got {list(K.shape)}")
     first, key = 0, f"{dumbbells.key}, {fingerprint(K, interval, steps)[:16]}"

@@ -70,7 +70,7 @@ class Solid:
         D_dilatation: those of the dilatation's own influence function, of any degree; None when it
             shares that of D.
 
-    Raises InputError where λ, μ or α is no single number.
+    Raises InputError where λ, μ or α is no single number, and D no list of them.
     """
 
     lam: Any
@@ -85,6 +85,9 @@ class Solid:
                 raise InputError(
                     f"{name}: expected one number of a homogeneous solid, got shape {list(shape)}"
                 )
+        for name in ("D", "D_dilatation"):
+            if len(shape := np.shape(getattr(self, name))) > 1:
+                raise InputError(f"{name}: expected a list of numbers, got shape {list(shape)}")
 
     @property
     def dilatation(self) -> Any:

@@ -381,7 +381,7 @@ class NodeOperator(OnPoints):
 
     def product_transpose(self, u: Any, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
-        w, bonds = np.require(w, float, ["C", "W"]), self.bonds
+        w, bonds = np.require(plain("w", w), float, ["C", "W"]), self.bonds
         seed = w.reshape(-1, *w.shape[-2:])
         if gathers(bonds):
             numbers, tables = self._evaluated

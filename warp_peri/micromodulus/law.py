@@ -28,7 +28,7 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import Product
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, lps_stencil
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, nodes_of, unsaid
@@ -132,7 +132,7 @@ class TensorOperator(OnPoints):
 
     def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior, whatever u."""
-        w, shape = np.asarray(w, dtype=float), self.points.x.shape
+        w, shape = plain("w", w), self.points.x.shape
         pushed = [self.linear.push(one) for one in w.reshape(-1, *w.shape[-2:])]
         return np.reshape(pushed, (*w.shape[:-2], *shape))
 
@@ -154,7 +154,7 @@ class TensorOperator(OnPoints):
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u to the tensors, of fields [K, N, d] and weights [K, I, d]."""
         nodes, lead = self.nodes, (slice(None), slice(None))
-        planes, w = nodes.scatter(self.fields(u)), np.asarray(w, dtype=float)
+        planes, w = nodes.scatter(self.fields(u)), plain("w", w)
         pull = np.stack([nodes.scatter_interior(one) for one in w])
         pull = pull if nodes.periodic else pull[(*lead, *nodes.core)]
         middle, found = 2 * planes[(*lead, *nodes.core)], []

@@ -16,7 +16,7 @@ from warp_peri.contract import OnPoints
 from warp_peri.core.tensors import on_fields, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import Gather, NetworkBonds, Scatter
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import Samples
 from warp_peri.statics.equilibria import Equilibria, probed
 from warp_peri.statics.linear import Inverse, Linear
@@ -354,7 +354,7 @@ class Placed(OnPoints):
 
     def _taken(self, u: Any) -> torch.Tensor:
         """NumPy's field in the material's precision."""
-        return torch.as_tensor(np.ascontiguousarray(u), dtype=self.dtype)
+        return torch.as_tensor(np.ascontiguousarray(plain("u", u)), dtype=self.dtype)
 
     def _checked(self, u: torch.Tensor, name: str = "u") -> torch.Tensor:
         """A field of shape [S, N, 2] in the material's precision."""

@@ -17,11 +17,18 @@ GRADIENT = "expected values without a gradient, which is not had here, got tenso
 
 
 def plain(name: str, value: Any) -> np.ndarray:
-    """An array of float64, not looked at; InputError for a tensor whose gradient would be lost."""
+    """An array of float64, whose values may be anything; InputError for a tensor whose gradient
+    would be lost, for masked entries, complex numbers, text and objects."""
     try:
-        return np.asarray(value, dtype=float)
+        found = np.asarray(value)
     except RuntimeError:
         raise InputError(f"{name}: {GRADIENT}") from None
+    except ValueError as error:
+        raise InputError(f"{name}: expected an array ({error})") from None
+    if found.dtype.kind not in "fiu" or np.ma.is_masked(value):
+        got = "masked entries" if np.ma.is_masked(value) else found.dtype
+        raise InputError(f"{name}: expected float values, got {got}")
+    return np.asarray(found, dtype=float)
 
 
 def checked(

@@ -24,7 +24,7 @@ from warp_peri.sources.dump_files import encoding_of
 MATCHID = ("disphorizontaldisplacement§", "dispverticaldisplacement§")
 MOVES = ("§", "u*", "displacement*", "*displacement", "disp*", "d*", *MATCHID)
 RANKS = (
-    (("modelcoordinates*",), ("modeldisplacement*",)),
+    (("modelcoordinates*", "model*"), ("modeldisplacement*", "model§")),
     (("*undef", "*undeformed", "*ref", "*reference", "*0"), MOVES),
     (("*", "coordinate*", "*coordinate", "coor*"), MOVES),
     (("*def", "*deformed", "*cur", "*current"), MOVES),

@@ -17,7 +17,7 @@ from warp_peri.contract import OnPoints, stencil_of
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
 from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
@@ -241,7 +241,7 @@ class PlacedThirdOrder(OnPoints):
 
 
 def _array(u: ArrayLike) -> np.ndarray:
-    return np.require(u, float, ["C", "W"])
+    return np.require(plain("u", u), float, ["C", "W"])
 
 
 def energy_density(H: np.ndarray, numbers: np.ndarray) -> np.ndarray:

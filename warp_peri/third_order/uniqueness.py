@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.contract import stencil_of
+from warp_peri.contract import offered, stencil_of
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
@@ -80,8 +80,9 @@ def uniqueness(model: Any, *, spacing: float) -> Uniqueness:
         model: a solid of third order.
         spacing: h [length].
 
-    Raises InputError when the horizon is below one spacing.
+    Raises InputError when the horizon is below one spacing, and for another material.
     """
+    offered(model, "reach", "uniqueness", "a solid of third order")
     stencil, group = stencil_of(model.linear, spacing, "uniqueness")
     classes = bond_classes(spacing, model.reach)
     p_in, p_out = model.weights(classes)

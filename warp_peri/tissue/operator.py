@@ -275,7 +275,7 @@ class HyperelasticOperator:
 
     def _field(self, u: np.ndarray) -> Any:
         """A displacement as the kernels read it, shape [S, N]."""
-        u = np.asarray(u)
+        u = plain("u", u)
         n = len(self.points.x)
         if u.ndim not in (2, 3) or u.shape[-2:] != (n, 2):
             raise InputError(f"u: expected shape [S, {n}, 2] or [{n}, 2], got {list(u.shape)}")
@@ -398,7 +398,7 @@ class HyperelasticOperator:
                 other columns are then zero.
         """
         which = {"coefficient": 0, "angle": 1, "exponent": 2}[by]
-        fields = np.asarray(u).reshape(-1, len(self.points.x), 2)
+        fields = plain("u", u).reshape(-1, len(self.points.x), 2)
         forces = self._features(fields, which, self._rows)
         if which:
             forces[..., : self.dictionary.first_term] = 0.0
@@ -442,8 +442,8 @@ class HyperelasticOperator:
 
     def pairing(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Σ f_k·v over samples and nodes for every energy k with coefficient one, shape [K]."""
-        fields = np.asarray(u).reshape(-1, len(self.points.x), 2)
-        seeds = np.asarray(v).reshape(fields.shape)
+        fields = plain("u", u).reshape(-1, len(self.points.x), 2)
+        seeds = plain("v", v).reshape(fields.shape)
         sums = np.zeros(len(self.dictionary))
         for field, seed in zip(fields, seeds):
             F = self._features(field[None], 0, self._all)[0]

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import OnPoints
-from warp_peri.points.arrays import checked_fields
+from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
@@ -87,7 +87,7 @@ def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.n
     edge it misses what bonds to outside would carry. Of a sheet that is not even it is the pull per
     length of a section, over thickness one.
     """
-    u = np.asarray(u, float)
+    u = plain("u", u)
     E, G, _ = op.states(u, c)
     i, j, k = op.bonds.pairs
     xi = op.bonds.xi[k]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
 
+from warp_peri.contract import taken
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.errors import InputError
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
@@ -203,12 +204,15 @@ class Dictionary:
     def learn(self, samples: Samples, **options: Any) -> EnergyFit | DisplacementFit:
         """A solid of these energies: from loads by fit_energy, without loads by fit_displacement.
 
-        `options` are those of the two functions, and the errors theirs.
+        `options` are those of the two functions, and the errors theirs. Loads need no progress.
         """
         from warp_peri.tissue.energy_fit import fit_energy
         from warp_peri.tissue.from_displacement import fit_displacement
 
         learned = fit_energy if samples.b is not None else fit_displacement
+        if learned is fit_energy:
+            options.pop("progress", None)
+        (options,) = taken(options, "fit", learned)
         return learned(samples, self, **options)
 
     def with_terms(self, terms: Sequence[Term]) -> Dictionary:

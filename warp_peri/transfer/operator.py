@@ -92,7 +92,7 @@ class LPSOperator(NodeOperator):
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
         if self.carrier is None:
             return super().product_transpose(u, w)
-        on_lattice = super().product_transpose(u, _applied(self.carrier.unknown, np.asarray(w)))
+        on_lattice = super().product_transpose(u, _applied(self.carrier.unknown, plain("w", w)))
         return _applied(self.carrier.T.T, on_lattice)
 
     def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:
