@@ -20,18 +20,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
 from warp_peri.lps.model import ALPHA_BOUND, bernstein_basis
-<<<<<<< HEAD
-from warp_peri.points.arrays import checked, checked_fields, mean_inverse
-=======
-from warp_peri.points.arrays import (
-    check_positive,
-    check_whole,
-    checked,
-    checked_fields,
-    mean_inverse,
-    plain,
-)
->>>>>>> attack45
+from warp_peri.points.arrays import checked, checked_fields, mean_inverse, plain
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
