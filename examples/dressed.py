@@ -19,7 +19,7 @@ import numpy as np
 
 import warp_peri as wp
 from examples.crystals import Unseen
-from examples.figures import panels
+from examples.figures import note, panels
 from examples.nonlinear import add_files, strained_file
 from examples.studies.dressed_bodies import STRIP, faces, free_ball, plate, squeezed_law, without
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
@@ -263,7 +263,7 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
         values = [*numbers[kind][name]["E_u"].values()]
         left.semilogy(range(3), values, "o", color=f"C{n}")
         at = (0.08, values[0])
-        left.annotate(labels[n], at, (4, -4), textcoords="offset points", color=f"C{n}")
+        note(left, labels[n], at, (0, (-3, 2, -9)[n]), f"C{n}")
     left.set(xticks=range(3), xlim=(-0.3, 2.3), ylabel="error of displacement [%]")
     left.set_xticklabels(["training loads", "held-out loads", "free disks"])
     left.set_yticks([0.5, 1, 2, 5, 10], labels=["0.5", "1", "2", "5", "10"])

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import name_lines, note, panels, save_figure
 from tools.options import Options
 from warp_peri.dressed import FiniteSolid
 from warp_peri.errors import exit_status
@@ -98,9 +98,11 @@ def main(args: list[str] | None = None) -> int:
     figure, ax = panels()
     for name, label in {"E_res": "residual", "E_u": "displacement that is solved for"}.items():
         ax.semilogy(rows["step"], 100 * np.array(rows[name]), ".-", label=label)
-    ax.axvspan(given.steps, given.steps + given.last, alpha=0.15, label="answers in the loss")
+    ax.axvspan(given.steps, given.steps + given.last, alpha=0.15)
+    note(ax, "answers in\nthe loss", (given.steps, ax.get_ylim()[1]), (3, -4), va="top")
     ax.set(xlabel="step of Adam", ylabel="error on loads never seen [%]")
-    ax.legend()
+    ax.set_title(f"Residuals alone teach displacements to {100 * rows['E_u'][-1]:.2g} %")
+    name_lines(ax)
     save_figure(figure, given.out / "network_from_residuals.png")
     return 0
 

@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import name_lines, panels, save_figure
 from tools.options import Options
 from warp_peri.damage import BondLaw, SoftSolid, lattice_body
 from warp_peri.damage.operator import unit_toughness
@@ -98,7 +98,8 @@ def main(args: list[str] | None = None) -> int:
     for style, (name, row) in zip((".", ":", "-"), rows.items()):
         ax.plot(2 * GRIP * LOADS[: len(row)], row, style, label=name)
     ax.set(xlabel="displacement of the grips [mm]", ylabel="force over thickness [GPa mm]")
-    ax.legend()
+    ax.set_title("The toughness that is found follows the measured force")
+    name_lines(ax)
     save_figure(figure, given.out / "toughness_from_crack.png")
     return 0
 

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import headline, panels, save_figure
 from tools.options import Options
 from warp_peri.dressed import DressedSolid
 from warp_peri.errors import exit_status
@@ -103,6 +103,7 @@ def main(args: list[str] | None = None) -> int:
             ax.set(title=f"{sign}, {what}", aspect="equal")
     figure.colorbar(shown, ax=axes, label="modulus over that of the plate")
     figure.supxlabel("position [Å]")
+    headline(figure, "Waves through the plate find its inclusions, in κ and in μ")
     save_figure(figure, given.out / "maps.png")
     return 0
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from examples.figures import panels, save_figure
+from examples.figures import headline, panels, save_figure
 from examples.prose import fill, rows_of
 from warp_peri import Dirichlet, Model, Samples, plots, solve
 from warp_peri.learning.result import Fit
@@ -144,7 +144,7 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
         ax.legend(
             frameon=False, fontsize="small", loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2
         )
-    figure.suptitle("Errors by degree at 300 K, time smoothing as printed (figure 6, right)")
+    headline(figure, "At 300 K noise sets the errors, whatever the degree (figure 6, right)")
     save_figure(figure, path)
 
 
@@ -172,7 +172,7 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
         )
     ax.set(xlabel="bond length r [Å] (points moved apart by 0.15 Å)", ylabel="K / m  [Å⁻⁴]")
     ax.legend(frameon=False, title="time smoothing, 90 % band")
-    ax.set_title("Influence function at 300 K by noise (figure 7, right)")
+    ax.set_title("The smaller the loads, the less sure the influence function")
     save_figure(figure, path)
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from examples.figures import outer, panels, save_figure
+from examples.figures import headline, note, outer, panels, save_figure
 from tools.make_hgo import NODES
 from tools.make_leaflet import PROTOCOLS, SIDE, TINE, TINES_AT
 from warp_peri import Samples
@@ -41,17 +41,20 @@ def shown(figure: Figure, ax: Axes, x: Any, value: Any, label: str, limit: float
 
 def prediction(path: Path, field: Mapping[str, Any], length: str, load: str) -> None:
     """u₁ and b₁: truth, network, and the size of the difference."""
-    figure = Figure(figsize=(11, 6), layout="constrained")
-    grid = figure.subplots(2, 3)
+    figure, grid = panels(11, 6, count=3, rows=2)
+    off = []
     for row, (name, unit) in zip(grid, (("u", length), ("b", load))):
         true, found = (np.array(part)[:, 0] for part in field[name])
         limit = max(np.abs(true).max(), np.abs(found).max())
+        whole, wrong = np.array(field[name][0]), np.subtract(field[name][1], field[name][0])
+        off.append(f"{100 * np.linalg.norm(wrong) / np.linalg.norm(whole):.2g} %")
         shown(figure, row[0], field["x"], true, f"{name}₁ [{unit}]", limit)
         shown(figure, row[1], field["x"], found, f"{name}₁ [{unit}]", limit)
         shown(figure, row[2], field["x"], np.abs(found - true), f"difference [{unit}]", None)
         for ax, title in zip(row, ("truth", "network", "difference")):
             ax.set_title(f"{title}, {name}₁")
     outer(grid, f"x₁ [{length}]", f"x₂ [{length}]")
+    headline(figure, f"On an unseen disk displacement is off by {off[0]}, the load by {off[1]}")
     save_figure(figure, path)
 
 
@@ -172,7 +175,7 @@ def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
         ax.set(xlabel="x₁", ylabel="x₂")
     for number, (a, b) in enumerate(PROTOCOLS, 1):
         ratios.plot([0, a], [0, b], color="0.8", linewidth=0.8)
-        ratios.annotate(f"{number}", (a, b), xytext=(4, 4), textcoords="offset points")
+        note(ratios, f"{number}", (a, b))
         ratios.plot(a, b, "o", color="C0")
     ratios.set(aspect="equal", xlim=(0, 1.15), ylim=(0, 1.15), title="seven protocols")
     ratios.set(xlabel="pull along x₁", ylabel="pull along x₂")

@@ -212,21 +212,24 @@ def picture(found: LearnedCrystal) -> Figure:
         dispersion.plot(reach, own, color=f"C{number}", label=names)
         dispersion.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
         dispersion.plot(reach[::3], true[::3], ".", color=f"C{number}")
-    dispersion.set(xlabel="|k| h", ylabel="√Λ(k) [√(GPa/Å²)]")
-    dispersion.set_title("model (lines), atoms (dots), local (dotted)")
-    dispersion.legend(frameon=False)
+    dispersion.set(xlabel="wave number × spacing", ylabel="root of the wave's stiffness [√GPa / Å]")
+    dispersion.set_title(
+        "Waves of the model (lines), of the\natoms (dots), of local elasticity (dotted)"
+    )
+    dispersion.legend(frameon=False, title="direction")
     polar: Any = figure.add_subplot(1, 3, 2, projection="polar")
     angle, young = found.directional()
     polar.plot(angle, young)
     polar.set_rlim(min(0.0, 1.1 * young.min()), 1.1 * young.max())
     polar.set_rlabel_position(67.5)
-    polar.set_title(f"E [GPa], axes 1 and {d}")
+    polar.set_title(f"Young's modulus [GPa] over the\ndirection of the pull, axes 1 and {d}")
     bars = figure.add_subplot(1, 3, 3)
-    place = np.arange(len(found.unseen))
-    for shift, name in ((-0.2, "law"), (0.2, "local")):
-        bars.bar(place + shift, [e[name] for e in found.unseen.values()], 0.38, label=name)
+    place, worst = np.arange(len(found.unseen)), max(e["law"] for e in found.unseen.values())
+    for shift, name, label in ((-0.2, "law", "model"), (0.2, "local", "local elasticity")):
+        bars.bar(place + shift, [e[name] for e in found.unseen.values()], 0.38, label=label)
     bars.set_xticks(place, [name.replace(" of ", "\n") for name in found.unseen])
-    bars.set(ylabel="E_u [%]", title="loads that the model never saw")
+    bars.set(ylabel="error of displacement [%]")
+    bars.set_title(f"Unseen loads: the model errs\nby {worst:.2g} % at most")
     bars.legend(frameon=False)
     return figure
 

@@ -331,6 +331,12 @@ def draw(one: Row, found: Outcome, out: Path) -> None:
         drawn = ax.imshow(values, origin="lower", extent=box, **limits)
         ax.set(xlabel="x [m]", ylabel="y [m]")
         figure.colorbar(drawn, ax=ax, label=found.label)
-    ax.set_title(one.name, fontsize="medium")
+    most, quantity = np.argmax(shown), found.label.split(" [")[0]
+    at = (
+        f"x = {x[most, 0]:.3g}, y = {x[most, 1]:.3g} m"
+        if x.ndim > 1
+        else f"{x[most] / x.max():.2g}"
+    )
+    ax.set_title(f"{one.name}:\n{quantity} is largest at {at}", fontsize="medium")
     name = "".join(c if c.isalnum() else "_" for c in one.name.lower())
     figure.savefig(out / f"{name}.png", dpi=110)
