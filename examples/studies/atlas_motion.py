@@ -117,7 +117,7 @@ def energy_drift(model: Model, steps: int) -> Entry:
     motion = move(model, Dirichlet(points, None, u), **how, steps=steps, every=every)
     figure, ax = panels()
     ax.plot(motion.time / step, motion.energy / motion.energy[0] - 1, linewidth=0.8)
-    ax.set(xlabel="step", ylabel="E(n + ½)/E(½) − 1")
+    ax.set(xlabel="step", ylabel="energy over that of the start, less 1")
     cloud = Points(points.x + 0.1 * u, points.interior, 0.0)
     numbers = {"drift": motion.drift, "steps": steps, "side": side}
     seen = (lambda: move(model, Dirichlet(cloud, None, u), **how, steps=1),)

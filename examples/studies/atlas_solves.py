@@ -185,10 +185,8 @@ def single_precision() -> Entry:
         rough[precision] = error(u)
     lost = shifts[int(np.argmax(np.array(errors["float32"]) > 0.01))]
     figure, ax = panels()
-    axes = {
-        "xlabel": "rigid shift [Å] under displacements of 10⁻³ Å",
-        "ylabel": "relative error of the force",
-    }
+    axes = {"xlabel": "rigid shift [Å] under displacements of 10⁻³ Å"}
+    axes["ylabel"] = "relative error of the force"
     rows = {name: np.maximum(values, 1e-17) for name, values in errors.items()}
     curves(ax, "loglog", shifts, rows, "o-", **axes)
     ax.axhline(1, color="0.6", linewidth=0.8)

@@ -69,10 +69,10 @@ def transfers(model: Model) -> Entry:
         "ylabel": "displacement against the model's own [%]",
     }
     styles = ["k--"] + ["-"] * len(SPACINGS)
-    axes |= {"xlim": (210, 8), "ylim": (0.1, 3000)}
+    axes |= {"xlim": (210, 11), "ylim": (0.1, 3000)}
     curves(ax, "loglog", WAVELENGTHS, table, *styles, scale=100, **axes)
     ax.axvspan(WAVELENGTHS.min(), shortest, color="0.9")
-    note(ax, "beyond the data", (shortest, 0.12))
+    note(ax, "beyond the data", (shortest, 0.1), (-4, 4), ha="right")
     ticks = (12, 20, 30, 50, 100, 200)
     ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
     ax.minorticks_off()

@@ -202,16 +202,10 @@ def run(out: Path, seed: int, *, quintic: bool, adam: bool = False) -> dict[str,
             left.axhline(true, color=f"C{number}", linestyle="--", linewidth=1)
             right.plot(r, K, color=f"C{number}", label=label)
         right.plot(r, 1 / r, "k:", label="1/r")
-        left.set(
-            xlabel="degree of the influence function",
-            ylabel="relative error of the load",
-            title="loss; dashed: K = 1/r on the same grid",
-        )
-        right.set(
-            xlabel="bond length r [Å]",
-            ylabel="K, scaled to the weighted volume of 1/r",
-            title=f"kernels, M = {KERNEL_DEGREE}",
-        )
+        left.set(xlabel="degree of the influence function", ylabel="relative error of the load")
+        left.set_title("loss; dashed: K = 1/r on the same grid")
+        right.set(xlabel="bond length r [Å]", ylabel="K, scaled to the weighted volume of 1/r")
+        right.set_title(f"influence functions of degree {KERNEL_DEGREE}")
         name_lines(left)
         name_lines(right)
         off = np.abs(K * r - 1).max()

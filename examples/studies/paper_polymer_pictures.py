@@ -52,19 +52,17 @@ def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
     for ax, De in zip(axes, sorted({De for De, *_ in plates})):
         run = plates[De, LAWS[1], 10_000]
         coupled = plates[De, "coupled", 10_000]
-        for i in range(5):
-            ax.plot(coupled["t"], np.array(coupled["stress"])[:, i], "C7", linewidth=0.8)
-            ax.plot(run["t"], np.array(run["stress"])[:, i], "C1")
-            ax.plot(run["t"], np.array(run["exact"])[:, i], "k:", linewidth=1)
+        shown = (
+            ("coupled, 10⁴ dumbbells", coupled, "stress", "C7"),
+            ("learned, kinematics known", run, "stress", "C1"),
+            ("exact law", run, "exact", "k:"),
+        )
+        for label, one, key, style in shown:
+            drawn = ax.plot(one["t"], np.array(one[key]), style, linewidth=1)
+            drawn[0].set_label(label)
+        name_lines(ax)
         ax.set(title=f"Deborah number {De:g}", xlabel="time t / t₀")
         ax.set_ylabel("shear stress at five heights")
-    for style, label in (
-        ("C7", "coupled, 10⁴ dumbbells"),
-        ("C1", "learned, kinematics known"),
-        ("k:", "exact law"),
-    ):
-        ax.plot([], [], style, label=label)
-    ax.legend(frameon=False, fontsize=9)
     headline(figure, "The learned fluid's stress follows the exact law at every height")
     save_figure(figure, path)
 

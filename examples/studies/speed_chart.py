@@ -133,11 +133,8 @@ def error_chart(rows: list[Row], file: Path, error: str) -> None:
     draw_front(
         ax, found, {row["label"]: row["seconds"] for row in rows if not row["error"]}, every=True
     )
-    ax.set(
-        xlabel="seconds in all",
-        ylabel=error,
-        title=f"Least error: {min(found, key=lambda one: one[1])[2]}",
-    )
+    best = min(found, key=lambda one: one[1])[2]
+    ax.set(xlabel="seconds in all", ylabel=error, title=f"Least error: {best}")
     ax.set_ylim(top=1.5 * max(y for _, y, _ in found))
     save_figure(figure, file, dpi=110, bbox_inches=None)
 
