@@ -100,7 +100,7 @@ def main(argv: list[str] | None = None) -> int:
     name_lines(ax)
     case = args.case or next(iter(CASES))
     _, x, off = inclusion(args.cells[-1], *CASES[case], d=d)
-    draw(shown, x, off, f"{case}, {args.cells[-1]} nodes per half side")
+    draw(shown, x, off, case)
     headline(figure, "The error sits at the interface, and falls with the spacing for every pair")
     save_figure(figure, args.out / "inclusion.png")
     print(json.dumps(numbers, indent=None if args.json else 1))

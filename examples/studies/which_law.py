@@ -93,7 +93,7 @@ def picture(table: dict[str, Any], path: Path) -> None:
         ax.set(xlabel="largest bond strain [%]", title=f"unseen {title}", yscale="log")
     axes[0].set_ylabel("error of displacement [%]")
     name_lines(axes[1])
-    headline(figure, "Third order errs least, the more the larger the strain")
+    headline(figure, "Third order on a crystal model errs least at every strain")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
