@@ -102,11 +102,11 @@ def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], pat
     left.set(ylim=(-0.015, 0.023), title="Graphene's influence function changes sign")
     left.legend(frameon=False, loc="upper right")
     right.semilogy([row["parameters"] for row in rows], [row["E_u test"] for row in rows], "o")
-    above = {"exponential": 9, "gaussian": -1, "conical": -11, "table, 9 knots": 11}
+    above = {"exponential": 12, "gaussian": 0, "conical": -12, "table, 9 knots": 11}
     for row in rows:
         place, shift = (row["parameters"], row["E_u test"]), (8, above.get(row["shape"], 0))
         note(right, row["shape"], place, shift, va="center")
-    right.set_xlim(0, 15)
+    right.set_xlim(0, 16)
     right.set_ylim(0.4, 40)
     right.yaxis.set_major_formatter("{x:g}")
     right.set(xlabel="parameters of the influence function", ylabel="error on unseen disks [%]")
