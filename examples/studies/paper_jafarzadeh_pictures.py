@@ -128,8 +128,10 @@ def omega(ax: Axes, material: Any) -> Any:
 def influence(path: Path, material: Any) -> None:
     """Figures 5 and 13, right: ω as an image."""
     figure, ax = panels(4.6, 3.8)
-    figure.colorbar(omega(ax, material), ax=ax, shrink=0.85, label="ω over its largest value")
-    ax.set_ylabel("ξ₂/δ")
+    drawn = omega(ax, material)
+    figure.colorbar(drawn, ax=ax, shrink=0.85, label="ω over its largest value")
+    does = "changes" if drawn.get_array().min() < 0 else "keeps"
+    ax.set(ylabel="ξ₂/δ", title=f"The influence function {does} sign")
     save_figure(figure, path)
 
 
@@ -151,6 +153,9 @@ def roses(path: Path, laws: Mapping[int, Any], roses: Mapping[int, Mapping[str, 
         ax.set_yticklabels([])
         ax.set_title(f"dictionary, δ = {reach} spacings")
     shown[0].set_ylabel("ξ₂/δ")
+    headline(
+        figure, "At every horizon the dictionary finds the fibres; the network differs each time"
+    )
     figure.colorbar(drawn, ax=shown, shrink=0.85, label="ω over its largest value")
     save_figure(figure, path)
 
