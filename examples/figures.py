@@ -77,7 +77,7 @@ def name_lines(ax: Axes, size: float = 9) -> None:
     """
     ax.autoscale_view()
     to_axes, height = ax.transData - ax.transAxes, ax.get_window_extent().height
-    gap = 1.3 * size * ax.get_figure(root=True).dpi / 72 / height  # of lines of text, in axes
+    gap = 1.3 * size * ax.figure.dpi / 72 / height  # of lines of text, in axes
     ends = []
     for line in ax.get_lines():
         at = to_axes.transform(np.column_stack(line.get_data()).astype(float))
@@ -100,7 +100,8 @@ def name_lines(ax: Axes, size: float = 9) -> None:
 
 def field(ax: Axes, x: Any, values: Any, unit: str = "", **colours: Any) -> None:
     """A field over its nodes [N, 2] without gaps, with a colour bar of its unit."""
-    drawn = ax.tripcolor(*np.asarray(x).T, np.asarray(values), shading="gouraud", **colours)
+    draw: Any = ax.tripcolor
+    drawn = draw(*np.asarray(x).T, np.asarray(values), shading="gouraud", **colours)
     ax.figure.colorbar(drawn, ax=ax, label=unit)
     ax.set_aspect("equal")
 

@@ -133,7 +133,7 @@ def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
     off = np.linalg.norm((u - truth)[inner]) / np.linalg.norm(truth[inner])
     headline(figure, f"The learned sheet is off by {100 * off:.2g} % on a disk that it never saw")
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+    figure.savefig(path, dpi=100)
 
 
 def at_rest(solid: HyperelasticSolid, samples: Samples) -> float:

@@ -153,8 +153,7 @@ def draw(runs: dict[str, ChannelRecord], spread: Band, folder: Path) -> None:
     t = runs["exact law"].t
     low, high = spread.value - spread.half_width(), spread.value + spread.half_width()
     left.fill_between(t, low, high, color="C1", alpha=0.3)
-    left.set(xlabel="time t / t₀ (band: ± 2 standard deviations)")
-    left.set_ylabel("velocity in the middle u / U")
+    left.set(xlabel="time t / t₀ (band: ± 2 deviations)", ylabel="velocity in the middle u / U")
     right.set(xlabel=f"velocity u / U at t = {t[-1]:g} t₀", ylabel="height over the wall y / L")
     name_lines(left)
     headline(

@@ -112,7 +112,7 @@ def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Pa
     outer(axes, "x [Å]", "y [Å]")
     headline(figure, "Loads alone show the disc: in shear, where it is softer, and hardly in bulk")
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(figure, path)
+    save_figure(figure, path, dpi=90)
 
 
 def main(arguments: list[str] | None = None) -> int:

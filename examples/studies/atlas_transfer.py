@@ -64,12 +64,9 @@ def transfers(model: Model) -> Entry:
         lambda: model.on(nodes(20), allow_uncertified=True),
     )
     figure, ax = panels(6.8, 4.2)
-    axes: dict[str, Any] = {
-        "xlabel": "wavelength [Å]",
-        "ylabel": "displacement against the model's own [%]",
-    }
+    axes: dict[str, Any] = {"xlabel": "wavelength [Å]", "xlim": (210, 11), "ylim": (0.1, 3000)}
+    axes["ylabel"] = "displacement against the model's own [%]"
     styles = ["k--"] + ["-"] * len(SPACINGS)
-    axes |= {"xlim": (210, 11), "ylim": (0.1, 3000)}
     curves(ax, "loglog", WAVELENGTHS, table, *styles, scale=100, **axes)
     ax.axvspan(WAVELENGTHS.min(), shortest, color="0.9")
     note(ax, "beyond the data", (shortest, 0.1), (-4, 4), ha="right")

@@ -98,9 +98,8 @@ def mirror(path: Path, wide: Samples) -> None:
 
 def loads(path: Path, sets: Mapping[str, Samples]) -> None:
     """Figure 9: load and displacement of a training and a validation sample."""
-    figure = Figure(figsize=(13, 5.6), layout="constrained")
+    figure, grid = panels(13, 5.6, count=4, rows=2)
     titles = {"train": "training", "val": "validation"}
-    grid = figure.subplots(2, 4)
     for row, (name, samples) in zip(grid, sets.items()):
         parts = [(f"b{'₁₂'[n]} [MPa/mm]", samples.loads[0, :, n]) for n in (0, 1)]
         parts += [(f"u{'₁₂'[n]} [mm]", samples.u[0, :, n]) for n in (0, 1)]

@@ -5,10 +5,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from examples import diffusion, pressurised_crack
-from examples.figures import headline, panels, save_figure
+from examples.figures import headline, name_lines, panels, save_figure
 from examples.prose import rows_of
 from examples.studies import atlas_solves
 from examples.studies import paper_slides_incompressible as stiff
@@ -142,15 +140,16 @@ def pressure() -> list[list[str]]:
 
 def draw_rates(path: Path, rates: Sequence[Mapping[str, Any]]) -> None:
     """Errors over the horizon, degree 4."""
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
-    for ax, d in zip(figure.subplots(1, 2), (2, 3)):
+    figure, axes = panels(11, 3.6, count=2)
+    headline(figure, "The quadrature converges at the claimed rates (in brackets)")
+    for ax, d in zip(axes, (2, 3)):
         for color, found in enumerate(
             one for one in rates if one["dimension"] == d and one["degree"] == 4
         ):
             label = f"α = {found['exponent']:g}: {found['rate']:.1f} ({found['claimed']:.1f})"
             ax.loglog(study.RADII, found["errors"], "o-", color=f"C{color}", label=label)
         ax.set(xlabel="horizon δ", ylabel="error of the integral", title=f"{d} dimensions")
-        ax.legend(title="rate (claimed)", frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+        name_lines(ax)
     save_figure(figure, path)
 
 

@@ -72,7 +72,7 @@ def atoms(data: Dataset, cache: Path, path: Path) -> None:
         ax.set_aspect("equal")
     outer(np.array([[near, whole, nodes]]), "x₁ [Å]", "x₂ [Å]")
     headline(figure, "A cone around each node smooths the atoms' displacements onto it")
-    save_figure(figure, path)
+    save_figure(figure, path, dpi=140)
 
 
 def fields(data: Dataset, path: Path) -> None:
