@@ -11,6 +11,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from warp_peri.files.atomic import whole_file
 
@@ -98,11 +99,11 @@ def name_lines(ax: Axes, size: float = 9) -> None:
         )  # fmt: skip
 
 
-def field(ax: Axes, x: Any, values: Any, unit: str = "", **colours: Any) -> None:
-    """A field over its nodes [N, 2] without gaps, with a colour bar of its unit."""
-    draw: Any = ax.tripcolor
-    drawn = draw(*np.asarray(x).T, np.asarray(values), shading="gouraud", **colours)
-    ax.figure.colorbar(drawn, ax=ax, label=unit)
+def field(ax: Axes, x: Any, values: Any, unit: str = "", most: Any = None, **how: Any) -> None:
+    """A field over its nodes [N, 2] without gaps, with a colour bar; `most`: least and most."""
+    levels = np.linspace(*(most or (np.min(values), np.max(values))), 25)
+    drawn = ax.tricontourf(*np.asarray(x).T, values, levels=levels.tolist(), **how)
+    ax.figure.colorbar(drawn, ax=ax, label=unit).locator = MaxNLocator(6)
     ax.set_aspect("equal")
 
 

@@ -109,7 +109,6 @@ def study(found: Columns, degrees: tuple[float, ...], atoms: ForceConstants) -> 
 def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> None:
     """Grains, the map, and one unseen load's answer and error."""
     figure, axes = panels(12, 5.6, count=4, rows=len(tables))
-    said = {"twins": "twins", "several": "several grains"}
     for row, (name, table) in zip(axes, tables.items()):
         samples = split_up(data[name])["val"]
         answer = table["answer"] - table["answer"].mean(axis=0)
@@ -117,7 +116,7 @@ def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> Non
         x, grain = samples.points.x, data[name].grain
         for one in np.unique(grain):
             row[0].scatter(*x[grain == one].T, s=9, marker="s", linewidths=0)
-        row[0].set(aspect="equal", title=f"{said[name]}, a colour each", ylabel="y [Å]")
+        row[0].set(aspect="equal", title=f"grains ({name}), a colour each", ylabel="y [Å]")
         shown = {
             "learned stiffness": (table["map"], "over the crystal's own"),
             "displacement, atoms": (np.linalg.norm(true, axis=1), "[Å]"),
@@ -130,7 +129,7 @@ def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> Non
         ax.set_xlabel("x [Å]")
     headline(figure, "Learned from loads alone, the map of stiffness shows where grains meet")
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(figure, path)
+    save_figure(figure, path, dpi=90)
 
 
 def main(arguments: list[str] | None = None) -> None:

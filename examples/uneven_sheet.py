@@ -102,17 +102,16 @@ def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Pa
     for row, (part, name) in zip(axes, {"bulk": "bulk modulus", "shear": "shear modulus"}.items()):
         map_, off = found.maps[part], found.maps[part] - true[part]
         both = np.append(true[part], map_)
-        colours = {"vmin": both.min(), "vmax": both.max()}
-        field(row[0], at, true[part], **colours)
-        field(row[1], at, map_, "over the even sheet's", **colours)
-        field(row[2], at, off, cmap="RdBu", vmin=-np.abs(off).max(), vmax=np.abs(off).max())
+        field(row[0], at, true[part], most=(both.min(), both.max()))
+        field(row[1], at, map_, "over the even sheet's", (both.min(), both.max()))
+        field(row[2], at, off, most=(-np.abs(off).max(), np.abs(off).max()), cmap="RdBu")
         alike = f"error; correlation {correlation(map_, true[part]):.2f}"
         for ax, title in zip(row, (f"{name}, true", f"{name}, learned", alike)):
             ax.set_title(title)
     outer(axes, "x [Å]", "y [Å]")
     headline(figure, "Loads alone show the disc: in shear, where it is softer, and hardly in bulk")
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(figure, path, dpi=90)
+    save_figure(figure, path, dpi=110)
 
 
 def main(arguments: list[str] | None = None) -> int:

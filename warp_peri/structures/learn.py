@@ -213,9 +213,7 @@ def picture(found: LearnedCrystal) -> Figure:
         dispersion.plot(reach, local, ":", color=f"C{number}", linewidth=0.8)
         dispersion.plot(reach[::3], true[::3], ".", color=f"C{number}")
     dispersion.set(xlabel="wave number × spacing", ylabel="root of the wave's stiffness [√GPa / Å]")
-    dispersion.set_title(
-        "Waves of the model (lines), of the\natoms (dots), of local elasticity (dotted)"
-    )
+    dispersion.set_title("Waves of model (lines), atoms\n(dots), local elasticity (dotted)")
     dispersion.legend(frameon=False, title="direction")
     polar: Any = figure.add_subplot(1, 3, 2, projection="polar")
     angle, young = found.directional()
@@ -228,8 +226,10 @@ def picture(found: LearnedCrystal) -> Figure:
     for shift, name, label in ((-0.2, "law", "model"), (0.2, "local", "local elasticity")):
         bars.bar(place + shift, [e[name] for e in found.unseen.values()], 0.38, label=label)
     bars.set_xticks(place, [name.replace(" of ", "\n") for name in found.unseen])
-    bars.set(ylabel="error of displacement [%]")
-    bars.set_title(f"Unseen loads: the model errs\nby {worst:.2g} % at most")
+    bars.set(
+        ylabel="error of displacement [%]",
+        title=f"Unseen loads: the model\nerrs by ≤ {worst:.2g} %",
+    )
     bars.legend(frameon=False)
     return figure
 
