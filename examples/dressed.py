@@ -279,7 +279,7 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
         for place in (-50, 0, 50):
             right.annotate("", (place, side * 100), (place, side * 86),
                            arrowprops={"arrowstyle": "->", "color": "C3"})  # fmt: skip
-    right.set(ylim=(-110, 110), title="Dressed, it bears cracks and soft patches")
+    right.set(ylim=(-110, 110), title="It bears cracks and soft patches")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 
