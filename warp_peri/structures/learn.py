@@ -226,10 +226,8 @@ def picture(found: LearnedCrystal) -> Figure:
     for shift, name, label in ((-0.2, "law", "model"), (0.2, "local", "local elasticity")):
         bars.bar(place + shift, [e[name] for e in found.unseen.values()], 0.38, label=label)
     bars.set_xticks(place, [name.replace(" of ", "\n") for name in found.unseen])
-    bars.set(
-        ylabel="error of displacement [%]",
-        title=f"Unseen loads: the model\nerrs by ≤ {worst:.2g} %",
-    )
+    bars.set(ylabel="error of displacement [%]")
+    bars.set_title(f"Unseen loads: the model\nerrs by ≤ {worst:.2g} %")
     bars.legend(frameon=False)
     return figure
 
