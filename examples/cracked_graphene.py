@@ -206,9 +206,10 @@ def main(argv: list[str] | None = None) -> int:
     figure, ax = panels(5, 3.6)
     halves = np.linspace(min(lengths) / 2, max(lengths) / 2, 60)
     curve = [100 * np.sqrt(toughness / release(half + zone)) for half in halves]
-    ax.plot(2 * halves * step, curve, "k", linewidth=0.8, label="one G_c")
+    ax.plot(2 * halves * step, curve, "k", linewidth=0.8, label="one toughness")
     ax.plot([n * step for n in lengths], [100 * measured[f"{n} bonds"] for n in lengths], "o")
-    ax.set(xlabel="length of the crack [Å]", ylabel="critical strain [%]")
+    ax.set(xlabel="length of the crack [Å]", ylabel="strain at which it opens [%]")
+    ax.set_title("Longer cracks open sooner, as one toughness says")
     ax.legend(frameon=False)
     figure.savefig(args.out / "critical_strain.png", dpi=120)
     print(json.dumps(numbers, ensure_ascii=False, indent=None if args.json else 1))

@@ -48,8 +48,9 @@ def main(arguments: list[str] | None = None) -> int:
     shown[np.hypot(x, z) < RADIUS] = np.nan
     figure, axes = panels(5.2, 4.3)
     image = axes.pcolormesh(x, z, shown, cmap="viridis", shading="nearest")
-    axes.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₃ [Å]", title="σ₃₃ over the tension")
-    figure.colorbar(image, ax=axes)
+    axes.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₃ [Å]")
+    axes.set_title(f"Tension along x₃ is {np.nanmax(shown):.1f} times larger beside the void")
+    figure.colorbar(image, ax=axes, label="stress σ₃₃ over the tension")
     save_figure(figure, given.out)
     return 0
 

@@ -261,9 +261,8 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
     labels = "base alone, K = 1/r", "dressed, from phonons", "dressed, from loads"
     for n, (kind, name) in enumerate(names.items()):
         values = [*numbers[kind][name]["E_u"].values()]
-        left.semilogy(range(3), values, "o", color=f"C{n}")
-        at = (0.08, values[0])
-        left.annotate(labels[n], at, (4, -4), textcoords="offset points", color=f"C{n}")
+        left.semilogy(range(3), values, "o", color=f"C{n}", label=labels[n])
+    left.legend(frameon=False)
     left.set(xticks=range(3), xlim=(-0.3, 2.3), ylabel="error of displacement [%]")
     left.set_xticklabels(["training loads", "held-out loads", "free disks"])
     left.set_yticks([0.5, 1, 2, 5, 10], labels=["0.5", "1", "2", "5", "10"])
@@ -280,7 +279,7 @@ def picture(numbers: dict[str, Any], solid: DressedSolid, path: Path) -> None:
         for place in (-50, 0, 50):
             right.annotate("", (place, side * 100), (place, side * 86),
                            arrowprops={"arrowstyle": "->", "color": "C3"})  # fmt: skip
-    right.set(ylim=(-110, 110), title="Crack and soft patch under tension")
+    right.set(ylim=(-110, 110), title="It bears cracks and soft patches")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
 

@@ -2,7 +2,9 @@
 
 import json
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -10,6 +12,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from tools.options import Options
 from warp_peri.files.atomic import whole_file
@@ -25,6 +28,11 @@ def panels(*size: float, count: int = 1, rows: int = 1, **how: Any) -> tuple[Fig
     width, height = size or (6.4, 4.2)
     figure = Figure(figsize=(width, height), layout="constrained")
     return figure, figure.subplots(rows, count, **how)
+
+
+def headline(figure: Figure, message: str) -> None:
+    """The message of a figure above all its panels, in lines that are not wider than they are."""
+    figure.suptitle(fill(message, round(11 * figure.get_figwidth())))
 
 
 def outer(grid: Any, xlabel: str, ylabel: str) -> None:
@@ -47,13 +55,58 @@ def curves(
 ) -> None:
     """Draw rows by name over x with a method of the axes, such as "loglog", in turns of styles.
 
-    Rows are multiplied by `scale`; `legend` has more options of it, `labels` those of the axes.
+    Rows are multiplied by `scale`; names stand at the lines, or in a legend with the options
+    `legend`; `labels` are options of the axes.
     """
     for number, (name, row) in enumerate(rows.items()):
         style = styles[number % len(styles)] if styles else "-"
         getattr(ax, kind)(x, scale * np.asarray(row, float), style, label=name)
-    ax.legend(**{"frameon": False} | (legend or {}))
     ax.set(**labels)
+    if legend is None:
+        name_lines(ax)
+    else:
+        ax.legend(**{"frameon": False} | legend)
+
+
+def note(ax: Axes, text: str, at: Any, shift: Any = (4, 4), color: str = "0.4", **how: Any) -> None:
+    """A word beside a place, so many points away."""
+    ax.annotate(text, at, shift, textcoords="offset points", size=9, color=color, **how)
+
+
+def name_lines(ax: Axes, size: float = 9) -> None:
+    """Write the label of each line at its rightmost point in sight, apart from one another.
+
+    Lines whose label begins with an underscore have no name.
+    """
+    ax.autoscale_view()
+    to_axes, height = ax.transData - ax.transAxes, ax.get_window_extent().height
+    gap = 1.3 * size * ax.figure.dpi / 72 / height  # of lines of text, in axes
+    ends = []
+    for line in ax.get_lines():
+        at = to_axes.transform(np.column_stack(line.get_data()).astype(float))
+        at = at[np.isfinite(at).all(axis=1) & (np.abs(at - 0.5) < 0.5 + 1e-6).all(axis=1)]
+        if len(at) and not str(line.get_label()).startswith("_"):
+            x, y = at[np.argmax(at[:, 0])]
+            inside = min(max(y, gap / 2), 1 - gap / 2)
+            ends.append([inside, 1.0 if x > 0.8 else x, line])  # no name lies across the frame
+    ends.sort(key=lambda end: end[0])
+    for _ in range(100):
+        for lower, upper in pairwise(ends):
+            short = max(0.0, gap - (upper[0] - lower[0])) / 2
+            lower[0], upper[0] = lower[0] - short, upper[0] + short
+    for y, x, line in ends:
+        ax.annotate(
+            line.get_label(), (x, y), (7, 0), "axes fraction", "offset points", va="center",
+            color=line.get_color(), size=size, annotation_clip=False,
+        )  # fmt: skip
+
+
+def field(ax: Axes, x: Any, values: Any, unit: str = "", most: Any = None, **how: Any) -> None:
+    """A field over its nodes [N, 2] without gaps, with a colour bar; `most`: least and most."""
+    levels = np.linspace(*(most or (np.min(values), np.max(values))), 25)
+    drawn = ax.tricontourf(*np.asarray(x).T, values, levels=levels.tolist(), **how)
+    ax.figure.colorbar(drawn, ax=ax, label=unit).locator = MaxNLocator(6)
+    ax.set_aspect("equal")
 
 
 def save_figure(

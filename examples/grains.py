@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import field, headline, panels, save_figure
 from tools.grains import Columns, columns, plane_constants
 from tools.options import Options
 from warp_peri.dressed import DressedSolid, fit_maps, from_phonons
@@ -108,23 +108,28 @@ def study(found: Columns, degrees: tuple[float, ...], atoms: ForceConstants) -> 
 
 def picture(tables: dict[str, Any], data: dict[str, Columns], path: Path) -> None:
     """Grains, the map, and one unseen load's answer and error."""
-    figure, axes = panels(13, 6.2, count=4, rows=len(tables))
+    figure, axes = panels(12, 5.6, count=4, rows=len(tables))
     for row, (name, table) in zip(axes, tables.items()):
         samples = split_up(data[name])["val"]
         answer = table["answer"] - table["answer"].mean(axis=0)
         true = samples.u[0]
+        x, grain = samples.points.x, data[name].grain
+        for one in np.unique(grain):
+            row[0].scatter(*x[grain == one].T, s=9, marker="s", linewidths=0)
+        row[0].set(aspect="equal", title=f"grains ({name}), a colour each", ylabel="y [Å]")
         shown = {
-            f"{name}: grain": data[name].grain,
-            "stiffness over its own": table["map"],
-            "|u| of the atoms [Å]": np.linalg.norm(true, axis=1),
-            "error [Å]": np.linalg.norm(answer - true, axis=1),
+            "learned stiffness": (table["map"], "over the crystal's own"),
+            "displacement, atoms": (np.linalg.norm(true, axis=1), "[Å]"),
+            "error of the model": (np.linalg.norm(answer - true, axis=1), "[Å]"),
         }
-        for ax, (title, values) in zip(row, shown.items()):
-            drawn = ax.scatter(*samples.points.x.T, c=values, s=14, marker="s", linewidths=0)
-            figure.colorbar(drawn)
-            ax.set(aspect="equal", title=title, xlabel="[Å]")
+        for ax, (title, (values, unit)) in zip(row[1:], shown.items()):
+            field(ax, x, values, unit)
+            ax.set_title(title)
+    for ax in axes[-1]:
+        ax.set_xlabel("x [Å]")
+    headline(figure, "Learned from loads alone, the map of stiffness shows where grains meet")
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(figure, path)
+    save_figure(figure, path, dpi=90)
 
 
 def main(arguments: list[str] | None = None) -> None:

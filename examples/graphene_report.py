@@ -55,7 +55,9 @@ def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = 
     """influence.png, with a band where the noise is known, and loss.png."""
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
     plots.influence_function(fit.material, spacing=spacing, ax=ax, sure=sure)
-    ax.set_title(f"Influence function, δ = {fit.material.horizon:g} Å, M = {fit.material.degree}")
+    values = fit.material.influence(np.linspace(spacing, fit.material.horizon, 1000))
+    does = "changes sign" if values.min() < 0 else "is positive"
+    ax.set_title(f"The learned influence function {does}")
     save_figure(figure, folder / "influence.png")
 
     figure, ax = plt.subplots(figsize=(6.4, 4.2))

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 
 import warp_peri as wp
 from examples.cracks.inclusions import MEANS, Mixed
-from examples.figures import panels, save_figure
+from examples.figures import headline, name_lines, panels, save_figure
 from tools.options import Options
 from warp_peri import Cracked
 from warp_peri.damage import box
@@ -66,10 +66,10 @@ def draw(ax: Axes, x: np.ndarray, off: np.ndarray, title: str) -> None:
     sides = [np.unique(x[plane, k]) for k in (0, 1)]
     size = np.linalg.norm(off[plane], axis=1).reshape(len(sides[0]), -1)
     drawn = ax.pcolormesh(*sides, size.T, cmap="magma_r", shading="nearest")
-    ax.figure.colorbar(drawn, ax=ax, label="|error of u|, |u| = |x| far away")
+    ax.figure.colorbar(drawn, ax=ax, label="error of displacement over the strain far away")
     turn = np.linspace(0, 2 * np.pi, 200)
     ax.plot(RADIUS * np.cos(turn), RADIUS * np.sin(turn), "C0", linewidth=1)
-    ax.set(aspect="equal", title=title, xlabel="x₁", ylabel="x₂")
+    ax.set(aspect="equal", title=title, xlabel="x₁ [half sides]", ylabel="x₂ [half sides]")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -94,13 +94,14 @@ def main(argv: list[str] | None = None) -> int:
             order = -np.polyfit(np.log(args.cells), np.log(errors), 1)[0]
             numbers[name][label] = {"errors": errors, "order": float(order)}
         ax.loglog(args.cells, numbers[name]["series, ball"]["errors"], "o-", label=name)
-    ax.set(xlabel="nodes per unit length", ylabel="relative error of u")
+    ax.set(xlabel="nodes per half side", ylabel="relative error of displacement")
     ax.set_xticks(args.cells, [f"{n}" for n in args.cells])
     ax.set_xticks([], minor=True)
-    ax.legend(frameon=False, fontsize=8)
+    name_lines(ax)
     case = args.case or next(iter(CASES))
     _, x, off = inclusion(args.cells[-1], *CASES[case], d=d)
-    draw(shown, x, off, f"{case}, {args.cells[-1]} nodes per unit length")
+    draw(shown, x, off, case)
+    headline(figure, "The error sits at the interface, and falls with the spacing for every pair")
     save_figure(figure, args.out / "inclusion.png")
     print(json.dumps(numbers, indent=None if args.json else 1))
     return 0

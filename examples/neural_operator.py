@@ -23,7 +23,7 @@ import torch
 from tqdm import tqdm
 
 from examples import neural_sets
-from examples.figures import panels, save_figure
+from examples.figures import name_lines, panels, save_figure
 from examples.neural_rivals import rivals_of
 from examples.neural_sets import Sets
 from examples.prose import table
@@ -247,15 +247,17 @@ def draw(material: NeuralOperator, path: Path, stretch: float) -> None:
         largest = curves.omega[np.abs(curves.omega).argmax()]
         left.plot(np.linalg.norm(curves.xi, axis=1), curves.omega / largest)
         left.axhline(0, color="0.7", linewidth=0.8)
-        left.set(xlabel=f"bond length |ξ| [{length}]", ylabel="ω over its largest value")
+        sign = "changes" if curves.omega.min() * curves.omega.max() < 0 else "keeps"
+        left.set(xlabel=f"bond length [{length}]", ylabel="ω over its largest value")
+        left.set_title(f"The influence function {sign} sign")
     for r, state in zip(curves.lengths, curves.state):
         state = state - state[len(state) // 2]
-        right.plot(100 * curves.stretch, state, label=f"|ξ| = {r:.3g} {length}")
-    right.set(
-        xlabel="stretch e/|ξ| [%], no dilatation",
-        ylabel=f"force state, less that at rest [{stress}/{length}³]",
-    )
-    right.legend(frameon=False)
+        right.plot(100 * curves.stretch, state, label=f"bond of {r:.3g} {length}")
+    right.set(xlabel="stretch of the bond [%]")
+    right.set_ylabel(f"force less that at rest [{stress}/{length}³]")
+    stiffest = curves.lengths[int(np.argmax([np.ptp(state) for state in curves.state]))]
+    right.set_title(f"Of these, bonds of {stiffest:.3g} {length} are the stiffest")
+    name_lines(right)
     save_figure(figure, path)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 import warp_peri as wp
 from examples.cracks.energy_release import energy_release
-from examples.figures import panels
+from examples.figures import headline, panels
 from tools.options import Options
 from warp_peri import Cracked
 from warp_peri.damage import BrittleSolid, Injected, box, contour_integral, penny
@@ -94,9 +94,11 @@ if __name__ == "__main__":
         edges = 2 * (-count / 2, count / 2)
         image = ax.imshow(cut.T, extent=edges, origin="lower", vmin=0, vmax=0.5)
         ax.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
-    axes[0].set_title("Share of broken bonds, y = 0")
-    figure.colorbar(image, ax=axes[1])
+    axes[0].set_title("The crack's plane, y = 0")
+    axes[1].set_title("Across it, z = 0")
+    figure.colorbar(image, ax=axes[1], label="share of broken bonds")
     axes[2].plot(motion.time, stress)
-    axes[2].set(xlabel="time [µs]", ylabel="stress over Griffith's")
+    axes[2].set(xlabel="time [µs]", ylabel="stress over Griffith's", title="The block unloads")
+    headline(figure, "A round crack, pulled apart, runs to the faces of its block")
     PICTURE.parent.mkdir(exist_ok=True)
     figure.savefig(PICTURE)

@@ -21,7 +21,7 @@ import numpy as np
 import warp_peri as wp
 from examples import prose
 from examples.exact import poiseuille
-from examples.figures import panels
+from examples.figures import headline, name_lines, panels
 from examples.flows.paths import Band, band
 from tools.options import Options
 from warp_peri.errors import exit_status
@@ -152,10 +152,13 @@ def draw(runs: dict[str, ChannelRecord], spread: Band, folder: Path) -> None:
         right.plot(run.v[-1, order, 0], run.x[-1, order, 1], style)
     t = runs["exact law"].t
     low, high = spread.value - spread.half_width(), spread.value + spread.half_width()
-    left.fill_between(t, low, high, color="C1", alpha=0.3, label="learned, ± 2 sd")
-    left.set(xlabel="t / t0", ylabel="u / U in the middle")
-    right.set(xlabel=f"u / U at t = {t[-1]:g}", ylabel="y / L")
-    left.legend(frameon=False)
+    left.fill_between(t, low, high, color="C1", alpha=0.3)
+    left.set(xlabel="time t / t₀ (band: ± 2 deviations)", ylabel="velocity in the middle u / U")
+    right.set(xlabel=f"velocity u / U at t = {t[-1]:g} t₀", ylabel="height over the wall y / L")
+    name_lines(left)
+    headline(
+        figure, "The learned fluid flows as the exact one does, in time and across the channel"
+    )
     figure.savefig(folder / "channel.png", dpi=130)
 
 

@@ -27,7 +27,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import headline, note, panels, save_figure
 from examples.studies.fem_rival import elastic_solver
 from examples.train_graphene import DATA, make_data
 from tools.options import Options
@@ -339,16 +339,21 @@ def spread(ratios: list[float]) -> dict[str, float]:
 
 def draw(path: Path, rows: list[dict[str, Any]], answer: Answer) -> None:
     """What was said against what is true; and where one answer is likely wrong."""
-    figure, (left, right) = panels(8.4, 3.6, count=2)
+    figure, (left, right) = panels(8.4, 4, count=2)
     for name, mark in (("0.01", "o"), ("best", ".")):
-        told = np.array([[row[name]["true"], row[name]["error"]] for row in rows])
-        left.loglog(*100 * told.T, mark, ms=4, alpha=0.6, label={"best": "best"}.get(name, "1 %"))
+        pairs = np.array([[row[name]["true"], row[name]["error"]] for row in rows])
+        left.loglog(*100 * pairs.T, mark, ms=4, alpha=0.6, label={"best": "best"}.get(name, "1 %"))
     ends = np.array([0.03, 30])
     left.loglog(ends, ends, "k-", lw=0.8)
-    left.set(xlabel="true error [%]", ylabel="likely error [%]", title="unseen scenes")
-    left.legend(title="tolerance")
+    note(left, "both alike", (3, 3), (4, -8))
+    left.set(xlabel="true error [%]", ylabel="likely error [%]", title="Unseen scenes, each a dot")
+    left.set_aspect("equal", "datalim")
+    left.legend(title="tolerance", frameon=False)
     answer.plot(ax=right)
-    right.set_title(f"likely error {100 * answer.error:.2g} %")
+    right.set_title("Where one answer is likely wrong")
+    told = [row[key] for row in rows for key in ("0.01", "best")]
+    above = np.mean([one["error"] >= one["true"] for one in told])
+    headline(figure, f"{100 * above:.0f} % of the likely errors are no smaller than the true ones")
     right.set(xlabel="x [Å]", ylabel="y [Å]")
     save_figure(figure, path, dpi=150, bbox_inches=None)
 

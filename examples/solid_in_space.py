@@ -9,7 +9,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 import warp_peri
-from examples.figures import panels
+from examples.figures import name_lines, panels
 from warp_peri.micromodulus import tensors_of
 
 PICTURE = Path(__file__).parent.parent / "runs" / "solid_in_space.png"
@@ -46,12 +46,13 @@ if __name__ == "__main__":
     figure, axes = panels(9, 4, count=2)
     edge = points.x.max()
     image = axes[0].imshow(size[:, :, count // 2].T, extent=2 * (-edge, edge), origin="lower")
-    figure.colorbar(image, label="|u|, in half sides of the block")
-    axes[0].set(xlabel="x", ylabel="y", title="The plane z = 0 of the block")
+    figure.colorbar(image, label="size of displacement [half sides of the block]")
+    axes[0].set(xlabel="x [half sides]", ylabel="y [half sides]", title="A ball swells in a block")
     axes[0].set(xlim=(-1, 1), ylim=(-1, 1))
     axes[1].loglog(SPACINGS, errors, "o-", label=f"measured, order {order:.1f}")
     axes[1].loglog(SPACINGS, errors[0] * (SPACINGS / SPACINGS[0]) ** 2, "k:", label="order 2")
-    axes[1].set(xlabel="spacing h, in half sides (δ = 2h)", ylabel="relative error of u")
-    axes[1].legend(frameon=False)
+    axes[1].set(xlabel="spacing [half sides], δ = 2 spacings")
+    axes[1].set(ylabel="relative error of displacement", title="The error falls with spacing²")
+    name_lines(axes[1])
     PICTURE.parent.mkdir(exist_ok=True)
     figure.savefig(PICTURE)

@@ -14,10 +14,9 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 import numpy as np
-from matplotlib.colors import Normalize
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import field, headline, outer, panels, save_figure
 from tools.graphene_phonons import force_constants
 from tools.make_graphene import SMOOTHING_RADIUS
 from tools.options import Options
@@ -98,29 +97,21 @@ def within(found: np.ndarray, true: np.ndarray, spread: np.ndarray) -> float:
 
 
 def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Path) -> None:
-    """Truth, map, error and correlation of each modulus, over that of the even sheet."""
-    figure, axes = panels(13, 6, count=4, rows=2)
-    for row, (part, letter) in zip(axes, {"bulk": "κ", "shear": "μ"}.items()):
-        map_ = found.maps[part]
-        shown = {f"{letter}, as the share of each": true[part], f"{letter}, its map": map_,
-                 "error": map_ - true[part]}  # fmt: skip
+    """Truth, map and error of each modulus, over that of the even sheet."""
+    figure, axes = panels(10, 5.6, count=3, rows=2)
+    for row, (part, name) in zip(axes, {"bulk": "bulk modulus", "shear": "shear modulus"}.items()):
+        map_, off = found.maps[part], found.maps[part] - true[part]
         both = np.append(true[part], map_)
-        low, high, wide = both.min(), both.max(), np.abs(map_ - true[part]).max()
-        for ax, (title, values) in zip(row, shown.items()):
-            colours = Normalize(low, high), "viridis"
-            if title == "error":
-                colours = Normalize(-wide, wide), "RdBu"
-            drawn = ax.scatter(
-                *at.T, c=values, norm=colours[0], cmap=colours[1], s=10, marker="s", linewidths=0
-            )
-            figure.colorbar(drawn)
-            ax.set(aspect="equal", title=title, xlabel="x [Å]", ylabel="y [Å]")
-        row[3].plot([low, high], [low, high], color="0.7")
-        row[3].plot(true[part], map_, ".", markersize=3)
-        row[3].set(aspect="equal", xlabel="truth", ylabel="map")
-        row[3].set_title(f"correlation {correlation(map_, true[part]):.3f}")
+        field(row[0], at, true[part], most=(both.min(), both.max()))
+        field(row[1], at, map_, "over the even sheet's", (both.min(), both.max()))
+        field(row[2], at, off, most=(-np.abs(off).max(), np.abs(off).max()), cmap="RdBu")
+        alike = f"error; correlation {correlation(map_, true[part]):.2f}"
+        for ax, title in zip(row, (f"{name}, true", f"{name}, learned", alike)):
+            ax.set_title(title)
+    outer(axes, "x [Å]", "y [Å]")
+    headline(figure, "Loads alone show the disc: in shear, where it is softer, and hardly in bulk")
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_figure(figure, path)
+    save_figure(figure, path, dpi=110)
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, shown
+from examples.figures import headline, panels, shown
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.dressed import DressedSolid
 from warp_peri.errors import exit_status
@@ -92,6 +92,7 @@ def picture(true: torch.Tensor, found: torch.Tensor) -> Any:
             ax.set_title(f"{name}, {what}")
     figure.colorbar(shade, ax=axes, label="modulus over that of the plate")
     figure.supxlabel("position [Å]")
+    headline(figure, "Waves through the plate find its inclusions, in κ and in μ")
     return figure
 
 

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 import warp_peri as wp
 from examples.exact import plate_with_hole
-from examples.figures import curves, panels
+from examples.figures import curves, name_lines, note, panels
 from examples.studies.atlas_entry import Entry, entry, square_lattice, words
 from tools.crystals import force_constants
 from warp_peri import Dataset, Points
@@ -55,7 +55,7 @@ def cut_families(model: wp.Model) -> Entry:
     ax.semilogy(RADII, 100 * error, "o-", label="families cut")
     ax.semilogy(COUPLED, 100 * np.array(coupled), "^-", label="elements at the edge")
     ax.set(xlabel="radius of the hole [Å]", ylabel="error of displacement [%]")
-    ax.legend(frameon=False)
+    name_lines(ax)
     numbers = {
         "count": int((eigenvalue < 0).sum()), "radii": len(RADII), "eigenvalue": eigenvalue.min(),
         "error": 100 * error.max(), "edge": 100 * edge.max(), "least": 100 * error.min(),
@@ -281,11 +281,11 @@ def stretched_beyond(law: FiniteSolid | None = None) -> Entry:
     first = min(float(np.interp(0, -np.array(c), sizes)) for c in table.values() if min(c) < 0)
     beyond = (first + 0.01) * ways["stretched both ways"] / 2**0.5
     figure, ax = panels()
-    axes = {"xlabel": "largest |H| [%]", "ylabel": "least eigenvalue over that at rest"}
+    axes = {"xlabel": "largest strain |H| [%]", "ylabel": "least eigenvalue over that at rest"}
     curves(ax, "plot", 100 * sizes, table, ylim=(-1, 1.5), **axes)
-    ax.axvspan(0, 100 * law.strain, color="C2", alpha=0.2, lw=0, label="proven")
+    ax.axvspan(0, 100 * law.strain, color="C2", alpha=0.2, lw=0)
+    note(ax, "proven", (0, -1), color="C2")
     ax.axhline(0, color="k", lw=0.8)
-    ax.legend(frameon=False)
     numbers = {"proven": 100 * law.strain, "first": 100 * first}
     seen = (lambda: body.rest(0 * beyond, beyond),)
     return entry("stretched", numbers, seen, figure, table | numbers)
@@ -311,7 +311,7 @@ def crystals() -> Entry:
     left.set(xlabel="bonds of a node, copper", ylabel="traction on a turned face [GPa/rad]")
     left.set_ylim(0, 1.3 * max(traction.values()))
     left.legend(frameon=False)
-    axes = {"xlabel": "crystal against the nodes, not stated [°]"}
+    axes = {"xlabel": "angle of the axis that is not stated [°]"}
     axes["ylabel"] = "error of displacement [%]"
     rows = {name: error[1:] for name, error in wrong.items()}
     curves(right, "semilogy", ANGLES[1:], rows, "o-", **axes)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from examples.cracks.energy_release import energy_release, tip_shift
-from examples.figures import curves, panels
+from examples.figures import curves, name_lines, panels
 from examples.static_crack import edge_crack
 from examples.studies.atlas_entry import Entry, entry, words
 from warp_peri import Cracked, Model, Points
@@ -92,7 +92,7 @@ def in_space(cells: int = 12) -> Entry:
     figure, (left, right) = panels(9.2, 3.6, count=2)
     axes = {"xlabel": "bonds broken in a block [%]", "ylabel": "negative eigenvalues"}
     curves(left, "plot", 100 * np.array(SHARES), counts, "o-", **axes)
-    axes = {"xlabel": "δ / h", "ylabel": "energy of a straight cut over that of {100}"}
+    axes = {"xlabel": "horizon over spacing, δ/h", "ylabel": "energy of a cut over that of {100}"}
     curves(right, "plot", RATIOS, takes, "o-", **axes)
     right.axhline(1, color="0.7")
     coarse, fine = ([shares[place] for shares in takes.values()] for place in (0, -1))
@@ -126,7 +126,7 @@ def misjudged_stretch(cells: int = 12, length: int = 2) -> Entry:
     figure, ax = panels(5, 3.5)
     ax.plot(list(ratios), list(ratios.values()), "o-")
     ax.axhline(1, color="0.7")
-    ax.set(xlabel="λ/μ", ylabel="spent in growth / G_c of the straight cut")
+    ax.set(xlabel="ratio of the Lamé constants, λ/μ", ylabel="energy of growth / toughness")
     body = lattice_body(rectangle(12.0, 10.0, 1.0), 1.0, 3.0)
     solid = BrittleSolid(models[1.0], 1.0, critical_stretch=0.01)
     numbers = {"least": min(ratios.values()), "most": max(ratios.values())}
@@ -149,10 +149,11 @@ def edge_tips(
             errors[f"{ratio:g}h, {name}"] = off
             ax.plot(lengths, off, style, color=f"C{color}", label=f"δ = {ratio:g}h, {name}")
     ax.axhline(0, color="0.7")
-    ax.set(xlabel="length of the crack / h", ylabel="error of G [%]", xscale="log")
+    ax.set(xlabel="length of the crack [spacings]", xscale="log")
+    ax.set_ylabel("error of the energy release rate [%]")
     ax.set_xticks(lengths, [str(n) for n in lengths])
     ax.minorticks_off()
-    ax.legend(frameon=False)
+    name_lines(ax)
     middle = lengths.index(13) if 13 in lengths else 0
     plain, shifted = (errors[f"{ratios[-2]:g}h, {name}"][middle] for name in ("as cut", "shifted"))
     model = Model(1.0, 1.0, 1.0, np.ones(1), 3.0)
@@ -186,7 +187,7 @@ def long_steps(steps: int = 200) -> Entry:
         last[share] = energies[-1] / energies[0]
         ax.semilogy(energies, label=f"{share:g} × the longest step")
     ax.set(xlabel="step", ylabel="energy")
-    ax.legend(frameon=False)
+    name_lines(ax)
     with warnings.catch_warnings(action="ignore"):
         seen = words(lambda: check_step(solid, 1.1 * solid.longest_step))
     values = {"growth": {str(share): value for share, value in last.items()}}

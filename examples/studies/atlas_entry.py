@@ -30,10 +30,11 @@ class Entry:
 
 @dataclass(frozen=True)
 class Words:
-    """An entry in Markdown: title, number to remember and text of the study; heading, row
-    (symptom, cause, remedy) and text of the page for readers."""
+    """An entry in Markdown: title, message of the figure, number to remember and text of the
+    study; heading, row (symptom, cause, remedy) and text of the page for readers."""
 
     title: str
+    message: str
     number: str
     text: str
     heading: str
@@ -58,8 +59,10 @@ def filled(name: str, numbers: Mapping[str, Any]) -> Words:
     template = Path(__file__).parent / "atlas" / f"{name}.md"
     study, short = fill(template, **numbers).rstrip("\n").split("\n\n---\n\n")
     title, number, text = study.split("\n\n", 2)
+    title, message = title.removeprefix("# ").split(" | ")
     heading, row, brief = as_read(short).split("\n\n", 2)
-    return Words(title.removeprefix("# "), number, text, heading.removeprefix("## "), row, brief)
+    heading = heading.removeprefix("## ")
+    return Words(title, as_read(message), number, text, heading, row, brief)
 
 
 def as_read(text: str) -> str:

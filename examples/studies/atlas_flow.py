@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from examples.figures import curves, panels
+from examples.figures import curves, name_lines, panels
 from examples.studies.atlas_entry import Entry, entry
 from warp_peri import InputError
 from warp_peri.flow import (
@@ -47,9 +47,9 @@ def independent_noise() -> Entry:
     axes.plot(exact.t, np.abs(exact.v).max(axis=(1, 2)), "k", label="exact law")
     axes.plot(shared.t, np.abs(shared.v).max(axis=(1, 2)), "C0--", label="shared noise")
     t = (np.arange(len(speeds)) + 1) * UNTIL / STEPS
-    axes.plot(t, speeds, "C3", label="noise of its own in every particle")
-    axes.set(xlabel="t / t0", ylabel="largest speed / U", yscale="log")
-    axes.legend(frameon=False)
+    axes.plot(t, speeds, "C3", label="noise of its own")
+    axes.set(xlabel="time t / t₀", ylabel="largest speed / U", yscale="log")
+    name_lines(axes)
     values = {"largest": max(speeds), "exact": float(np.abs(exact.v).max())}
     if not seen:
         raise RuntimeError("expected particles to leave the channel")

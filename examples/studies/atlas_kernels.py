@@ -5,12 +5,11 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from scipy.optimize import least_squares
 from tqdm import tqdm
 
 import warp_peri as wp
-from examples.figures import ABOVE, curves, panels
+from examples.figures import ABOVE, curves, name_lines, note, panels
 from examples.studies.atlas_entry import Entry, entry, square_lattice
 from tools.make_graphene import point_set, read_samples
 from warp_peri import Dataset, Model, Samples
@@ -92,12 +91,12 @@ def sign_changing(data: Dataset) -> Entry:
         for name, rows in spectra.items()
     }
     figure, (left, right) = panels(10.5, 4, count=2)
-    draw_symbols(figure, left, smallest)
+    draw_symbols(left, smallest)
     for (label, near), style in zip(closest.items(), "os"):
         right.semilogy(sizes, near, style, label=label, markersize=4, alpha=0.7)
-    right.set(xlabel="unknown nodes of a rectangle", ylabel="smallest |eigenvalue of L| / λ₁ [TPa]")
-    right.set_title(f"δ = {ratio:g}h, M = {degree}; λ₁: 5-point Laplacian")
-    right.legend(frameon=False)
+    right.set(xlabel=f"unknown nodes of a rectangle (δ = {ratio:g}h, degree {degree})")
+    right.set_ylabel("least |eigenvalue| over the Laplacian's [TPa]")
+    right.legend(**ABOVE, frameon=False)
     negative = [int((values < 0).sum()) for values in spectra["without"]]
     nearest = {name: min(closest[f"{name} conditions"]) for name in spectra}
     numbers = edge_of_safety(unsafe) | {
@@ -161,20 +160,14 @@ def edge_of_safety(unsafe: np.ndarray) -> dict[str, str]:
     return {"edge": "; ".join(ends), "stable": ", ".join(stable)}
 
 
-def draw_symbols(figure: Figure, ax: Axes, smallest: np.ndarray) -> None:
-    """Smallest D(k)/s(k) by degree and horizon."""
-    columns, rows = np.arange(len(RATIOS)), np.arange(len(DEGREES))
-    mesh = ax.pcolormesh(
-        columns, rows, np.arcsinh(smallest / 0.01),
-        cmap="RdBu", vmin=-np.arcsinh(1e3), vmax=np.arcsinh(1e3), shading="nearest",
-    )  # fmt: skip
-    for (row, column), value in np.ndenumerate(smallest):
-        ax.text(column, row, f"{value:.2g}", ha="center", va="center", fontsize=7)
-    ax.set_xticks(columns, [f"{ratio:g}" for ratio in RATIOS])
-    ax.set_yticks(rows, [str(degree) for degree in DEGREES])
-    ax.set(xlabel="δ/h", ylabel="degree M", title="smallest D(k)/s(k) [TPa], no conditions asked")
-    bar = figure.colorbar(mesh, ax=ax, ticks=np.arcsinh(np.array([-1, -0.01, 0, 0.01, 1]) / 0.01))
-    bar.ax.set_yticklabels(["−1", "−0.01", "0", "0.01", "1"])
+def draw_symbols(ax: Axes, smallest: np.ndarray) -> None:
+    """Which degrees and horizons are stable: those of a smallest D(k)/s(k) above zero."""
+    row, column = np.indices(smallest.shape)
+    for label, style, some in ("stable", "C0o", smallest > 0), ("unstable", "C3X", smallest <= 0):
+        ax.plot(np.array(RATIOS)[column[some]], row[some], style, label=label)
+    ax.set_yticks(range(len(DEGREES)), [str(degree) for degree in DEGREES])
+    ax.set(xlabel="horizon over spacing, δ/h", ylabel="degree of the influence function")
+    ax.legend(**ABOVE, frameon=False)
 
 
 def displacement_error(model: Model, points: Samples) -> float:
@@ -215,7 +208,7 @@ def other_spacing(data: Dataset, cache: Path) -> Entry:
         lambda: wp.solve(models[0], fine, allow_uncertified=True).u,
     )
     figure, ax = panels()
-    axes = {"xlabel": "spacing of the nodes / 5 Å", "ylabel": "E_u on held-out disks [%]"}
+    axes = {"xlabel": "spacing of the nodes / 5 Å", "ylabel": "error on unseen disks [%]"}
     styles = "C0o--", "C0s-", "C1o--", "C1s-"
     ratios = np.array(spacings) / 5.0
     curves(ax, "semilogy", ratios, table, *styles, scale=100, legend=ABOVE, **axes)
@@ -250,14 +243,14 @@ def steep_kernels() -> Entry:
         "share_1": share[1.0], "share_2999": share[2.999], "share_10": share[10.0],
     }  # fmt: skip
     figure, axes = panels(10, 4, count=2)
-    names = "C44/μ of the discrete operator", "smallest D(k)/s(k) / μ"
+    names = "shear stiffness over μ", "least stiffness of a wave over μ"
     for column, (ax, name) in enumerate(zip(axes, names)):
         for ratio, rows in table.items():
             ax.plot(alphas, rows[:, column], label=f"δ/h = {ratio:g}")
         ax.axvspan(3, 10, color="0.9")
         ax.axhline(0, color="0.6", linewidth=0.8)
         ax.set(xlabel="exponent α of K = r^(−α) (grey: refused)", ylabel=name)
-    axes[0].legend(frameon=False)
+        name_lines(ax)
     values = {"alpha": alphas, "by ratio": {str(ratio): rows for ratio, rows in table.items()}}
     refused = (lambda: Model(LAM, MU, 3.0, np.ones(1), 3.0),)
     return entry("exponent", numbers, refused, figure, values)
@@ -283,11 +276,12 @@ def short_horizons() -> Entry:
     }
     figure, (left, right) = panels(10, 4, count=2)
     left.semilogy(ratios, residuals, ".-")
-    left.axhline(RESIDUAL, color="C3", linewidth=0.8, label="accepted")
-    left.set(xlabel="δ/h", ylabel="relative residual of the quadrature's conditions")
-    left.legend(frameon=False)
-    rows = {"smallest D(k)/s(k) / μ, K = 1/r": symbols, "smallest weight / largest": lowest}
-    curves(right, "plot", kept, rows, ".", xlabel="δ/h")
+    left.axhline(RESIDUAL, color="C3", linewidth=0.8)
+    note(left, "accepted below", (1, RESIDUAL), color="C3")
+    horizon = "horizon over spacing, δ/h"
+    left.set(xlabel=horizon, ylabel="relative residual of the conditions on weights")
+    rows = {"least stiffness of a wave over μ": symbols, "least weight over the largest": lowest}
+    curves(right, "plot", kept, rows, ".", xlabel=horizon, legend=ABOVE | {"ncols": 1})
     right.axhline(0, color="0.6", linewidth=0.8)
     seen = (lambda: bond_classes(5.0, 9.9), lambda: bond_classes(5.0, 4.0))
     values = {"ratio": ratios, "residual": residuals, "kept": kept, "symbol_min": symbols}
@@ -328,13 +322,14 @@ def large_degrees(data: Dataset) -> Entry:
         "swing": swings[widest], "swing_degree": tried[widest],
     }  # fmt: skip
     figure, (left, right) = panels(10, 4, count=2)
-    left.loglog(np.maximum(degrees, 0.5), condition, "o-")
-    left.set(xlabel="degree M", ylabel="condition of B_k,M(r_c/δ), 9 bond lengths, δ = 4h")
+    axes = {"xlabel": "degree of the influence function", "xscale": "symlog"}
+    left.semilogy(degrees, condition, "o-")
+    left.set(ylabel="condition of the basis at nine bond lengths", **axes)
     rows = {
-        "E_res, training [%]": 100 * np.array(errors),
-        "max |K| between bonds / at bonds": np.array(swings),
+        "error of the load, training [%]": 100 * np.array(errors),
+        "largest |K| between bonds over that at bonds": np.array(swings),
     }
-    curves(right, "loglog", np.maximum(tried, 0.5), rows, "o-", "s-", xlabel="degree M")
+    curves(right, "semilogy", tried, rows, "o-", "s-", legend=ABOVE | {"ncols": 1}, **axes)
     values = {
         "degrees": degrees, "condition": condition, "tried": tried, "E_res": errors, "swing": swings
     }  # fmt: skip

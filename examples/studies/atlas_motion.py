@@ -7,7 +7,7 @@ import numpy as np
 from tqdm import tqdm
 
 import warp_peri as wp
-from examples.figures import curves, panels
+from examples.figures import curves, name_lines, note, panels
 from examples.studies.atlas_entry import Entry, entry, words
 from tools.graphene import SHEET_CELLS, bond_length, sheet
 from tools.lammps_session import CARBON_MASS, POTENTIAL, LammpsSession
@@ -87,7 +87,7 @@ def critical_step(model: Model) -> Entry:
     }  # fmt: skip
     figure, ax = panels()
     axes = {"xlabel": "time step / proven critical step"}
-    axes["ylabel"] = "largest |u| after 400 steps / at the start"
+    axes["ylabel"] = "displacement after 400 steps / at the start"
     curves(ax, "semilogy", PARTS, growth, "o-", **axes)
     ax.axvline(1, color="0.6", linewidth=0.8)
     values = {"part": PARTS, "growth": growth, "sharpness": sharpness}
@@ -117,7 +117,7 @@ def energy_drift(model: Model, steps: int) -> Entry:
     motion = move(model, Dirichlet(points, None, u), **how, steps=steps, every=every)
     figure, ax = panels()
     ax.plot(motion.time / step, motion.energy / motion.energy[0] - 1, linewidth=0.8)
-    ax.set(xlabel="step", ylabel="E(n + ½)/E(½) − 1")
+    ax.set(xlabel="step", ylabel="energy over that of the start, less 1")
     cloud = Points(points.x + 0.1 * u, points.interior, 0.0)
     numbers = {"drift": motion.drift, "steps": steps, "side": side}
     seen = (lambda: move(model, Dirichlet(cloud, None, u), **how, steps=1),)
@@ -190,20 +190,12 @@ def dispersion(model: Model, data: Dataset) -> Entry:
         ax.plot(size, speeds[number] * size, ":", color=colour, linewidth=0.8)
         at = (0.45 * edge, branch["atoms"][int(0.45 * len(size)), number])
         shift = ((-12, 12), (12, -14))[1 - number]
-        ax.annotate(
-            label,
-            at,
-            shift,
-            textcoords="offset points",
-            color=colour,
-            ha="right" if number else "left",
-        )
+        note(ax, label, at, shift, colour, ha="right" if number else "left")
     for style, label in {"-": "atoms", "--": "model", ":": "local elasticity"}.items():
         ax.plot([], [], style, color="0.3", label=label)
     ax.axvline(edge / 2, color="0.7", linewidth=0.8)
-    ax.annotate("wavelength of four spacings", (edge / 2, 0), (4, 4), textcoords="offset points")
+    note(ax, "wavelength of four spacings", (edge / 2, 0))
     ax.set(xlabel="wave number [1/Å]", ylabel="angular frequency [1/ps]")
-    ax.set_title("Waves shorter than four spacings have the wrong frequency")
     ax.legend(frameon=False)
     refused = (lambda: critical_time_step(unstable, spacing=spacing, density=DENSITY),)
     values = {"branches": branches, "worst": worst}
@@ -268,9 +260,10 @@ def large_strains(model: Model) -> Entry:
     }  # fmt: skip
     figure, ax = panels()
     for name, row in table.items():
-        ax.loglog(100 * np.array(row["strain"]), 100 * np.array(row["E_u"]), "o-", label=name)
+        label = f"load along {name.replace('k=', 'of wave ')}"
+        ax.loglog(100 * np.array(row["strain"]), 100 * np.array(row["E_u"]), "o-", label=label)
     ax.axvline(2, color="0.6", linewidth=0.8)
-    ax.set(xlabel="largest bond strain [%] (line: training)", ylabel="E_u [%]")
-    ax.legend(frameon=False)
+    ax.set(xlabel="largest bond strain [%] (line: training)", ylabel="error of displacement [%]")
+    name_lines(ax)
     seen = (lambda: wp.solve(model, Dirichlet(last, last.loads, last.u)).u,)
     return entry("strain", numbers, seen, figure, {"loads": table, "ends": ends})

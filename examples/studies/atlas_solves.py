@@ -105,16 +105,16 @@ def lame_parameters(data: Dataset) -> Entry:
     for name in symbols:
         left.plot(BULK, symbols[name], "o-", label=name, markersize=3)
         middle.loglog(BULK, conditions[name], "o-", markersize=3)
-    left.set(xlabel="(λ + μ)/μ", ylabel="smallest D(k)/s(k) / μ", xscale="log")
+    left.set(xlabel="(λ + μ)/μ", ylabel="least stiffness of a wave over μ", xscale="log")
     left.set_yscale("symlog", linthresh=1e-6)
     left.axhline(0, color="0.6", linewidth=0.8)
     left.legend(frameon=False, **small)
-    middle.set(xlabel="(λ + μ)/μ", ylabel="condition of L, 12 × 12 nodes, δ = 4h")
+    middle.set(xlabel="(λ + μ)/μ", ylabel="condition of the operator, 12 × 12 nodes")
     rows = {
         f"λ/μ = {ratio:g}, order {order:.2f}": row
         for (ratio, row), order in zip(errors.items(), orders)
     }
-    axes = {"xlabel": "h (side π), δ = 3h, K = 1/r", "ylabel": "relative error against elasticity"}
+    axes = {"xlabel": "spacing (side π), δ = 3h", "ylabel": "relative error against elasticity"}
     curves(right, "loglog", SPACINGS, rows, "o-", legend=small, **axes)
     values = {"bulk": BULK, "symbol_min": symbols, "condition": conditions, "orders": orders}
     return entry("lame", numbers, seen, figure, values)
@@ -185,10 +185,8 @@ def single_precision() -> Entry:
         rough[precision] = error(u)
     lost = shifts[int(np.argmax(np.array(errors["float32"]) > 0.01))]
     figure, ax = panels()
-    axes = {
-        "xlabel": "rigid shift [Å] under displacements of 10⁻³ Å",
-        "ylabel": "relative error of L u",
-    }
+    axes = {"xlabel": "rigid shift [Å] under displacements of 10⁻³ Å"}
+    axes["ylabel"] = "relative error of the force"
     rows = {name: np.maximum(values, 1e-17) for name, values in errors.items()}
     curves(ax, "loglog", shifts, rows, "o-", **axes)
     ax.axhline(1, color="0.6", linewidth=0.8)
@@ -239,18 +237,18 @@ def scattered_points() -> Entry:
         lambda: families_of(replace(base, x=twice), REACH),
         lambda: families_of(perturbed(6, 2.0, 0.5, 0), 2.0),
     )
-    figure, axes = panels(16, 3.8, count=4)
+    figure, axes = panels(9, 6.4, count=2, rows=2)
     names = (
-        "smallest eigenvalue of (L + Lᵗ)/2 [TPa/h²]",
-        "asymmetry ‖L − Lᵗ‖/‖L + Lᵗ‖",
+        "smallest eigenvalue [TPa/h²]",
+        "asymmetry of the operator",
         "share of negative weights",
         "relative error against elasticity",
     )
-    for ax, name, column in zip(axes, names, range(4)):
+    for ax, name, column in zip(axes.flat, names, range(4)):
         ax.plot(shifts, mean[:, column], "o-", markersize=3)
         ax.fill_between(shifts, low[:, column], high[:, column], alpha=0.25)
-        ax.set(xlabel="perturbation [h]", ylabel=name)
-    axes[0].axhline(0, color="0.6", linewidth=0.8)
+        ax.set(xlabel="shift of the nodes [spacings]", ylabel=name)
+    axes[0, 0].axhline(0, color="0.6", linewidth=0.8)
     solved = sum(len(row) == 3 for row in rows.values())
     values = {"shifts": shifts, "figures": figures, "cases": rows, "solved": solved}
     return entry("scattered", numbers, seen, figure, values)
@@ -347,7 +345,7 @@ def free_surfaces() -> Entry:
     cut = Points(points.x[body], points.interior[body], 1.0)
     figure, ax = panels()
     rows = {f"{label}, order {orders[label]:.2f}": errors for label, errors in table.items()}
-    axes = {"xlabel": "h (side 1), δ = 3h", "ylabel": "largest error of u"}
+    axes = {"xlabel": "spacing (side 1), δ = 3h", "ylabel": "largest error of displacement"}
     curves(ax, "loglog", spacings, rows, "C0o-", "C0s--", "C1o-", "C1s--", **axes)
     values = {"numbers": np.round(1 / spacings).astype(int), "error": table, "order": orders}
     return entry("surfaces", numbers, (lambda: families_of(cut, 3.0),), figure, values)

@@ -10,7 +10,7 @@ import numpy as np
 
 import warp_peri as wp
 from examples import neural_sets
-from examples.figures import ABOVE, curves, panels
+from examples.figures import curves, name_lines, note, panels
 from examples.studies.atlas_entry import Entry, entry, square_lattice, words
 from examples.studies.neural_noise import REACH, learned
 from tools.failure import to_failure
@@ -60,9 +60,9 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
     filtered = Nonlinear(Smoothing())
     energy = wp.fit(train, wp.ThirdOrder(wp.LPS(20.0, kernel, **options))).material
     models: dict[str, Model | NonlinearModel] = {
-        "linear": wp.fit(train, wp.LPS(20.0, kernel, **options)).material,
-        "energy form": energy,
-        "filtered form": wp.fit(
+        "linear model": wp.fit(train, wp.LPS(20.0, kernel, **options)).material,
+        "third order, with energy": energy,
+        "third order, deconvolved": wp.fit(
             train, wp.ThirdOrder(wp.LPS(20.0, kernel, **options), filtered.smoothing)
         ).material,
     }
@@ -79,10 +79,11 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
     for name, values in errors.items():
         ax.semilogy(percent, 100 * np.array(values), "o-", label=name)
     of_patch = path[-1].max_bond_strain
+    ax.set(xlabel="largest bond strain [%]", ylabel="error of displacement [%]")
+    name_lines(ax)
     for body, strain, style in (("patch", of_patch, ":"), ("disk", of_disk, "--")):
-        ax.axvline(100 * strain, color="0.6", linestyle=style, label=f"atoms fail ({body})")
-    ax.set(xlabel="largest bond strain [%]", ylabel="E_u [%]")
-    ax.legend(frameon=False, **ABOVE | {"ncols": 3})
+        ax.axvline(100 * strain, color="0.6", linestyle=style)
+        note(ax, f"atoms fail\n({body})", (100 * strain, ax.get_ylim()[0]), (-4, 4), ha="right")
     proven, column = energy.proven_strain(train.spacing), STRAINS.index(0.04)
     linear, of_energy, smooth = (np.array(values) for values in errors.values())
     numbers = {
@@ -145,11 +146,11 @@ def hourglass() -> Entry:
     ]
     figure, ax = panels()
     for stiffness, values in table.items():
-        ax.plot(100 * (1 - stretches), values, label=f"deviations {stiffness:g}")
+        ax.plot(100 * (1 - stretches), values, label=f"stiffness of deviations {stiffness:g}")
     ax.plot(100 * (1 - stretches), corners, "k--", label="no deviations, on corners")
     ax.axhline(0, color="k", lw=0.8)
     ax.set(xlabel="compression [%]", ylabel="smallest eigenvalue / Laplacian's", ylim=(-0.6, 0.6))
-    ax.legend()
+    name_lines(ax)
     alone = StaticProblem(HyperelasticOperator(replace(dictionary, deviations=()), points))
     pushed = (-part * points.x + 1e-4 * np.sin(40 * points.x) for part in (0.1, 0.3))
     seen = [partial(alone.solve, np.array(SHEET), None, u) for u in pushed]
@@ -200,7 +201,7 @@ def uneven_as_even() -> Entry:
             table[f"{name}, carried"].append(error(fit, carried, own=False))
     figure, ax = panels()
     axes = {"xlabel": "thickest / thinnest place", "ylabel": "error of displacement [%]"}
-    curves(ax, "semilogy", ratios, table, *styles.values(), legend=ABOVE, **axes)
+    curves(ax, "semilogy", ratios, table, *styles.values(), **axes)
     table = {"ratio": ratios} | table
     last = {name.replace(", ", "_"): values[-1] for name, values in table.items()}
     seen = (lambda: fit_displacement(train, EVEN, most_steps=8),)
@@ -225,7 +226,7 @@ def noise(folder: Path) -> Entry:
     figure, ax = panels()
     levels = [100 * level for level in LEVELS]
     rows = {"residual of clean forces": residual, "equilibria found": found}
-    axes = {"xlabel": "noise on the displacements learned from [%]", "ylabel": "[%]"}
+    axes = {"xlabel": "noise on the displacements learned from [%]", "ylabel": "share [%]"}
     curves(ax, "plot", levels, rows, "o-", "s--", ylim=(0, 105), **axes)
     numbers = {
         "epochs": EPOCHS, "solved": SOLVED, "most": levels[-1], "clean": residual[0],

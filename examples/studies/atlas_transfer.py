@@ -1,13 +1,14 @@
 """Stability atlas: what a transfer, a family, and a supercell cannot give."""
 
 import warnings
+from typing import Any
 
 import ase.build
 import numpy as np
 from ase.calculators.emt import EMT
 
 import warp_peri as wp
-from examples.figures import curves, panels
+from examples.figures import curves, note, panels
 from examples.studies.atlas_entry import Entry, entry
 from warp_peri import Model, Points
 from warp_peri.core.elastic import voigt
@@ -63,14 +64,15 @@ def transfers(model: Model) -> Entry:
         lambda: model.on(nodes(20), allow_uncertified=True),
     )
     figure, ax = panels(6.8, 4.2)
-    axes = {"xlabel": "wavelength [Å]", "ylabel": "displacement against home [%]"}
+    axes: dict[str, Any] = {"xlabel": "wavelength [Å]", "xlim": (210, 11), "ylim": (0.1, 3000)}
+    axes["ylabel"] = "displacement against the model's own [%]"
     styles = ["k--"] + ["-"] * len(SPACINGS)
-    curves(ax, "loglog", WAVELENGTHS, table, *styles, scale=100, ylim=(0.1, 3000), **axes)
-    ax.axvspan(WAVELENGTHS.min(), shortest, color="0.9", label="beyond the data")
+    curves(ax, "loglog", WAVELENGTHS, table, *styles, scale=100, **axes)
+    ax.axvspan(WAVELENGTHS.min(), shortest, color="0.9")
+    note(ax, "beyond the data", (shortest, 0.1), (-4, 4), ha="right")
     ticks = (12, 20, 30, 50, 100, 200)
     ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
     ax.minorticks_off()
-    ax.legend(frameon=False, fontsize=8)
     values = {"wavelength": WAVELENGTHS, "error": table}
     return entry("transfer", numbers, seen, figure, values)
 
@@ -115,7 +117,8 @@ def short_waves(data: wp.Dataset) -> Entry:
         (short & ~named, "C1o", "shorter, not named"),
         (~short, "C0o", "learned from"),
     ):
-        ax.semilogy(length[some], ratio[some], style, label=label)
+        if some.any():
+            ax.semilogy(length[some], ratio[some], style, label=label)
     ax.axhline(1.0, color="k", lw=0.8)
     ax.set(xlabel="wavelength [Å]", ylabel="likely error / true error")
     ax.legend(frameon=False)

@@ -22,10 +22,9 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 
 import warp_peri as wp
-from examples.figures import save_figure
+from examples.figures import headline, name_lines, note, panels, save_figure
 from examples.predict import tell
 from examples.train_graphene import DATA, make_data
 from examples.train_graphene import main as train_main
@@ -173,21 +172,23 @@ def main_job() -> dict[str, dict[str, float]]:
 
 
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Error against the number of loads, for both laws."""
-    figure = Figure(figsize=(8.4, 3.6), layout="constrained")
-    marks = {"random": ".", "designed": "o", "one way": "x", "picked": "s", "all": "D"}
-    for ax, law in zip(figure.subplots(1, 2, sharey=True), ("LPS", "tensors")):
-        for kind, mark in marks.items():
-            some = [r for r in rows if (r["law"], r["kind"]) == (law, kind) and "E_u" in r]
-            for column, color in ((0, "C0"), (1, "C1")):
-                y = [row["E_u"][column] for row in some]
-                label = ("validation", "disks")[column] if kind == "all" else None
-                ax.loglog([r["loads"] for r in some], y, mark, color=color, ms=6, label=label)
-        for kind, mark in marks.items():
-            ax.plot([], [], mark, color="0.3", label=kind)
-        ax.set(xlabel="loads", title=law)
-    figure.axes[0].set_ylabel("displacement error [%]")
-    figure.axes[0].legend(fontsize=8)
+    """Median error on the disks against the number of loads, for both laws."""
+    figure, axes = panels(8.4, 3.6, count=2, sharey=True)
+    kinds = {"random": "at random", "picked": "best of the pool", "designed": "designed"}
+    for ax, (law, title) in zip(axes, {"LPS": "LPS", "tensors": "crystal model"}.items()):
+        known = [row for row in rows if row["law"] == law and "E_u" in row]
+        for kind, label in kinds.items():
+            some = [(row["loads"], 100 * row["E_u"][1]) for row in known if row["kind"] == kind]
+            counts = sorted({n for n, _ in some})
+            middle = [np.median([error for n, error in some if n == count]) for count in counts]
+            ax.loglog(counts, middle, "o-", label=label)
+        every = next(row for row in known if row["kind"] == "all")
+        ax.axhline(100 * every["E_u"][1], color="0.4", ls="--", lw=0.8)
+        note(ax, f"all {every['loads']} waves", (1, 100 * every["E_u"][1]), (0, -11))
+        ax.set(xlabel="loads to learn from", title=title)
+        name_lines(ax)
+    axes[0].set_ylabel("error on unseen disks [%]")
+    headline(figure, "A few designed loads teach what all waves do")
     save_figure(figure, path, dpi=150, bbox_inches=None)
 
 

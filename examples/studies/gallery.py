@@ -23,7 +23,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure as Canvas
 from PIL import Image
 
-from examples.figures import panels
+from examples.figures import headline, panels
 from examples.prose import table
 from tools.options import Options
 from warp_peri import InputError
@@ -125,7 +125,7 @@ def stress(source: Path) -> Canvas:
     inside = data["interior"][quads].all(axis=1)
     values = 1e3 * data["stress"][quads[inside]].mean(axis=1)
     limit = np.abs(values).max()
-    figure, axes = panels(10.5, 3.5, count=3, sharey=True)
+    figure, axes = panels(10.5, 4, count=3, sharey=True)
     for ax, column, name in zip(axes, (0, 1, 3), ("σ₁₁", "σ₂₂", "σ₁₂")):
         ax.add_collection(
             PolyCollection(x[quads[~inside]], facecolor="none", edgecolor="0.75", linewidth=0.4)
@@ -138,6 +138,7 @@ def stress(source: Path) -> Canvas:
         ax.autoscale_view()
         ax.set(aspect="equal", title=name, xlabel="x₁ [Å]")
     axes[0].set_ylabel("x₂ [Å]")
+    headline(figure, "Every stress is largest at the rim of the disk (grey: displacement given)")
     figure.colorbar(faces, ax=axes, label="stress [GPa]", shrink=0.85)
     return figure
 

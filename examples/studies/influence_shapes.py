@@ -14,7 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 import warp_peri as wp
-from examples.figures import panels
+from examples.figures import note, panels
 from examples.train_graphene import make_data
 from tools.make_graphene import SMOOTHING_RADIUS
 from tools.options import Options
@@ -98,28 +98,19 @@ def picture(learned: dict[str, tuple[int, Fit]], rows: list[dict[str, Any]], pat
         else:
             left.plot(r, r**2 * kernel_values(model, classes, r), color=color, label=name)
             left.plot(classes.r, bonds, "o", color=color, markersize=4)
-    left.set(xlabel="bond length r [Å]", ylabel="K r² / m  [Å⁻²]")
-    left.set_ylim(-0.015, 0.017)
+    left.set(xlabel="bond length r [Å]", ylabel="weight of bonds K r² / m [Å⁻²]")
+    left.set(ylim=(-0.015, 0.023), title="Graphene's influence function changes sign")
     left.legend(frameon=False, loc="upper right")
-    for label, key, marker in (("disks", "E_u test", "o"), ("validation", "E_u val", "s")):
-        right.semilogy(
-            [row["parameters"] for row in rows], [row[key] for row in rows], marker, label=label
-        )
-    above = {"exponential": 10, "gaussian": 0, "conical": -10}
+    right.semilogy([row["parameters"] for row in rows], [row["E_u test"] for row in rows], "o")
+    above = {"exponential": 12, "gaussian": 0, "conical": -12, "table, 9 knots": 11}
     for row in rows:
-        right.annotate(
-            row["shape"],
-            (row["parameters"], row["E_u test"]),
-            xytext=(8, above.get(row["shape"], 0)),
-            textcoords="offset points",
-            va="center",
-            fontsize=8,
-        )
-    right.set_xlim(0, 15)
+        place, shift = (row["parameters"], row["E_u test"]), (8, above.get(row["shape"], 0))
+        note(right, row["shape"], place, shift, va="center")
+    right.set_xlim(0, 16)
     right.set_ylim(0.4, 40)
     right.yaxis.set_major_formatter("{x:g}")
-    right.set(xlabel="parameters of the influence function", ylabel="error of displacement E_u [%]")
-    right.legend(frameon=False)
+    right.set(xlabel="parameters of the influence function", ylabel="error on unseen disks [%]")
+    right.set_title("Three parameters that change sign do what eleven do")
     with whole_file(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110)
 

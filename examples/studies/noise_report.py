@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from examples.figures import panels, save_figure
+from examples.figures import headline, name_lines, panels, save_figure
 from examples.prose import fill, rows_of
 from warp_peri import Dirichlet, Model, Samples, plots, solve
 from warp_peri.learning.result import Fit
@@ -129,22 +129,21 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
     degrees = [row["degree"] for row in rows]
     known = [M for M in degrees if M in PRINTED_TABLE_3]
     names = (("E_res_train", "E_res_val"), ("E_u_train", "E_u_val"))
-    for ax, pair, first in zip(axes, names, (1, 2)):
+    for ax, pair, first, of in zip(axes, names, (1, 2), ("load", "displacement")):
         for number, name in enumerate(pair):
+            said = "training", "validation"
             color = f"C{number}"
             ours = [100 * row[name] for row in rows]
             printed = [PRINTED_TABLE_3[M][first + 2 * number] for M in known]
-            ax.semilogy(degrees, ours, "o-", color=color, label=f"{name}, here")
-            ax.semilogy(known, printed, "s--", color=color, label=f"{name}, printed")
-        ax.set(xlabel="degree M, each at its δ*", ylabel="error [%]")
+            ax.semilogy(degrees, ours, "o-", color=color, label=f"{said[number]}, here")
+            ax.semilogy(known, printed, "s--", color=color, label=f"{said[number]}, printed")
+        ax.set(xlabel="degree of the influence function", ylabel=f"error of the {of} [%]")
     ours = [100 * row["E_u_val_shared"] for row in rows]
-    axes[1].semilogy(degrees, ours, "^-", color="C2", label="E_u_val, shared-seed reference")
+    axes[1].semilogy(degrees, ours, "^-", color="C2", label="validation, shared seed")
     for ax in axes:
         ax.set_xticks(degrees)
-        ax.legend(
-            frameon=False, fontsize="small", loc="upper left", bbox_to_anchor=(0, -0.16), ncols=2
-        )
-    figure.suptitle("Errors by degree at 300 K, time smoothing as printed (figure 6, right)")
+        name_lines(ax)
+    headline(figure, "At 300 K noise sets the errors, whatever the degree (figure 6, right)")
     save_figure(figure, path)
 
 
@@ -172,7 +171,7 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
         )
     ax.set(xlabel="bond length r [Å] (points moved apart by 0.15 Å)", ylabel="K / m  [Å⁻⁴]")
     ax.legend(frameon=False, title="time smoothing, 90 % band")
-    ax.set_title("Influence function at 300 K by noise (figure 7, right)")
+    ax.set_title("The smaller the loads, the less sure the influence function")
     save_figure(figure, path)
 
 

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, ScalarFormatter
 
-from examples.figures import outer, panels, save_figure
+from examples.figures import headline, name_lines, note, outer, panels, save_figure
 from tools.make_hgo import NODES
 from tools.make_leaflet import PROTOCOLS, SIDE, TINE, TINES_AT
 from warp_peri import Samples
@@ -41,17 +41,20 @@ def shown(figure: Figure, ax: Axes, x: Any, value: Any, label: str, limit: float
 
 def prediction(path: Path, field: Mapping[str, Any], length: str, load: str) -> None:
     """u₁ and b₁: truth, network, and the size of the difference."""
-    figure = Figure(figsize=(11, 6), layout="constrained")
-    grid = figure.subplots(2, 3)
+    figure, grid = panels(11, 6, count=3, rows=2)
+    off = []
     for row, (name, unit) in zip(grid, (("u", length), ("b", load))):
         true, found = (np.array(part)[:, 0] for part in field[name])
         limit = max(np.abs(true).max(), np.abs(found).max())
+        whole, wrong = np.array(field[name][0]), np.subtract(field[name][1], field[name][0])
+        off.append(f"{100 * np.linalg.norm(wrong) / np.linalg.norm(whole):.2g} %")
         shown(figure, row[0], field["x"], true, f"{name}₁ [{unit}]", limit)
         shown(figure, row[1], field["x"], found, f"{name}₁ [{unit}]", limit)
         shown(figure, row[2], field["x"], np.abs(found - true), f"difference [{unit}]", None)
         for ax, title in zip(row, ("truth", "network", "difference")):
             ax.set_title(f"{title}, {name}₁")
     outer(grid, f"x₁ [{length}]", f"x₂ [{length}]")
+    headline(figure, f"On an unseen disk displacement is off by {off[0]}, the load by {off[1]}")
     save_figure(figure, path)
 
 
@@ -67,10 +70,10 @@ def square(path: Path, samples: Samples, number: int) -> None:
     left.plot(*x[edge].T, "s", color="C3", markersize=4, label="held")
     left.plot(*x[samples.interior].T, ".", color="C0", label="equations, δ = 3 spacings")
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
-    left.set(aspect="equal", title="21 × 21 nodes", xlabel="x₁ [mm]", ylabel="x₂ [mm]")
+    left.set(aspect="equal", title="Held at the edge", xlabel="x₁ [mm]", ylabel="x₂ [mm]")
     u = samples.u[number, :, 0]
     shown(figure, right, x, u, "u₁ [mm]", np.abs(u).max())
-    right.set(title="displacement under a training load", xlabel="x₁ [mm]")
+    right.set(title="and displaced by a load", xlabel="x₁ [mm]")
     save_figure(figure, path)
 
 
@@ -78,7 +81,8 @@ def gradients(path: Path, sizes: np.ndarray) -> None:
     """Figure 7: how many nodes have which |∇u|."""
     figure, ax = panels(6, 3.6)
     ax.hist(sizes, bins=BINS, weights=np.full(len(sizes), 100 / len(sizes)), color="C0")
-    ax.set(xlabel="size of the gradient of u", ylabel="nodes of all samples [%]", yscale="log")
+    ax.set(xlabel="size of the displacement gradient", ylabel="nodes [%]", yscale="log")
+    ax.set_title(f"Strains are large: above {np.median(sizes):.2g} at half of the nodes")
     save_figure(figure, path)
 
 
@@ -88,15 +92,14 @@ def mirror(path: Path, wide: Samples) -> None:
     u = wide.u[0, :, 0]
     shown(figure, ax, wide.x, u, "u₁ [mm]", np.abs(u).max())
     ax.plot([0, 1, 1, 0, 0], [0, 0, 1, 1, 0], color="k", linewidth=1.2)
-    ax.set(xlabel="x₁ [mm]", ylabel="x₂ [mm]", title="mirrored collar; the data end at the line")
+    ax.set(xlabel="x₁ [mm]", ylabel="x₂ [mm]", title="Mirrored beyond the line, data go on")
     save_figure(figure, path)
 
 
 def loads(path: Path, sets: Mapping[str, Samples]) -> None:
     """Figure 9: load and displacement of a training and a validation sample."""
-    figure = Figure(figsize=(13, 5.6), layout="constrained")
+    figure, grid = panels(13, 5.6, count=4, rows=2)
     titles = {"train": "training", "val": "validation"}
-    grid = figure.subplots(2, 4)
     for row, (name, samples) in zip(grid, sets.items()):
         parts = [(f"b{'₁₂'[n]} [MPa/mm]", samples.loads[0, :, n]) for n in (0, 1)]
         parts += [(f"u{'₁₂'[n]} [mm]", samples.u[0, :, n]) for n in (0, 1)]
@@ -104,6 +107,7 @@ def loads(path: Path, sets: Mapping[str, Samples]) -> None:
             shown(figure, ax, samples.x, field, label, np.abs(field).max())
             ax.set_title(f"{titles[name]}, {label[:2]}")
     outer(grid, "x₁ [mm]", "x₂ [mm]")
+    headline(figure, "Loads at random in training and in validation, and what they displace")
     save_figure(figure, path)
 
 
@@ -123,8 +127,10 @@ def omega(ax: Axes, material: Any) -> Any:
 def influence(path: Path, material: Any) -> None:
     """Figures 5 and 13, right: ω as an image."""
     figure, ax = panels(4.6, 3.8)
-    figure.colorbar(omega(ax, material), ax=ax, shrink=0.85, label="ω over its largest value")
-    ax.set_ylabel("ξ₂/δ")
+    drawn = omega(ax, material)
+    figure.colorbar(drawn, ax=ax, shrink=0.85, label="ω over its largest value")
+    does = "changes" if drawn.get_array().min() < 0 else "keeps"
+    ax.set(ylabel="ξ₂/δ", title=f"The influence function {does} sign")
     save_figure(figure, path)
 
 
@@ -146,6 +152,9 @@ def roses(path: Path, laws: Mapping[int, Any], roses: Mapping[int, Mapping[str, 
         ax.set_yticklabels([])
         ax.set_title(f"dictionary, δ = {reach} spacings")
     shown[0].set_ylabel("ξ₂/δ")
+    headline(
+        figure, "At every horizon the dictionary finds the fibres; the network differs each time"
+    )
     figure.colorbar(drawn, ax=shown, shrink=0.85, label="ω over its largest value")
     save_figure(figure, path)
 
@@ -162,19 +171,19 @@ def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
             sheet.plot(x, y, "o", color="C3", markersize=100 * TINE)
     sheet.plot(*samples.x.T, ".", color="0.7", markersize=1.5)
     sheet.plot(*samples.x[samples.interior].T, ".", color="C0", markersize=3)
-    sheet.set(aspect="equal", title="tines (red), nodes seen (grey),\nequations (blue)")
+    sheet.set(aspect="equal", title="Tines (red), nodes seen\n(grey), equations (blue)")
     most = int(np.argmax(np.abs(samples.u).max(axis=(1, 2))))
     y = samples.x + samples.u[most]
     stretched.plot(*samples.x.T, ".", color="0.8", markersize=1.5)
     stretched.plot(*y.T, ".", color="C0", markersize=2)
-    stretched.set(aspect="equal", title="nodes at rest (grey)\nand pulled most")
+    stretched.set(aspect="equal", title="Its nodes at rest (grey)\nand pulled most")
     for ax in (sheet, stretched):
         ax.set(xlabel="x₁", ylabel="x₂")
     for number, (a, b) in enumerate(PROTOCOLS, 1):
         ratios.plot([0, a], [0, b], color="0.8", linewidth=0.8)
-        ratios.annotate(f"{number}", (a, b), xytext=(4, 4), textcoords="offset points")
+        note(ratios, f"{number}", (a, b))
         ratios.plot(a, b, "o", color="C0")
-    ratios.set(aspect="equal", xlim=(0, 1.15), ylim=(0, 1.15), title="seven protocols")
+    ratios.set(aspect="equal", xlim=(0, 1.15), ylim=(0, 1.15), title="Seven protocols of pulling")
     ratios.set(xlabel="pull along x₁", ylabel="pull along x₂")
     save_figure(figure, path)
 
@@ -189,7 +198,10 @@ def frames(path: Path, errors: Mapping[str, Sequence[float]], samples: Samples) 
         ax.plot(known, "o-", markersize=4, linewidth=1, label=name)
     for place in np.flatnonzero(np.diff(protocols)):
         ax.axvline(place + 0.5, color="0.85", linewidth=0.8)
-    ax.set(xlabel="held-out frame, protocols one after the other", ylabel="E_u [%]", yscale="log")
+    ax.set(xlabel="held-out frame, protocols one after the other", yscale="log")
+    ax.set_ylabel("error of displacement [%]")
+    mean = {name: np.nanmean(np.array(values, float)) for name, values in errors.items()}
+    ax.set_title(f"Least error on unseen frames: {min(mean, key=mean.__getitem__)}")
     ax.set_xticks(range(0, len(order), 2))
-    ax.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+    name_lines(ax)
     save_figure(figure, path)

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from examples.figures import panels, save_figure
+from examples.figures import headline, name_lines, panels, save_figure
 
 COUNTS = (1000, 10_000, 100_000)
 """Dumbbells of an ensemble, as printed."""
@@ -53,18 +52,18 @@ def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
     for ax, De in zip(axes, sorted({De for De, *_ in plates})):
         run = plates[De, LAWS[1], 10_000]
         coupled = plates[De, "coupled", 10_000]
-        for i in range(5):
-            ax.plot(coupled["t"], np.array(coupled["stress"])[:, i], "C7", linewidth=0.8)
-            ax.plot(run["t"], np.array(run["stress"])[:, i], "C1")
-            ax.plot(run["t"], np.array(run["exact"])[:, i], "k:", linewidth=1)
-        ax.set(title=f"De = {De:g}", xlabel="t / t0", ylabel="σ_xy at five heights")
-    for style, label in (
-        ("C7", "coupled, 10⁴ dumbbells"),
-        ("C1", "learned, kinematics known"),
-        ("k:", "exact law"),
-    ):
-        ax.plot([], [], style, label=label)
-    ax.legend(frameon=False, fontsize=8)
+        shown = (
+            ("coupled, 10⁴ dumbbells", coupled, "stress", "C7"),
+            ("learned, kinematics known", run, "stress", "C1"),
+            ("exact law", run, "exact", "k:"),
+        )
+        for label, one, key, style in shown:
+            drawn = ax.plot(one["t"], np.array(one[key]), style, linewidth=1)
+            drawn[0].set_label(label)
+        name_lines(ax)
+        ax.set(title=f"Deborah number {De:g}", xlabel="time t / t₀")
+        ax.set_ylabel("shear stress at five heights")
+    headline(figure, "The learned fluid's stress follows the exact law at every height")
     save_figure(figure, path)
 
 
@@ -75,13 +74,14 @@ def draw_plates(path: Path, rows: Mapping[str, Mapping[str, Sequence[Sequence[fl
         for color, (name, errors) in enumerate(fluids.items()):
             median, least, most = 100 * np.array([(e[0], min(e), max(e)) for e in errors]).T
             spread = [median - least, most - median]
-            ax.errorbar(COUNTS, median, spread, color=f"C{color}", capsize=3, marker="o")
             label = "dumbbells in every cell" if name == "coupled" else name
-            named(ax, COUNTS[-1], median[-1], label, f"C{color}")
+            ax.plot(COUNTS, median, "o-", color=f"C{color}", label=label)
+            ax.errorbar(COUNTS, median, spread, ecolor=f"C{color}", capsize=3, fmt="none")
         ax.set(title=f"Deborah number {De}", xlabel="dumbbells in an ensemble")
         ax.set(xscale="log", yscale="log", xlim=(700, 4e6))
         ax.set_xticks(COUNTS)
         ax.set_xticks([], minor=True)
+        name_lines(ax)
     axes[0].set_ylabel("largest error of the velocity [% of the wall's]")
     figure.suptitle("With the kinematics known, a learned fluid errs least")
     save_figure(figure, path)
@@ -96,8 +96,9 @@ def draw_rates(path: Path, fits: Mapping[int, Mapping[str, Any]]) -> None:
             ax.plot(truth[:, place], rate[:, place], f"C{color}x", ms=3, label=f"{n} points")
     for ax, name in zip(axes, ("xx", "xy")):
         ax.axline((0, 0), slope=1, color="k", linewidth=0.8)
-        ax.set(xlabel=f"exact ds_{name}/dt", ylabel=f"learned ds_{name}/dt, printed pairing")
-    axes[0].legend(frameon=False, fontsize=8)
+        ax.set(xlabel=f"exact rate of s_{name}", ylabel=f"learned rate of s_{name}")
+    axes[0].legend(frameon=False, fontsize=9)
+    headline(figure, "Rates learned by the printed pairing scatter about the exact ones")
     save_figure(figure, path)
 
 
@@ -105,23 +106,18 @@ def draw_training(path: Path, rows: Mapping[str, Mapping[int, float]]) -> None:
     """Figure 9: largest error of u / U for each number of training points, where a run ended."""
     figure, ax = panels(7.5, 4.2)
     for color, (name, errors) in enumerate(rows.items()):
-        ax.plot([*errors], 100 * np.array([*errors.values()]), f"C{color}o-")
-        named(ax, max(errors), 100 * errors[max(errors)], name, f"C{color}")
+        ax.plot([*errors], 100 * np.array([*errors.values()]), f"C{color}o-", label=name)
     ax.set(xscale="log", yscale="log", xlim=(800, 30_000), xlabel="training points")
     ax.set_xticks([*TRAINING], [f"{n}" for n in TRAINING])
     ax.set_xticks([], minor=True)
     ax.set_ylabel("largest error of the velocity [% of the mean]")
     ax.set_title("Only with the kinematics known is the error below 3 %")
+    name_lines(ax)
     lost = [name for name, errors in rows.items() if TRAINING[0] not in errors]
     if lost:
         away = "\n".join([f"with {TRAINING[0]} points run away:", *lost])
         ax.annotate(away, (0.03, 0.96), xycoords="axes fraction", va="top", color="0.4")
     save_figure(figure, path)
-
-
-def named(ax: Axes, x: float, y: float, name: str, color: str) -> None:
-    """Write the name of a line at its end."""
-    ax.annotate(name, (x, y), (8, 0), textcoords="offset points", va="center", color=color)
 
 
 def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> None:
@@ -132,8 +128,9 @@ def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> Non
         open_marks = {"markersize": 4, "fillstyle": "none", "label": "learned"}
         ax.plot(found["t"], found["centre"]["learned"], f"C{color}o", **open_marks)
     ax.plot(found["t"], found["newton"], "k--", label="Newtonian")
-    ax.set(xlabel="t / t0", ylabel="u / U in the middle")
-    ax.legend(frameon=False, fontsize=8, ncols=2)
+    ax.set(xlabel="time t / t₀", ylabel="velocity in the middle u / U")
+    ax.legend(frameon=False, fontsize=9, ncols=2)
+    ax.set_title("The learned fluid follows the exact law at each Deborah number")
     save_figure(figure, path)
 
 
@@ -145,9 +142,10 @@ def draw_forces(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
     for i, (ax, height) in enumerate(zip(axes, HEIGHTS)):
         for name, style in zip(shown, ("k-", "C0--", "C1:", "C2-.")):
             ax.plot(costs[name]["t"], np.array(costs[name]["force"])[:, i], style, label=name)
-        ax.set(title=f"y = {height:g}", xlabel="t / t0")
-    figure.axes[0].set_ylabel("∂σ_xy/∂y")
-    figure.axes[0].legend(frameon=False, fontsize=7)
+        ax.set(title=f"height {height:g} of the channel", xlabel="time t / t₀")
+    figure.axes[0].set_ylabel("force ∂σ_xy/∂y")
+    figure.axes[0].legend(frameon=False, fontsize=9)
+    headline(figure, "Exact, learned and coupled fluids push alike")
     save_figure(figure, path)
 
 
@@ -162,6 +160,7 @@ def draw_costs(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
                     run["seconds"] + run["learned"], run["error"], f"C{color}o", fillstyle="none"
                 )
     ax.axvline(costs["exact law"]["seconds"], color="k", linestyle=":", label="exact law")
-    ax.set(xlabel="processor seconds of a run (open: with learning)", ylabel="error of v [%]")
-    ax.legend(frameon=False, fontsize=8)
+    ax.set(xlabel="processor seconds (open: with learning)", ylabel="error of velocity [%]")
+    ax.set_title("With exact rates a learned law is exact, for the seconds of a law")
+    name_lines(ax)
     save_figure(figure, path)

@@ -5,10 +5,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-from matplotlib.figure import Figure
-
 from examples import diffusion, pressurised_crack
-from examples.figures import panels, save_figure
+from examples.figures import headline, name_lines, panels, save_figure
 from examples.prose import rows_of
 from examples.studies import atlas_solves
 from examples.studies import paper_slides_incompressible as stiff
@@ -142,15 +140,16 @@ def pressure() -> list[list[str]]:
 
 def draw_rates(path: Path, rates: Sequence[Mapping[str, Any]]) -> None:
     """Errors over the horizon, degree 4."""
-    figure = Figure(figsize=(11, 3.6), layout="constrained")
-    for ax, d in zip(figure.subplots(1, 2), (2, 3)):
+    figure, axes = panels(11, 3.6, count=2)
+    headline(figure, "The quadrature converges at the claimed rates (in brackets)")
+    for ax, d in zip(axes, (2, 3)):
         for color, found in enumerate(
             one for one in rates if one["dimension"] == d and one["degree"] == 4
         ):
             label = f"α = {found['exponent']:g}: {found['rate']:.1f} ({found['claimed']:.1f})"
             ax.loglog(study.RADII, found["errors"], "o-", color=f"C{color}", label=label)
         ax.set(xlabel="horizon δ", ylabel="error of the integral", title=f"{d} dimensions")
-        ax.legend(title="rate (claimed)", frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+        name_lines(ax)
     save_figure(figure, path)
 
 
@@ -167,11 +166,12 @@ def draw_limits(path: Path, far: Mapping[str, Any], near: Mapping[str, Any]) -> 
             if name in found:
                 style = "s--" if name == "state" else "o-"
                 ax.loglog(h, found[name], style, color=f"C{color}", label=NAMES[name])
-        ax.set(xlabel=f"spacing h{unit}", ylabel="relative error of u", title=title)
+        ax.set(xlabel=f"spacing h{unit}", ylabel="relative error of displacement", title=title)
         if ax is right:
             second = [near["bond"][0] * (x / h[0]) ** 2 for x in h]
             ax.loglog(h, second, "k:", linewidth=1, label="second order")
         ax.set_xticks(h, [f"{x:.2g}" for x in h])
         ax.set_xticks([], minor=True)
-        ax.legend(frameon=False, fontsize=8)
+        ax.legend(frameon=False, fontsize=9)
+    headline(figure, "Exact weights converge; with cells as weights the error stays")
     save_figure(figure, path)

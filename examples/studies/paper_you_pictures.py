@@ -5,10 +5,9 @@ from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from examples.figures import outer, panels, save_figure
+from examples.figures import headline, outer, panels, save_figure
 from tools.make_graphene import SMOOTHING_RADIUS, read_samples
 from warp_peri import Dataset
 
@@ -30,7 +29,7 @@ def family(path: Path) -> None:
     left.plot(*x[near].T, "o", color="C0", markersize=5)
     turn = np.linspace(0, 2 * np.pi, 200)
     left.plot(*(x[node][:, None] + HORIZON * np.array([np.cos(turn), np.sin(turn)])), "k-")
-    left.set_title(f"the family of a node, δ = {HORIZON:g} Å: {near.sum()} bonds")
+    left.set_title(f"the family of a node: {near.sum()} bonds, δ = {HORIZON:g} Å")
     bond.plot(*x[[node, other]].T, "o-", color="C0")
     force = 0.2 * (x[other] - x[node])
     for place, sign in ((node, 1), (other, -1)):
@@ -41,6 +40,7 @@ def family(path: Path) -> None:
     for ax in (left, bond):
         ax.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₂ [Å]")
         ax.plot(*x[node], "o", color="C3", markersize=6)
+    headline(figure, "A node has a bond with every node within the horizon")
     save_figure(figure, path)
 
 
@@ -57,7 +57,7 @@ def atoms(data: Dataset, cache: Path, path: Path) -> None:
     near.plot(*x[np.abs(x).max(axis=1) < 13].T, "+", color="C1", markersize=9)
     turn = np.linspace(0, 2 * np.pi, 200)
     near.plot(*(SMOOTHING_RADIUS * np.array([np.cos(turn), np.sin(turn)])), "C1-", linewidth=1)
-    near.set_title("atoms, nodes (+), smoothing")
+    near.set_title("atoms, nodes (+), a cone")
     inside = data["train"].interior
     u = {"atoms": loaded.displacement[:, 0], "nodes": data["train"].u[SHOWN["train"], inside, 0]}
     most = np.abs(u["atoms"]).max()
@@ -71,14 +71,14 @@ def atoms(data: Dataset, cache: Path, path: Path) -> None:
     for ax in (near, whole, nodes):
         ax.set_aspect("equal")
     outer(np.array([[near, whole, nodes]]), "x₁ [Å]", "x₂ [Å]")
-    save_figure(figure, path)
+    headline(figure, "A cone around each node smooths the atoms' displacements onto it")
+    save_figure(figure, path, dpi=140)
 
 
 def fields(data: Dataset, path: Path) -> None:
     """Figure 5: u₁ and b₁ of a training, a validation and a test sample."""
-    figure = Figure(figsize=(11, 6), layout="constrained")
+    figure, grid = panels(11, 6, count=3, rows=2)
     titles = {"train": "training load", "val": "validation load", "test": "disk"}
-    grid = figure.subplots(2, 3)
     for column, (name, title) in zip(grid.T, titles.items()):
         samples, number = data[name], SHOWN[name]
         x = samples.x[samples.interior]
@@ -92,4 +92,5 @@ def fields(data: Dataset, path: Path) -> None:
             bar.update_ticks()
             ax.set(aspect="equal", title=f"{title}, {label[:2]}")
     outer(grid, "x₁ [Å]", "x₂ [Å]")
+    headline(figure, "Waves teach the model; another load and disks test it")
     save_figure(figure, path)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from examples.figures import panels, save_figure
+from examples.figures import note, panels, save_figure
 from examples.prose import table
 
 Row = dict[str, Any]
@@ -57,12 +57,12 @@ def draw_front(
     x, y, _ = zip(*best)
     ax.step([*x, *exact.values()], [*y, *[y[-1]] * len(exact)], color="C0", lw=0.8, where="post")
     ax.plot(x, y, "o", color="C0", ms=5)
-    above = np.inf
+    above, beside = np.inf, np.inf
     for here in best:
         if every or here[1] < above / APART:
-            above = here[1]
-            ax.annotate(here[2], here[:2], (-5, -4), textcoords="offset points", color="C0", size=8,
-                        ha="right", va="top")  # fmt: skip
+            low = 16 if here[1] * APART > beside else 4  # below the name of the one before
+            above, beside = here[1], here[1]
+            note(ax, here[2], here[:2], (-5, -low), "C0", ha="right", va="top")
     for name, seconds in exact.items():
         ax.axvline(seconds, color="0.3", ls="--", lw=0.8)
         ax.annotate(f"{name}: exact ", (seconds, max(y)), size=8, ha="right")
@@ -117,7 +117,7 @@ def training_chart(rows: list[Row], file: Path) -> None:
         where = (loads + row["fit_seconds"], 100 * row["disks_error"])
         text, shift = f"{name} ({row['loads']} loads)", BESIDE.get(name, (6, -4))
         ax.loglog(*where, "o", color="C0")
-        ax.annotate(text, where, shift, textcoords="offset points", size=9)
+        note(ax, text, where, shift, "k")
     ax.set(xlabel="seconds of simulation and fit", ylabel="error of displacement, free disks [%]")
     ax.set_title("Third order is the most accurate for the seconds it costs to learn")
     save_figure(figure, file, dpi=110, bbox_inches=None)
@@ -129,16 +129,12 @@ def error_chart(rows: list[Row], file: Path, error: str) -> None:
     found = [(r["seconds"], 100 * r["error"], r["label"]) for r in rows if r["error"]]
     for x, y, name in found:
         if any(x > a and y >= b for a, b, _ in found):  # those on the front get their names there
-            ax.annotate(name, (x, y), (-5, 4), textcoords="offset points", color="0.4", size=8,
-                        ha="right")  # fmt: skip
+            note(ax, name, (x, y), (-5, 4), ha="right")
     draw_front(
         ax, found, {row["label"]: row["seconds"] for row in rows if not row["error"]}, every=True
     )
-    ax.set(
-        xlabel="seconds in all",
-        ylabel=error,
-        title=f"Least error: {min(found, key=lambda one: one[1])[2]}",
-    )
+    best = min(found, key=lambda one: one[1])[2]
+    ax.set(xlabel="seconds in all", ylabel=error, title=f"Least error: {best}")
     ax.set_ylim(top=1.5 * max(y for _, y, _ in found))
     save_figure(figure, file, dpi=110, bbox_inches=None)
 

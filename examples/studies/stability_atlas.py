@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
 import warp_peri as wp
-from examples.figures import save_figure
+from examples.figures import headline, save_figure
 from examples.prose import fill
 from examples.studies import (
     atlas_bodies,
@@ -176,10 +176,11 @@ def main(arguments: list[str] | None = None) -> int:
     for name in given.only or works:
         begin = time.perf_counter()
         entry = works[name]()
+        words = filled(name, entry.numbers)
+        headline(entry.figure, words.message)
         save_figure(entry.figure, given.out / "stability" / f"{name}.png")
         kept[name] = {"numbers": plain(entry.numbers), "seen": entry.seen}
         values[name] = kept[name] | {"values": entry.values}
-        words = filled(name, entry.numbers)
         print(f"{words.title}: {words.number} ({time.perf_counter() - begin:.0f} s)", flush=True)
     if not given.only:
         write_json(table, finite(kept))

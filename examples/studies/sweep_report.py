@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
-from examples.figures import panels, save_figure
+from examples.figures import name_lines, panels, save_figure
 from examples.prose import fill, rows_of
 from warp_peri import Model, load, plots
 from warp_peri.files.atomic import write_json, write_text
@@ -65,16 +65,13 @@ def draw_errors(path: Path, trials: Sequence[Trial]) -> None:
                 (degrees, ours, "o-", "here"),
                 (known, printed, "s--", "printed"),
             ):
-                ax.semilogy(x, y, style, color=f"C{number}")
-                if x:
-                    label = f"{name}, {where}"
-                    at = {"textcoords": "offset points", "va": "center", "color": f"C{number}"}
-                    ax.annotate(label, (x[-1], y[-1]), (8, 0), **at)
+                ax.semilogy(x, y, style, color=f"C{number}", label=f"{name}, {where}")
         ax.set(xlabel="degree of the influence function", ylabel="relative error [%]")
         ax.set(title=f"error of the {title}", xticks=degrees, xlim=(min(degrees) - 1, 31))
         ax.yaxis.set_major_formatter(ScalarFormatter())
         ax.yaxis.set_minor_formatter(NullFormatter())
         ax.set_yticks([1, 2, 5, 10])
+        name_lines(ax)
     figure.suptitle("Errors fall with the degree, and end far below the printed ones (0 K)")
     save_figure(figure, path)
 

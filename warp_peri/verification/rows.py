@@ -314,7 +314,9 @@ def draw(one: Row, found: Outcome, out: Path) -> None:
 
     figure = Figure(figsize=(5, 4), layout="constrained")
     ax, x, shown = figure.add_subplot(), np.asarray(found.x), np.asarray(found.shown)
+    most, quantity = np.argmax(shown), found.label.split(" [")[0]
     if x.ndim == 1:
+        where = f"{x[most] / x.max():.2g}"
         ax.plot(x / x.max(), shown, lw=1)
         ax.set(xlabel="time over that of the run", ylabel=found.label)
     else:
@@ -329,8 +331,9 @@ def draw(one: Row, found: Outcome, out: Path) -> None:
         limits = dict(zip(("vmin", "vmax"), np.quantile(shown, (0.002, 0.998))))
         box: Any = (low[0], high[0], low[1], high[1])
         drawn = ax.imshow(values, origin="lower", extent=box, **limits)
+        where = f"x = {x[most, 0]:.3g}, y = {x[most, 1]:.3g} m"
         ax.set(xlabel="x [m]", ylabel="y [m]")
         figure.colorbar(drawn, ax=ax, label=found.label)
-    ax.set_title(one.name, fontsize="medium")
+    ax.set_title(f"{one.name}:\n{quantity} is largest at {where}", fontsize="medium")
     name = "".join(c if c.isalnum() else "_" for c in one.name.lower())
     figure.savefig(out / f"{name}.png", dpi=110)
