@@ -337,15 +337,21 @@ class ForceConstants:
             warnings.warn(f"force constants: {doubt}", stacklevel=2)
         return C
 
-    def elastic_doubt(self, allowed: np.ndarray) -> np.ndarray:
-        """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d]."""
+    def elastic_doubt(self, allowed: np.ndarray, *, bent: bool = False) -> np.ndarray:
+        """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d].
+
+        With `bent` [2 Q, ...]: what is even in errors of Φ comes behind what is odd in them. A
+        tensor that is moved by one of them lies within √2 of both.
+        """
         given = self.doubt if self.doubt is not None else self.values[None][:0]
         ends = [
             [self.nearest_elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
             for one in given
         ]
-        d = self.dimension
-        return np.array([(a - b) / 2 for a, b in ends]).reshape(-1, d, d, d, d)
+        odd = [(a - b) / 2 for a, b in ends]
+        middle = self.nearest_elastic(allowed)[0]
+        even = [(a + b) / 2 - middle for a, b in ends] if bent else []
+        return np.array(odd + even).reshape(-1, *middle.shape)
 
     def doubts(self) -> list[str]:
         """What moduli of these force constants are not to be trusted for."""

@@ -163,6 +163,8 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     """What stress over strain changes by from STRAIN to LARGEST, over it; 0 within noise [TPa]."""
     rng, slopes = np.random.default_rng(0), []
     G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
+    own = np.array([np.outer(*np.eye(3)[list(pair)]) for pair in PAIRS[2 if flat else 3]])
+    G = np.concatenate([G, own])  # beside the strains that moduli are of, as far along an axis
     ways = G + G.swapaxes(1, 2)
     ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
     for size in (STRAIN, LARGEST):
