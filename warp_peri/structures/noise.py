@@ -238,7 +238,8 @@ class Orbits:
             off = np.linalg.norm((to - np.rint(to)) @ self.edges, axis=2)
             image = np.where(kinds[:, None] == kinds, off, np.inf).argmin(axis=1)
             shift = np.rint(to[np.arange(self.n), image]).astype(int)
-            yield W, self.edges.T @ W @ np.linalg.inv(self.edges.T), image, shift
+            U, _, V = np.linalg.svd(self.edges.T @ W @ np.linalg.inv(self.edges.T))
+            yield W, U @ V, image, shift  # edges may be off by what sites are
 
     def _basis(self, whole: np.ndarray) -> sp.csr_array:
         n, size = self.n, self.size

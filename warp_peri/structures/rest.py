@@ -310,6 +310,9 @@ def at_rest(
         cell.set_constraint(FixSymmetry(cell, ON_SITES))
         _relax(cell, flat, held, noise)
         cell.set_constraint()
+        if not held:  # steps under noise turn and shear a cell in its last digits
+            cell = exact_cell(cell)
+            cell.calc = calculator
         here = measured(cell, calculator, flat)  # dimples lie at rest, not where a cell was given
         noise = noise if here.rounding else here
     size, rule = thickness, "as given"
