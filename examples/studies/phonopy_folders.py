@@ -37,7 +37,7 @@ def of_phonopy(folder: Path, allowed: np.ndarray) -> tuple[float, dict[str, floa
     from phonopy.interface import calculator
 
     file = next(folder / name for name in YAML if (folder / name).is_file())
-    beside = {
+    beside: dict[str, Any] = {
         f"{name.lower()}_filename": folder / name
         for name in ("FORCE_SETS", "BORN")
         if (folder / name).is_file()

@@ -177,7 +177,7 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
     check_phonons(unsure)
     k = np.array([[0.0, 0.0, 1.0], [0.9, 0.9, 0.9]])
     with pytest.raises(
-        wp.InputError, match=r"stable crystal, got the stiffness -[\d.e+-]+ ± [\d.]+"
+        wp.InputError, match=r"crystal, got the stiffness -[\d.e+-]+ ± [\d.]+ .*; its error hides"
     ):
         unsure.answer(k, np.ones((2, 3)))
 

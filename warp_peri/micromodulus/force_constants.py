@@ -45,6 +45,8 @@ FLAT = 1e-3
 """Heights of a sheet's atoms within so much of one another [Å] are a plane's."""
 HELD = 1e3
 """Of the largest Φ, that a sheet's mean height is held with."""
+SURE = 3
+"""Standard errors that a stiffness below zero is told to be one from."""
 NOT_ELASTIC = 3e-3
 """Of long waves, that may be missed by all elastic tensors of the symmetry."""
 COULOMB = 14.399645
@@ -205,6 +207,7 @@ class ForceConstants:
             raise InputError(
                 f"force constants: expected a stable crystal, got the stiffness "
                 f"{least[bad][0, 0]:.2e}{bar} eV/Å² at k = {np.round(k[bad][0], 4).tolist()} 1/Å"
+                + ("; its error hides whether it is" if -least[bad][0, 0] < SURE * error else "")
             )
         force = np.zeros((len(k), n, m, f.shape[-1] if f.ndim == 3 else 1), complex)
         force[:, :, :d] = f.reshape(len(k), 1, d, -1)

@@ -342,13 +342,14 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
     step = STEP if noise is None else noise.length
     heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
     rim, most = 0.0, MOST_ATOMS if noise is None else NOISY_ATOMS
-    repeats, fullest, ended = (1, 1, 1), _kilobytes("self/status", "VmHWM"), ""
+    repeats: tuple[int, ...] = (1, 1, 1)
+    fullest, ended = _kilobytes("self/status", "VmHWM"), ""
     for width in widths:
         counts = np.ceil(width / heights).astype(int)
         counts[d:] = 1
         if repeats != (1, 1, 1) and np.prod(counts) * len(cell) > most:
             break
-        wider: tuple[int, ...] = tuple(counts.tolist())
+        wider = tuple(counts.tolist())
         if len(widths) == 1:
             return wider
         many = cell.repeat(wider)
