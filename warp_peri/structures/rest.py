@@ -295,7 +295,10 @@ def at_rest(
     _check_forces(cell)
     found = measured(cell, calculator, flat)
     noise = None if found.rounding else found
+    if noise is not None:  # exact forces would keep the symmetry that is given
+        cell.set_constraint(FixSymmetry(cell, ON_SITES))
     _relax(cell, flat, held, noise)
+    cell.set_constraint()
     strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
