@@ -182,9 +182,8 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
     types = {element: place for place, element in sorted(named.items(), reverse=True)}
     if not set(kinds) <= set(types) or len(types) < len(named):
         raise InputError(
-            "calculator: expected a pair_coeff that names each element of the structure, "
-            f"{', '.join(kinds)}, once, or masses of all, "
-            f"got {' '.join(named[place] for place in sorted(named))}"
+            "calculator: expected a pair_coeff, or masses, for each element of the structure, "
+            f"{', '.join(kinds)}, once, got {' '.join(named[place] for place in sorted(named))}"
         )
     return types
 
