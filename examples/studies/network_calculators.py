@@ -2,6 +2,7 @@
 
 python examples/studies/network_calculators.py Al Si                    laws of two crystals
 python examples/studies/network_calculators.py --tools law matcalc matscipy    all sixty by three
+python examples/studies/network_calculators.py Fe --tools phonons    its softest waves, by phonopy
 
 The network is CHGNet (pip install chgnet); its weights come with it. Each result is kept in a file
 as it ends, and a second start goes on from there.
@@ -26,6 +27,7 @@ from examples.studies.network_crystals import (
     CRYSTALS,
     by_matcalc,
     by_matscipy,
+    by_phonopy,
     kind_of,
     needed,
     structure,
@@ -54,7 +56,9 @@ def by_law(name: str, calculator: Any) -> dict[str, Any]:
     }
 
 
-TOOLS: dict[str, Any] = {"law": by_law, "matcalc": by_matcalc, "matscipy": by_matscipy}
+TOOLS: dict[str, Any] = {
+    "law": by_law, "matcalc": by_matcalc, "matscipy": by_matscipy, "phonons": by_phonopy
+}  # fmt: skip
 
 
 def timed(tool: str, name: str, calculator: Any) -> dict[str, Any]:

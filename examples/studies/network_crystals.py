@@ -14,6 +14,7 @@ from ase.spacegroup import crystal
 from ase.units import GPa
 
 import warp_peri as wp
+from warp_peri.structures.rest import at_rest
 
 SYMMETRY = {"hcp": "hexagonal", "wurtzite": "hexagonal", "rutile": "tetragonal_high",
             "corundum": "trigonal_high"}  # fmt: skip
@@ -43,6 +44,8 @@ PROTOTYPES = {
 """Sixty crystals, chosen before any was tried, with edges [Å] that relaxation starts at."""
 CRYSTALS: dict[str, tuple[Any, ...]] = {one.split(":")[0]: (kind, *map(float, one.split(":")[1:]))
             for kind, names in PROTOTYPES.items() for one in names.split()}  # fmt: skip
+WIDTH, DISPLACED = 12.0, (0.01, 0.03, 0.06)
+"""Of a supercell at least, and displacements of one atom, for phonons [Å]."""
 QUIET = 0.01
 """Forces [eV/Å] that the other tools relax to; matcalc's default is 0.1, without relaxed ions."""
 
@@ -92,3 +95,31 @@ def by_matscipy(name: str, calculator: Any) -> dict[str, Any]:
     how: dict[str, Any] = {"verbose": False, "graphics": False, "logfile": None, "fmax": QUIET}
     C, _ = tool.fit_elastic_constants(cell, kind_of(name), 5, 0.005, BFGS, **how)
     return {"C": np.array(C) / GPa}
+
+
+def by_phonopy(name: str, calculator: Any) -> dict[str, Any]:
+    """Lowest frequencies [THz] of the waves of an even supercell, for each of three steps."""
+    phonopy = needed("phonopy", "phonopy")
+    cell = at_rest(structure(name), calculator).cell
+    heights = 1 / np.linalg.norm(np.linalg.inv(np.array(cell.cell)), axis=0)
+    counts = 2 * np.ceil(WIDTH / 2 / heights).astype(int)
+    small = phonopy.structure.atoms.PhonopyAtoms(
+        numbers=cell.numbers, cell=np.array(cell.cell), positions=cell.positions
+    )
+    lowest = {}
+    for step in DISPLACED:
+        one = phonopy.Phonopy(small, np.diag(counts), primitive_matrix=np.eye(3), log_level=0)
+        one.generate_displacements(distance=step, is_plusminus=True)
+        forces = []
+        for moved in one.supercells_with_displacements:
+            many = ase.Atoms(moved.numbers, positions=moved.positions, cell=moved.cell, pbc=True)
+            many.calc = calculator
+            forces.append(many.get_forces())
+        one.forces = forces
+        one.produce_force_constants()
+        one.symmetrize_force_constants()
+        one.run_mesh(counts, is_gamma_center=True)
+        away = np.abs(one.mesh.qpoints).max(axis=1) > 0
+        lowest[f"{step:g} Å"] = float(one.mesh.frequencies[away].min())
+    told = ", ".join(f"{value:.2f} THz by {step}" for step, value in lowest.items())
+    return {"why": f"lowest of {' x '.join(map(str, counts))} cells: {told}", "lowest": lowest}

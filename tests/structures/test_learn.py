@@ -120,6 +120,38 @@ def test_a_data_file_of_lammps_is_learned_from_with_its_potential(tmp_path, caps
     assert "says it behind Atoms, as in: Atoms # charge" in capsys.readouterr().err
 
 
+def test_types_by_number_are_elements_by_their_masses_and_asked_for_without(tmp_path):
+    salt, ends = ase.build.bulk("MgO", "rocksalt", a=4.2), []
+    for own, order in (("1 1 0.1 2.0", "1 2"), ("2 2 0.1 2.0", "2 1")):  # magnesium's
+        first, second = order.split()
+        salt.calc = lammps_calculator(
+            f"lj/cut 6.0; pair_coeff * * 0.2 1.9; pair_coeff {own}; mass {first} 24.305; "
+            f"mass {second} 15.999",
+            ["Mg", "O"],
+        )
+        ends.append(salt.get_potential_energy())
+    assert ends[0] == pytest.approx(ends[1], rel=1e-9)
+    numbers = "lj/cut 6.0; pair_coeff 1 1 0.1 2.0; pair_coeff 2 2 0.2 1.9"
+    with pytest.raises(wp.InputError, match="expected which of Mg, O each type of its lines is"):
+        lammps_calculator(numbers, ["Mg", "O"])
+    with pytest.raises(wp.InputError, match="masses, for each .*, Mg, O, once, got O"):
+        lammps_calculator(f"{numbers}; mass 1 15.999; mass 2 40.1", ["Mg", "O"])
+    lammps_calculator("lj/cut 6.0; pair_coeff 1 1 0.1 2.0", ["Mg"])
+    lammps_calculator("lj/cut 6.0; pair_coeff * * 0.1 2.0", ["Mg", "O"])
+
+
+def test_a_structure_of_abacus_is_read_for_a_calculator(tmp_path):
+    pytest.importorskip("phonopy")
+    (tmp_path / "STRU").write_text(
+        "ATOMIC_SPECIES\nAl 26.98 Al.upf\n\nLATTICE_CONSTANT\n7.653\n\nLATTICE_VECTORS\n"
+        "0.5 0.5 0\n0 0.5 0.5\n0.5 0 0.5\n\nATOMIC_POSITIONS\nDirect\n\nAl\n0.0\n1\n0 0 0\n"
+    )
+    found = read_structure(tmp_path / "STRU")
+    assert found.get_chemical_symbols() == ["Al"]
+    assert found.cell.lengths() == pytest.approx([7.653 * 0.529177 / 2**0.5] * 3, rel=1e-6)
+    assert found.pbc.all()
+
+
 def test_any_calculator_of_ase_does():
     found = wp.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
     assert off(found) < 0.005

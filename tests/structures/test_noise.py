@@ -14,7 +14,7 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures import learn
+from warp_peri.structures import learn, phonons
 from warp_peri.structures.calculators import lammps_calculator
 from warp_peri.structures.noise import (
     BENDING,
@@ -145,6 +145,27 @@ def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_
         wp.atoms.from_force_constants(wrong)
 
 
+def test_numbers_of_orbits_are_the_same_where_edges_are_off_in_their_last_digits():
+    cell = ase.build.bulk("V", "bcc", a=3.0)
+    exact = Orbits(cell, cell.repeat((5, 5, 5))).basis.shape
+    turned = np.eye(3) + 1e-5 * np.random.default_rng(1).standard_normal((3, 3))
+    cell.set_cell(np.array(cell.cell) @ turned, scale_atoms=True)
+    assert Orbits(cell, cell.repeat((5, 5, 5))).basis.shape == exact == (1125, 27)
+
+
+def test_moduli_lie_within_errors_by_rules_that_are_broken_much(hexagonal):
+    atoms, _ = hexagonal
+    noise = np.random.default_rng(1).standard_normal(atoms.values.shape)
+    off = 0.02 * np.abs(atoms.values).max() * noise
+    moved, cubes = replace(atoms, doubt=off[None]), np.eye(9).reshape(9, 3, 3)
+    allowed = np.einsum("mab,ncd->mnabcd", cubes, cubes).reshape(81, 3, 3, 3, 3)
+    change = moved.nearest_elastic(allowed, atoms.values - off)[0]
+    change = np.abs(change - moved.nearest_elastic(allowed)[0])
+    ways = [np.linalg.norm(moved.elastic_doubt(allowed, bent=bent), axis=0) for bent in (0, 1)]
+    shares = [np.max((change / one)[change > 0.01 * change.max()]) for one in ways]
+    assert shares[1] < 2**0.5 + 1e-6 < 2 < shares[0]  # what is odd alone is too little
+
+
 def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
     cell = ase.build.bulk("Cu", "sc", a=2.4)
     atoms = from_calculator(cell, EMT(), (4, 4, 4))
@@ -157,7 +178,7 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
     check_phonons(unsure)
     k = np.array([[0.0, 0.0, 1.0], [0.9, 0.9, 0.9]])
     with pytest.raises(
-        wp.InputError, match=r"stable crystal, got the stiffness -[\d.e+-]+ ± [\d.]+"
+        wp.InputError, match=r"crystal, got the stiffness -[\d.e+-]+ ± [\d.]+ .*; its error hides"
     ):
         unsure.answer(k, np.ones((2, 3)))
 
@@ -186,6 +207,33 @@ def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():
     x = np.array([[0, 0, 0], [2.0, 1.1, 1.3], [0.3, 2.0, 3.1]])
     D = polar.matrix(np.array([[0.1, 0.2, 0.05]]), cell, x)[0].reshape(9, 9)
     assert np.abs(D - D.conj().T).max() < 1e-12 * np.abs(D).max()
+
+
+class Full(EMT):
+    """Without memory for more atoms than a number."""
+
+    most = 200
+
+    def calculate(self, atoms=None, properties=None, system_changes=()):
+        if len(atoms) > self.most:
+            raise RuntimeError("allocator: can't allocate memory: error code 12")
+        super().calculate(atoms, properties, system_changes)
+
+
+def test_the_widest_supercell_that_memory_holds_is_taken_and_told(monkeypatch):
+    reference = at_rest(ase.build.bulk("Cu"), EMT())
+    with pytest.warns(UserWarning, match="343 atoms need more memory than there is"):
+        _, told = phonons.force_constants(reference, Full())
+    assert told["force constants"] == "5 x 5 x 5 cells, 125 atoms"
+    monkeypatch.setattr(Full, "most", 100)
+    with pytest.raises(RuntimeError, match="allocate memory"):  # none that holds the crystal
+        phonons.force_constants(reference, Full())
+    peak = iter(1e6 * np.arange(1, 9))
+    figures = {"VmHWM": lambda: next(peak), "VmRSS": lambda: 2e6, "MemAvailable": lambda: 1e6}
+    monkeypatch.setattr(phonons, "_kilobytes", lambda _, name: figures[name]())
+    with pytest.warns(UserWarning, match="343 atoms would need more memory than there is"):
+        _, told = phonons.force_constants(reference, EMT())
+    assert told["force constants"] == "5 x 5 x 5 cells, 125 atoms"
 
 
 @pytest.mark.slow
@@ -264,6 +312,25 @@ def test_stress_over_strain_of_a_smooth_potential_changes_by_less_than_what_is_r
     calculator = lammps_calculator(style, [name], file) if file else EMT()
     cell = at_rest(ase.build.bulk(name), calculator).cell
     assert 0 < bent_by_strain(cell, calculator, False, 0.0) < BENDING
+
+
+class Late(Calculator):
+    """A cubic crystal whose stress bends along its axes from 0.7 % of strain on."""
+
+    implemented_properties: ClassVar = ["stress"]
+
+    def calculate(self, atoms=None, properties=(), changes=()):
+        super().calculate(atoms, properties, changes)
+        F = np.linalg.solve(4.0 * np.eye(3), np.array(atoms.cell))
+        e = (F + F.T) / 2 - np.eye(3)
+        along = np.diag(e)
+        stress = e + np.diag(np.sign(along) * np.clip(np.abs(along) - 0.007, 0, None))
+        self.results = {"stress": stress[(0, 1, 2, 1, 0, 0), (0, 1, 2, 2, 2, 1)]}
+
+
+def test_roughness_is_looked_for_as_far_along_the_axes_as_moduli_are_taken():
+    cell = ase.build.bulk("Po", "sc", a=4.0)
+    assert bent_by_strain(cell, Late(), False, 0.0) > 5 * BENDING
 
 
 class Shallow(Dimpled):

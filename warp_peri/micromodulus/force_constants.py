@@ -45,6 +45,8 @@ FLAT = 1e-3
 """Heights of a sheet's atoms within so much of one another [Å] are a plane's."""
 HELD = 1e3
 """Of the largest Φ, that a sheet's mean height is held with."""
+SURE = 3
+"""Standard errors that a stiffness below zero is told to be one from."""
 NOT_ELASTIC = 3e-3
 """Of long waves, that may be missed by all elastic tensors of the symmetry."""
 COULOMB = 14.399645
@@ -205,6 +207,7 @@ class ForceConstants:
             raise InputError(
                 f"force constants: expected a stable crystal, got the stiffness "
                 f"{least[bad][0, 0]:.2e}{bar} eV/Å² at k = {np.round(k[bad][0], 4).tolist()} 1/Å"
+                + ("; its error hides whether it is" if -least[bad][0, 0] < SURE * error else "")
             )
         force = np.zeros((len(k), n, m, f.shape[-1] if f.ndim == 3 else 1), complex)
         force[:, :, :d] = f.reshape(len(k), 1, d, -1)
@@ -337,15 +340,21 @@ class ForceConstants:
             warnings.warn(f"force constants: {doubt}", stacklevel=2)
         return C
 
-    def elastic_doubt(self, allowed: np.ndarray) -> np.ndarray:
-        """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d]."""
+    def elastic_doubt(self, allowed: np.ndarray, *, bent: bool = False) -> np.ndarray:
+        """Independent standard errors of the elastic tensor [TPa], shape [Q, d, d, d, d].
+
+        With `bent` [2 Q, ...]: what is even in errors of Φ comes behind what is odd in them. A
+        tensor that is moved by one of them lies within √2 of both.
+        """
         given = self.doubt if self.doubt is not None else self.values[None][:0]
         ends = [
             [self.nearest_elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
             for one in given
         ]
-        d = self.dimension
-        return np.array([(a - b) / 2 for a, b in ends]).reshape(-1, d, d, d, d)
+        odd = [(a - b) / 2 for a, b in ends]
+        middle = self.nearest_elastic(allowed)[0]
+        even = [(a + b) / 2 - middle for a, b in ends] if bent else []
+        return np.array(odd + even).reshape(-1, *middle.shape)
 
     def doubts(self) -> list[str]:
         """What moduli of these force constants are not to be trusted for."""

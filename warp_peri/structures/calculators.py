@@ -20,9 +20,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ase.calculators.calculator import BaseCalculator, FileIOCalculator
 from ase.calculators.genericfileio import GenericFileIOCalculator
-from ase.data import atomic_numbers
+from ase.data import atomic_masses, atomic_numbers
 
 from warp_peri.errors import InputError
 from warp_peri.launch import ranks_started
@@ -35,6 +36,8 @@ LINES = {
     *("dielectric", "mass", "set", "neighbor", "neigh_modify", "comm_modify", "newton"),
 }
 """Commands that a potential is made of; beside them a `fix` that equilibrates charges."""
+SAME_MASS = 0.02
+"""Of a mass, within which it is an element's."""
 CODE = {"python", "mliappy", "unified", "quip"}
 """Words behind which pair styles load a program, or start one."""
 
@@ -145,9 +148,10 @@ def _check_line(line: str) -> None:
 
 
 def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
-    """Number of each element's type: its place behind the file of a pair_coeff.
+    """Number of each element's type: its place behind the file of a pair_coeff, or by its mass.
 
-    InputError for lines that name other elements than the structure has, or each in other places.
+    InputError for lines that name other elements than the structure has, or each in other places,
+    and for several elements whose types are told apart by number alone.
     """
     named: dict[int, str] = {}
     for words in (line.split() for line in lines if line.startswith("pair_coeff")):
@@ -160,12 +164,25 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
                     f"calculator: expected one element for type {place}, got {named[place]} and "
                     f"{element} in its pair_coeff lines"
                 )
+    split = [line.split() for line in lines]
+    masses = [words[1:3] for words in split if words[0] == "mass" and len(words) > 2]
+    if not named and all(number.isdecimal() for number, _ in masses):
+        for number, mass in masses:
+            weights = [abs(atomic_masses[atomic_numbers[kind]] - float(mass)) for kind in kinds]
+            if min(weights) < SAME_MASS * float(mass):
+                named[int(number)] = kinds[int(np.argmin(weights))]
     if not named:
+        numbered = [words for words in split if words[0] in ("pair_coeff", "set") and words[2:]]
+        if len(kinds) > 1 and any(words[2] != "*" or words[1] != "*" for words in numbered):
+            raise InputError(
+                f"calculator: expected which of {', '.join(kinds)} each type of its lines is; say "
+                "each one's mass, as in: mass 1 24.305; mass 2 15.999"
+            )
         return {kind: number for number, kind in enumerate(kinds, start=1)}
     types = {element: place for place, element in sorted(named.items(), reverse=True)}
     if not set(kinds) <= set(types) or len(types) < len(named):
         raise InputError(
-            "calculator: expected a pair_coeff that names each element of the structure, "
+            "calculator: expected a pair_coeff, or masses, for each element of the structure, "
             f"{', '.join(kinds)}, once, got {' '.join(named[place] for place in sorted(named))}"
         )
     return types
@@ -178,8 +195,8 @@ def lammps_calculator(
 
     Args:
         commands: "pair_style sw", or several lines with ; between; without a pair_coeff one is made
-            of the potential's file. Types are elements as its pair_coeff names them, and in the
-            order of their names where it names none.
+            of the potential's file. Types are elements as its pair_coeff names them, or by lines
+            `mass 1 24.305`; where no line has a number, in the order of their names.
         symbols: of the atoms that it will see.
         potential: file of the potential; a name without a folder may be one of the wheel's.
 

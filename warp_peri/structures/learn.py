@@ -471,7 +471,8 @@ def errors_of(atoms: ForceConstants, strained: np.ndarray | None, symmetry: Symm
     """
     if atoms.doubt is not None:
         d = atoms.dimension
-        return atoms.elastic_doubt(allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)))
+        allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
+        return atoms.elastic_doubt(allowed, bent=True)
     return None if strained is None else (strained - _of_long_waves(atoms, symmetry))[None]
 
 

@@ -163,6 +163,8 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     """What stress over strain changes by from STRAIN to LARGEST, over it; 0 within noise [TPa]."""
     rng, slopes = np.random.default_rng(0), []
     G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
+    own = np.array([np.outer(*np.eye(3)[list(pair)]) for pair in PAIRS[2 if flat else 3]])
+    G = np.concatenate([G, own])  # beside the strains that moduli are of, as far along an axis
     ways = G + G.swapaxes(1, 2)
     ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
     for size in (STRAIN, LARGEST):
@@ -236,7 +238,8 @@ class Orbits:
             off = np.linalg.norm((to - np.rint(to)) @ self.edges, axis=2)
             image = np.where(kinds[:, None] == kinds, off, np.inf).argmin(axis=1)
             shift = np.rint(to[np.arange(self.n), image]).astype(int)
-            yield W, self.edges.T @ W @ np.linalg.inv(self.edges.T), image, shift
+            U, _, V = np.linalg.svd(self.edges.T @ W @ np.linalg.inv(self.edges.T))
+            yield W, U @ V, image, shift  # edges may be off by what sites are
 
     def _basis(self, whole: np.ndarray) -> sp.csr_array:
         n, size = self.n, self.size

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
+import re
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import ase
@@ -230,6 +232,8 @@ GRID = {2: 24, 3: 8}
 """Wave vectors along each reciprocal edge that are looked at for soft modes."""
 SOFT = 1e-5
 """Of the largest eigenvalue: a negative one beyond it is no rounding."""
+MEMORY = re.compile("memory|alloc", re.IGNORECASE)
+"""In what a calculator says where it has too little."""
 LOOSE = (
     "structure: parts of it feel no force from the rest; expected one crystal, without loose atoms "
     "or layers"
@@ -339,17 +343,30 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
     heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
     rim, most = 0.0, MOST_ATOMS if noise is None else NOISY_ATOMS
     repeats: tuple[int, ...] = (1, 1, 1)
+    fullest, ended = _kilobytes("self/status", "VmHWM"), ""
     for width in widths:
         counts = np.ceil(width / heights).astype(int)
         counts[d:] = 1
         if repeats != (1, 1, 1) and np.prod(counts) * len(cell) > most:
             break
-        repeats = tuple(counts.tolist())
+        wider = tuple(counts.tolist())
         if len(widths) == 1:
-            return repeats
-        many = cell.repeat(repeats)
+            return wider
+        many = cell.repeat(wider)
+        grown = (_kilobytes("self/status", "VmHWM") - fullest) * np.prod(wider) / np.prod(repeats)
+        held = _kilobytes("self/status", "VmRSS") + _kilobytes("meminfo", "MemAvailable")
+        if repeats != (1, 1, 1) and fullest + grown > held:
+            ended = f"; {len(many)} atoms would need more memory than there is"
+            break
         at_rest, x = forces_of(many, calculator), np.array(many.positions)
-        still, rim, reached = at_rest(x), 0.0, REACHED
+        try:
+            still = at_rest(x)
+        except (MemoryError, RuntimeError) as error:  # networks' libraries raise the latter
+            if repeats == (1, 1, 1) or not MEMORY.search(f"{type(error).__name__} {error}"):
+                raise
+            ended = f"; {len(many)} atoms need more memory than there is"
+            break
+        repeats, rim, reached = wider, 0.0, REACHED
         part = (x - x[0]) @ np.linalg.inv(np.array(many.cell))
         far = np.linalg.norm((part - np.rint(part)) @ np.array(many.cell), axis=1)
         for axis in range(d):
@@ -367,10 +384,19 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
             return repeats
     warnings.warn(
         f"supercell: at half the width of {' x '.join(map(str, repeats[:d]))} cells forces still "
-        f"are {rim:.1e} of the largest; supercell=… takes a wider one",
+        f"are {rim:.1e} of the largest{ended or '; supercell=… takes a wider one'}",
         stacklevel=4,
     )
     return repeats
+
+
+def _kilobytes(file: str, name: str) -> float:
+    """A figure of memory by Linux; zero elsewhere, where what a cell takes is not foreseen."""
+    try:
+        found = re.search(rf"{name}:\s+(\d+)", Path("/proc", file).read_text(encoding="ascii"))
+    except OSError:
+        found = None
+    return float(found[1]) if found else 0.0
 
 
 def check_phonons(atoms: ForceConstants) -> None:

@@ -295,7 +295,10 @@ def at_rest(
     _check_forces(cell)
     found = measured(cell, calculator, flat)
     noise = None if found.rounding else found
+    if noise is not None:  # exact forces would keep the symmetry that is given
+        cell.set_constraint(FixSymmetry(cell, ON_SITES))
     _relax(cell, flat, held, noise)
+    cell.set_constraint()
     strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
@@ -310,6 +313,9 @@ def at_rest(
         cell.set_constraint(FixSymmetry(cell, ON_SITES))
         _relax(cell, flat, held, noise)
         cell.set_constraint()
+        if not held:  # steps under noise turn and shear a cell in its last digits
+            cell = exact_cell(cell)
+            cell.calc = calculator
         here = measured(cell, calculator, flat)  # dimples lie at rest, not where a cell was given
         noise = noise if here.rounding else here
     size, rule = thickness, "as given"
@@ -556,11 +562,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     Raises InputError where phonopy is not installed, for files that it does not read, for forces
     that are not there, and for Born charges of a sheet.
     """
-    try:
-        import phonopy
-        from phonopy.interface import calculator
-    except ImportError:
-        raise InputError("phonopy: pip install 'warp_peri[phonons]'") from None
+    phonopy, calculator = _phonopy()
     file = _yaml(Path(path))
     beside: dict[str, Any] = {
         f"{name.split('.')[0].lower()}_filename": file.parent / name
@@ -608,6 +610,24 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         cell, supercell, phi, displaced.tolist(), thickness=thickness, polar=polar
     )
     return projected(made, supercell)
+
+
+def _phonopy() -> tuple[Any, Any]:
+    """The package and its readers; InputError where it is not installed."""
+    try:
+        import phonopy
+        from phonopy.interface import calculator
+    except ImportError:
+        raise InputError("phonopy: pip install 'warp_peri[phonons]'") from None
+    return phonopy, calculator
+
+
+def unit_cell(path: Path, code: str) -> ase.Atoms:
+    """A code's unit cell as phonopy reads it, in Å. Raises InputError without phonopy."""
+    _, calculator = _phonopy()
+    cell: Any = calculator.read_crystal_structure(path, code)[0]
+    x = vars(calculator)["get_calculator_physical_units"](code).distance_to_A
+    return ase.Atoms(cell.numbers, positions=x * cell.positions, cell=x * cell.cell, pbc=True)
 
 
 def _code(file: Path) -> str | None:
