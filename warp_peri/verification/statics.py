@@ -233,10 +233,11 @@ def posed(
     held: dict[str, Any],
     pulled: dict[str, Any] | None = None,
     level: float = LEVELS[0],
+    wide: int | None = None,
 ) -> BodySolution:
     """A body at rest; what is held [m] and pulled [MPa] are vectors or functions of metres.
 
-    At finer levels elements reach as deep, and nodes overlap by as much, as at the first: what
+    `wide` is the overlap of elements and nodes in spacings. At finer levels elements reach as deep, and nodes overlap by as much, as at the first: what
     grows or shrinks with the spacing changes the error too.
     """
 
@@ -247,10 +248,10 @@ def posed(
 
     given = {name: at(value, s.length) for name, value in held.items()}
     loads = {name: at(value, s.stiffness) for name, value in (pulled or {}).items()}
-    h, wide = (law.certified_on[0], 6) if isinstance(law, Model) else (law.spacing, 4)
+    h, usual = (law.certified_on[0], 6) if isinstance(law, Model) else (law.spacing, 4)
     reach, coarse = (2 if isinstance(law, Model) else 1) * law.horizon, level / LEVELS[0]
     deep = (reach + MARGIN * h) * coarse if law.dimension == 2 else None  # room is dear in space
-    coupling = Coupling(spacing=h, overlap=wide * h * coarse, depth=deep, tolerance=1e-9)
+    coupling = Coupling(spacing=h, overlap=(wide or usual) * h * coarse, depth=deep, tolerance=1e-9)
     found: BodySolution = solve(law, Body(mesh, given, loads, coupling=coupling)).details
     return found
 
@@ -484,7 +485,7 @@ def cantilever(name: str, s: UnitScale) -> Outcome:
         names = ("held", "end", "", "")
         mesh = mapped(s, (times(level, 100, 26), lambda p: square(corners, p), names))
         law = material(name, plane(1.0, nu).tensor, 0.017 / level, s)
-        return posed(law, mesh, s, {"held": exact}, {"end": pull}, level)
+        return posed(law, mesh, s, {"held": exact}, {"end": pull}, level, wide=6)  # slender
 
     power, found = refined(pose, exact, s)
     tip = near(found, (far, 0), s)[0][1] / exact(np.array([[far, 0.0]]))[0, 1]
