@@ -124,18 +124,29 @@ def kept(name: str, s: UnitScale) -> Outcome:
     return Outcome(max(float(lost), run.drift), **told)
 
 
-def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
-    """By how much a crack in a pulled glass plate outruns Rayleigh's wave, over it."""
-    nu, E, rho, h = {"LPS": 0.22, "bond-based": 1 / 3}[name], 64e3, 2450.0, 0.1 / cells
-    law = material(name, plane(E, nu).tensor, h, s)
-    heavy = inertia(rho, s.units)
-    glass = BrittleSolid(law, heavy, toughness=3.8e-6 * s.length * s.stiffness)
+def glass_plate(
+    name: str, s: UnitScale, h: float, E: float, rho: float, toughness: float, pull: float
+) -> tuple[BrittleSolid, Cracked, np.ndarray]:
+    """Glass, a plate of 100 by 40 mm that is cut to its middle and pulled, and its nodes [m]."""
+    law = material(name, plane(E, GLASS[name]).tensor, h, s)
+    glass = BrittleSolid(law, inertia(rho, s.units), toughness=toughness * s.length * s.stiffness)
     x = rectangle(0.1, 0.04, h)
     rim = np.abs(x[:, 1]) > 0.02 - h
-    b = np.where(rim, np.sign(x[:, 1]) / h, 0.0)[:, None] * [0, 1]
+    b = pull * np.where(rim, np.sign(x[:, 1]) / h, 0.0)[:, None] * [0, 1]
     points = Points(s.length * x, np.ones(len(x), bool), s.length * h, units=s.units)
     crack = s.length * np.array([(-0.051, 0.0), (0.0, 0.0)])
-    plate = Cracked(points, b * s.stiffness / s.length, cracks=[crack])
+    return glass, Cracked(points, b * s.stiffness / s.length, cracks=[crack]), x
+
+
+GLASS = {"LPS": 0.22, "bond-based": 1 / 3}
+"""ν of glass."""
+
+
+def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
+    """By how much a crack in a pulled glass plate outruns Rayleigh's wave, over it."""
+    nu, E, h = GLASS[name], 64e3, 0.1 / cells
+    glass, plate, x = glass_plate(name, s, h, E, 2450.0, 3.8e-6, 1.0)
+    rim = np.abs(x[:, 1]) > 0.02 - h
     step = 0.4 * glass.longest_step(s.length * h)
 
     def tip(damage: np.ndarray) -> float:
@@ -144,11 +155,29 @@ def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
     told: dict[str, Any] = {"every": 20, "no_fail": rim, "watch": {"tip": tip}}
     run = move(glass, plate, step=step, steps=4 * cells, **told)
     fast = np.polyfit(run.time[-8:], run["tip"][-8:] * s.length, 1)[0]
-    shear = np.sqrt(s.stiffness * E / 2 / (1 + nu) / heavy)
+    shear = np.sqrt(s.stiffness * E / 2 / (1 + nu) / glass.density)
     rayleigh = (0.862 + 1.14 * nu) / (1 + nu) * shear
     note, label = f"it runs at {fast / rayleigh:.2f} of Rayleigh's speed", "share of broken bonds"
     over = max(0.0, float(fast / rayleigh) - 1) if fast > 0 else np.nan  # one that stands
     return Outcome(over, None, x, run.details.damage, label, note)
+
+
+def branches(name: str, s: UnitScale, cells: int = 200) -> Outcome:
+    """Cracks that pass 10 mm before the right edge of a glass plate under a pull of 12 MPa."""
+    h = 0.1 / cells
+    glass, plate, x = glass_plate(name, s, h, 72e3, 2440.0, 1.35e-4, 12.0)
+    step = 0.8 * glass.longest_step(s.length * h)
+    steps = int(45e6 / np.sqrt(s.stiffness) / step)
+    rim = np.abs(x[:, 1]) > 0.02 - 3 * h
+    damage = move(glass, plate, step=step, steps=steps, every=steps, no_fail=rim).details.damage
+
+    def cracks(place: float) -> int:
+        y = np.sort(x[(np.abs(x[:, 0] - place) < h) & (damage > 0.35), 1])
+        return len(y[:1]) + int(np.count_nonzero(np.diff(y) > 1.5e-3))
+
+    split = next((at for at in np.unique(x[:, 0]) if at > 0 and cracks(at) > 1), np.nan)
+    note = f"it branches {1e3 * split + 50:.0f} mm from the left"
+    return Outcome(float(cracks(0.04)), None, x, damage, "share of broken bonds", note)
 
 
 def hit(name: str, s: UnitScale, cells: int = 200) -> Outcome:
