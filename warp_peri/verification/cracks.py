@@ -156,6 +156,8 @@ def _tip_field(x: np.ndarray, model: Model) -> np.ndarray:
 NU = {"LPS": 0.3, "bond-based": 1 / 3, LEARNED: 0.3}
 HALF = 13
 """Spacings of a crack, and of its ligament; a spacing is a metre."""
+LONG = 32
+"""Spacings of a crack that is held against a calibrated stretch: what it spends depends on it."""
 LENGTHS = range(-2, 3)
 """Of a crack whose energies are compared, in spacings beyond its own."""
 
@@ -376,13 +378,10 @@ def griffith(name: str, s: UnitScale, *, calibrated: bool = False) -> Outcome:
     ratio = apparent_toughness(law, h)
     if not calibrated:
         return Outcome(float(np.sqrt(ratio)))
-    x = h * rectangle(2.0 * HALF, 2.0 * HALF + 6, 1.0)
-    points, classes = (
-        Points(x, np.abs(x[:, 1]) < HALF * h, h, units=s.units),
-        bond_classes(h, 3 * h),
-    )
-    problem = Cracked(points, u=x * (0.0, 1.0), cracks=[[(-h - HALF * h, 0.0), (0.0, 0.0)]])
-    growth = problem.moved(law, {"events": 3 * cut_by_spacing(classes)})
+    x, classes = h * rectangle(2.0 * LONG, 2.0 * LONG + 6, 1.0), bond_classes(h, 3 * h)
+    points = Points(x, np.abs(x[:, 1]) < LONG * h, h, units=s.units)
+    problem = Cracked(points, u=x * (0.0, 1.0), cracks=[[(-h - LONG * h, 0.0), (0.0, 0.0)]])
+    growth = problem.moved(law, {"events": 2 * cut_by_spacing(classes)})
     told = spent(growth, classes, tips=1) / unit_toughness(law, classes)
     shown = {"x": x / h, "shown": growth.u[:, 1] / np.abs(growth.u).max(), "label": "u_y"}
     return Outcome(float(np.sqrt(told / ratio)), **shown)
