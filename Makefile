@@ -12,7 +12,7 @@ graphene: $(VENV)/.installed
 	$(BIN)/python examples/train_graphene.py
 
 test: $(VENV)/.installed
-	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 verify: $(VENV)/.installed
 	OMP_NUM_THREADS=1 $(BIN)/warp-peri verify

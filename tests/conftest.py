@@ -15,6 +15,18 @@ import joblib  # which loads BLAS
 
 from tools.make_graphene import make_graphene
 
+LONGEST = (
+    "test_ranks", "test_table", "test_examples", "test_predict", "test_pages", "test_learn",
+    "test_rows", "test_gradients", "test_training", "test_phonopy", "test_noise", "test_files",
+    "test_scales", "test_commands",
+)  # fmt: skip
+"""Files of ten seconds to a minute, begun first, so that no process waits for another."""
+
+
+def pytest_collection_modifyitems(items):
+    place = {name: n for n, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.stem, len(LONGEST)))
+
 
 @pytest.fixture(scope="session", autouse=True)
 def work_stays_in_its_process():

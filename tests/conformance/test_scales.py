@@ -190,7 +190,11 @@ def errors_of(name, length=1.0, stress=1.0):
 
 
 @pytest.mark.parametrize("name", FITS)
-@pytest.mark.parametrize("scale", ["small and stiff", "large and soft"], indirect=True)
+@pytest.mark.parametrize(
+    "scale",
+    ["small and stiff", pytest.param("large and soft", marks=pytest.mark.slow)],
+    indirect=True,
+)
 def test_a_fit(name, scale):
     (here, there), (unit, other) = scale
     assert errors_of(name)[0] < 0.5

@@ -79,6 +79,7 @@ def test_uniform_strain_has_the_energy_of_all_cells_whatever_the_outline():
     assert u @ L @ u / 2 == pytest.approx(len(body.x) * each, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_cracks_at_edges_converge_and_are_near_from_few_nodes_on(monkeypatch):
     sizes, errors = np.array([5, 7, 10]), []
     for n in sizes:

@@ -96,7 +96,9 @@ def check_fields(op, within):
         )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["third order, energy", "crystal, third order"])
+@pytest.mark.parametrize(
+    "name", ["third order, energy", pytest.param("crystal, third order", marks=pytest.mark.slow)]
+)
 def test_a_nonlinear_force_is_felt_where_the_motion_went(name, made):
     check_fields(made(name), 1e-6)
 

@@ -34,7 +34,7 @@ def one_cell():
 BODIES = {2: (plate, SIDES, 2), 3: (ball, ("skin",), 1)}
 
 
-@pytest.fixture(scope="module", params=[2, 3])
+@pytest.fixture(scope="module", params=[2, pytest.param(3, marks=pytest.mark.slow)])
 def body(request):
     """A law of a turned crystal, a mesh, its held parts and the degree of its elements."""
     d = request.param
@@ -78,6 +78,7 @@ def test_a_turned_body_with_free_faces_feels_nothing(body):
     assert np.abs(found.bulk_stress).max() < 1e-8 * feels
 
 
+@pytest.mark.slow
 def test_a_hole_converges_to_the_exact_plate():
     C, errors, spacings = cubic_tensor(2), [], (3.0, 2.0, 1.5)
     for h in spacings:

@@ -173,6 +173,7 @@ def test_evaluate_prints_one_object_with_every_set(main_run, graphene, capsys):
     assert table["E_res_abs"] == pytest.approx(np.mean(table["E_res_abs_samples"]))
 
 
+@pytest.mark.slow
 def test_evaluate_exits_2_for_an_uncertified_set_by_name(graphene, tmp_path, capsys):
     law = LPS(12.5, Bernstein(4))
     save(tmp_path / "model.json", fit(load_dataset(graphene)["train"], law).material)

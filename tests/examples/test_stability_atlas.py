@@ -70,6 +70,7 @@ def test_readers_have_every_entry_once_and_its_message_in_the_table():
                 assert re.search(".*".join(parts), "\n".join(KEPT[name]["seen"])), quoted
 
 
+@pytest.mark.slow
 def test_steep_kernels_lose_shear_and_keep_their_symbol():
     entry = atlas_kernels.steep_kernels()
     shear = {a: atlas_kernels.plain_symbol(a, 3.0) for a in (1.0, 2.999, 10.0)}
@@ -129,6 +130,7 @@ def test_a_broken_learned_kernel_is_indefinite_and_a_positive_one_is_not():
     plt.close(entry.figure)
 
 
+@pytest.mark.slow
 def test_kernels_that_change_sign_break_in_space_too():
     entry = atlas_cracks.in_space(cells=10)
     counts = entry.values["negative"]

@@ -45,6 +45,7 @@ def test_hookean_ensembles_follow_the_upper_convected_maxwell_law():
     assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("K", [0 * shear(1.0), elongation(0.4), elongation(2.0)])
 def test_fene_ensembles_reach_the_exact_steady_state(K):
     b, m = 20.0, 10

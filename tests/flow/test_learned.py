@@ -75,6 +75,7 @@ def test_increments_belong_to_the_start_of_their_window(shears):
     assert slopes["mean"] > -0.6  # biased by what both have in common
 
 
+@pytest.mark.slow
 def test_start_up_between_plates_from_a_thousand_dumbbells():
     flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
     run = lambda law: run_plane(flow, Closure(law, 1.0, 64), until=10.0, dt=0.02, every=10).u

@@ -21,10 +21,15 @@ def made():
     return lambda name: kept.setdefault(name, OPERATORS[name]())
 
 
+SOLVED_LONG = ("dressed, finite strain", "scattered", "LPS in space", "third order, filtered",
+               "neural operator", "coupled", "crystal, third order",
+               "scattered, own weights")  # fmt: skip
+MOVED = ("LPS", "crystal", "own", "third order, energy", "dressed, varied")
 LONG = [
-    *(("solve", name) for name in ("dressed, finite strain", "scattered")),
-    *(("move", name) for name in ("LPS in space", "crystal in space", "dressed, bonds")),
+    *(("solve", name) for name in SOLVED_LONG),
+    *(("move", name) for name in WAVES if name not in MOVED),
 ]
+"""Cells of the table that take seconds; `pytest tests/gradients -m ""` runs all."""
 CELLS = [
     pytest.param(verb, name, marks=[pytest.mark.slow] * ((verb, name) in LONG), id=f"{verb}-{name}")
     for verb in VERBS

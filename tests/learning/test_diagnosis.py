@@ -111,6 +111,7 @@ def stretched(points, count):
     return Samples(points, u, b)
 
 
+@pytest.mark.slow
 def test_a_uniform_orthotropic_sheet_is_anisotropic_and_not_heterogeneous():
     """Smooth fields make second differences of all bonds alike; that must not hide the cause."""
     samples = stretched(lattice(11, HORIZON), 24)

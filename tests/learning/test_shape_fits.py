@@ -61,6 +61,7 @@ def test_a_given_table_leaves_the_constants_to_learn():
     assert (learned.material.lam, learned.material.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_table_at_every_bond_is_as_good_as_the_polynomial(seed):
     """Both then reach every kernel of the lattice: one optimum, conditions active."""

@@ -72,7 +72,7 @@ def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree, prec
     assert evaluate(model, points)["E_u"] < 1e-4
 
 
-@pytest.mark.parametrize("kind", ["direct", "paper"])
+@pytest.mark.parametrize("kind", [pytest.param("direct", marks=pytest.mark.slow), "paper"])
 @pytest.mark.parametrize("moduli", [None, (LAM, 1.1 * MU)], ids=["free", "held"])
 def test_adam_by_itself_reaches_the_constrained_optimum(kind, moduli):
     points, true = data("sign-changing", 2.5)
@@ -148,6 +148,7 @@ def test_stage_one_stays_inside_its_bounds(parametrisation):
         assert parameters.alpha < 3
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_bits():
     points, _ = data("positive", 2.5)
     points = replace(points, b=points.b + 0.05 * noise(points, 10))

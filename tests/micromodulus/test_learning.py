@@ -125,6 +125,7 @@ def test_moduli_are_held_as_given():
     np.testing.assert_allclose(held.elastic_tensor(), given, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_long_waves_of_graphene_have_its_moduli(graphene):
     data = warp_peri.load(graphene)
     group = point_group("6mm", 2)

@@ -94,6 +94,7 @@ def test_linear_bodies_and_cracks_on_ranks_load_no_torch():
     assert fresh(code) == ""
 
 
+@pytest.mark.slow
 def test_functions_stay_functions_and_no_kernel_is_compiled_where_every_name_is_resolved(tmp_path):
     """`sweep` names a function, and in its wing the module that it stands in."""
     cache = tmp_path / "kernels"

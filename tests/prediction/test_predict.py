@@ -340,7 +340,13 @@ def held_in(rich, level, count, seed=0, wave_number=0.5, interior=14):
     return wp.Samples(points, u, b)
 
 
-@pytest.mark.parametrize("law", [wp.Micromodulus(3.0, "4mm"), wp.LPS(3.0, wp.Bernstein(2))])
+@pytest.mark.parametrize(
+    "law",
+    [
+        wp.Micromodulus(3.0, "4mm"),
+        pytest.param(wp.LPS(3.0, wp.Bernstein(2)), marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("trained", [0.01, 0.04])
 def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
     """Few loads: the member itself takes up some of it, and the half that saw a sample too."""
@@ -396,6 +402,7 @@ def waved(points, count, seed):
     return wp.Samples(points, u, b)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:transferred:UserWarning")
 def test_a_stricter_tolerance_does_not_give_a_worse_answer():
     x = np.argwhere(np.ones((40, 40))) - 19.5

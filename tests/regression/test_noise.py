@@ -181,6 +181,7 @@ def test_bias_of_the_raw_loss_is_gone(model, clean):
     assert wrong["output"] < wrong["residual"] / 5
 
 
+@pytest.mark.slow
 def test_the_default_follows_the_data(model, clean):
     options = {"horizon": HORIZON, "kernel": Bernstein(DEGREE), "normalise": True}
     data = noisy(clean, SIZE, seed=3)

@@ -103,6 +103,7 @@ def test_no_mat_file_no_square_and_no_interior(tmp_path):
         read_fields(whole, reach=11)
 
 
+@pytest.mark.slow
 def test_a_row_on_the_authors_own_data(tmp_path, capsys):
     """Loads of a linear solid, which finds itself, beside what is printed of the network."""
     solid = wp.Model(0.3, 0.7, 1.0, np.ones(1), horizon=15.05, certified_on=(5.0,))

@@ -208,6 +208,7 @@ def test_fluids_and_loads_that_make_no_sense_are_refused():
     assert opening_volume(run.details) * run["pressure"][-1] == pytest.approx(run["volume"][-1])
 
 
+@pytest.mark.slow
 def test_examples_print_and_draw(tmp_path, capsys):
     command = ["--cells", "6", "8", "--json", "--out", str(tmp_path)]
     assert inclusions.main(command) == 0

@@ -132,6 +132,7 @@ def test_large_cubes_and_periods_are_solved_in_space():
     np.testing.assert_allclose(found, u, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_the_direct_solve_is_differentiable_in_space():
     points, model = cube(2, 2.0), solid(2.0, alpha=1.2, D=[1.0, 0.4])
     random = np.random.default_rng(0)

@@ -97,6 +97,7 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
     assert "cannot be written" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_data_file_of_lammps_is_learned_from_with_its_potential(tmp_path, capsys):
     """Skewed boxes, and types in any order: they are elements by their masses."""
     data, out = tmp_path / "a.data", tmp_path / "out"
@@ -174,7 +175,10 @@ def ordered(name):
     return atoms
 
 
-@pytest.mark.parametrize("name", ["initial_magmoms", "initial_charges", "tags", "own"])
+@pytest.mark.parametrize(
+    "name",
+    ["initial_magmoms", "initial_charges", "tags", pytest.param("own", marks=pytest.mark.slow)],
+)
 def test_what_tells_atoms_of_one_element_apart_is_kept_in_the_smallest_cell(name):
     """Moments, charges and tags by themselves; what else a calculator goes by keeps the cell."""
     calculator, given = Exchange(name), ordered(name)
@@ -236,6 +240,7 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
         lammps_calculator(f"hybrid a b; {lines}", ["Al", "Ni"])
 
 
+@pytest.mark.slow
 def test_a_potential_with_kinks_is_called_one():
     """Tables of CoAl.eam.alloy have kinks; AIREBO's graphyne was called piezoelectric."""
     alloy = ase.Atoms("CoAl", scaled_positions=[[0, 0, 0], [0.5] * 3], cell=[2.86] * 3, pbc=True)
@@ -289,6 +294,7 @@ def test_a_calculator_with_charges_has_the_field_of_its_ions():
     assert "Born charges" in found.said["force constants"]
 
 
+@pytest.mark.slow
 def test_a_supercell_that_forces_leave_is_said():
     nickel = ase.build.bulk("Ni")
     with (

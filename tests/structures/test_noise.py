@@ -83,6 +83,7 @@ def test_the_error_goes_into_the_law_and_into_what_is_proven(aluminium):
     assert told == pytest.approx(1e3 * aluminium.law.certificate.proven * (1 - 2 * share), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_sheet_under_noise_has_a_law_too():
     sheet = ase.build.fcc111("Al", (1, 1, 2), a=3.99, vacuum=10)
     sheet.pbc = (True, True, False)
@@ -161,6 +162,7 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
         unsure.answer(k, np.ones((2, 3)))
 
 
+@pytest.mark.slow
 def test_force_constants_that_are_unstable_within_their_error_are_mended_by_strains(monkeypatch):
     calculator = Noisy(EMT(), 1e-5)
     reference = at_rest(ase.build.bulk("Al"), calculator)
@@ -186,6 +188,7 @@ def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():
     assert np.abs(D - D.conj().T).max() < 1e-12 * np.abs(D).max()
 
 
+@pytest.mark.slow
 def test_the_study_counts_laws_errors_and_bands():
     found = study(["Si"], [1e-4], 1)
     assert all(law["made"] for law in found["laws"]["Si"].values())
@@ -232,6 +235,7 @@ def secant(strain):
     return 160.2176634 * (ends[0] - ends[1]) / (2 * strain)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:force constants:UserWarning")  # what is rough has no end
 def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_error():
     cell = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST)

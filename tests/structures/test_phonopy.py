@@ -95,7 +95,7 @@ def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(tmp_p
         moduli(narrow)
 
 
-@pytest.mark.parametrize("large", [True, False])
+@pytest.mark.parametrize("large", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_folder_of_a_structure_and_forces_alone_is_read(tmp_path, large):
     phonopy = pytest.importorskip("phonopy")
     vasp = pytest.importorskip("phonopy.interface.vasp")
@@ -117,7 +117,12 @@ def test_a_folder_of_a_structure_and_forces_alone_is_read(tmp_path, large):
 @pytest.mark.filterwarnings("ignore:primitive_matrix")
 @pytest.mark.parametrize(
     ("code", "name"),
-    [("abacus", "STRU"), ("qe", "copper.in"), ("aims", "geometry.in"), ("siesta", "copper.fdf")],
+    [
+        ("abacus", "STRU"),
+        pytest.param("qe", "copper.in", marks=pytest.mark.slow),
+        pytest.param("aims", "geometry.in", marks=pytest.mark.slow),
+        pytest.param("siesta", "copper.fdf", marks=pytest.mark.slow),
+    ],
 )
 def test_unit_cells_of_other_codes_are_read_in_their_units(tmp_path, code, name):
     """Written by phonopy itself, lengths and forces as each code has them."""

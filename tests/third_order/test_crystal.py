@@ -176,6 +176,7 @@ def test_what_made_the_data_is_found_again(law):
     assert model.proven["strain"] == pytest.approx(law.proven["strain"], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_moduli_of_long_waves_are_found_beside_the_constants(law):
     points = nodes(15)
     samples = loaded(law, points, 0.1, count=8, wave_number=0.3)

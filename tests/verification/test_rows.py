@@ -326,6 +326,7 @@ def atoms(tmp_path, monkeypatch):
     return tmp_path / "law.json", told
 
 
+@pytest.mark.slow
 def test_fresh_loads_are_those_of_the_seed_and_a_law_is_held_against_local_elasticity(atoms):
     law, told = atoms
     lines = by_atoms(7, law)
@@ -364,7 +365,8 @@ def killed(number, scaled, out):
 QUICK = [one for one in POSED if one.problem == "patch test, square lattice"][:3]
 
 
-@pytest.mark.parametrize("processes", [pytest.param(1, marks=pytest.mark.slow), 2])
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", [1, 2])
 def test_a_row_whose_process_is_killed_is_told_and_the_others_are_kept(monkeypatch, processes):
     monkeypatch.setattr(rows, "_numbered", killed)
     monkeypatch.setattr(rows, "chosen", lambda only: QUICK)
