@@ -174,7 +174,9 @@ def test_waves_with_free_edges_have_the_derivatives_of_differences():
     weights = np.random.default_rng(1).normal(size=(3, *problem.points.x.shape))
 
     def ends(b, u, v):
-        run = move(model, dataclasses.replace(problem, b=b, u=u), v=v, step=step, record=[30], **HOW)
+        run = move(
+            model, dataclasses.replace(problem, b=b, u=u), v=v, step=step, record=[30], **HOW
+        )
         w = weights if isinstance(run.u, np.ndarray) else torch.from_numpy(weights)
         return (run.u * w[0]).sum() + step * (run.v * w[1]).sum() + (run["u"] * w[2, 30]).sum()
 
@@ -191,7 +193,7 @@ def test_waves_with_free_edges_have_the_derivatives_of_differences():
 
 
 def test_waves_are_refused_where_they_may_grow():
-    problem, fields = waves(u=np.zeros((80, 2)))
+    problem, _ = waves(u=np.zeros((80, 2)))
     model, free = solid().model, np.ones((80, 2), bool)
     step = step_of(problem, model, 1.001)
     with pytest.raises(InputError, match="step: expected at most"):
@@ -201,6 +203,8 @@ def test_waves_are_refused_where_they_may_grow():
                      (model, dataclasses.replace(problem, free=free))):  # fmt: skip
         with pytest.raises(InputError, match="move: expected one material with a positive"):
             move(law, one, step=0.5 * step, **HOW)
+    with pytest.raises(InputError, match="corrected: expected False where bonds break"):
+        move(solid(), problem, step=0.5 * step, **HOW)  # which would not break
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -298,7 +302,9 @@ def test_the_field_of_a_crack_that_is_pressed_in_part_is_at_rest_and_meets_its_f
 
     def slopes(at):
         ways = step * np.eye(2)
-        both = [cracks.opened(at + w, a, c, moduli) - cracks.opened(at - w, a, c, moduli) for w in ways]
+        both = [
+            cracks.opened(at + w, a, c, moduli) - cracks.opened(at - w, a, c, moduli) for w in ways
+        ]
         return np.stack(both, axis=2) / (2 * step)  # ∂_j u_i
 
     def stress(at):

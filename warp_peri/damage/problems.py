@@ -139,14 +139,13 @@ class Cracked:
         body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
-        if "density" in options:
-            how = {"cracks": self.cracks, "corrected": self.corrected, "moves": True}
+        if "density" in options and not hasattr(material, "density"):
+            waves: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected}
+            cut = CutSolid(material, body, self.held, moves=True, **waves)
             u = np.zeros_like(body.x) if self.u is None else self.u
-            return in_torch().in_motion(  # type: ignore[no-any-return]
-                CutSolid(material, body, self.held, **how), self.b, u, options
-            )
+            return in_torch().in_motion(cut, self.b, u, options)  # type: ignore[no-any-return]
         if self.corrected:
-            raise InputError("corrected: expected False where bonds break; give a density for waves")
+            raise InputError("corrected: expected False where bonds break; waves take a density")
         slow = "events" in options or "loads" in options
         if "loads" not in options:
             felt = self if slow else replace(self, b=None, u=None)

@@ -317,7 +317,7 @@ def opened(x: np.ndarray, a: float, c: float, moduli: Any) -> np.ndarray:
     integral = 2 / np.pi * (share * root - z * turn - a * np.arctan(q / root))
     u = (kolosov - 1) / 2 * integral.real - y * Z.imag
     v = (kolosov + 1) / 2 * integral.imag - y * Z.real
-    return np.stack([u, v], axis=1) / (2 * mu)
+    return np.asarray(np.stack([u, v], axis=1) / (2 * mu))
 
 
 def slanted(x: np.ndarray, a: float, moduli: Any) -> np.ndarray:

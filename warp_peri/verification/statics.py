@@ -159,7 +159,7 @@ def roots(moduli: Moduli) -> np.ndarray:
     if abs(middle / a11 - 1) < APART:
         middle = a11 * (1 + APART)
     s = np.sqrt(np.roots([a11, 2 * middle, a11]).astype(complex))
-    return np.where(s.imag > 0, s, -s)
+    return np.asarray(np.where(s.imag > 0, s, -s))
 
 
 def compliances(moduli: Moduli) -> tuple[float, float, float]:
@@ -241,8 +241,8 @@ def posed(
 ) -> BodySolution:
     """A body at rest; what is held [m] and pulled [MPa] are vectors or functions of metres.
 
-    `wide` is the overlap of elements and nodes in spacings. At finer levels elements reach as deep, and nodes overlap by as much, as at the first: what
-    grows or shrinks with the spacing changes the error too.
+    At finer levels elements reach as deep, and nodes overlap by as much, as at the first: what
+    grows or shrinks with the spacing changes the error too. `wide` is the overlap in spacings.
     """
 
     def at(value: Any, size: float) -> Any:
