@@ -1,6 +1,7 @@
-"""Figures: panels, curves of a table's rows over one axis, and files."""
+"""Figures: panels, curves of a table's rows over one axis, files, and the main of an example."""
 
-from collections.abc import Mapping
+import json
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from tools.options import Options
 from warp_peri.files.atomic import whole_file
 
 matplotlib.use("Agg")
@@ -61,3 +63,29 @@ def save_figure(
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=dpi, bbox_inches=bbox_inches)
     plt.close(figure)
+
+
+def shown(
+    doc: str | None,
+    name: str,
+    study: Callable[..., tuple[Any, Figure]],
+    args: Any,
+    **options: tuple[Any, str],
+) -> int:
+    """What a small example does: ask for options, print numbers, and draw; 0 at its end.
+
+    Args:
+        doc: of the module, as help.
+        name: of the folder in runs/ and of the figure there.
+        study: of the options in order; its numbers and its figure.
+        args: of the command.
+        options: by name what is taken by default, and the help.
+    """
+    asked = Options(doc, name, json=True)
+    for option, (default, words) in options.items():
+        asked.add(f"--{option}", type=type(default), default=default, help=words)
+    given = vars(asked.parse_args(args))
+    numbers, figure = study(*map(given.get, options))
+    print(json.dumps(numbers, indent=None if given["json"] else 1))
+    save_figure(figure, given["out"] / f"{name}.png")
+    return 0

@@ -7,10 +7,10 @@ python examples/network_from_residuals.py           numbers, and a picture
 python examples/network_from_residuals.py --json    errors on loads never seen, seconds
 """
 
-import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
@@ -18,8 +18,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
-from tools.options import Options
+from examples.figures import curves, panels, shown
 from warp_peri.dressed import FiniteSolid
 from warp_peri.errors import exit_status
 from warp_peri.neural import NeuralOperator
@@ -28,49 +27,52 @@ SIDE, HORIZON, STRAIN = 8, 3.0, 0.03
 FROM = 100
 """Steps before which a network may be no solid that rests."""
 TRUTH = FiniteSolid(1.0, 0.4, 0.6, -0.02, 0.0, 0.0, -1.0, -3.0, 0.0)
+X = np.argwhere(np.ones(2 * [SIDE + 4 * int(HORIZON)])) - (SIDE + 4 * HORIZON - 1) / 2
+POINTS = wp.Points(X, np.abs(X).max(axis=1) < SIDE / 2, 1.0, axis=0.0)
+INSIDE = torch.from_numpy(POINTS.interior)
 
 
-def samples(count: int, seed: int) -> tuple[wp.Points, torch.Tensor, torch.Tensor]:
-    """Nodes, smooth displacements [S, N, 2] and the loads that the truth answers with them."""
-    wide = SIDE + 4 * int(HORIZON)
-    x = np.argwhere(np.ones((wide, wide))) - (wide - 1) / 2
-    points = wp.Points(x, np.abs(x).max(axis=1) < SIDE / 2, 1.0, axis=0.0)
+def samples(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """Smooth displacements [S, N, 2] and the loads that the truth answers with them."""
     random = np.random.default_rng(seed)
     k = random.uniform(-0.5, 0.5, (count, 3, 2))
-    waves = np.sin(np.einsum("swd,nd->swn", k, x) + random.uniform(0, 6, (count, 3, 1)))
-    u = STRAIN * np.einsum("swn,swd->snd", waves, random.normal(size=(count, 3, 2)))
-    b = np.zeros_like(u)
-    b[:, points.interior] = TRUTH.on(points)(u)
-    return points, torch.from_numpy(u), torch.from_numpy(b)
+    waves = np.sin(np.einsum("swd,nd->swn", k, X) + random.uniform(0, 6, (count, 3, 1)))
+    u = torch.from_numpy(
+        STRAIN * np.einsum("swn,swd->snd", waves, random.normal(size=(count, 3, 2)))
+    )
+    b = torch.zeros_like(u)
+    b[:, INSIDE] = TRUTH.on(POINTS)(u)
+    return u, b
 
 
-def trained(steps: int, last: int) -> tuple[dict[str, list[float]], dict[str, float]]:
-    """Errors on loads never seen on the way, and numbers."""
-    points, u, b = samples(12, 0)
-    _, unseen, loads = samples(4, 1)
-    inside = torch.from_numpy(points.interior)
+def wrong(found: torch.Tensor, true: torch.Tensor) -> torch.Tensor:
+    """Mean relative error of fields [S, n, 2]."""
+    return ((found - true).square().sum((1, 2)) / true.square().sum((1, 2))).sqrt().mean()
+
+
+def network_from_residuals(steps: int, last: int) -> tuple[dict[str, Any], Any]:
+    """Errors on loads never seen, other numbers, and a picture of the way there."""
+    (u, b), (unseen, loads) = samples(12, 0), samples(4, 1)
     law = NeuralOperator(HORIZON, (16, 16), (16, 16), strain=STRAIN).double()
-    module = wp.Module(law, points)
-    law.fitted(module(u).detach(), b[:, inside])  # the scale of the forces
-    adam = torch.optim.Adam(module.parameters(), lr=1e-2)
+    force = wp.Module(law, POINTS)
+    law.fitted(force(u).detach(), b[:, INSIDE])  # the scale of the forces
+    adam = torch.optim.Adam(force.parameters(), lr=1e-2)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(adam, steps + last, 2e-3)
 
     def residual(u: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-        left = (module(u) - b[:, inside]).square().sum((1, 2))
-        return (left / b[:, inside].square().sum((1, 2))).sqrt().mean()
+        return wrong(force(u), b[:, INSIDE])
 
     def answers(u: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
-        found = wp.solve(module.operator, wp.Dirichlet(points, b, u)).u
-        left = (found - u)[:, inside].square().sum((1, 2))
-        return (left / u[:, inside].square().sum((1, 2))).sqrt().mean()
+        found = wp.solve(force.operator, wp.Dirichlet(POINTS, b, u)).u
+        return wrong(found[:, INSIDE], u[:, INSIDE])
 
     rows: dict[str, list[float]] = {"step": [], "E_res": [], "E_u": []}
     begin = time.perf_counter()
     for step in range(steps + last + 1):
         if step % 50 == 0 or step in (steps, steps + last):
             with torch.no_grad():
-                wrong = float(answers(unseen, loads)) if step >= FROM else np.nan
-                found = step, float(residual(unseen, loads)), wrong
+                error = float(answers(unseen, loads)) if step >= FROM else np.nan
+                found = step, float(residual(unseen, loads)), error
             for name, value in zip(rows, found):
                 rows[name].append(value)
         adam.zero_grad()
@@ -81,28 +83,28 @@ def trained(steps: int, last: int) -> tuple[dict[str, list[float]], dict[str, fl
         loss.backward()
         adam.step()
         schedule.step()
-    numbers = {name: row[-1] for name, row in rows.items()}
-    numbers["E_res at start"] = rows["E_res"][0]
+
+    numbers: dict[str, Any] = {name: row[-1] for name, row in rows.items()}
+    numbers |= {"E_res at start": rows["E_res"][0], "seconds": time.perf_counter() - begin}
     numbers["E_u of residuals alone"] = rows["E_u"][rows["step"].index(steps)]
-    return rows, numbers | {"seconds": time.perf_counter() - begin}
+    return numbers, picture(rows, steps)
+
+
+def picture(rows: dict[str, list[float]], steps: int) -> Any:
+    """Errors on the way."""
+    figure, ax = panels()
+    lines = {"residual": rows["E_res"], "displacement that is solved for": rows["E_u"]}
+    ax.axvspan(steps, rows["step"][-1], alpha=0.15, label="answers in the loss")
+    ax.set_title("Residuals teach the law; answers in the loss add nothing here")
+    labels = {"xlabel": "step of Adam", "ylabel": "error on loads never seen [%]"}
+    curves(ax, "semilogy", rows["step"], lines, ".-", scale=100, **labels)
+    return figure
 
 
 def main(args: list[str] | None = None) -> int:
     """Write the picture and print the numbers."""
-    options = Options(__doc__, "network_from_residuals", json=True)
-    options.add("--steps", type=int, default=300, help="of Adam on residuals alone")
-    options.add("--last", type=int, default=60, help="of Adam on answers too")
-    given = options.parse_args(args)
-    rows, numbers = trained(given.steps, given.last)
-    print(json.dumps(numbers, indent=None if given.json else 1))
-    figure, ax = panels()
-    for name, label in {"E_res": "residual", "E_u": "displacement that is solved for"}.items():
-        ax.semilogy(rows["step"], 100 * np.array(rows[name]), ".-", label=label)
-    ax.axvspan(given.steps, given.steps + given.last, alpha=0.15, label="answers in the loss")
-    ax.set(xlabel="step of Adam", ylabel="error on loads never seen [%]")
-    ax.legend()
-    save_figure(figure, given.out / "network_from_residuals.png")
-    return 0
+    options = {"steps": (300, "of Adam on residuals alone"), "last": (60, "of Adam on answers too")}
+    return shown(__doc__, "network_from_residuals", network_from_residuals, args, **options)
 
 
 if __name__ == "__main__":

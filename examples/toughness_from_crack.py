@@ -7,7 +7,6 @@ python examples/toughness_from_crack.py           numbers, and a picture
 python examples/toughness_from_crack.py --json    errors of toughness and strength, seconds
 """
 
-import json
 import sys
 import time
 from pathlib import Path
@@ -19,88 +18,75 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
-from tools.options import Options
-from warp_peri.damage import BondLaw, SoftSolid, lattice_body
-from warp_peri.damage.operator import unit_toughness
+from examples.figures import panels, shown
+from warp_peri.damage import BondLaw, SoftSolid, rectangle
 from warp_peri.errors import exit_status
 
-SIZE, HORIZON, NOISE = (24, 16), 3.0, 0.01
-TRUE, GUESS = {"stretch": 0.02, "tail": 0.2}, {"stretch": 0.026, "tail": 0.13}
-MODEL = wp.Model(1.0, 1.0, 1.0, np.ones(1), HORIZON, units=("mm", "GPa"))
+TRUE, GUESS = BondLaw(0.0, stretch=0.02, tail=0.2), BondLaw(0.0, stretch=0.026, tail=0.13)
+WIDE, HIGH, HORIZON, NOISE = 24, 16, 3.0, 0.01  # mm
 LOADS, GRIP = np.linspace(0.2, 1.0, 9), 0.23
 """Shares of the largest displacement of a grip, and that [mm]."""
 
 
-def plate() -> tuple[wp.Cracked, np.ndarray, float]:
-    """The notched plate, nodes in the grips, whose bonds hold, and G_c of bonds with s₀ = 1."""
-    x = np.argwhere(np.ones(SIZE)) - (np.array(SIZE) - 1) / 2
-    grips = np.abs(x[:, 1]) > SIZE[1] / 2 - HORIZON
-    u = np.column_stack([0 * x[:, 0], GRIP * np.sign(x[:, 1]) * grips])
-    points = wp.Points(x, ~grips, 1.0, units=MODEL.units)
-    notch = [[(-SIZE[0] / 2, 0.0), (-SIZE[0] / 4, 0.0)]]
-    unit = unit_toughness(MODEL, lattice_body(x, 1.0, HORIZON).classes)
-    return wp.Cracked(points, u=u, cracks=notch), grips, unit
+def toughness_from_force(seed: int, iterations: int) -> tuple[dict[str, float], Any]:
+    """Errors of toughness and strength, other numbers, and a picture."""
+    # a plate with a notch, whose upper and lower rows are held by grips
+    model = wp.Model(1.0, 1.0, 1.0, np.ones(1), HORIZON, units=("mm", "GPa"))
+    x = rectangle(WIDE, HIGH, 1.0)
+    grips = np.abs(x[:, 1]) > HIGH / 2 - HORIZON
+    apart = GRIP * (np.sign(x) * grips[:, None]) * [0, 1]
+    notch, across = ([(-WIDE / 2, 0.0), (end, 0.0)] for end in (-WIDE / 4, WIDE / 2))
+    points = wp.Points(x, ~grips, 1.0, units=model.units)
+    plate = wp.Cracked(points, u=apart, cracks=[notch])
+    pull: dict[str, Any] = {"loads": LOADS, "line": across, "no_fail": grips, "stop": 0.0}
 
+    def force(stretch: Any, tail: Any) -> Any:
+        solid, numbers = SoftSolid(model, TRUE), {"stretch": stretch, "tail": tail}
+        return wp.move(solid, plate, parameters=numbers, **pull)["force"]
 
-def recovered(seed: int, iterations: int) -> tuple[dict[str, np.ndarray], dict[str, float]]:
-    """Forces [GPa mm] by name over LOADS, and numbers."""
-    problem, grips, unit = plate()
-    line = [(-SIZE[0] / 2, 0.0), (SIZE[0] / 2, 0.0)]
+    data = force(TRUE.stretch, TRUE.tail)
+    noise = np.random.default_rng(seed).normal(size=len(data))
+    data = data + NOISE * data.max() * torch.from_numpy(noise)
 
-    def force(numbers: dict) -> Any:
-        solid = SoftSolid(MODEL, BondLaw(0.0, **TRUE))
-        how = {"loads": LOADS, "line": line, "no_fail": grips, "stop": 0.0}
-        return wp.move(solid, problem, parameters=numbers, **how)["force"]
-
-    def toughness(numbers: dict) -> float:
-        return 2 * unit * BondLaw(0.0, **{n: float(v) for n, v in numbers.items()}).spent()
-
-    clean = force({n: torch.tensor(v) for n, v in TRUE.items()}).numpy()
-    data = clean + NOISE * clean.max() * np.random.default_rng(seed).normal(size=clean.shape)
-    z = torch.tensor([np.log(v) for v in GUESS.values()], requires_grad=True)
+    # ln of strength and tail, from a guess on, until the plate pulls as it did
+    z = torch.tensor([GUESS.stretch, GUESS.tail], dtype=torch.float64).log().requires_grad_()
     search = torch.optim.LBFGS([z], 1.0, iterations, line_search_fn="strong_wolfe")
-    told: list[np.ndarray] = []
+    told, begin = list[torch.Tensor](), time.perf_counter()
 
     def loss() -> torch.Tensor:
         search.zero_grad()
-        found = force(dict(zip(TRUE, z.exp())))
-        told.append(found.detach().numpy())
-        short = min(len(found), len(data))
-        wrong = ((found[:short] - torch.from_numpy(data[:short])) / data.max()).square().mean()
+        told.append(force(*z.exp()))
+        wrong = ((told[-1] - data[: len(told[-1])]) / data.max()).square().mean()
         wrong.backward()
         return wrong
 
-    begin = time.perf_counter()
     search.step(loss)
     numbers = {"seconds": time.perf_counter() - begin, "gradients": len(told)}
-    best = dict(zip(TRUE, z.detach().exp()))
-    for name, values in {"start": GUESS, "found": best, "true": TRUE}.items():
-        numbers |= {
-            f"toughness, {name}": toughness(values),
-            f"stretch, {name}": float(values["stretch"]),
-        }
+    best = BondLaw(0.0, *z.detach().exp().tolist())
+    for name, law in {"start": GUESS, "found": best, "true": TRUE}.items():
+        numbers |= {f"toughness, {name}": SoftSolid(model, law).toughness(1.0)}
+        numbers |= {f"stretch, {name}": law.stretch}
     for name in ("toughness", "stretch"):
         numbers[f"error of {name}"] = abs(numbers[f"{name}, found"] / numbers[f"{name}, true"] - 1)
-    rows = {"measured": data, "first guess": told[0], "found": force(best).detach().numpy()}
-    return rows, numbers
+    rows = {"measured": data, "first guess": told[0], "found": force(best.stretch, best.tail)}
+    return numbers, picture(rows)
+
+
+def picture(rows: dict[str, torch.Tensor]) -> Any:
+    """Forces over the displacement of the grips."""
+    figure, ax = panels()
+    for style, (name, row) in zip((".", ":", "-"), rows.items()):
+        ax.plot(2 * GRIP * LOADS[: len(row)], row.detach(), style, label=name)
+    ax.set(xlabel="displacement of the grips [mm]", ylabel="force over thickness [GPa mm]")
+    ax.set_title("Strength and toughness of bonds follow from one pull")
+    ax.legend()
+    return figure
 
 
 def main(args: list[str] | None = None) -> int:
     """Write the picture and print the numbers."""
-    options = Options(__doc__, "toughness_from_crack", json=True)
-    options.add("--seed", type=int, default=0, help="of the noise")
-    options.add("--iterations", type=int, default=15, help="of L-BFGS")
-    given = options.parse_args(args)
-    rows, numbers = recovered(given.seed, given.iterations)
-    print(json.dumps(numbers, indent=None if given.json else 1))
-    figure, ax = panels()
-    for style, (name, row) in zip((".", ":", "-"), rows.items()):
-        ax.plot(2 * GRIP * LOADS[: len(row)], row, style, label=name)
-    ax.set(xlabel="displacement of the grips [mm]", ylabel="force over thickness [GPa mm]")
-    ax.legend()
-    save_figure(figure, given.out / "toughness_from_crack.png")
-    return 0
+    options = {"seed": (0, "of the noise"), "iterations": (15, "of L-BFGS")}
+    return shown(__doc__, "toughness_from_crack", toughness_from_force, args, **options)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -66,13 +67,15 @@ class Dirichlet:
 
         `options` are those of the law's own motion, or of dynamics.verlet.march: `v`, `density`,
         `step`, `steps`, `every`, `record`, `signal`; and `transfer`, `allow_uncertified`. Of
-        tensors, or with `parameters`, it is that of dynamics.adjoint.moved.
+        tensors, or with `parameters`, it is that of dynamics.adjoint.moved. What flows, as heat,
+        has the options of dynamics.adjoint.stepped.
         """
         on = {"transfer", "allow_uncertified"} & options.keys()
         how = {name: options.pop(name) for name in on}
         operator = placed(material, nodes_of(self.points), **how)
         if hasattr(operator, "march"):
-            refuse_learning(self, options, "move")
+            if "parameters" not in signature(operator.march).parameters:
+                refuse_learning(self, options, "move")
             (options,) = taken(options, "move", operator.march)
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
         offered(operator, "product", "move", "a material that moves on points")

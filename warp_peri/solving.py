@@ -52,8 +52,8 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
             records), `record` (nodes), `checkpoint`, `progress`; see the `moved` of the problem.
 
     Returns:
-        The motion: times, histories by name, the fields at the end. Waves of torch tensors are
-        differentiable, in `parameters` of the material too: see dynamics.adjoint.moved.
+        The motion: times, histories by name, the fields at the end. Waves, heat and coupled fields
+        of torch tensors are differentiable, in `parameters` too: see dynamics.adjoint.
 
     Raises InputError for what does not fit, and for a step that is not proven stable.
 

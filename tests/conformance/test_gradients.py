@@ -196,6 +196,26 @@ def test_torch_func_maps_over_fields(name, made):
             hessian(u)
 
 
+def test_torch_func_is_refused_where_it_would_lose_a_gradient(made):
+    op, network, heat = map(made, ("LPS", "neural operator", "conductor"))
+    u, phi = (torch.from_numpy(field(one)) for one in (op, heat))
+    number, module = torch.tensor(0.5, dtype=torch.float64), wp.Module(op, op.points)
+    still, held = wp.Dirichlet(op.points, None, u), wp.Dirichlet(op.points, u, u)
+    waves, steps = {"density": 2000.0, "step": 1e-6, "steps": 2}, {"step": 1.0, "steps": 2}
+    for call, x in (
+        (module, u),
+        (network, torch.from_numpy(field(network))),
+        (lambda u: wp.move(op, wp.Dirichlet(op.points, None, u), **waves).u, u),
+        (lambda mu: wp.solve(op, held, parameters={"mu": mu}).u, number),
+        (lambda mu: wp.move(op, still, parameters={"mu": mu}, **waves).u, number),
+        (lambda phi: wp.move(heat, wp.Dirichlet(heat.points, None, phi), **steps).u, phi),
+    ):
+        with pytest.raises(wp.InputError, match=r"torch\.func: expected plain tensors"):
+            torch.func.grad(lambda x, call=call: call(x).sum())(x)
+    with pytest.raises(wp.InputError, match=r"torch\.func: expected plain tensors"):
+        torch.func.vmap(network)(torch.from_numpy(field(network, 3)))
+
+
 @pytest.mark.parametrize("name", OTHERS)
 def test_second_derivatives_of_others_are_refused(name, made):
     op = made(name)

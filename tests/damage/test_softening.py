@@ -100,6 +100,18 @@ def test_another_horizon_keeps_the_toughness_and_if_it_can_the_strength(law, tim
         assert other.tail > law.tail
 
 
+@pytest.mark.parametrize("law", [BondLaw(0.0, 0.02), BondLaw(3.0, 0.02, 0.2)])
+def test_the_toughness_of_a_lattice_has_the_limit_of_the_theory(law):
+    """(C18), of bonds that soften and of those that break at once."""
+    errors = []
+    for ratio in (4.0, 8.0, 16.0):
+        model = solid(1.0, horizon=ratio).model
+        limit = 2 * law.spent() * 6 * model.mu * ratio / np.pi
+        errors.append(abs(SoftSolid(model, law).toughness(1.0) / limit - 1))
+    assert errors[2] < 0.03
+    assert errors[2] < 0.5 * errors[0]
+
+
 def test_dilatation_and_laws_that_are_none_are_refused():
     with pytest.raises(InputError, match="expected λ = μ"):
         SoftSolid(solid(0.5).model, BondLaw(1.0))

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
+from torch.autograd import forward_ad
 
 from examples import diffusion
 from examples.diffusion import coupled, jump, main, order, smooth
@@ -202,11 +204,11 @@ def test_coupled_steps_that_make_no_sense_are_refused():
     for b, options, words in (
         (rest, {"step": 0.0, "steps": 1}, "step: expected a number > 0"),
         (rest[:, 0], {"step": 1.0, "steps": 1}, "b: expected shape"),
-        (rest + np.nan, {"step": 1.0, "steps": 1}, "not finite"),
+        (rest + np.nan, {"step": 1.0, "steps": 1}, "b: expected finite values"),
         (
             rest,
             {"step": 1.0, "steps": 1, "every": 2},
-            "options among step, steps, collar, got every",
+            "options among step, steps, collar, parameters, got every",
         ),
         (rest, {"step": 1.0}, "expected steps too"),
     ):
@@ -267,6 +269,27 @@ def test_a_coupled_solid_comes_to_its_steady_state():
     np.testing.assert_allclose(run.u, steadily.u, atol=1e-6)
     assert run["u"].shape == (9, len(points.x), 3)
     np.testing.assert_allclose(solve(solid, Dirichlet(points, None, 0 * fields)).u, 0)
+
+
+def test_steps_of_tensors_are_those_of_arrays_and_differentiated_once():
+    points = square(3, 3.0)
+    operator = Conductor(0.9, 2.0).on(points)
+    phi, b = np.random.default_rng(0).standard_normal((2, len(points.x)))
+    arrays = transient(operator, phi, 0.1, 3, source=b)
+    leaf = torch.from_numpy(phi).requires_grad_()
+    held = transient(operator, leaf, 0.1, 3, source=b, collar=lambda time: leaf)
+    assert np.array_equal(held.detach(), arrays)
+    kappa = torch.tensor(2.0, dtype=torch.float64, requires_grad=True)
+    told = transient(operator, phi, 0.1, 3, source=b, parameters={"kappa": kappa})
+    assert np.array_equal(told.detach(), arrays)
+    (by_kappa,) = torch.autograd.grad(told.square().sum(), kappa, create_graph=True)
+    with pytest.raises(InputError, match="second derivative"):
+        by_kappa.backward()
+    with pytest.raises(InputError, match="tangent"), forward_ad.dual_level():
+        transient(operator, forward_ad.make_dual(leaf, leaf), 0.1, 3)
+    with pytest.raises(InputError, match=r"of shape alpha \[\], D \[1\], kappa \[\], got mu"):
+        transient(operator, phi, 0.1, 3, parameters={"mu": kappa})
+    assert transient(operator, leaf, 0.1, 0).shape == (1, len(phi))
 
 
 def test_the_example_prints(tmp_path, capsys):

@@ -98,7 +98,7 @@ def steps(leaves, own, name=""):
     scattered points, whose coefficients are large, the least."""
     D = 0.01 if name == "scattered" else 0.1
     many = {"D": D, "D_dilatation": D, "tensors": 0.02, "networks": 1e-4}
-    fields = dict.fromkeys(("b", "u", "v", "signal"), own)
+    fields = dict.fromkeys(("b", "u", "v", "signal", "collar"), own)
     return {name: (fields | many).get(name, 1.0) for name in leaves}
 
 
@@ -137,8 +137,24 @@ def solve(name, op):
     return found_of(op, value, leaves, steps(leaves, own, name))
 
 
+def flow(op):
+    """Of fields after each step of what flows, to b, u, the collar in time and numbers."""
+    b, u, held = (torch.from_numpy(field(op, seed=n)) for n in range(3))
+    leaves = {"b": b, "u": u, "collar": held} | numbers_of(op)
+
+    def value(leaves):
+        own, step = learned(op, leaves), 0.3
+        collar = lambda t: leaves["u"] + t * leaves["collar"]
+        how = {"step": step, "steps": 4, "collar": collar, "parameters": own}
+        return seeded(wp.move(op, wp.Dirichlet(op.points, leaves["b"], leaves["u"]), **how)["u"])
+
+    return errors(value, leaves, steps(leaves, 10.0))
+
+
 def move(name, op):
-    """Of records and ends of waves, to b, u, v, the load in time and numbers."""
+    """Of records and ends of waves, to b, u, v, the load in time and numbers; of what flows."""
+    if name in FLOWS:
+        return flow(op)
     fields, options = given(op)
     signal = torch.from_numpy(1 + 0.3 * np.sin(np.arange(options["steps"] + 1)))
     numbers = numbers_of(op)
@@ -156,8 +172,9 @@ WAVES = ("LPS", "LPS, bond-based", "LPS, two functions", "LPS in space", "LPS, b
          "crystal", "crystal, periodic", "crystal in space", "dressed", "dressed, bonds",
          "dressed, varied", "own", "third order, energy", "crystal, third order")  # fmt: skip
 """Materials whose waves have a proven step."""
+FLOWS = ("conductor", "coupled")
+"""Materials that flow, by implicit steps."""
 NO_STEP = "expected a linear solid or a crystal"
-NO_WAVES = "expected tensors without a gradient, which only waves"
 REFUSED = {
     "third order, filtered": "form='energy', got 'filtered', whose force is no gradient",
     "dressed, finite strain": NO_STEP,
@@ -166,8 +183,6 @@ REFUSED = {
     "hyperelastic": NO_STEP,
     "scattered": "expected a lattice, got scattered points",
     "scattered, own weights": "expected a lattice, got scattered points",
-    "conductor": NO_WAVES,
-    "coupled": NO_WAVES,
     "cut": "move: expected a Cracked of a BrittleSolid",
 }
 """The others, and what `move` says of them."""

@@ -8,10 +8,10 @@ import torch
 
 import warp_peri as wp
 from tests.conformance.test_gradients import LINEAR, OPERATORS, field
-from tests.gradients.cases import CASES, ELSEWHERE, FOUND, MATERIALS, REFUSED, VERBS, WAVES
+from tests.gradients.cases import CASES, ELSEWHERE, FLOWS, FOUND, MATERIALS, REFUSED, VERBS, WAVES
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
-FIELDS = ("b", "u", "v", "signal")
+FIELDS = ("b", "u", "v", "signal", "collar")
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ CELLS = [
 def test_a_gradient_is_that_of_differences(verb, name, made):
     """1e-8 to what the number is linear in before it is squared, 1e-6 elsewhere."""
     op = made(name)
-    if verb == "move" and name not in WAVES:
+    if verb == "move" and name not in WAVES + FLOWS:
         FOUND[name, verb] = {f"refused: {REFUSED[name]}": None}
         leaf = torch.from_numpy(field(op)).requires_grad_()
         sizes = {"density": 2000.0, "step": 1e-6, "steps": 2}

@@ -126,9 +126,15 @@ def differentiable_once(backward: Backward) -> Backward:
 
 
 def refuse_tangents(*inputs: Any) -> None:
-    """InputError for tensors with a tangent of forward mode, which would be lost."""
-    for one in inputs:
-        if isinstance(one, torch.Tensor) and forward_ad.unpack_dual(one).tangent is not None:
+    """InputError for tensors with a tangent of forward mode, which would be lost, and for those of
+    torch.func, of which a function that is differentiated once makes nothing."""
+    for one in filter(torch.is_tensor, inputs):
+        if torch._C._functorch.is_functorch_wrapped_tensor(one):
+            raise InputError(
+                "torch.func: expected plain tensors where numbers are learned, a body moves, or "
+                "what is not linear is solved; torch.autograd.grad and backward() have the gradient"
+            )
+        if forward_ad.unpack_dual(one).tangent is not None:
             raise InputError(
                 "tangent: expected no forward-mode derivative; operator.product(u, v) is the "
                 "derivative of a force along v"
@@ -257,6 +263,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     """
     b, u = pair_of(operator, b, u)
     named = {n: as_tensor(n, v).to("cpu", torch.float64) for n, v in (parameters or {}).items()}
+    refuse_tangents(*named.values())
     operator = with_numbers(operator, {n: v.detach().numpy() for n, v in named.items()})
     fields, numbers = [b.cpu().double(), u.cpu().double()], [*named.values(), *operator.networks]
     found: list[Any] = []

@@ -21,12 +21,13 @@ from tqdm import tqdm
 from warp_peri.core.record import OnLinear
 from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
 from warp_peri.damage.lattice_body import LatticeBody, cracked, crossing_bonds, size_and_normal
-from warp_peri.damage.operator import bonds_of, stretch_rows
+from warp_peri.damage.operator import bonds_of, stretch_rows, unit_toughness
 from warp_peri.damage.solid import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.points.families import bond_classes
 
 NEWTON = 40
 TOLERANCE = 1e-8
@@ -137,6 +138,11 @@ class SoftSolid(OnLinear, format="warp_peri.soft_solid"):
     def linear(self) -> Model:
         """The solid before anything softens."""
         return self.model
+
+    def toughness(self, spacing: float) -> float:
+        """G_c of a straight cut between rows of nodes so far apart [stress length], (C6, C18)."""
+        classes = bond_classes(spacing, self.model.horizon, dimension=self.model.dimension)
+        return 2 * unit_toughness(self.model, classes) * self.law.spent()
 
 
 class SoftBody:

@@ -11,23 +11,16 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
 
 from warp_peri.contract import OnPoints
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.damage.solid import negative_eigenvalues
-from warp_peri.dynamics.motion import Motion
+from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
 from warp_peri.lps.model import ALPHA_BOUND, bernstein_basis
-from warp_peri.points.arrays import (
-    check_positive,
-    check_whole,
-    checked,
-    checked_fields,
-    mean_inverse,
-)
+from warp_peri.points.arrays import checked, checked_fields, mean_inverse
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
@@ -36,7 +29,6 @@ from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
 ROUNDING = 1e-10
 """Eigenvalues so far below zero, over the largest diagonal, count as zero."""
-RESIDUAL = 1e-9
 
 
 @dataclass(frozen=True)
@@ -74,6 +66,8 @@ class DiffusionOperator(OnPoints):
     """
 
     is_linear = True
+    what = "diffusion"
+    implicit = 0.5
 
     def __init__(
         self, law: Conductor, points: PointsLike, *, kappa: Conductivity | None = None
@@ -163,7 +157,11 @@ class DiffusionOperator(OnPoints):
         inside = self.points.interior
         return checked("b", b, float, (..., len(inside)), inside)[..., self.rows]
 
-    def stiffness_at(self, u: np.ndarray) -> sp.csc_array:
+    def tangent(self, u: Any) -> sp.csr_array:
+        """`matrix`, whatever φ."""
+        return self._matrix
+
+    def stiffness_at(self, u: Any) -> sp.csc_array:
         """L between interior nodes, sparse [I, I]."""
         return self.inner()
 
@@ -214,69 +212,19 @@ class DiffusionOperator(OnPoints):
         Raises InputError for other shapes, values that are not finite, and when the matrix is
         singular, as of a piece that nothing touches, or has eigenvalues below zero (`inner`).
         """
-        refuse_solver(solver, (Direct,), "diffusion")
-        b, phi = checked_fields(self.points, b, u, (len(self.points.x),))
-        load = self.load(b)
-        matrix, inner, left = self.matrix(), self.inner(), 0.0
-        count = len(self.points.x)
-        try:
-            factors = splu(inner)
-        except RuntimeError as error:
-            raise InputError(f"diffusion: the problem has no one solution ({error})") from None
-        for potential, source in zip(phi.reshape(-1, count), load.reshape(-1, len(self.rows))):
-            potential[self.rows] = 0
-            right = source - matrix @ potential
-            x = factors.solve(right)
-            size = np.linalg.norm(right)
-            off = np.linalg.norm(inner @ x - right)
-            if not off <= RESIDUAL * size:
-                raise InputError("diffusion: the solve lost its digits")
-            potential[self.rows] = x
-            left = max(left, float(off / size) if size else 0.0)
-        return Solution(phi, self.points, self, load, "lu", measured=left)
+        refuse_solver(solver, (Direct,), self.what)
+        b, phi = checked_fields(self.points, b, u, self.shape)
+        rest, left = Implicit(self), 0.0
+        for potential, source in zip(*(one.reshape(-1, *self.shape) for one in (phi, b))):
+            potential[:], one = rest.after(None, potential, source)
+            left = max(left, one)
+        return Solution(phi, self.points, self, self.load(b), "lu", measured=left)
 
-    def march(
-        self,
-        b: ArrayLike | None,
-        u: ArrayLike,
-        *,
-        step: float,
-        steps: int,
-        collar: Callable[[float], np.ndarray] | None = None,
-    ) -> Motion:
-        """∂φ/∂t = −L φ + b by Crank–Nicolson.
+    march = stepped  # ∂φ/∂t = −L φ + b by Crank–Nicolson (theory, Di4)
 
-        Args:
-            b: source, shape [N], read on the interior; None for none.
-            u: φ at the start, shape [N].
-            step: Δt > 0, any length is stable: L + Lᵗ is looked at where the kernel changes sign.
-            steps: number of steps.
-            collar: φ of all nodes at a time, of which those off the interior are taken; unchanged
-                by default.
-
-        Returns a motion whose history u is φ at the start and after every step, [steps + 1, N].
-
-        Raises InputError for other shapes, a step not > 0, a number of steps below 0, and as
-        `inner`.
-        """
-        check_steps(step, steps)
-        shape, rows = (len(self.points.x),), self.rows
-        now = checked("u", u, float, shape).copy()
-        source = self.load(checked_fields(self.points, b, now, shape)[0])
-        matrix, gain = self.matrix(), step * source
-        factors = splu(sp.csc_matrix(sp.eye_array(len(rows)) + step / 2 * self.inner()))
-        kept = [now]
-        for number in range(1, steps + 1):
-            later = now.copy()
-            if collar is not None:
-                outer = ~self.points.interior
-                later = checked("collar", collar(number * step), float, shape, outer).copy()
-            later[rows] = 0
-            right = now[rows] - step / 2 * (matrix @ now + matrix @ later) + gain
-            later[rows] = factors.solve(right)
-            now = later
-            kept.append(now)
-        return Motion(step * np.arange(steps + 1), now, None, {"u": np.stack(kept)})
+    def storage(self) -> sp.csr_array:
+        """What multiplies ∂φ/∂t, one on the interior, sparse [I, N]."""
+        return sp.eye_array(len(self.points.x), format="csr")[self.rows]
 
     def gradient(self, phi: np.ndarray, seed: np.ndarray) -> DiffusionGradient:
         """Derivatives of seed · L φ, seed of shape [I]."""
@@ -298,12 +246,6 @@ class DiffusionOperator(OnPoints):
         return DiffusionGradient(
             by_phi, by_kappa.numpy(), by_K @ basis, float(-(by_K * K) @ np.log(self._r_all))
         )
-
-
-def check_steps(step: float, steps: int) -> None:
-    """Raise InputError for what is no step of time, or no number of them."""
-    check_positive("step", step)
-    check_whole("steps", steps, 0)
 
 
 def _bonds_of(families: Families) -> tuple[np.ndarray, np.ndarray]:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import splu
 
 from warp_peri.contract import OnPoints
 from warp_peri.core.record import Record, Stress
@@ -17,14 +16,8 @@ from warp_peri.damage.cut_solid import in_torch
 from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
 from warp_peri.damage.solid import check_cut
-from warp_peri.diffusion.conductor import (
-    RESIDUAL,
-    Conductivity,
-    Conductor,
-    DiffusionOperator,
-    check_steps,
-)
-from warp_peri.dynamics.motion import Motion
+from warp_peri.diffusion.conductor import Conductivity, Conductor, DiffusionOperator
+from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked_fields
@@ -106,6 +99,8 @@ class CoupledOperator(OnPoints):
     """
 
     is_linear = True
+    what = "a coupled solid"
+    implicit = 1.0
 
     def __init__(
         self,
@@ -155,7 +150,11 @@ class CoupledOperator(OnPoints):
 
     def tangent(self, u: np.ndarray) -> sp.csr_array:
         """The force as a matrix, rows of the interior and columns of all nodes, [3 I, 3 N]."""
-        both = sp.block_array([[self._solid, self._pull], [None, self._flux]], format="csr")
+        return self._whole([[self._solid, self._pull], [None, self._flux]])
+
+    def _whole(self, blocks: list[list[Any]]) -> sp.csr_array:
+        """A matrix of the blocks of displacement and φ, in the order of fields."""
+        both = sp.block_array(blocks, format="csr")
         rows, columns = (
             np.column_stack([2 * n, 2 * n + 1, 2 * len(n) + n]).ravel()
             for n in map(np.arange, (len(self.rows), len(self.points.x)))
@@ -202,82 +201,41 @@ class CoupledOperator(OnPoints):
 
         Raises InputError for other shapes, or a solve that loses its digits.
         """
-        refuse_solver(solver, (Direct,), "a coupled solid")
+        refuse_solver(solver, (Direct,), self.what)
         load, given = checked_fields(self.points, b, u, self.shape)
-        pairs = zip(load.reshape(-1, *self.shape), given.reshape(-1, *self.shape))
-        each = [self.step(0 * field, field, np.inf, b=one) for one, field in pairs]
-        solved = np.reshape(each, given.shape)
-        return Solution(solved, self.points, self, self.load(load), "lu")
+        rest, pairs = Implicit(self), (one.reshape(-1, *self.shape) for one in (given, load))
+        for field, one in zip(*pairs):
+            field[:] = rest.after(None, field.ravel(), one.ravel())[0].reshape(field.shape)
+        return Solution(given, self.points, self, self.load(load), "lu")
 
-    def march(
-        self,
-        b: ArrayLike | Callable[[float], ArrayLike] | None,
-        u: ArrayLike,
-        *,
-        step: float,
-        steps: int,
-        collar: Callable[[float], ArrayLike] | None = None,
-    ) -> Motion:
-        """By backward Euler, from displacement and φ of all nodes, shape [N, 3].
+    march = stepped  # by backward Euler, b a load or a function of time
 
-        Args:
-            b: loads and source, [N, 3], or these at a time; None for none.
-            u: at the start.
-            step: Δt > 0.
-            steps: number of steps.
-            collar: fields of all nodes at a time, [N, 3], of which those off the interior are
-                taken; unchanged by default.
-
-        Returns a motion whose history u is the fields at the start and after every step.
-
-        Raises InputError for a step not > 0, other shapes, or a solve that loses its digits.
-        """
-        check_steps(step, steps)
-        kept = [np.array(u, dtype=float)]
-        for number in range(1, steps + 1):
-            time, now = number * step, kept[-1]
-            load = b(time) if callable(b) else (0 * now if b is None else b)
-            given = now if collar is None else collar(time)
-            kept.append(self.step(now, given, step, b=load))
-        return Motion(step * np.arange(steps + 1), kept[-1], None, {"u": np.stack(kept)})
-
-    def step(self, before: ArrayLike, given: ArrayLike, dt: float, *, b: ArrayLike) -> np.ndarray:
-        """u₁, u₂, φ one step later, shape [N, 3]; dt = inf solves the steady state.
-
-        Args:
-            before: of all nodes before the step.
-            given: after it, of which the nodes off the interior are taken.
-            dt: step.
-            b: loads and source.
-
-        Raises InputError for other shapes, or a solve that loses its digits.
-        """
-        shape = (len(self.points.x), 3)
-        for name, field in (("u", before), ("collar", given), ("b", b)):
-            if np.shape(field) != shape:
-                raise InputError(f"{name}: expected shape {list(shape)}, got {np.shape(field)}")
-        old, after, load = (np.array(field, dtype=float) for field in (before, given, b))
-        after[self.rows] = 0
-        u, phi, rate, rows = after[:, :2].ravel(), after[:, 2].copy(), 1 / dt, self.rows
-        rates = np.full(len(rows), self.model.storage * rate)
-        store = sp.csr_array((rates, (range(len(rows)), rows)), shape=self._flux.shape)
-        lower, flux = rate * self._squeeze, self._flux + store
-        system = sp.block_array(
-            [
-                [self._solid[:, self.free], self._pull[:, rows]],
-                [lower[:, self.free], flux[:, rows]],
-            ],
-            format="csc",
+    def storage(self) -> sp.csr_array:
+        """What multiplies the rates of u₁, u₂ and φ, sparse [3 I, 3 N]."""
+        kept = sp.eye_array(len(self.points.x), format="csr")[self.rows]
+        return self._whole(
+            [[0 * self._solid, 0 * self._pull], [self._squeeze, self.model.storage * kept]]
         )
-        memory = lower @ old[:, :2].ravel() + store @ old[:, 2]
-        right = np.concatenate(
-            [
-                load[rows, :2].ravel() - self._solid @ u - self._pull @ phi,
-                load[rows, 2] + memory - lower @ u - flux @ phi,
-            ]
+
+    def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
+        """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
+        torch, own = (
+            in_torch().torch,
+            self.model.model.learnable | {"coupling": self.model.coupling},
         )
-        x = splu(sp.csc_matrix(system)).solve(right)
-        if not np.linalg.norm(system @ x - right) <= RESIDUAL * np.linalg.norm(right):
-            raise InputError("coupled: the solve lost its digits, or what is given is not finite")
-        after[rows] = np.column_stack([x[: len(self.free)].reshape(-1, 2), x[len(self.free) :]])
-        return after
+        asked = [name for name in names if name in own]
+        if not asked:
+            return {}
+        with torch.enable_grad():
+            numbers = {
+                name: torch.tensor(value, dtype=torch.float64, requires_grad=name in asked)
+                for name, value in own.items()
+            }
+            phi = torch.from_numpy(self.on_all(w)[..., 2])
+            parts = self.model.model, self.body, self.table
+            rate = torch.from_numpy(np.ascontiguousarray(rates[..., :2]))
+            pull = in_torch().bond_force(*parts, 0 * rate, numbers, numbers["coupling"] * phi)
+            each = torch.autograd.grad(
+                -(rate * pull).sum(), [numbers[name] for name in asked], allow_unused=True
+            )
+        return {name: one.numpy() for name, one in zip(asked, each) if one is not None}

@@ -11,16 +11,24 @@ Backwards, with p and q the derivatives of a scalar to u and v, and p_I those of
 and −w_n qᵗ ∂(L u_n)/∂a to a number a of the material. Displacements are needed for numbers, and
 where L is not linear. Nothing damps the motion, so that it is run backwards for them; PIECES states
 that are kept say how much of it rounding has spent, and set it right.
+
+What flows is stepped implicitly (theory, Di4): of E u̇ + L u = b on the interior, θ in [1/2, 1],
+
+    A u_n = B u_{n−1} + b_n,   A = E/Δt + θ L,   B = E/Δt − (1 − θ) L,
+
+with u_n given elsewhere. Backwards A_IIᵗ w_n = p_I, p ← Bᵗ w_n and the records before, b̄_n = w_n.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import scipy.sparse as sp
 import torch
+from scipy.sparse.linalg import splu
 
 from warp_peri.contract import is_tensor, taken
 from warp_peri.core.tensors import (
@@ -33,11 +41,14 @@ from warp_peri.core.tensors import (
 from warp_peri.dynamics import verlet
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import check_positive, check_whole, checked
 
 PIECES, BATCH = 8, 16
 """States kept of a motion, and fields whose derivatives to numbers are taken at once."""
 UNDONE = 1e-9
 """Of a state that is come back to, over the largest kept: what rounding may have made of it."""
+RESIDUAL = 1e-9
+"""Of an implicit step, over its right-hand side."""
 
 
 def moved(
@@ -198,8 +209,158 @@ class _Moved(torch.autograd.Function):
         numbers = dict(zip(ctx.waves.names, ctx.saved_tensors[4:]))
         wanted = [name for name, asked in zip(numbers, ctx.needs_input_grad[5:]) if asked]
         *by, found = ctx.waves.back(wanted, *(one.detach().clone().numpy() for one in upstream))
-        for name in wanted:
-            found[name] = torch.as_tensor(found[name], dtype=torch.float64).reshape_as(
-                numbers[name]
-            )
-        return None, *map(torch.from_numpy, by), *map(found.get, numbers)
+        return None, *map(torch.from_numpy, by), *_shaped(found, numbers)
+
+
+def stepped(
+    operator: Any,
+    b: Any,
+    u: Any,
+    *,
+    step: float,
+    steps: int,
+    collar: Callable[[float], Any] | None = None,
+    parameters: Mapping[str, Any] | None = None,
+) -> Motion:
+    """What flows, by implicit steps of any length; differentiable once in tensors.
+
+    Args:
+        operator: linear; its `tangent`, `storage` and `implicit` are L, E and θ.
+        b: load or source of all nodes, [N] or [N, d], or a function of time that gives it; None
+            for none. It is read on the interior.
+        u: field of all nodes at the start, of the same shape.
+        step: Δt > 0.
+        steps: number of steps.
+        collar: field of all nodes at a time, read off the interior; unchanged by default.
+        parameters: numbers of the operator's `learnable` by name. The others stay as they are.
+
+    Returns:
+        A motion whose history u is the field at the start and after every step, [steps + 1, N, …];
+        a tensor where one was given.
+
+    Raises InputError for other shapes, what is not finite, a step not > 0, a number of steps below
+    0, numbers that the operator does not have, a solve that loses its digits, a second derivative
+    and a tangent of forward mode.
+    """
+    check_positive("step", step)
+    check_whole("steps", steps, 0)
+    times, numbers, given = step * np.arange(steps + 1), dict(parameters or {}), list[Any]()
+    start = as_tensor("u", u).to("cpu", torch.float64)
+    for name, field in (("b", 0 * start.detach() if b is None else b), ("collar", collar or u)):
+        each = list(map(field, times[1:])) if callable(field) else [field]
+        given += each
+        each = [as_tensor(name, one).to("cpu", torch.float64) for one in each or [start]]
+        numbers[name] = torch.stack(each).expand(steps, *each[0].shape)
+    loads, held = (numbers.pop(name) for name in ("b", "collar"))
+    given += [u, *numbers.values()]
+    refuse_tangents(*given)
+    values = [as_tensor(*pair).to("cpu", torch.float64) for pair in numbers.items()]
+    own = with_numbers(operator, {n: v.detach().numpy() for n, v in zip(numbers, values)})
+    flow = Implicit(own, step, list(numbers))
+    fields = _Stepped.apply(flow, start, loads, held, *values)  # type: ignore[no-untyped-call]
+    fields = fields if any(map(is_tensor, given)) else fields.numpy()
+    return Motion(times, fields[-1], None, {"u": fields})
+
+
+class Implicit:
+    """Implicit steps of what is linear; with Δt = inf the equilibrium.
+
+    Raises InputError where a step has no one solution.
+    """
+
+    def __init__(self, operator: Any, step: float = np.inf, names: list[str] | None = None) -> None:
+        self.operator, self.step, self.names = operator, step, names or []
+        self.inside = operator.points.interior.reshape(-1, *[1] * (len(operator.shape) - 1))
+        self.free = np.broadcast_to(self.inside, operator.shape).ravel()
+        self.theta = float(operator.implicit) if np.isfinite(step) else 1.0
+        L, E = sp.csr_array(operator.tangent(None)), sp.csc_array(operator.storage() / step)
+        self.inner = sp.csc_array(self.theta * operator.stiffness_at(None) + E[:, self.free])
+        self.ahead, self.behind = sp.csr_array(E + self.theta * L), E - (1 - self.theta) * L
+        try:
+            self.factors = splu(self.inner)
+        except RuntimeError as error:
+            raise InputError(f"{self.what}: the problem has no one solution ({error})") from None
+
+    @property
+    def what(self) -> str:
+        """The operator, for messages."""
+        return str(getattr(self.operator, "what", type(self.operator).__name__))
+
+    def after(self, before: Any, given: np.ndarray, load: np.ndarray) -> tuple[np.ndarray, float]:
+        """The field a step after another, of what is given off the interior and a load, all flat
+        and of all nodes; and its relative residual. InputError for one above RESIDUAL."""
+        later = np.where(self.free, 0.0, given)
+        right = load[self.free] - self.ahead @ later
+        if np.isfinite(self.step):
+            right += self.behind @ before
+        later[self.free] = x = self.factors.solve(right)
+        size, left = np.linalg.norm(right), np.linalg.norm(self.inner @ x - right)
+        if not left <= RESIDUAL * size:
+            raise InputError(f"{self.what}: the solve lost its digits")
+        return later, float(left / size) if size else 0.0
+
+    def there(self, start: np.ndarray, loads: np.ndarray, given: np.ndarray) -> np.ndarray:
+        """Fields at the start and after each step, of loads and what is given in each."""
+        one = self.operator.shape
+        fields = [checked("u", start, float, one).ravel()]
+        loads = checked("b", loads, float, (len(loads), *one), self.inside)
+        given = checked("collar", given, float, (len(given), *one), ~self.inside)
+        for load, held in zip(loads, given):
+            fields.append(self.after(fields[-1], held.ravel(), load.ravel())[0])
+        return np.reshape(fields, (-1, *one))
+
+    def back(self, p: np.ndarray, fields: np.ndarray, wanted: list[str]) -> list[Any]:
+        """Derivatives to the start, to loads and what is given in each step, and to numbers.
+
+        p: what is upstream of the fields at the start and after each step; overwritten.
+        """
+        steps, one = len(p) - 1, p.shape[1:]
+        p, w = p.reshape(steps + 1, -1), np.zeros((steps, len(self.inner.indptr) - 1))
+        by_load, by_given = np.zeros((2, steps, len(self.free)))
+        for n in reversed(range(steps)):
+            w[n] = self.factors.solve(p[n + 1, self.free], "T")
+            by_given[n] = np.where(self.free, 0.0, p[n + 1] - w[n] @ self.ahead)
+            p[n] += w[n] @ self.behind
+        by_load[:, self.free] = w
+        by = [p[0].reshape(one), *(x.reshape(steps, *one) for x in (by_load, by_given))]
+        totals: dict[str, Any] = dict.fromkeys(wanted, 0.0)
+        own: Any = getattr(self.operator, "storage_slopes", lambda *_: {})
+        if wanted and steps:
+            weights = -w.reshape(steps, -1, *one[1:])
+            middle = self.theta * fields[1:] + (1 - self.theta) * fields[:-1]
+            rates = np.diff(fields, axis=0) / self.step
+            for found in (
+                by_numbers(self.operator, wanted, middle, weights),
+                own(wanted, rates, weights),
+            ):
+                totals |= {name: totals[name] + np.asarray(slope) for name, slope in found.items()}
+        return [*by, totals]
+
+
+class _Stepped(torch.autograd.Function):
+    """Start [N, …], loads and what is given in each step, numbers to fields [steps + 1, N, …]."""
+
+    @staticmethod
+    def forward(ctx: Any, flow: Implicit, *given: torch.Tensor) -> torch.Tensor:
+        fields = torch.from_numpy(flow.there(*(one.detach().numpy() for one in given[:3])))
+        ctx.flow = flow
+        ctx.save_for_backward(fields, *given)
+        return fields
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        fields, *given = ctx.saved_tensors
+        numbers = dict(zip(ctx.flow.names, given[3:]))
+        wanted = [name for name, asked in zip(numbers, ctx.needs_input_grad[4:]) if asked]
+        p = upstream[0].clone(memory_format=torch.contiguous_format).numpy()
+        *by, found = ctx.flow.back(p, fields.detach().numpy(), wanted)
+        return None, *map(torch.from_numpy, by), *_shaped(found, numbers)
+
+
+def _shaped(found: Mapping[str, Any], numbers: Mapping[str, torch.Tensor]) -> Iterator[Any]:
+    """Derivatives to numbers in their shapes, None for those not found."""
+    for name, number in numbers.items():
+        slope = torch.as_tensor(found.get(name, 0.0), dtype=torch.float64)
+        whole = number.shape if slope.dim() == 0 else slope.shape
+        yield slope.expand(whole).reshape_as(number) if name in found else None
