@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import is_tensor, offered, placed, taken
-from warp_peri.dynamics.adjoint import moved
+from warp_peri.dynamics.adjoint import in_motion
 from warp_peri.dynamics.motion import Motion, refuse_learning
-from warp_peri.dynamics.verlet import march
 from warp_peri.edges.body import solve_body
 from warp_peri.edges.rim import Field, Traction
 from warp_peri.points.arrays import checked
@@ -80,11 +79,7 @@ class Dirichlet:
             (options,) = taken(options, "move", operator.march)
             return operator.march(self.b, self.u, **options)  # type: ignore[no-any-return]
         offered(operator, "product", "move", "a material that moves on points")
-        how, learned = taken(options, "move", march, moved)
-        fields = self.b, self.u, how.get("v"), how.get("signal")
-        if "parameters" in learned or any(map(is_tensor, fields)):
-            return moved(operator, self.b, self.u, **how | learned)
-        return march(operator, self.b, self.u, **how)
+        return in_motion(operator, self.b, self.u, options)
 
 
 @dataclass(frozen=True, eq=False)

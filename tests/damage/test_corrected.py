@@ -14,8 +14,10 @@ from warp_peri import InputError, Krylov, Points, move, solve
 from warp_peri.damage import Cracked, box, lattice_body, penny, point_force, rectangle
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.operator import bond_weights, cut_matrix
+from warp_peri.dynamics.verlet import inertia
 from warp_peri.verification import cracks
 from warp_peri.verification.cracks import energy_release, tip_shift
+from warp_peri.verification.motion import frequency
 from warp_peri.verification.statics import UnitScale
 
 
@@ -129,6 +131,82 @@ def test_what_breaks_is_not_corrected():
         move(solid(), problem, events=1)
 
 
+HOW = {"density": 1000.0, "steps": 40, "every": 4}
+
+
+def waves(**given):
+    """A cracked plate with free edges, held at one end, and what moves it."""
+    x, seen = rectangle(10, 8, 1.0), np.random.default_rng(0)
+    fields = {name: seen.normal(size=x.shape) for name in ("b", "u", "v")}
+    points = Points(x, x[:, 0] > -4, 1.0)
+    problem = Cracked(points, cracks=[[(0, 0), (5, 0)]], corrected=True)
+    return dataclasses.replace(problem, **given), fields
+
+
+def step_of(problem, model, share=0.9):
+    body = lattice_body(problem.points.x, 1.0, model.horizon)
+    cut = CutSolid(model, body, problem.held, cracks=problem.cracks, corrected=True, moves=True)
+    assert cut.stiffest_wave() >= np.linalg.eigvalsh(cut.matrix.toarray())[-1]
+    return share * 2 * np.sqrt(inertia(1000.0, model.units) / cut.stiffest_wave())
+
+
+def test_a_bar_swings_as_fast_as_the_theory_says_where_its_edges_are_corrected():
+    found = {}
+    for corrected in (False, True):
+        x, model = rectangle(40, 6, 1.0), solid().model
+        u = np.stack([np.sin(np.pi * x[:, 0] / 40), 0 * x[:, 0]], axis=1)
+        problem = Cracked(Points(x, np.ones(len(x), bool), 1.0), u=u, corrected=corrected)
+        omega = np.pi / 40 * np.sqrt(model.E / inertia(1000.0, model.units))
+        step = 2 * np.pi / omega / 400
+        run = move(model, problem, density=1000.0, step=step, steps=440, record=[239])
+        found[corrected] = frequency(run.time, run["u"][:, 0, 0]) / omega
+        assert run.drift < 1e-11
+    assert found[False] < 0.96
+    assert found[True] == pytest.approx(1, abs=3e-3)
+
+
+def test_waves_with_free_edges_have_the_derivatives_of_differences():
+    problem, fields = waves()
+    model = solid(0.4).model
+    step = step_of(problem, model)
+    fields["b"] *= inertia(1000.0, model.units) / step**2 / 50
+    fields["v"] /= 10 * step
+    weights = np.random.default_rng(1).normal(size=(3, *problem.points.x.shape))
+
+    def ends(b, u, v):
+        run = move(
+            model, dataclasses.replace(problem, b=b, u=u), v=v, step=step, record=[30], **HOW
+        )
+        w = weights if isinstance(run.u, np.ndarray) else torch.from_numpy(weights)
+        return (run.u * w[0]).sum() + step * (run.v * w[1]).sum() + (run["u"] * w[2, 30]).sum()
+
+    leaves = {name: torch.tensor(one, requires_grad=True) for name, one in fields.items()}
+    ends(**leaves).backward()
+    for number, (name, leaf) in enumerate(leaves.items()):
+        way = weights[number] * np.abs(fields[name]).max()
+
+        def along(t, name=name, way=way):
+            return ends(**fields | {name: fields[name] + t[0] * way})
+
+        slope = difference(along, [0.0], 0.1)[0]
+        assert (leaf.grad.numpy() * way).sum() == pytest.approx(slope, rel=1e-8)
+
+
+def test_waves_are_refused_where_they_may_grow():
+    problem, _ = waves(u=np.zeros((80, 2)))
+    model, free = solid().model, np.ones((80, 2), bool)
+    step = step_of(problem, model, 1.001)
+    with pytest.raises(InputError, match="step: expected at most"):
+        move(model, problem, step=step, **HOW)
+    free[0, 0] = False
+    for law, one in ((kernel("sign-changing", 3.0), problem),
+                     (model, dataclasses.replace(problem, free=free))):  # fmt: skip
+        with pytest.raises(InputError, match="move: expected one material with a positive"):
+            move(law, one, step=0.5 * step, **HOW)
+    with pytest.raises(InputError, match="corrected: expected False where bonds break"):
+        move(solid(), problem, step=0.5 * step, **HOW)  # which would not break
+
+
 @pytest.mark.parametrize("d", [2, 3])
 def test_a_force_on_an_edge_does_its_work_in_any_affine_displacement(d):
     x, h = 0.5 * box((8,) * d, 1.0), 0.5
@@ -216,3 +294,27 @@ def test_the_field_of_a_penny_is_at_rest_and_opens_as_sneddon_says():
     np.testing.assert_allclose(u(near)[:, 1], opening, rtol=0.05)
     far = np.array([[30.0, 40.0, 20.0]])
     np.testing.assert_allclose(u(far), far * [-nu, 1, -nu] / E, rtol=0.02)
+
+
+def test_the_field_of_a_crack_that_is_pressed_in_part_is_at_rest_and_meets_its_faces():
+    a, c, moduli, step = 2.0, 4.0, cracks.plane(7.0, 0.25), 0.01
+    lam, mu = moduli.C12, moduli.C44
+
+    def slopes(at):
+        ways = step * np.eye(2)
+        both = [
+            cracks.opened(at + w, a, c, moduli) - cracks.opened(at - w, a, c, moduli) for w in ways
+        ]
+        return np.stack(both, axis=2) / (2 * step)  # ∂_j u_i
+
+    def stress(at):
+        strain = (slopes(at) + slopes(at).swapaxes(1, 2)) / 2
+        return lam * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 2 * mu * strain
+
+    x = np.array([[1.0, 2.0], [-5.0, 0.7], [0.1, -3.0], [-0.1, 6.0]])
+    ways = step * np.eye(2)
+    force = sum((stress(x + w) - stress(x - w))[:, :, k] for k, w in enumerate(ways)) / (2 * step)
+    assert np.abs(force).max() < 1e-3 * np.abs(stress(x)).max()
+    faces = stress(np.array([[1.0, 0.02], [3.0, 0.02], [-1.0, -0.02]]))[:, 1]
+    np.testing.assert_allclose(faces, [[0, -1], [0, 0], [0, -1]], atol=0.02)
+    assert np.abs(stress(np.array([[60.0, 80.0]]))).max() < 1e-3

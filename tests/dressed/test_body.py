@@ -207,6 +207,16 @@ def test_a_free_bar_swings_as_the_theory_says():
         wp.move(body, wp.Dirichlet(points, None, u), step=1.02 * step, **how)
 
 
+def test_the_longest_step_is_the_same_in_all_units_and_every_time():
+    points = nodes(2, 8)
+    found = [solid().on(points, edges=True).stiffest_wave() for _ in range(2)]
+    law, units = solid(), ("m", "MPa")
+    metres = wp.Points(1e-10 * points.x, points.interior, 1e-10 * SPACING, units=units)
+    other = law.in_units(units).on(metres, edges=True).stiffest_wave()
+    assert found[0] == found[1]
+    assert other * 1e-20 / 1e6 == pytest.approx(found[0], rel=1e-12)
+
+
 def test_a_crack_parts_its_faces():
     """Two halves torn apart do not feel one another, through G neither."""
     law = solid(base="bonds", reach=2.0, size=0.05)

@@ -377,6 +377,8 @@ def rest(folder):
         ),
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
         lambda: wp.solve(finite(), wp.Dirichlet(sheet, *fields(sheet.x))),
+        lambda: wp.move(BrittleSolid(solid(2), 2.5, toughness=1.0),
+                        wp.Cracked(sheet, corrected=True), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found

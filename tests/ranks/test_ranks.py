@@ -317,12 +317,13 @@ def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
-    one, edge, long, none, rows, many = jobs[2]["refused"]
+    one, edge, long, none, rows, edges, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")
     assert edge.startswith("points: expected all bonds of every interior node, got 768 of 2704")
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
     assert rows.endswith("with third-order constants on ranks, got FiniteSolid")
+    assert "no pressure or correction, on ranks" in edges
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
 
 

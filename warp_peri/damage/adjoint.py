@@ -18,6 +18,7 @@ from warp_peri.core.tensors import as_tensor, differentiable_once, linear, refus
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import stretch_matrix
 from warp_peri.damage.softening import BondLaw
+from warp_peri.dynamics.adjoint import in_motion as in_motion
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.launch import zeros

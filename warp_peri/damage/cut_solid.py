@@ -43,6 +43,7 @@ class CutSolid(OnPoints):
         cracks: polylines, in space flat polygons, that cut it, instead.
         corrected: bonds that a node lacks, at edges and cracks, take the mean gradient of those
             that it has (C26).
+        moves: for waves alone; nothing need hold it, and it is not factorised.
 
     Attributes:
         matrix: L of (C4), symmetric, shape [d N, d N].
@@ -50,7 +51,8 @@ class CutSolid(OnPoints):
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
-    with negative eigenvalues, for a body of another horizon, and Krylov for another material.
+    with negative eigenvalues, for a body of another horizon, and Krylov for another material; of
+    one that moves for an influence function that changes sign, and nodes that are held in part.
     """
 
     is_linear = is_symmetric = True
@@ -65,6 +67,7 @@ class CutSolid(OnPoints):
         cracks: Sequence[ArrayLike] = (),
         corrected: bool = False,
         solver: Direct | Krylov | None = None,
+        moves: bool = False,
     ) -> None:
         self.model, self.body, self.corrected = material.linear, body, corrected
         self.solver = solver
@@ -75,7 +78,8 @@ class CutSolid(OnPoints):
         held = np.repeat(held[:, None], d, axis=1) if held.ndim == 1 else held
         if held.shape != (count, d):
             raise InputError(f"held: expected shape [{count}] or [{count}, {d}] of bool")
-        check_pieces(body, self.neighbour, held)
+        if not moves:
+            check_pieces(body, self.neighbour, held)
         bonds, uneven = bonds_of(self.model, body.classes), hasattr(material, "moduli")
         self.one = isinstance(self.model, Model) and not uneven
         if corrected and not (self.one or uneven):
@@ -87,10 +91,16 @@ class CutSolid(OnPoints):
         else:
             self.matrix = bond_matrix(body, self.neighbour, *bonds, corrected=corrected)
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
-        inner = self.matrix[self.free][:, self.free]
         squares = not uneven and not (bonds.stiffness < 0).any()
+        if moves and not (squares and (self.held == self.held[:, :1]).all()):
+            raise InputError(
+                "move: expected one material with a positive influence function, whose nodes are "
+                "held in all components or in none"
+            )
+        if moves:
+            return
         if self.one and not squares:
-            check_cut(inner)
+            check_cut(self.matrix[self.free][:, self.free])
         rows = sp.csr_array(self.matrix[self.free])
         how: dict[str, Any] = {"factorise": symmetric_factors}
         if isinstance(solver, Krylov):
@@ -171,8 +181,8 @@ class CutSolid(OnPoints):
         return force[:, self.inside]
 
     def stiffest_wave(self) -> float:
-        """Raises InputError: what moves is a BrittleSolid, which is held as its problem says."""
-        raise InputError("move: expected a Cracked of a BrittleSolid, got a cut solid at rest")
+        """A proven upper bound of Λmax L (S. Gershgorin, 1931) [stress / length²]."""
+        return float(abs(self.matrix).sum(axis=1).max())
 
     def energy(self, u: np.ndarray) -> Any:
         """Elastic energy [stress · length^d], bonds among held nodes included, shape [...]."""

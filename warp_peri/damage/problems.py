@@ -49,7 +49,7 @@ class Cracked:
             fluid (C13); of bodies in equilibrium.
         corrected: whether bonds that a node lacks, at edges and faces of cracks, take the mean
             gradient of those that it has, so that both are as stiff as the solid (C26); of bodies
-            in equilibrium.
+            in which no bond breaks.
 
     `solve` and `move` raise InputError for points that are no plain lattice, fields of other
     shapes or not finite, a piece that nothing holds, a material without a linear part, and one
@@ -123,6 +123,8 @@ class Cracked:
         """Bonds that break: in motion, event by event, or under loads that rise slowly.
 
         The options say which:
+            density: waves in any positive solid, whose bonds stay; with the options of
+                dynamics.verlet.march, and its tensors.
             step, steps: motion of a BrittleSolid. Also `progress`; `every`, `regions`, `sections`,
                 `watch`, `checkpoint`, `checkpoint_every`, `series`, `allow_unstable` (CrackRun);
                 `no_fail`, `grip`, `ramp` (BreakingBody); `v`, `count_cracks` (its start). The
@@ -137,8 +139,13 @@ class Cracked:
         body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
+        if "density" in options and not hasattr(material, "density"):
+            waves: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected}
+            cut = CutSolid(material, body, self.held, moves=True, **waves)
+            u = np.zeros_like(body.x) if self.u is None else self.u
+            return in_torch().in_motion(cut, self.b, u, options)  # type: ignore[no-any-return]
         if self.corrected:
-            raise InputError("corrected: expected False, a Cracked is corrected at rest alone")
+            raise InputError("corrected: expected False where bonds break; waves take a density")
         slow = "events" in options or "loads" in options
         if "loads" not in options:
             felt = self if slow else replace(self, b=None, u=None)

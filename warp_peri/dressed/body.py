@@ -362,8 +362,9 @@ class DressedBody(OnPoints):
             return float(self.factors.max()) * self.model.stiffest_wave()
         light = sp.diags_array(np.repeat(self.masses**-0.5, self.points.x.shape[1]))
         waves = light @ self.L @ light
-        value = eigsh(waves, 1, which="LA", tol=1e-4, return_eigenvectors=False)
-        return float(1.001 * value[0])
+        size, start = abs(waves).max(), np.random.default_rng(0).normal(size=waves.shape[0])
+        how: dict[str, Any] = {"tol": 1e-4, "v0": start, "return_eigenvectors": False}
+        return float(1.001 * size * eigsh(waves / size, 1, which="LA", **how)[0])  # in any units
 
     @cached_property
     def masses(self) -> np.ndarray:

@@ -30,7 +30,7 @@ import scipy.sparse as sp
 import torch
 from scipy.sparse.linalg import splu
 
-from warp_peri.contract import is_tensor
+from warp_peri.contract import is_tensor, taken
 from warp_peri.core.tensors import (
     as_tensor,
     by_numbers,
@@ -89,6 +89,15 @@ def moved(
     end, v, *records = _Moved.apply(waves, *given)  # type: ignore[no-untyped-call]
     history = waves.motion.history | dict(zip("u", records))
     return replace(waves.motion, u=end, v=v, history=history)
+
+
+def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
+    """The motion of verlet.march; of tensors, or with `parameters`, that of `moved`."""
+    how, learned = taken(options, "move", verlet.march, moved)
+    fields = b, u, how.get("v"), how.get("signal")
+    if "parameters" in learned or any(map(is_tensor, fields)):
+        return moved(operator, b, u, **how | learned)
+    return verlet.march(operator, b, u, **how)
 
 
 class _Waves:

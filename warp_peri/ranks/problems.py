@@ -482,9 +482,10 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         if not isinstance(problem, Cracked) or "step" not in options:
             raise InputError("move: expected a Dirichlet or Cracked, and step=…, steps=… on ranks")
         offered(material, "density", "move", "a BrittleSolid")
-        if material.by_energy or problem.pressure is not None:
+        if material.by_energy or problem.pressure is not None or problem.corrected:
             raise InputError(
-                "move: expected bonds that break by their stretch, and no pressure, on ranks"
+                "move: expected bonds that break by their stretch, and no pressure or correction, "
+                "on ranks"
             )
         check_same(material.units, piece.units)
         material.linear.check_dimension(piece)

@@ -156,6 +156,8 @@ def _tip_field(x: np.ndarray, model: Model) -> np.ndarray:
 NU = {"LPS": 0.3, "bond-based": 1 / 3, LEARNED: 0.3}
 HALF = 13
 """Spacings of a crack, and of its ligament; a spacing is a metre."""
+LONG = 32
+"""Spacings of a crack that is held against a calibrated stretch: what it spends depends on it."""
 LENGTHS = range(-2, 3)
 """Of a crack whose energies are compared, in spacings beyond its own."""
 
@@ -279,6 +281,45 @@ def slanted_crack(name: str, s: UnitScale, *, angle: bool = False) -> Outcome:
     return Outcome(float(np.sqrt(1000 * G / s.length / s.stiffness / (np.pi * a))), **told)
 
 
+def dugdale(name: str, s: UnitScale) -> Outcome:
+    """Tension over the yield stress under which strips as long as a crack close its tips, K = 0.
+
+    The strips |x| from a to c pull at the yield stress. That is tension less yield stress on an
+    endless sheet with a crack to c, and yield stress on the faces to a; K of both adds up. Each is
+    an energy release in a square whose sides have the field of the continuum.
+    """
+    a, c, moduli = HALF // 2, 2 * (HALF // 2), plane(1000.0, NU[name])
+    law, x = material(name, moduli.tensor, 1.0, s), rectangle(4.0 * c + 12, 4.0 * c + 12, 1.0)
+    points = Points(s.length * x, np.abs(x).max(axis=1) < 2 * c, s.length, units=s.units)
+    cracks = [[s.length * np.array([(-c - d, 0.0), (c + d, 0.0)])] for d in LENGTHS]
+    faces = np.where((np.abs(x) < (a, 1)).all(axis=1), np.sign(x[:, 1]), 0.0)[:, None] * [0.0, 1.0]
+    far, inner = westergaard(x, c, 1.0, moduli.C12, moduli.C44), opened(x, a, c, moduli)
+    K = list[float]()
+    for u, b in ((far, 0 * faces), (inner, faces)):
+        how: dict[str, Any] = {"cracks": cracks[LENGTHS.index(0)], "corrected": True}
+        problem = Cracked(points, s.stiffness / s.length * b, s.length * u, **how)
+        G = energy_release(law, problem, cracks, shift=s.length * shift_of(name))
+        K.append(float(np.sqrt(G)))
+    ahead = 1 - K[1] / K[0]
+    return Outcome(ahead, None, x, far[:, 1] * (ahead - 1) + inner[:, 1], "u_y [m]")
+
+
+def opened(x: np.ndarray, a: float, c: float, moduli: Any) -> np.ndarray:
+    """u of a crack |x| < c with a unit pressure on its faces up to a < c, in an endless sheet.
+
+    Westergaard's function of a pair of forces, integrated over |x| < a.
+    """
+    lam, mu = moduli.C12, moduli.C44
+    kolosov, z, y = (lam + 3 * mu) / (lam + mu), x[:, 0] + 1j * x[:, 1], x[:, 1]
+    root, q, share = np.sqrt(z - c) * np.sqrt(z + c), np.sqrt(c**2 - a**2), np.arcsin(a / c)
+    turn = np.arctan(a * root / (z * q))
+    Z = 2 / np.pi * (share * z / root - turn)
+    integral = 2 / np.pi * (share * root - z * turn - a * np.arctan(q / root))
+    u = (kolosov - 1) / 2 * integral.real - y * Z.imag
+    v = (kolosov + 1) / 2 * integral.imag - y * Z.real
+    return np.asarray(np.stack([u, v], axis=1) / (2 * mu))
+
+
 def slanted(x: np.ndarray, a: float, moduli: Any) -> np.ndarray:
     """u of a crack |x| < a under unit tension at 45°: half of it opens, half of it slides."""
     lam, mu = moduli.C12, moduli.C44
@@ -337,13 +378,10 @@ def griffith(name: str, s: UnitScale, *, calibrated: bool = False) -> Outcome:
     ratio = apparent_toughness(law, h)
     if not calibrated:
         return Outcome(float(np.sqrt(ratio)))
-    x = h * rectangle(2.0 * HALF, 2.0 * HALF + 6, 1.0)
-    points, classes = (
-        Points(x, np.abs(x[:, 1]) < HALF * h, h, units=s.units),
-        bond_classes(h, 3 * h),
-    )
-    problem = Cracked(points, u=x * (0.0, 1.0), cracks=[[(-h - HALF * h, 0.0), (0.0, 0.0)]])
-    growth = problem.moved(law, {"events": 3 * cut_by_spacing(classes)})
+    x, classes = h * rectangle(2.0 * LONG, 2.0 * LONG + 6, 1.0), bond_classes(h, 3 * h)
+    points = Points(x, np.abs(x[:, 1]) < LONG * h, h, units=s.units)
+    problem = Cracked(points, u=x * (0.0, 1.0), cracks=[[(-h - LONG * h, 0.0), (0.0, 0.0)]])
+    growth = problem.moved(law, {"events": 2 * cut_by_spacing(classes)})
     told = spent(growth, classes, tips=1) / unit_toughness(law, classes)
     shown = {"x": x / h, "shown": growth.u[:, 1] / np.abs(growth.u).max(), "label": "u_y"}
     return Outcome(float(np.sqrt(told / ratio)), **shown)

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from warp_peri import launch
-from warp_peri.damage.lattice_body import box, rectangle
+from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.damage.lattice_body import box, lattice_body, rectangle
 from warp_peri.damage.problems import Cracked
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.dynamics.verlet import critical_time_step, inertia
@@ -71,11 +72,12 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
 
 def bar(name: str, s: UnitScale, *, twist: bool = False) -> Outcome:
     """Frequency of a free bar over that of the theory, stretched along x, or twisted about z."""
-    h, sides = s.length, (60, 8) if not twist else (9, 9, 60)
-    nu = 1 / 3 if not twist else 0.25
+    h, dressed = s.length, name == "dressed elements"
+    thick, far = (9, 60) if dressed else (22, 88)
+    sides, nu = ((thick, thick, far), 0.25) if twist else ((60, 8), 1 / 3)
     C = THIRD if not twist else solid(1.0, nu)
     law, far = material(name, C, 1.0, s), max(sides)
-    dressed = name == "dressed elements"
+    law = law if dressed or not twist else replace(law, horizon=2 * h)
     x = box([n + dressed for n in sides], 1.0)
     if twist:
         shape = np.sin(np.pi * x[:, 2] / far)[:, None]
@@ -89,25 +91,18 @@ def bar(name: str, s: UnitScale, *, twist: bool = False) -> Outcome:
     omega = np.pi / (far * h) * speed * np.sqrt(s.stiffness / inertia(DENSITY, s.units))
     node = int(np.argmax(np.abs(u).max(axis=1)))
     axis = int(np.argmax(np.abs(u[node])))
-    if dressed:
-        body = law.on(points, edges=True)
-        step = 0.3 * float(2 * np.sqrt(inertia(DENSITY, s.units) / body.stiffest_wave()))
-        how: dict[str, Any] = {"density": DENSITY, "record": [node]}
-        problem: Any = Dirichlet(points, None, h * u)
-    else:
-        heavy = inertia(DENSITY, s.units)
-        law = replace(law, horizon=2 * h) if twist else law
-        body = BrittleSolid(law, heavy, critical_stretch=1.0)
-        step, problem = 0.3 * body.longest_step(h), Cracked(points, u=h * u)
-        how = {"every": 1, "regions": {"end": np.arange(len(x)) == node}}
-    steps = int(1.1 * 2 * np.pi / omega / step)
-    run = move(body, problem, step=step, steps=steps, **how)
-    swing = run["u"][:, 0, axis] if dressed else run["u end"][:, axis]
-    told: dict[str, Any] = {
-        "x": run.time,
-        "shown": swing / h,
-        "label": "u at the end [m], over time",
-    }
+    body: Any = law.on(points, edges=True) if dressed else None
+    if not dressed:
+        cells, held = lattice_body(points.x, h, law.horizon), ~points.interior
+        body = CutSolid(law, cells, held, corrected=True, moves=True)
+    heavy = inertia(DENSITY, s.units)
+    longest = (0.3 if dressed else 0.9) * float(2 * np.sqrt(heavy / body.stiffest_wave()))
+    count = int(2 * np.pi / omega / longest) + 1  # a period, which no last digit of it moves
+    step, steps = 2 * np.pi / omega / count, int(1.1 * count)
+    problem = Dirichlet(body.points, None, h * u)
+    run = move(body, problem, density=DENSITY, step=step, steps=steps, record=[node])
+    swing = run["u"][:, 0, axis]
+    told: dict[str, Any] = {"x": run.time, "shown": swing / h, "label": "u at the end [m]"}
     return Outcome(frequency(run.time, swing) / omega, **told)
 
 
@@ -129,18 +124,29 @@ def kept(name: str, s: UnitScale) -> Outcome:
     return Outcome(max(float(lost), run.drift), **told)
 
 
-def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
-    """By how much a crack in a pulled glass plate outruns Rayleigh's wave, over it."""
-    nu, E, rho, h = {"LPS": 0.22, "bond-based": 1 / 3}[name], 64e3, 2450.0, 0.1 / cells
-    law = material(name, plane(E, nu).tensor, h, s)
-    heavy = inertia(rho, s.units)
-    glass = BrittleSolid(law, heavy, toughness=3.8e-6 * s.length * s.stiffness)
+def glass_plate(
+    name: str, s: UnitScale, h: float, E: float, rho: float, toughness: float, pull: float
+) -> tuple[BrittleSolid, Cracked, np.ndarray]:
+    """Glass, a plate of 100 by 40 mm that is cut to its middle and pulled, and its nodes [m]."""
+    law = material(name, plane(E, GLASS[name]).tensor, h, s)
+    glass = BrittleSolid(law, inertia(rho, s.units), toughness=toughness * s.length * s.stiffness)
     x = rectangle(0.1, 0.04, h)
     rim = np.abs(x[:, 1]) > 0.02 - h
-    b = np.where(rim, np.sign(x[:, 1]) / h, 0.0)[:, None] * [0, 1]
+    b = pull * np.where(rim, np.sign(x[:, 1]) / h, 0.0)[:, None] * [0, 1]
     points = Points(s.length * x, np.ones(len(x), bool), s.length * h, units=s.units)
     crack = s.length * np.array([(-0.051, 0.0), (0.0, 0.0)])
-    plate = Cracked(points, b * s.stiffness / s.length, cracks=[crack])
+    return glass, Cracked(points, b * s.stiffness / s.length, cracks=[crack]), x
+
+
+GLASS = {"LPS": 0.22, "bond-based": 1 / 3}
+"""ν of glass."""
+
+
+def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
+    """By how much a crack in a pulled glass plate outruns Rayleigh's wave, over it."""
+    nu, E, h = GLASS[name], 64e3, 0.1 / cells
+    glass, plate, x = glass_plate(name, s, h, E, 2450.0, 3.8e-6, 1.0)
+    rim = np.abs(x[:, 1]) > 0.02 - h
     step = 0.4 * glass.longest_step(s.length * h)
 
     def tip(damage: np.ndarray) -> float:
@@ -149,11 +155,29 @@ def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
     told: dict[str, Any] = {"every": 20, "no_fail": rim, "watch": {"tip": tip}}
     run = move(glass, plate, step=step, steps=4 * cells, **told)
     fast = np.polyfit(run.time[-8:], run["tip"][-8:] * s.length, 1)[0]
-    shear = np.sqrt(s.stiffness * E / 2 / (1 + nu) / heavy)
+    shear = np.sqrt(s.stiffness * E / 2 / (1 + nu) / glass.density)
     rayleigh = (0.862 + 1.14 * nu) / (1 + nu) * shear
     note, label = f"it runs at {fast / rayleigh:.2f} of Rayleigh's speed", "share of broken bonds"
     over = max(0.0, float(fast / rayleigh) - 1) if fast > 0 else np.nan  # one that stands
     return Outcome(over, None, x, run.details.damage, label, note)
+
+
+def branches(name: str, s: UnitScale, cells: int = 200) -> Outcome:
+    """Cracks that pass 10 mm before the right edge of a glass plate under a pull of 12 MPa."""
+    h = 0.1 / cells
+    glass, plate, x = glass_plate(name, s, h, 72e3, 2440.0, 1.35e-4, 12.0)
+    step = 0.8 * glass.longest_step(s.length * h)
+    steps = int(45e6 / np.sqrt(s.stiffness) / step)
+    rim = np.abs(x[:, 1]) > 0.02 - 3 * h
+    damage = move(glass, plate, step=step, steps=steps, every=steps, no_fail=rim).details.damage
+
+    def cracks(place: float) -> int:
+        y = np.sort(x[(np.abs(x[:, 0] - place) < h) & (damage > 0.35), 1])
+        return len(y[:1]) + int(np.count_nonzero(np.diff(y) > 1.5e-3))
+
+    split = next((at for at in np.unique(x[:, 0]) if at > 0 and cracks(at) > 1), np.nan)
+    note = f"it branches {1e3 * split + 50:.0f} mm from the left"
+    return Outcome(float(cracks(0.04)), None, x, damage, "share of broken bonds", note)
 
 
 def hit(name: str, s: UnitScale, cells: int = 200) -> Outcome:
