@@ -19,7 +19,7 @@ from warp_peri.files.atomic import whole_file
 
 matplotlib.use("Agg")
 
-ABOVE = {"ncols": 2, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
+ABOVE: dict[str, Any] = {"ncols": 2, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
 """A legend above the axes."""
 
 
@@ -103,8 +103,10 @@ def name_lines(ax: Axes, size: float = 9) -> None:
 
 def field(ax: Axes, x: Any, values: Any, unit: str = "", most: Any = None, **how: Any) -> None:
     """A field over its nodes [N, 2] without gaps, with a colour bar; `most`: least and most."""
-    levels = np.linspace(*(most or (np.min(values), np.max(values))), 25)
-    drawn = ax.tricontourf(*np.asarray(x).T, values, levels=levels.tolist(), **how)
+    least, largest = most or (np.min(values), np.max(values))
+    first, second = np.asarray(x).T
+    levels: Any = np.linspace(least, largest, 25)
+    drawn: Any = ax.tricontourf(first, second, values, levels=levels, **how)
     ax.figure.colorbar(drawn, ax=ax, label=unit).locator = MaxNLocator(6)
     ax.set_aspect("equal")
 

@@ -162,7 +162,7 @@ def edge_of_safety(unsafe: np.ndarray) -> dict[str, str]:
 
 def draw_symbols(ax: Axes, smallest: np.ndarray) -> None:
     """Which degrees and horizons are stable: those of a smallest D(k)/s(k) above zero."""
-    row, column = np.indices(smallest.shape)
+    row, column = np.mgrid[: smallest.shape[0], : smallest.shape[1]]
     for label, style, some in ("stable", "C0o", smallest > 0), ("unstable", "C3X", smallest <= 0):
         ax.plot(np.array(RATIOS)[column[some]], row[some], style, label=label)
     ax.set_yticks(range(len(DEGREES)), [str(degree) for degree in DEGREES])
