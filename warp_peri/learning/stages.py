@@ -25,14 +25,13 @@ from warp_peri.learning.two_stage import (
     sign_changing_stage,
 )
 from warp_peri.lps.model import Model
-from warp_peri.micromodulus.learning import POOR
-from warp_peri.micromodulus.regression import moduli_of
+from warp_peri.micromodulus.learning import POOR, SPREADS
 from warp_peri.points.samples import WAVE_VECTOR
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.lagrangian import augmented_lagrangian
 from warp_peri.regression.optimum import Reached, constrained_optimum
 from warp_peri.regression.settings import LONG_WAVES, Optimum
-from warp_peri.third_order.fit import long_wave_equations
+from warp_peri.third_order.fit import long_wave_moduli
 
 SMALL_SHARE = 0.01
 """A residual loss is taken as it is when noise is less than this of its squares."""
@@ -82,8 +81,6 @@ def noise_share(data: TrainingData, start: Parameters) -> float:
 
 
 SAME_LOSS = 1e-6
-CHEAP = 1.05
-"""Moduli of long waves are held while the loss is no more than this times that without."""
 Tick = Callable[[float], None]
 
 
@@ -143,22 +140,24 @@ class Stages:
         )
 
     def hold(self, method: Optimum, name: str, start: Parameters) -> Optimum:
-        """The method with the moduli of long waves, where it asks for them and they cost little.
+        """The method with the moduli of long waves, where it asks for them and free ones miss them.
 
-        What they cost is measured from one start, named as in stage 3, which keeps what it reached.
+        Free ones are those of one start, named as in stage 3, which keeps what it reached.
         """
         free = dataclasses.replace(method, moduli=method.held)
         if method.moduli != LONG_WAVES or not self.data.grids or self.data.noise:
             return free
         try:
-            rows, right = zip(*map(long_wave_equations, self.data.sets))
-            (lam, mu, *_), misfit = moduli_of(np.concatenate(rows), np.concatenate(right))
-            held = dataclasses.replace(method, moduli=(float(lam), float(mu)))
-            alone, beside = (self._reach(start, one) for one in (free, held))
+            waves = long_wave_moduli(self.data.sets)
+            found = waves.lam, waves.mu
+            held = dataclasses.replace(method, moduli=found)
+            alone = self._reach(start, free)
+            own = alone.parameters.lam, alone.parameters.mu
+            apart = (np.abs(np.subtract(own, found)) > SPREADS * waves.errors).any()
+            beside = self._reach(start, held) if apart and waves.misfit <= POOR else alone
         except InputError:  # they do not tell, or a function is not defined where it was led
             return free
-        cheap = beside.converged and beside.loss <= CHEAP * alone.loss
-        taken = cheap and misfit <= POOR
+        taken = beside is not alone and beside.converged
         self.reached[name] = beside if taken else alone
         return held if taken else free
 
