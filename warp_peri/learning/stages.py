@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -13,8 +14,10 @@ from tqdm.auto import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.learning import LOSSES
+from warp_peri.core.stencil import difference_tensors
+from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.methods import Constrained, TwoStage
-from warp_peri.learning.response import STEPS, output_optimum, products, responses_of
+from warp_peri.learning.response import STEPS, as_model, output_optimum, products, responses_of
 from warp_peri.learning.result import LossChoice, Stage
 from warp_peri.learning.training_data import Scale, TrainingData
 from warp_peri.learning.two_stage import (
@@ -25,6 +28,7 @@ from warp_peri.learning.two_stage import (
     sign_changing_stage,
 )
 from warp_peri.lps.model import Model
+from warp_peri.micromodulus import Crystal
 from warp_peri.micromodulus.learning import POOR, SPREADS
 from warp_peri.points.samples import WAVE_VECTOR
 from warp_peri.regression.coordinates import Parameters
@@ -81,6 +85,8 @@ def noise_share(data: TrainingData, start: Parameters) -> float:
 
 
 SAME_LOSS = 1e-6
+MOST_NODES, MOST_REACH = 2000, 4
+"""Unknown nodes up to which a fit is compared with local elasticity, and its differences' reach."""
 Tick = Callable[[float], None]
 
 
@@ -240,6 +246,28 @@ class Stages:
         first = next(reached for reached in kept if reached.loss <= lowest * (1 + SAME_LOSS))
         parameters: Parameters = first.parameters
         return parameters
+
+    def worse_than_local(self, parameters: Parameters) -> bool:
+        """Whether the training displacement is better had from local elasticity of these moduli.
+
+        Local elasticity is of central differences; sets of many unknowns are not solved for this.
+        """
+        model, sets = as_model(parameters, self.data.horizon), self.data.sets
+        if any(np.count_nonzero(each.interior) > MOST_NODES for each in sets):
+            return False
+        one = np.eye(2)
+        swapped = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
+        C = parameters.lam * np.einsum("ij,kl->ijkl", one, one) + parameters.mu * swapped
+        errors = np.zeros(2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            for each in sets:
+                reach = max(1, min(MOST_REACH, int(self.data.horizon / each.spacing)))
+                steps, tensors = difference_tensors(C, reach)
+                local = Crystal(each.spacing, steps, tensors / each.spacing**2)
+                own = evaluate(model, each, allow_uncertified=True)
+                errors += [len(each) * found["E_u"] for found in (own, evaluate(local, each))]
+        return bool(errors[0] > errors[1])
 
     def output(self, start: Parameters, method: Optimum) -> Parameters:
         """Stage 4: on from there to the least misfit of displacement.
