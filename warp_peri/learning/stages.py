@@ -28,9 +28,10 @@ from warp_peri.learning.two_stage import (
     sign_changing_stage,
 )
 from warp_peri.lps.model import Model
+from warp_peri.lps.symbol import moduli
 from warp_peri.micromodulus import Crystal
 from warp_peri.micromodulus.learning import POOR, SPREADS
-from warp_peri.points.samples import WAVE_VECTOR
+from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.lagrangian import augmented_lagrangian
 from warp_peri.regression.optimum import Reached, constrained_optimum
@@ -85,7 +86,7 @@ def noise_share(data: TrainingData, start: Parameters) -> float:
 
 
 SAME_LOSS = 1e-6
-MOST_NODES, MOST_REACH = 2000, 4
+MOST_NODES, MOST_REACH = 2000, 8
 """Unknown nodes up to which a fit is compared with local elasticity, and its differences' reach."""
 Tick = Callable[[float], None]
 
@@ -158,14 +159,20 @@ class Stages:
             found = waves.lam, waves.mu
             held = dataclasses.replace(method, moduli=found)
             alone = self._reach(start, free)
-            own = alone.parameters.lam, alone.parameters.mu
-            apart = (np.abs(np.subtract(own, found)) > SPREADS * waves.errors).any()
-            beside = self._reach(start, held) if apart and waves.misfit <= POOR else alone
+            off = np.abs(self._moduli(alone.parameters) - found)
+            apart = (off > SPREADS * waves.errors).any() and waves.misfit <= POOR
+            beside = self._reach(start, held) if apart else alone
         except InputError:  # they do not tell, or a function is not defined where it was led
             return free
         taken = beside is not alone and beside.converged
         self.reached[name] = beside if taken else alone
         return held if taken else free
+
+    def _moduli(self, parameters: Parameters) -> np.ndarray:
+        """C12 and C44 of long waves on each lattice, shape [L, 2]."""
+        model = as_model(parameters, self.data.horizon)
+        found = [moduli(model, grid.classes) for grid in self.data.grids]
+        return np.array([[one["C12"], one["C44"]] for one in found])
 
     def two_stage(self, rough: Parameters, method: TwoStage, key: str) -> Parameters:
         """Stages 1 and 2, from a rough start; `key` says what a checkpoint depends on."""
@@ -262,11 +269,8 @@ class Stages:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
             for each in sets:
-                reach = max(1, min(MOST_REACH, int(self.data.horizon / each.spacing)))
-                steps, tensors = difference_tensors(C, reach)
-                local = Crystal(each.spacing, steps, tensors / each.spacing**2)
                 own = evaluate(model, each, allow_uncertified=True)
-                errors += [len(each) * found["E_u"] for found in (own, evaluate(local, each))]
+                errors += [len(each) * found["E_u"] for found in (own, _local(C, each))]
         return bool(errors[0] > errors[1])
 
     def output(self, start: Parameters, method: Optimum) -> Parameters:
@@ -296,6 +300,18 @@ class Stages:
             return reached.parameters
 
         return self._run("4 output error", STEPS, refined)
+
+
+def _local(C: np.ndarray, samples: Samples) -> dict[str, Any]:
+    """Errors of local elasticity, by the widest differences that the collar has nodes for."""
+    h = samples.spacing
+    for reach in range(MOST_REACH, 1, -1):
+        steps, tensors = difference_tensors(C, reach)
+        try:
+            return evaluate(Crystal(h, steps, tensors / h**2), samples)
+        except InputError:  # bonds reach beyond the collar
+            continue
+    return {"E_u": np.inf}
 
 
 def numbers(parameters: Parameters) -> tuple[Any, ...]:
