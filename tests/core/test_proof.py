@@ -10,9 +10,9 @@ import warp_peri as wp
 from tests.micromodulus.crystals import learned, random_law
 from tests.support.problems import KERNELS, difference, kernel
 from warp_peri.core import proof
+from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import Proof, largest, long_wave_radius, parts, prove
-from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.stencil import (
     Stencil,
     difference_tensors,

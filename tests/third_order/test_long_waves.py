@@ -49,9 +49,10 @@ def test_stresses_are_slopes_of_their_energies():
     def energies(H: np.ndarray) -> np.ndarray:
         small = (H + H.swapaxes(-1, -2)) / 2
         E = small + H.swapaxes(-1, -2) @ H / 2
-        theta, dev = np.trace(E, axis1=-2, axis2=-1), E - 0.5 * np.eye(2) * np.trace(
-            E, axis1=-2, axis2=-1
-        )[..., None, None]
+        theta, dev = (
+            np.trace(E, axis1=-2, axis2=-1),
+            E - 0.5 * np.eye(2) * np.trace(E, axis1=-2, axis2=-1)[..., None, None],
+        )
         q = (dev**2).sum(axis=(-1, -2))
         z = ((E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]) * turn**2
         linear = np.trace(small, axis1=-2, axis2=-1)
@@ -81,7 +82,8 @@ def test_fourth_order_is_taken_where_the_fields_have_it():
     found = long_wave_moduli([samples])
     assert {"third order", "q²"} <= set(found.terms)
     off = np.abs([found.lam - LAM, found.mu - MU])
-    assert (off < 5e-3 * MU).all() and (found.errors < 5e-3 * MU).all()
+    assert (off < 5e-3 * MU).all()
+    assert (found.errors < 5e-3 * MU).all()
 
 
 def test_an_axis_that_is_not_stated_is_learned():

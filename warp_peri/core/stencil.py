@@ -198,7 +198,7 @@ def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
-    """As q1_tensors, of central differences of order 2 `reach`: waves err by (k h) to that power."""
+    """As q1_tensors, of central differences of order 2 reach: waves err by (k h) to that power."""
     d, m = elastic.shape[0], np.arange(1, reach + 1)
     ways = np.cumprod((reach + 1 - m) / (reach + m))  # r!²/((r − m)! (r + m)!)
     first = -((-1.0) ** m) * ways / m

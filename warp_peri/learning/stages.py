@@ -12,9 +12,9 @@ import joblib
 import numpy as np
 from tqdm.auto import tqdm
 
+from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError
 from warp_peri.learning import LOSSES
-from warp_peri.core.stencil import difference_tensors
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.methods import Constrained, TwoStage
 from warp_peri.learning.response import STEPS, as_model, output_optimum, products, responses_of
@@ -30,7 +30,7 @@ from warp_peri.learning.two_stage import (
 from warp_peri.lps.model import Model
 from warp_peri.lps.symbol import moduli
 from warp_peri.micromodulus import Crystal
-from warp_peri.micromodulus.learning import POOR, SPREADS
+from warp_peri.micromodulus.learning import AGREE, POOR, SPREADS
 from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.lagrangian import augmented_lagrangian
@@ -160,11 +160,13 @@ class Stages:
             held = dataclasses.replace(method, moduli=found)
             alone = self._reach(start, free)
             off = np.abs(self._moduli(alone.parameters) - found)
-            apart = (off > SPREADS * waves.errors).any() and waves.misfit <= POOR
-            beside = self._reach(start, held) if apart else alone
+            sure = waves.errors.max() <= AGREE * (waves.lam + 2 * waves.mu)
+            sure &= waves.misfit <= POOR
+            apart = (off > SPREADS * waves.errors).any()
+            beside = self._reach(start, held) if sure and apart else alone
         except InputError:  # they do not tell, or a function is not defined where it was led
             return free
-        taken = beside is not alone and beside.converged
+        taken = beside is not alone and beside.converged and beside.loss <= POOR**2
         self.reached[name] = beside if taken else alone
         return held if taken else free
 

@@ -250,29 +250,31 @@ def derived(lines: list[np.ndarray], orders: np.ndarray) -> np.ndarray:
     return fields
 
 
-DERIVATIVES = np.arange(5)
-
-
 def _bumps(t: np.ndarray, length: float, modes: int) -> np.ndarray:
     """sin⁴(π t) cos(m π t) on 0 < t < 1, with derivatives to length t."""
     found = []
     for m in range(modes + 1):
         # sin⁴ = (3 − 4 cos 2πt + cos 4πt)/8, a sum of cosines of whole numbers of half waves
         parts = [(3 / 8, m), (-1 / 4, m + 2), (-1 / 4, m - 2), (1 / 16, m + 4), (1 / 16, m - 4)]
-        found.append(sum(c * _cosines(np.pi * q / length, length * t) for c, q in parts))
+        waves = sum(
+            c * _derivatives(np.pi * q, np.cos(np.pi * q * t), np.sin(np.pi * q * t))
+            for c, q in parts
+        )
+        found.append(waves / length ** np.arange(5.0)[:, None])
     return np.array(found)
 
 
 def _waves(x: np.ndarray, length: float) -> np.ndarray:
     """1, cos and sin of the first wave of a period, with their derivatives."""
     k = 2 * np.pi / length
-    return np.array([_cosines(0.0, x), _cosines(k, x), _cosines(k, x - length / 4)])
+    cos, sin, one = np.cos(k * x), np.sin(k * x), np.ones(len(x))
+    pairs = (one, 0 * one), (cos, sin), (sin, -cos)
+    return np.array([_derivatives(q, *pair) for q, pair in zip((0.0, k, k), pairs)])
 
 
-def _cosines(k: float, x: np.ndarray) -> np.ndarray:
-    """cos k x and its derivatives, shape [5, n]."""
-    n = DERIVATIVES[:, None]
-    return np.asarray(k**n * np.cos(k * x + n * np.pi / 2))
+def _derivatives(k: float, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+    """Of cos k x, from itself and sin k x, shape [5, n]."""
+    return np.array([cos, -k * sin, -(k**2) * cos, k**3 * sin, k**4 * cos])
 
 
 def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -136,7 +137,7 @@ def _groups(turns: int) -> dict[str, slice]:
     sizes = {"linear": 2, "geometric": 2, "dispersion": 2 + turns, THIRD: 2 + turns}
     sizes |= {"θ⁴": 1, "θ²q": 1, "q²": 1, "θ z³": turns}
     ends = np.cumsum([0, *sizes.values()]).tolist()
-    return {name: slice(*pair) for name, pair in zip(sizes, zip(ends, ends[1:]))}
+    return {name: slice(*pair) for name, pair in zip(sizes, itertools.pairwise(ends))}
 
 
 def _columns(names: Sequence[str], groups: dict[str, slice]) -> list[slice]:
@@ -220,7 +221,7 @@ def _gradients(samples: Samples, kept: np.ndarray) -> np.ndarray:
                     raise InputError("moduli: expected nodes two spacings around the interior")
                 ends.append(samples.u[:, nodes])
             H[..., along] += weight / samples.spacing * (ends[0] - ends[1])
-    return np.einsum("ka,snkl->snal", axes, H, optimize=True)
+    return np.asarray(np.einsum("ka,snkl->snal", axes, H, optimize=True))
 
 
 def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
