@@ -201,8 +201,8 @@ def by_fields(name: str) -> dict[str, dict[str, Any]]:
     collar = 2 * WIDE if law.dimension == 2 else COLLAR
 
     def waves(longest: float, shortest: float, loads: int) -> Loads:
-        bounds = {"longest": longest, "shortest": shortest, "loads": loads, "collar": collar}
-        return wave_loads(atoms, h, **bounds, seed=next(seed))
+        bounds = {"longest": longest, "shortest": shortest}
+        return wave_loads(atoms, h, **bounds, loads=loads, seed=next(seed), collar=collar)
 
     smooth, rough = waves(18.0, 4.0, 6).samples, waves(18.0, 2.7, 6).samples
     u, b = (np.concatenate(both) for both in ((smooth.u, rough.u), (smooth.loads, rough.loads)))
