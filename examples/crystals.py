@@ -32,7 +32,7 @@ from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum
 from warp_peri.micromodulus import Crystal, from_phonons, tensors_of
 from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.structures.phonons import Loads, placed_errors, wave_loads
+from warp_peri.structures.phonons import COLLAR, Loads, placed_errors, wave_loads
 
 UNITS = ("angstrom", "TPa")
 CUBIC = {"GX": (1, 0, 0), "GK": (1, 1, 0), "GL": (1, 1, 1)}
@@ -40,6 +40,8 @@ HEXAGONAL = {"GK": (1, 0, 0), "GM": (0, 1, 0), "GA": (0, 0, 1)}
 SHELLS = {2: {12: 2.0, 20: 2.5, 28: 3.0, 48: 4.0}, 3: {32: 2.0, 56: 5**0.5, 80: 6**0.5, 122: 3.0}}
 """Horizons over the spacing, by their number of bonds."""
 USUAL_BONDS = {2: 20, 3: 80}
+WIDE = 4
+"""Spacings of the horizon of an LPS of sheets, as in the first command."""
 ON_LOADS = ("waves", "short", "ball", "void", "ball_at_rest")
 """Of the ball: by the law of the crystal as its surface squeezes it, and of the crystal at rest."""
 
@@ -196,10 +198,11 @@ def by_fields(name: str) -> dict[str, dict[str, Any]]:
     law = learned(name, atoms)
     h, seed = law.spacing, iter((5, 6, 2, 3))
 
+    collar = 2 * WIDE if law.dimension == 2 else COLLAR
+
     def waves(longest: float, shortest: float, loads: int) -> Loads:
-        return wave_loads(
-            atoms, h, longest=longest, shortest=shortest, loads=loads, seed=next(seed)
-        )
+        bounds = {"longest": longest, "shortest": shortest}
+        return wave_loads(atoms, h, **bounds, loads=loads, seed=next(seed), collar=collar)
 
     smooth, rough = waves(18.0, 4.0, 6).samples, waves(18.0, 2.7, 6).samples
     u, b = (np.concatenate(both) for both in ((smooth.u, rough.u), (smooth.loads, rough.loads)))
@@ -217,7 +220,7 @@ def by_fields(name: str) -> dict[str, dict[str, Any]]:
             solid = LPS(2 * h, Bernstein(2), method=Optimum(moduli=held))
             laws[key] = tensors_of(wp.fit(train, solid).material, h)
     if law.dimension == 2:
-        laws["isotropic, fields"] = tensors_of(wp.fit(train, LPS(law.horizon)).material, h)
+        laws["isotropic, fields"] = tensors_of(wp.fit(train, LPS(WIDE * h)).material, h)
     found = {
         key: {"moduli": one.moduli("GPa")}
         | {on: loads.errors_of(one)[1] for on, loads in zip(ON_LOADS, unseen)}

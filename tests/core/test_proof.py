@@ -10,9 +10,18 @@ import warp_peri as wp
 from tests.micromodulus.crystals import learned, random_law
 from tests.support.problems import KERNELS, difference, kernel
 from warp_peri.core import proof
+from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import Proof, largest, long_wave_radius, parts, prove
-from warp_peri.core.stencil import Stencil, half_ball, laplacian, laplacian_stencil, ratios, squared
+from warp_peri.core.stencil import (
+    Stencil,
+    difference_tensors,
+    half_ball,
+    laplacian,
+    laplacian_stencil,
+    ratios,
+    squared,
+)
 from warp_peri.lps.model import lps_stencil
 
 NOTHING = {d: np.array([np.eye(d), -np.eye(d)], dtype=int) for d in (2, 3)}
@@ -189,3 +198,15 @@ def test_what_was_sampled_is_no_number_of_ones_own(tmp_path):
             wp.load(tmp_path / "law.json")
     wp.save(tmp_path / "law.json", law)
     assert wp.load(tmp_path / "law.json").certificate.statement == law.certificate.statement
+
+
+@pytest.mark.parametrize("reach", [1, 2, 4])
+def test_differences_of_elasticity_have_their_order(reach):
+    """Their symbol is that of the local solid, to (k h) to the power of twice their reach."""
+    C, k = from_voigt(plane_isotropic(0.3, 0.7)), np.array([0.3, 0.5])
+    halvings = 0.5 ** np.arange(3)
+    stencil = Stencil(1.0, *difference_tensors(C, reach))
+    local = np.einsum("ijkl,j,l->ik", C, k, k)
+    wrong = [np.abs(stencil.symbol(t * k[None])[0] / t**2 - local).max() for t in halvings]
+    rate = np.polyfit(np.log(halvings), np.log(wrong), 1)[0]
+    assert rate == pytest.approx(2 * reach, abs=0.1)

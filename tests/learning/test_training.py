@@ -125,7 +125,7 @@ def test_two_stage_stops_after_two_stages(monkeypatch):
     def asked(_):
         raise RuntimeError("Algorithm 1 asks for no moduli of long waves")
 
-    monkeypatch.setattr(stages, "long_wave_equations", asked)
+    monkeypatch.setattr(stages, "long_wave_moduli", asked)
     points, _ = data("sign-changing", 3.0)
     learned = fit(points, horizon=3.0, kernel=Bernstein(5), method=QUICK)
     assert [stage.name[0] for stage in learned.history] == ["1", "2"]

@@ -197,6 +197,25 @@ def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return steps, (tensors + tensors.transpose(0, 2, 1)) / 2
 
 
+def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
+    """As q1_tensors, of central differences of order 2 reach: waves err by (k h) to that power."""
+    d, m = elastic.shape[0], np.arange(1, reach + 1)
+    ways = np.cumprod((reach + 1 - m) / (reach + m))  # r!²/((r − m)! (r + m)!)
+    first = -((-1.0) ** m) * ways / m
+    found = [
+        (step * np.eye(d, dtype=int)[a], 2 * weight / step * elastic[:, a, :, a])
+        for a in range(d)
+        for step, weight in zip(m, first)
+    ]
+    for a, b in itertools.combinations(range(d), 2):
+        mixed = elastic[:, a, :, b] + elastic[:, b, :, a]
+        for (i, one), (j, two), sign in itertools.product(zip(m, first), zip(m, first), (1, -1)):
+            step = i * np.eye(d, dtype=int)[a] + sign * j * np.eye(d, dtype=int)[b]
+            found.append((step, sign * one * two * mixed))
+    steps, tensors = (np.array(values) for values in zip(*found))
+    return steps, (tensors + tensors.transpose(0, 2, 1)) / 2
+
+
 @dataclass(frozen=True, eq=False)
 class Basis:
     """Half of a family, ξ and −ξ being one bond, and the tensors that a group allows on it.

@@ -172,6 +172,10 @@ def _linear(
     optimum = stages.hold(_second(method), probe, starts[probe])
     depends = (bernstein, conditions, normalise, choice.name)
     final = _learned(stages, starts, rough, method, optimum, depends)
+    unasked = responds and loss == "auto" and choice.name == "residual"
+    if unasked and isinstance(optimum.moduli, tuple) and stages.worse_than_local(final):
+        choice = LossChoice("output", "the residual's optimum is worse than local elasticity")
+        final = stages.output(final, optimum)
     consistency.check(final)
     check_explained(final, choice.name)
     warn_of_bounds(final, data, scale, method)

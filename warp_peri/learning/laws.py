@@ -40,7 +40,8 @@ class LPS:
             Algorithm 1 of You et al. (2021); Constrained() takes Adam there, and checks it.
         conditions: what must hold on every lattice.
         loss: "residual" is (10); "corrected" takes off what noise adds to it; "output" goes on to
-            fit displacement; "auto" takes the residual where noise does not matter.
+            fit displacement; "auto" takes the residual where noise does not matter, unless local
+            elasticity of the same moduli has the better training displacement.
         normalise: divide each sample by ‖b‖ in the residual.
 
     `fit` raises InputError for a horizon below one spacing and for settings of other kinds;

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -11,10 +12,12 @@ import joblib
 import numpy as np
 from tqdm.auto import tqdm
 
+from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError
 from warp_peri.learning import LOSSES
+from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.methods import Constrained, TwoStage
-from warp_peri.learning.response import STEPS, output_optimum, products, responses_of
+from warp_peri.learning.response import STEPS, as_model, output_optimum, products, responses_of
 from warp_peri.learning.result import LossChoice, Stage
 from warp_peri.learning.training_data import Scale, TrainingData
 from warp_peri.learning.two_stage import (
@@ -25,14 +28,15 @@ from warp_peri.learning.two_stage import (
     sign_changing_stage,
 )
 from warp_peri.lps.model import Model
-from warp_peri.micromodulus.learning import POOR
-from warp_peri.micromodulus.regression import moduli_of
-from warp_peri.points.samples import WAVE_VECTOR
+from warp_peri.lps.symbol import moduli
+from warp_peri.micromodulus import Crystal
+from warp_peri.micromodulus.learning import AGREE, POOR, SPREADS
+from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.lagrangian import augmented_lagrangian
 from warp_peri.regression.optimum import Reached, constrained_optimum
 from warp_peri.regression.settings import LONG_WAVES, Optimum
-from warp_peri.third_order.fit import long_wave_equations
+from warp_peri.third_order.fit import long_wave_moduli
 
 SMALL_SHARE = 0.01
 """A residual loss is taken as it is when noise is less than this of its squares."""
@@ -82,8 +86,8 @@ def noise_share(data: TrainingData, start: Parameters) -> float:
 
 
 SAME_LOSS = 1e-6
-CHEAP = 1.05
-"""Moduli of long waves are held while the loss is no more than this times that without."""
+MOST_NODES, MOST_REACH = 2000, 8
+"""Unknown nodes up to which a fit is compared with local elasticity, and its differences' reach."""
 Tick = Callable[[float], None]
 
 
@@ -143,24 +147,34 @@ class Stages:
         )
 
     def hold(self, method: Optimum, name: str, start: Parameters) -> Optimum:
-        """The method with the moduli of long waves, where it asks for them and they cost little.
+        """The method with the moduli of long waves, where it asks for them and free ones miss them.
 
-        What they cost is measured from one start, named as in stage 3, which keeps what it reached.
+        Free ones are those of one start, named as in stage 3, which keeps what it reached.
         """
         free = dataclasses.replace(method, moduli=method.held)
         if method.moduli != LONG_WAVES or not self.data.grids or self.data.noise:
             return free
         try:
-            rows, right = zip(*map(long_wave_equations, self.data.sets))
-            (lam, mu, *_), misfit = moduli_of(np.concatenate(rows), np.concatenate(right))
-            held = dataclasses.replace(method, moduli=(float(lam), float(mu)))
-            alone, beside = (self._reach(start, one) for one in (free, held))
+            waves = long_wave_moduli(self.data.sets)
+            found = waves.lam, waves.mu
+            held = dataclasses.replace(method, moduli=found)
+            alone = self._reach(start, free)
+            off = np.abs(self._moduli(alone.parameters) - found)
+            sure = waves.errors.max() <= AGREE * (waves.lam + 2 * waves.mu)
+            sure &= waves.misfit <= POOR
+            apart = (off > SPREADS * waves.errors).any()
+            beside = self._reach(start, held) if sure and apart else alone
         except InputError:  # they do not tell, or a function is not defined where it was led
             return free
-        cheap = beside.converged and beside.loss <= CHEAP * alone.loss
-        taken = cheap and misfit <= POOR
+        taken = beside is not alone and beside.converged and beside.loss <= POOR**2
         self.reached[name] = beside if taken else alone
         return held if taken else free
+
+    def _moduli(self, parameters: Parameters) -> np.ndarray:
+        """C12 and C44 of long waves on each lattice, shape [L, 2]."""
+        model = as_model(parameters, self.data.horizon)
+        found = [moduli(model, grid.classes) for grid in self.data.grids]
+        return np.array([[one["C12"], one["C44"]] for one in found])
 
     def two_stage(self, rough: Parameters, method: TwoStage, key: str) -> Parameters:
         """Stages 1 and 2, from a rough start; `key` says what a checkpoint depends on."""
@@ -242,6 +256,25 @@ class Stages:
         parameters: Parameters = first.parameters
         return parameters
 
+    def worse_than_local(self, parameters: Parameters) -> bool:
+        """Whether the training displacement is better had from local elasticity of these moduli.
+
+        Local elasticity is of central differences; sets of many unknowns are not solved for this.
+        """
+        model, sets = as_model(parameters, self.data.horizon), self.data.sets
+        if any(np.count_nonzero(each.interior) > MOST_NODES for each in sets):
+            return False
+        one = np.eye(2)
+        swapped = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
+        C = parameters.lam * np.einsum("ij,kl->ijkl", one, one) + parameters.mu * swapped
+        errors = np.zeros(2)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            for each in sets:
+                own = evaluate(model, each, allow_uncertified=True)
+                errors += [len(each) * found["E_u"] for found in (own, _local(C, each))]
+        return bool(errors[0] > errors[1])
+
     def output(self, start: Parameters, method: Optimum) -> Parameters:
         """Stage 4: on from there to the least misfit of displacement.
 
@@ -269,6 +302,18 @@ class Stages:
             return reached.parameters
 
         return self._run("4 output error", STEPS, refined)
+
+
+def _local(C: np.ndarray, samples: Samples) -> dict[str, Any]:
+    """Errors of local elasticity, by the widest differences that the collar has nodes for."""
+    h = samples.spacing
+    for reach in range(MOST_REACH, 1, -1):
+        steps, tensors = difference_tensors(C, reach)
+        try:
+            return evaluate(Crystal(h, steps, tensors / h**2), samples)
+        except InputError:  # bonds reach beyond the collar
+            continue
+    return {"E_u": np.inf}
 
 
 def numbers(parameters: Parameters) -> tuple[Any, ...]:

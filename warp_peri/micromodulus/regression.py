@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -197,10 +196,13 @@ def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[n
     Returns v, shape [V, n], the numbers of the nodes it is on, and −Σ u·div(C : grad v) of each
     tensor, [S, V, d, m].
     """
-    grid, axes = lattice_steps(samples.points)
-    values, slopes, kept = _test_fields(samples, grid, modes)
+    axes = lattice_steps(samples.points)[1]
+    lines, kept = lines_of_waves(samples, modes)
+    one = np.eye(len(axes), dtype=int)
+    slopes = np.array([[derived(lines, j + k) for k in one] for j in one])
     u = (samples.u @ axes)[:, kept]
-    moments = np.einsum("vnjl,sni->svijl", slopes, u, optimize=True)
+    moments = np.einsum("jlvn,sni->svijl", slopes, u, optimize=True)
+    values = derived(lines, 0 * one[0])
     return values, kept, -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
 
 
@@ -219,61 +221,60 @@ def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
     return c / size, float(np.linalg.norm(R @ c - y) / np.linalg.norm(y))
 
 
-def _test_fields(samples: Samples, grid: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
-    """v, shape [V, n], ∂_j ∂_l v, shape [V, n, d, d], and the numbers of the nodes they are on.
+def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Long waves v by axis, with derivatives 0 to 4, [M, 5, n], and the numbers of their nodes.
 
-    Plane waves of a period; else products of sin⁴(π t) cos(m π t) on a box of interior nodes.
+    Plane waves of a period; else sin⁴(π t) cos(m π t) on a box of interior nodes.
     """
-    points = samples.points
+    points, grid = samples.points, lattice_steps(samples.points)[0]
     h, d = points.spacing, grid.shape[1]
     if points.box is not None:
-        kept = np.arange(len(grid))
-        x, length = grid * h, np.asarray(points.box)
-        lines = [_waves(x[:, a], length[a]) for a in range(d)]
-    else:
-        kept = _largest_box(grid, samples.interior)
-        low, high = grid[kept].min(axis=0) - 1, grid[kept].max(axis=0) + 1
-        if (high - low).min() < 8:
-            raise InputError(
-                f"moduli: expected an interior of at least 7 nodes each way to find them in, got "
-                f"{(high - low).min() - 1}; give them"
-            )
-        t = (grid[kept] - low) / (high - low)
-        lines = [_bumps(t[:, a], h * (high - low)[a], modes) for a in range(d)]
-    values, slopes = [], []
-    for numbers in itertools.product(range(len(lines[0])), repeat=d):
-        chosen = [lines[a][m] for a, m in enumerate(numbers)]
-        second = np.empty((len(kept), d, d))
-        for j, k in itertools.product(range(d), repeat=2):
-            order = [int(a == j) + int(a == k) for a in range(d)]
-            second[:, j, k] = np.prod([chosen[a][n] for a, n in enumerate(order)], axis=0)
-        values.append(np.prod([line[0] for line in chosen], axis=0))
-        slopes.append(second)
-    return np.array(values), np.array(slopes), kept
+        periods = np.asarray(points.box)
+        return [_waves(grid[:, a] * h, periods[a]) for a in range(d)], np.arange(len(grid))
+    kept = _largest_box(grid, samples.interior)
+    low, high = grid[kept].min(axis=0) - 1, grid[kept].max(axis=0) + 1
+    if (high - low).min() < 8:
+        raise InputError(
+            f"moduli: expected an interior of at least 7 nodes each way to find them in, got "
+            f"{(high - low).min() - 1}; give them"
+        )
+    t = (grid[kept] - low) / (high - low)
+    return [_bumps(t[:, a], h * (high - low)[a], modes) for a in range(d)], kept
 
 
-def _bumps(t: np.ndarray, length: float, modes: int) -> list[tuple[np.ndarray, ...]]:
-    """sin⁴(π t) cos(m π t) on 0 < t < 1, with its first and second derivative to length t."""
-    found: list[tuple[np.ndarray, ...]] = []
+def derived(lines: list[np.ndarray], orders: np.ndarray) -> np.ndarray:
+    """Products of one wave of each axis, derived so often along each, shape [V, n]."""
+    fields = np.ones((1, lines[0].shape[-1]))
+    for line, order in zip(lines, orders):
+        fields = (fields[:, None] * line[:, order]).reshape(-1, fields.shape[1])
+    return fields
+
+
+def _bumps(t: np.ndarray, length: float, modes: int) -> np.ndarray:
+    """sin⁴(π t) cos(m π t) on 0 < t < 1, with derivatives to length t."""
+    found = []
     for m in range(modes + 1):
         # sin⁴ = (3 − 4 cos 2πt + cos 4πt)/8, a sum of cosines of whole numbers of half waves
         parts = [(3 / 8, m), (-1 / 4, m + 2), (-1 / 4, m - 2), (1 / 16, m + 4), (1 / 16, m - 4)]
-        wave = [(size, np.pi * number) for size, number in parts]
-        found.append(
-            (
-                np.sum([c * np.cos(q * t) for c, q in wave], axis=0),
-                np.sum([-c * q * np.sin(q * t) for c, q in wave], axis=0) / length,
-                np.sum([-c * q * q * np.cos(q * t) for c, q in wave], axis=0) / length**2,
-            )
+        waves = sum(
+            c * _derivatives(np.pi * q, np.cos(np.pi * q * t), np.sin(np.pi * q * t))
+            for c, q in parts
         )
-    return found
+        found.append(waves / length ** np.arange(5.0)[:, None])
+    return np.array(found)
 
 
-def _waves(x: np.ndarray, length: float) -> list[tuple[np.ndarray, ...]]:
-    """1, cos and sin of the first wave of a period, with two derivatives."""
+def _waves(x: np.ndarray, length: float) -> np.ndarray:
+    """1, cos and sin of the first wave of a period, with their derivatives."""
     k = 2 * np.pi / length
     cos, sin, one = np.cos(k * x), np.sin(k * x), np.ones(len(x))
-    return [(one, 0 * one, 0 * one), (cos, -k * sin, -k * k * cos), (sin, k * cos, -k * k * sin)]
+    pairs = (one, 0 * one), (cos, sin), (sin, -cos)
+    return np.array([_derivatives(q, *pair) for q, pair in zip((0.0, k, k), pairs)])
+
+
+def _derivatives(k: float, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+    """Of cos k x, from itself and sin k x, shape [5, n]."""
+    return np.array([cos, -k * sin, -(k**2) * cos, k**3 * sin, k**4 * cos])
 
 
 def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:

@@ -23,7 +23,7 @@ class Optimum:
         moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
             the moduli of the discrete operator); "isotropic" holds that condition and learns λ
             and μ; None learns them freely. "long waves" holds those that the long waves of the
-            samples show (theory, 28a), where that costs the loss next to nothing.
+            samples show (theory, 28a), where free ones are two standard errors away.
         jobs: threads for the starts.
         rounds: most rounds of cutting planes.
         smoothness: weight η of the second differences of D beside the relative residual (28).

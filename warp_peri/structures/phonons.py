@@ -90,7 +90,14 @@ def relative(found: np.ndarray, true: np.ndarray, inside: np.ndarray) -> float:
 
 
 def wave_loads(
-    atoms: ForceConstants, spacing: float, *, longest: float, shortest: float, loads: int, seed: int
+    atoms: ForceConstants,
+    spacing: float,
+    *,
+    longest: float,
+    shortest: float,
+    loads: int,
+    seed: int,
+    collar: int = COLLAR,
 ) -> Loads:
     """Loads of six waves each with wavelengths between two bounds, in spacings, smoothed on nodes.
 
@@ -100,12 +107,13 @@ def wave_loads(
     Args:
         atoms: all of the crystal, which answers as its force constants say.
         spacing: of the nodes [Å].
+        collar: nodes around the interior, where there is no period.
     """
     d, count = atoms.dimension, len(atoms.positions)
     length = PERIOD * spacing
     cells_across = length * np.linalg.inv(atoms.cell[:d, :d])
     in_step = bool(np.abs(cells_across - np.rint(cells_across)).max() < 1e-6)
-    cells, collar = (PERIOD, 0) if in_step else (PART[d], COLLAR)
+    cells, collar = (PERIOD, 0) if in_step else (PART[d], collar)
     rng = np.random.default_rng(seed)
     k, force = zip(
         *(random_waves(rng, d, length, longest * spacing, shortest * spacing) for _ in range(loads))

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import time
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -32,6 +34,10 @@ CONSTANTS = 3
 """Columns of t3, tq2 and q3, the first ones."""
 REACH, MODES = 2, 2
 """Spacings that gradients of long waves reach over, and half waves of the fields that see them."""
+DIFFERENCES = ((1, 2 / 3), (2, -1 / 12))
+"""Of fourth order, over REACH spacings."""
+NOTHING = 1e-13
+"""Of equations of size one, that is rounding."""
 
 
 class NonlinearFeatures:
@@ -65,31 +71,184 @@ class NonlinearFeatures:
         return np.stack(columns, axis=2)
 
 
-def long_wave_equations(samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """What long waves say of λ, μ and, beside them, t3, tq2 and q3 (theory, 28a).
+@dataclass(frozen=True)
+class LongWaves:
+    """λ and μ that the long waves of fields have, and how sure they are (theory, 28a).
 
-    An axis that is not stated is taken along x: λ and μ hardly feel it.
-
-    Returns rows [n, 5] and right sides [n]. Raises InputError for samples that do not carry twice
-    the REACH, or see no long waves.
+    Attributes:
+        lam, mu: [stress].
+        errors: standard errors of both, each sample or test field left out in turn.
+        misfit: what is left of the loads on long waves, relative.
+        terms: that are taken beside λ and μ, each because it foretells what was left out.
     """
-    if samples.points.axis is None:
-        samples = replace(samples, points=replace(samples.points, axis=0.0))
-    reach = REACH * samples.spacing
-    classes = bond_classes(samples.spacing, reach)
-    own = classes.weight / classes.r
-    own /= (classes.count * classes.r**2) @ own
-    one = np.eye(2)
-    lame = np.einsum("ij,kl->ijkl", one, one), np.einsum("ik,jl->ijkl", one, one)
-    allowed = np.stack([lame[0], lame[1] + lame[1].transpose(0, 1, 3, 2)])
-    values, kept, moments = regression.long_wave_rows(samples, allowed, MODES)
-    extra = NonlinearFeatures(samples, reach, (own, own))(samples.u)
+
+    lam: float
+    mu: float
+    errors: np.ndarray
+    misfit: float
+    terms: tuple[str, ...]
+
+
+def long_wave_moduli(sets: Sequence[Samples]) -> LongWaves:
+    """λ and μ of the long waves of lattices in the plane, beside no more terms than foretell.
+
+    Dispersion, third order and each constant of fourth order are tried in turn: the best is taken
+    where its gain, on what is left out, is more than the standard error of the gain. An axis that
+    is not stated is learned.
+
+    Raises InputError for samples that see no long waves, or do not tell λ and μ.
+    """
+    turns = 1 if all(each.points.axis is not None for each in sets) else 2
+    tables, loads = zip(*(_long_wave_table(each, turns) for each in sets))
+    groups = _groups(turns)
+    R, y = np.concatenate(tables), np.concatenate(loads)
+    if len(R) < R.shape[1]:  # fewer samples than test fields
+        R, y = R.swapaxes(0, 1), y.swapaxes(0, 1)
+    parts = R.reshape(len(R), -1, R.shape[-1]), y.reshape(len(y), -1)
+    taken: tuple[str, ...] = ()
+    left = _foretold(*parts, _columns(taken, groups))[0]
+    while True:
+        tried = {
+            (*taken, name): _foretold(*parts, _columns((*taken, name), groups))[0]
+            for name in groups
+            if name not in taken and name not in LAME and (THIRD in taken or name in FIRST)
+        }
+        if not tried:
+            break
+        best = min(tried, key=lambda names: float(tried[names].sum()))
+        gain = left - tried[best]
+        if not gain.sum() > np.sqrt(len(gain)) * gain.std():
+            break
+        taken, left = best, tried[best]
+    columns = _columns(taken, groups)
+    flat = parts[0].reshape(-1, R.shape[-1]), parts[1].ravel()
+    (lam, mu, *_), misfit = regression.moduli_of(_mixed(flat[0], columns), flat[1])
+    drawn = _foretold(*parts, columns)[1]
+    errors = np.sqrt((len(drawn) - 1) * drawn.var(axis=0))
+    return LongWaves(float(lam), float(mu), errors, misfit, taken)
+
+
+LAME, THIRD, FIRST = ("linear", "geometric"), "third order", ("dispersion", "third order")
+"""Names of columns: λ and μ at small and at finite strain, and what may be tried first."""
+
+
+def _groups(turns: int) -> dict[str, slice]:
+    """Columns of each group, of a term with six periods a turn so many."""
+    sizes = {"linear": 2, "geometric": 2, "dispersion": 2 + turns, THIRD: 2 + turns}
+    sizes |= {"θ⁴": 1, "θ²q": 1, "q²": 1, "θ z³": turns}
+    ends = np.cumsum([0, *sizes.values()]).tolist()
+    return {name: slice(*pair) for name, pair in zip(sizes, itertools.pairwise(ends))}
+
+
+def _columns(names: Sequence[str], groups: dict[str, slice]) -> list[slice]:
+    """Of λ and μ first, with finite strain where anything nonlinear is taken."""
+    return [groups[name] for name in (LAME[THIRD in names], *names)]
+
+
+def _mixed(R: np.ndarray, columns: Sequence[slice]) -> np.ndarray:
+    return np.concatenate([R[..., some] for some in columns], axis=-1)
+
+
+def _foretold(
+    R: np.ndarray, y: np.ndarray, columns: Sequence[slice]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Squares that the other parts leave of each part [P], and their λ and μ, [P, 2]."""
+    R = _mixed(R, columns)
+    size = np.linalg.norm(R, axis=(0, 1))
+    R = R / np.where(size > 0, size, 1)
+    square, side = np.einsum("pra,prb->pab", R, R), np.einsum("pra,pr->pa", R, y)
+    others = square.sum(axis=0) - square, side.sum(axis=0) - side
+    c = (np.linalg.pinv(others[0], rcond=NOTHING, hermitian=True) @ others[1][..., None])[..., 0]
+    left = np.einsum("pra,pa->pr", R, c) - y
+    return (left**2).sum(axis=1), c[:, :2] / np.where(size > 0, size, 1)[:2]
+
+
+def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """What test fields see of every term, [S, V, 2, m], and of the loads, [S, V, 2].
+
+    Terms that have six periods a turn are `count`, 1 along the axis of the points or 2.
+    """
     axes = lattice_steps(samples.points)[1]
-    place = (np.cumsum(samples.interior) - 1)[kept]
-    seen = np.einsum("vn,snam,mk->svka", values, extra[:, place], axes, optimize=True)
-    y = np.einsum("vn,snk->svk", values, (samples.loads @ axes)[:, kept], optimize=True)
-    R = np.concatenate([moments + seen[..., CONSTANTS:], seen[..., :CONSTANTS]], axis=-1)
-    return R.reshape(-1, R.shape[-1]), y.ravel()
+    lines, kept = regression.lines_of_waves(samples, MODES)
+    u, b = (samples.u @ axes)[:, kept], (samples.loads @ axes)[:, kept]
+    axis = np.deg2rad(samples.points.axis or 0.0) - np.arctan2(axes[1, 0], axes[0, 0])
+    turn = np.exp(-1j * axis)
+
+    def seen(*orders: tuple[int, int]) -> np.ndarray:
+        """Σ u times the sum of derivatives of v, [S, V, 2]."""
+        field = sum(regression.derived(lines, np.array(one)) for one in orders)
+        return np.asarray(np.einsum("vn,snk->svk", field, u, optimize=True))
+
+    def elastic(*more: tuple[int, int]) -> list[np.ndarray]:
+        """−Σ u·div(C : grad v) of λ and of μ, of the sum of derivatives of v."""
+        xx, xy, yy = (
+            seen(*(tuple(np.add(one, two)) for one in more)) for two in ((2, 0), (1, 1), (0, 2))
+        )
+        mixed = np.stack([xx[..., 0] + xy[..., 1], xy[..., 0] + yy[..., 1]], axis=-1)
+        return [-mixed, -(xx + yy + mixed)]
+
+    linear = elastic((0, 0))
+    d = {n: seen((4 - n, n)) for n in range(5)}
+    sixfold = (d[0] - 6 * d[2] + d[4] + 4j * (d[1] - d[3])) * turn**6
+    whole = sixfold[..., 0] + 1j * sixfold[..., 1]  # (∂x + i∂y)⁴ with (1, i)(1, i) of u
+    six = [-np.stack([z.real, -z.imag], axis=-1) for z in (whole, -1j * whole)][:count]
+    slope = np.stack([regression.derived(lines, one) for one in np.eye(2, dtype=int)], axis=-1)
+    P = _stresses(_gradients(samples, kept), turn, count)
+    felt = [np.einsum("snkl,vnl->svk", one, slope, optimize=True) for one in P]
+    bent = elastic((2, 0), (0, 2))
+    geometric = [one + more for one, more in zip(linear, felt)]
+    table = np.stack([*linear, *geometric, *bent, *six, *felt[2:]], axis=-1)
+    values = regression.derived(lines, np.zeros(2, dtype=int))
+    return table, np.einsum("vn,snk->svk", values, b, optimize=True)
+
+
+def _gradients(samples: Samples, kept: np.ndarray) -> np.ndarray:
+    """∂u/∂x along the nodes' axes by differences over REACH spacings, [S, n, 2, 2]."""
+    grid, axes = lattice_steps(samples.points)
+    low = grid.min(axis=0)
+    size = grid.max(axis=0) - low + 1
+    place = np.full(size, -1)
+    place[tuple((grid - low).T)] = np.arange(len(grid))
+    H = np.zeros((len(samples.u), len(kept), 2, 2))
+    for along, step in enumerate(np.eye(2, dtype=int)):
+        for count, weight in DIFFERENCES:
+            ends = []
+            for way in (count, -count):
+                there = grid[kept] - low + way * step
+                outside = (there < 0) | (there >= size)
+                nodes = place[tuple((there % size).T)]
+                if (nodes < 0).any() or (samples.points.box is None and outside.any()):
+                    raise InputError("moduli: expected nodes two spacings around the interior")
+                ends.append(samples.u[:, nodes])
+            H[..., along] += weight / samples.spacing * (ends[0] - ends[1])
+    return np.asarray(np.einsum("ka,snkl->snal", axes, H, optimize=True))
+
+
+def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
+    """First Piola-Kirchhoff stress of each unit constant at H, those of λ and μ without H itself.
+
+    The energies are powers of θ = tr E, q = dev E : dev E and z, half the deviator as a complex
+    number along the axis: λ, μ, θ³, θq, Re z³ and Im z³, θ⁴, θ²q, q², θ Re z³ and θ Im z³.
+    """
+    one = np.eye(2)
+    F, transposed = one + H, H.swapaxes(-1, -2)
+    small = (H + transposed) / 2
+    E = small + transposed @ H / 2
+    theta, traced = (np.trace(e, axis1=-2, axis2=-1)[..., None, None] for e in (E, small))
+    dev = E - theta * one / 2
+    q = (dev**2).sum(axis=(-1, -2))[..., None, None]
+    z = (dev[..., 0, 0] + 1j * dev[..., 0, 1])[..., None, None] * turn**2
+    along = np.array([[1, 1j], [1j, -1]]) / 2 * turn**2  # dz/dE
+    cubes = [(z**3 * phase, 3 * z**2 * along * phase) for phase in (1, -1j)][:count]
+    found = [F @ (theta * one) - traced * one, F @ (2 * E) - 2 * small]
+    third = [3 * theta**2 * one, q * one + 2 * theta * dev, *(slope.real for _, slope in cubes)]
+    fourth = [
+        4 * theta**3 * one,
+        2 * theta * q * one + 2 * theta**2 * dev,
+        4 * q * dev,
+        *(cube.real * one + theta * slope.real for cube, slope in cubes),
+    ]
+    return found + [F @ S for S in third + fourth]
 
 
 @dataclass(frozen=True)
