@@ -12,7 +12,7 @@ import warp_peri as wp
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 MOST = {
-    "words": 45_490,
+    "words": 45_510,
     "words of the median page": 320,
     "words of the README": 509,
     "sentences above 30 words [%]": 0.0,
