@@ -63,7 +63,8 @@ class Scene:
             raise InputError(f"scene: expected two extents (x, y) [Å], got size {self.size!r:.60}")
         if not all(is_positive(v) and v < LARGEST for v in (*self.size, self.shortest_wave)):
             raise InputError(
-                f"scene: expected lengths > 0 Å, below {LARGEST:g}, got size {self.size}, wave {self.shortest_wave}"
+                f"scene: expected lengths > 0 Å, below {LARGEST:g}, got size "
+                f"{self.size}, wave {self.shortest_wave}"
             )
         if self.strain is not None and not is_positive(self.strain):
             raise InputError(f"scene: expected a strain > 0 or None, got {self.strain!r:.40}")

@@ -57,8 +57,8 @@ def test_stiffness_of_any_size(data, plain, stress):
     assert bound / stress == pytest.approx(plain.certificate.symbol_bound, rel=1e-4)
 
 
-@pytest.mark.parametrize("bounds, conditions", [("projected", "symbol"), ("relu", "dense")])
-@pytest.mark.parametrize("length, stress", [(1.0, 1e6), (1.0, 3e-6), (1e6, 1.0), (1e-6, 1.0)])
+@pytest.mark.parametrize(("bounds", "conditions"), [("projected", "symbol"), ("relu", "dense")])
+@pytest.mark.parametrize(("length", "stress"), [(1.0, 1e6), (1.0, 3e-6), (1e6, 1.0), (1e-6, 1.0)])
 def test_steps_that_end_on_their_way_are_those_of_any_size(bounds, conditions, length, stress):
     small = manufactured(TRUE, lattice(5, HORIZON), 5)
     how = TwoStage(bounds, conditions, epochs=40, inner_epochs=20, outer_iterations=2)

@@ -198,7 +198,7 @@ def test_fluids_and_loads_that_make_no_sense_are_refused():
     with pytest.raises(InputError, match="crack: expected float values"):
         Injected(points, "ab")
     for away in (100.0, -6.0):
-        there = dataclasses.replace(points, x=points.x + [0, away])
+        there = dataclasses.replace(points, x=points.x + np.array([0, away]))
         with pytest.raises(InputError, match="expected a body on both sides of its plane y = 0"):
             Injected(there, [2.0])
     for leak in (-1.0, "a", None):

@@ -106,8 +106,9 @@ class DenseMargins:
     """The three conditions (4.6) on the interior of each training set.
 
     Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
-    interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Γ and Φ are linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c. Where a domain is
-    its own mirror image the matrices fall into blocks, a tenth of the work with the same values.
+    interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Γ and Φ are
+    linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c. Where a domain is its own mirror image the
+    matrices fall into blocks, a tenth of the work with the same values.
     """
 
     def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
