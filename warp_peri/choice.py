@@ -14,7 +14,7 @@ from warp_peri.contract import linear_part
 from warp_peri.dressed.law import DressedSolid, transferred
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
-from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.points.arrays import LARGEST, check_positive, is_number, is_positive
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, factors, symbols
@@ -61,9 +61,10 @@ class Scene:
         pair = isinstance(self.size, (tuple, list, np.ndarray)) and np.ndim(self.size[:1]) == 1
         if not pair or len(self.size) != 2:
             raise InputError(f"scene: expected two extents (x, y) [Å], got size {self.size!r:.60}")
-        if not all(is_positive(v) for v in (*self.size, self.shortest_wave)):
+        if not all(is_positive(v) and v < LARGEST for v in (*self.size, self.shortest_wave)):
             raise InputError(
-                f"scene: expected lengths > 0 Å, got size {self.size}, wave {self.shortest_wave}"
+                f"scene: expected lengths > 0 Å, below {LARGEST:g}, got size "
+                f"{self.size}, wave {self.shortest_wave}"
             )
         if self.strain is not None and not is_positive(self.strain):
             raise InputError(f"scene: expected a strain > 0 or None, got {self.strain!r:.40}")
@@ -82,6 +83,7 @@ class Scene:
 
         Raises InputError for scattered points, and a problem without load and displacement.
         """
+        check_positive("modulus", modulus)
         points = nodes_of(problem.points)
         if not (points.spacing > 0 and points.dimension == 2):
             raise InputError("scene: expected a problem on a lattice in the plane")

@@ -48,8 +48,9 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     Args:
         material: as for `solve`.
         problem: what is given; its displacement is that of the start.
-        options: of the material's motion: `step` and `steps`, `density`, `every` (steps between two
-            records), `record` (nodes), `checkpoint`, `progress`; see the `moved` of the problem.
+        options: of the material's motion: `step` [ps] and `steps`, `density` [kg/m³], `every`
+            (steps between two records), `record` (nodes), `checkpoint`, `progress`; see the
+            `moved` of the problem.
 
     Returns:
         The motion: times, histories by name, the fields at the end. Waves, heat and coupled fields

@@ -155,6 +155,8 @@ def test_energy_over_a_hundred_thousand_steps():
         ({"step": 1.0}, "step: expected at most"),
         ({"steps": 0}, "steps: expected a whole number"),
         ({"every": 1.5}, "every: expected a whole number"),
+        ({"record": [3, -1]}, "record: expected nodes among 144: index -1 is below 0"),
+        ({"record": 0.5}, "record: expected nodes among 144"),
         (
             {"model": replace(kernel("sign-changing", 2.0), certified_on=())},
             "certified on no spacing",

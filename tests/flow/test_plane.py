@@ -159,6 +159,11 @@ def test_bad_input_is_refused():
         FENEP(20.0).check(np.zeros((1, 4)), np.array([[19.0, 0.0, 1.0, 1.0]]))
     with pytest.raises(InputError, match="De > 0"):
         PlaneFlow(0.0, 1.0)
+    for wrong in ("50", None, [50.0], np.nan, 1j, True, {}):
+        with pytest.raises(InputError, match="b: expected a number above 3, got"):
+            FENEP(wrong)
+        with pytest.raises(InputError, match="alpha: expected a number from 0 to 1, got"):
+            Giesekus(wrong)
 
 
 @pytest.mark.parametrize("flow", [PlaneFlow(1.0, 1.0, 8, top=lambda t: 1.0), ChannelFlow(1e-2)])

@@ -102,7 +102,12 @@ def test_what_was_not_measured_is_refused():
         choose_model(tolerance=0.05, scene=Scene((100.0, 100.0), 10.0), table=TABLE)
     with pytest.raises(InputError, match="no measured model comes within 0.1 %"):
         choose_model(tolerance=0.001, scene=SMALL, table=TABLE)
-    for scene in (((100.0, 0.0), 20.0), ((100.0, "wide"), 20.0), ((100.0, 100.0), np.nan)):
+    for scene in (
+        ((100.0, 0.0), 20.0),
+        ((1e300, 1e300), 20.0),
+        ((100.0, "wide"), 20.0),
+        ((100.0, 100.0), np.nan),
+    ):
         with pytest.raises(InputError, match="scene: expected lengths > 0"):
             Scene(*scene)
     for tolerance in (-1.0, np.nan, "small"):
@@ -161,6 +166,9 @@ def test_a_scene_is_read_off_a_problem():
     assert pulled.strain > scene.strain
     with pytest.raises(InputError, match="expected a load, or displacement"):
         Scene.of(Dirichlet(points, 0 * b, 0 * b), modulus=0.7)
+    for wrong in (0.0, -3.0, np.nan, "soft"):
+        with pytest.raises(InputError, match="modulus: expected a number > 0"):
+            Scene.of(problem, modulus=wrong)
     with pytest.raises(InputError, match="strain > 0"):
         replace(scene, strain=-1.0)
 

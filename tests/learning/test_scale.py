@@ -12,7 +12,7 @@ from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.training_data import RELATIVE_ZETA, scale_of, stiffness_of
 from warp_peri.lps.model import Model
-from warp_peri.methods import Conditions, Optimum
+from warp_peri.methods import Conditions, Optimum, TwoStage
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.proofs import critical_time_step
@@ -55,6 +55,22 @@ def test_stiffness_of_any_size(data, plain, stress):
     assert zeta / stress == pytest.approx(plain.settings.conditions[0].zeta)
     bound = result.certificate.symbol_bound
     assert bound / stress == pytest.approx(plain.certificate.symbol_bound, rel=1e-4)
+
+
+@pytest.mark.parametrize(("bounds", "conditions"), [("projected", "symbol"), ("relu", "dense")])
+@pytest.mark.parametrize(("length", "stress"), [(1.0, 1e6), (1.0, 3e-6), (1e6, 1.0), (1e-6, 1.0)])
+def test_steps_that_end_on_their_way_are_those_of_any_size(bounds, conditions, length, stress):
+    small = manufactured(TRUE, lattice(5, HORIZON), 5)
+    how = TwoStage(bounds, conditions, epochs=40, inner_epochs=20, outer_iterations=2)
+    first, found = (
+        fit(given, horizon, Bernstein(2), progress=False, method=how).material
+        for given, horizon in (
+            (small, HORIZON),
+            (at_scale(small, length, stress), HORIZON * length),
+        )
+    )
+    assert (found.lam / stress, found.mu / stress) == pytest.approx((first.lam, first.mu), rel=1e-9)
+    assert found.D == pytest.approx(first.D, rel=1e-9)
 
 
 @pytest.mark.parametrize("length", [1e-10, 0.1, 3.4, 1e4])

@@ -9,6 +9,7 @@ from warp_peri import Bernstein, certify
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.two_stage import (
     DENSE_ZETA,
+    PRINTED_HORIZON,
     DenseMargins,
     SymbolMargins,
     _blocks,
@@ -62,7 +63,9 @@ def test_dense_margins_are_those_of_the_certificate():
     lam, mu = torch.tensor([model.lam, model.mu], dtype=torch.float64)
     margins = DenseMargins([points], HORIZON)(lam, mu, weights).numpy()
     certificate = certify(model, spacing=1.0, points=points)
-    expected = [certificate.gamma_min - DENSE_ZETA, certificate.gamma_minus_2phi_min]
+    unit = (HORIZON / PRINTED_HORIZON) ** 2
+    expected = unit * np.array([certificate.gamma_min, certificate.gamma_minus_2phi_min])
+    expected[0] -= DENSE_ZETA
     np.testing.assert_allclose(margins[[0, 2]], expected, rtol=1e-9)
     if certificate.inf_sup_rank == points.interior.sum():
         assert margins[1] == pytest.approx(certificate.inf_sup_min - DENSE_ZETA, rel=1e-6)
@@ -80,6 +83,7 @@ def test_mirrors_split_the_dense_conditions_without_changing_them():
     inputs = [torch.tensor(values, requires_grad=True) for values in (w, p)]
     found = margins(torch.ones(()), torch.ones(()), [tuple(inputs)])
     values, slopes = _dense([(gammas, phis)], w, p)
+    values, slopes = margins.units * values - margins.levels, margins.units[:, None] * slopes
     np.testing.assert_allclose(found.detach(), values, rtol=1e-9, atol=1e-14)
     for margin, slope in zip(found, slopes):
         gradient = torch.cat(torch.autograd.grad(margin, inputs, retain_graph=True))

@@ -1,5 +1,7 @@
 """Inclusions and pressurised cracks against exact fields."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -195,8 +197,13 @@ def test_fluids_and_loads_that_make_no_sense_are_refused():
             Injected(points, [2.0, beyond])
     with pytest.raises(InputError, match="crack: expected float values"):
         Injected(points, "ab")
-    with pytest.raises(InputError, match="leak, compressibility: expected numbers ≥ 0"):
-        Injected(points, [2.0], leak=-1.0)
+    for away in (100.0, -6.0):
+        there = dataclasses.replace(points, x=points.x + np.array([0, away]))
+        with pytest.raises(InputError, match="expected a body on both sides of its plane y = 0"):
+            Injected(there, [2.0])
+    for leak in (-1.0, "a", None):
+        with pytest.raises(InputError, match="leak, compressibility: expected numbers ≥ 0"):
+            Injected(points, [2.0], leak=leak)
     with pytest.raises(InputError, match="expected a BrittleSolid with a toughness"):
         move(solid(), Injected(points, [2.0]))
     with pytest.raises(InputError, match="expected a BrittleSolid"):

@@ -18,7 +18,7 @@ from warp_peri.damage.slow_growth import grow
 from warp_peri.damage.softening import SoftBody
 from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.solution import Direct, Krylov, Solution, refuse_solver
@@ -233,16 +233,23 @@ class Injected:
     compressibility: float = 0.0
 
     def __post_init__(self) -> None:
-        if not (0 <= self.leak < np.inf and 0 <= self.compressibility < np.inf):
+        fluid = (self.leak, self.compressibility)
+        if not all(is_number(one) and 0 <= one < np.inf for one in fluid):
             raise InputError(
                 "leak, compressibility: expected numbers ≥ 0, got "
-                f"{self.leak} and {self.compressibility}"
+                f"{self.leak!r:.60} and {self.compressibility!r:.60}"
             )
         h, halves = self.points.spacing, checked("crack", self.halves, float, ("n",))
         if not (len(halves) > 0 and halves[0] > h and (np.diff(halves) > 0).all()):
             given = halves.tolist()
             raise InputError(
                 f"crack: expected half lengths that rise from more than {h:g}, got {given}"
+            )
+        y = self.points.x[:, 1]
+        if not y.min() < 0 < y.max():
+            raise InputError(
+                "crack: expected a body on both sides of its plane y = 0, got y from "
+                f"{y.min():g} to {y.max():g}"
             )
         flat = np.delete(self.points.x, 1, axis=1)  # the plane of the crack
         room = float(np.minimum(-flat.min(axis=0), flat.max(axis=0)).min()) - h

@@ -301,9 +301,14 @@ def started(
 
 def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
     """Numbers of the nodes to record, [n]; InputError for what names none of so many."""
+    if record is None:
+        return None
     try:
-        return None if record is None else np.atleast_1d(np.arange(count)[np.asarray(record)])
-    except IndexError as error:
+        nodes = np.atleast_1d(np.asarray(record))
+        if nodes.dtype != bool and (nodes < 0).any():  # NumPy counts these from the end
+            raise IndexError(f"index {nodes.min()} is below 0")
+        return np.asarray(np.arange(count)[nodes])
+    except (IndexError, TypeError) as error:
         raise InputError(f"record: expected nodes among {count}: {error}") from None
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import is_number
 
 IDENTITY = np.array([1.0, 0.0, 1.0, 1.0])
 """The unit tensor."""
@@ -100,8 +101,9 @@ def check_conformation(C: np.ndarray) -> None:
 
 
 def plain_number(value: Any) -> float:
-    """A float of a number or a torch scalar."""
-    return float(value.detach() if isinstance(value, torch.Tensor) else value)
+    """A float of a number or a torch scalar, nan of anything else, which no range holds."""
+    value = value.detach() if isinstance(value, torch.Tensor) else value
+    return float(value) if is_number(value) else np.nan
 
 
 class FlowLaw(Protocol):
@@ -155,7 +157,7 @@ class Giesekus(UpperConvectedMaxwell):
 
     def __post_init__(self) -> None:
         if not 0 <= plain_number(self.alpha) <= 1:
-            raise InputError(f"alpha: expected a number from 0 to 1, got {self.alpha}")
+            raise InputError(f"alpha: expected a number from 0 to 1, got {self.alpha!r:.60}")
 
     def rate(self, K: Any, C: Any) -> Any:
         """dC/dt of Giesekus' law (F9)."""
@@ -174,7 +176,7 @@ class FENEP:
 
     def __post_init__(self) -> None:
         if not plain_number(self.b) > 3:
-            raise InputError(f"b: expected a number above 3, got {self.b}")
+            raise InputError(f"b: expected a number above 3, got {self.b!r:.60}")
 
     @property
     def rest(self) -> Any:

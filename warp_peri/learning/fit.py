@@ -157,7 +157,8 @@ def _linear(
     """The linear solid; arguments as for `fit`, sets and fields of noise as lists."""
     shapes = check_choices(kernel, method, conditions)
     given = sets, horizon, conditions, quiet, _carrier(method)
-    data, scale = scaled_data(*given, normalise=normalise, lengths=not shapes)
+    steps = not isinstance(method, TwoStage)
+    data, scale = scaled_data(*given, normalise=normalise, lengths=not shapes, steps=steps)
     method = scale.method(method)
     bernstein = kernel if isinstance(kernel, Bernstein) else None
     starts = _shaped(data, shapes) if bernstein is None else _plain(bernstein)

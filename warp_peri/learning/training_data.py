@@ -160,8 +160,8 @@ def listed(
 
 RELATIVE_ZETA = 0.0161
 """ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
-USUAL_STIFFNESS = 0.62
-"""A stiffness [TPa] that the search's own numbers suit: that of graphene."""
+USUAL_STIFFNESS = 0.6212640458
+"""A stiffness [TPa] that the search's own numbers suit: that which graphene's data show."""
 PROBED_HORIZON = 2.0
 """Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
 UNIT = Solid(1.0, 1.0, 1.0, np.ones(1))
@@ -262,20 +262,25 @@ class Scale:
         )
 
 
-def scale_of(sets: Sequence[Samples], horizon: float, *, lengths: bool) -> Scale:
+def scale_of(
+    sets: Sequence[Samples], horizon: float, *, lengths: bool, steps: bool = True
+) -> Scale:
     """The units of a fit to these samples.
 
     Args:
         sets: training sets.
         horizon: δ [Å].
         lengths: whether lengths may be scaled; those of a shape's own parameters are the user's.
+        steps: whether stress goes in powers of 2. Adam, which ends on its way, shows what is left.
 
     Raises InputError as stiffness_of does.
     """
     stiffness = stiffness_of(sets, horizon)
     units = sets[0].points.units
     length = search_length(units, horizon) if lengths and 0 < horizon < np.inf else 1.0
-    stress = search_unit(units[1], stiffness, USUAL_STIFFNESS, 4)
+    stress = stiffness / USUAL_STIFFNESS
+    if steps:
+        stress = search_unit(units[1], stiffness, USUAL_STIFFNESS, 4)
     return Scale(length, stress, stiffness, units)
 
 
@@ -320,6 +325,7 @@ def scaled_data(
     *,
     normalise: bool,
     lengths: bool,
+    steps: bool,
 ) -> tuple[TrainingData, Scale]:
     """Training data in the units of a fit, and these units; see training_data and scale_of."""
 
@@ -338,7 +344,7 @@ def scaled_data(
     if len(named) > 1:
         raise InputError(f"units: expected the same for all sets, got {', '.join(sorted(named))}")
     try:
-        scale = scale_of(sets, horizon, lengths=lengths)
+        scale = scale_of(sets, horizon, lengths=lengths, steps=steps)
     except InputError:
         made(None)  # what is wrong with the sets themselves comes first
         raise

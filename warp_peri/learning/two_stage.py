@@ -35,7 +35,9 @@ from warp_peri.regression.optimum import LatticeConditions
 
 ZONE_INTERVALS = 24
 DENSE_ZETA = 1e-4
-"""ζ of the dense conditions: Λmin(Γ) [Å⁻²] and Λmin(ΦΓ⁻¹Φᵗ)."""
+"""ζ of the dense conditions: Λmin(Γ) [1/l²] and Λmin(ΦΓ⁻¹Φᵗ)."""
+PRINTED_HORIZON = 20.0
+"""Horizon over the length l that the dense conditions count in: 1 Å as printed."""
 
 Weights = Sequence[tuple[torch.Tensor, torch.Tensor]]
 Blocks = list[tuple[np.ndarray, np.ndarray]]
@@ -104,8 +106,9 @@ class DenseMargins:
     """The three conditions (4.6) on the interior of each training set.
 
     Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
-    interior nodes. Γ and Φ are linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c. Where a domain is
-    its own mirror image the matrices fall into blocks, a tenth of the work with the same values.
+    interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Γ and Φ are
+    linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c. Where a domain is its own mirror image the
+    matrices fall into blocks, a tenth of the work with the same values.
     """
 
     def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
@@ -114,6 +117,8 @@ class DenseMargins:
             _blocks(*_class_matrices(points, horizon), points.x[points.interior]) for points in sets
         ]
         self.count = 3 * len(sets)
+        square = (horizon / PRINTED_HORIZON) ** 2
+        self.units, self.levels = np.array([square, 1, square]), DENSE_ZETA * np.array([1, 1, 0])
 
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
         """Margins, shape [3 · sets]."""
@@ -123,7 +128,8 @@ class DenseMargins:
             def evaluate(
                 _: np.ndarray, w: np.ndarray, p: np.ndarray, blocks: Blocks = blocks
             ) -> tuple[np.ndarray, np.ndarray]:
-                return _dense(blocks, w, p)
+                margins, slopes = _dense(blocks, w, p)
+                return self.units * margins - self.levels, self.units[:, None] * slopes
 
             parts.append(_known(evaluate, torch.zeros((), dtype=torch.float64), w, p))
         return torch.cat(parts)
@@ -177,7 +183,7 @@ def _kept(mirrors: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
 
 
 def _dense(blocks: Blocks, w: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The margins, shape [3], and their derivatives to (κ, w, p), shape [3, 1 + 2 C]."""
+    """The least eigenvalues, shape [3], and their derivatives to (κ, w, p), shape [3, 1 + 2 C]."""
     gammas = [np.tensordot(w, block[0], 1) for block in blocks]
     phis = [np.tensordot(p, block[1], 1) for block in blocks]
 
@@ -198,7 +204,7 @@ def _dense(blocks: Blocks, w: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np
         rows.append(rows[0])
     number, schwarz, e = _least([g - 2 * phi.T @ phi for g, phi in zip(gammas, phis)])
     rows.append(slope(number, e, 1.0, -2 * phis[number] @ e))
-    return np.array([coercive - DENSE_ZETA, inf_sup - DENSE_ZETA, schwarz]), np.array(rows)
+    return np.array([coercive, inf_sup, schwarz]), np.array(rows)
 
 
 def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:

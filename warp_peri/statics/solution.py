@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -301,7 +302,12 @@ class Solution(Shown):
         x = self.details.rim.mesh.x if self.points is None else self.points.x
         u = self._values
         several = u.ndim == 3 or (u.ndim == 2 and u.shape != x.shape)
-        return x, u[sample] if several else u
+        if not several:
+            return x, u
+        try:
+            return x, u[operator.index(sample)]
+        except (IndexError, TypeError):
+            raise InputError(f"sample: expected one of {len(u)}, got {sample!r:.60}") from None
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""

