@@ -50,7 +50,7 @@ def cut_families(model: wp.Model) -> Entry:
     cut = [cut_plate(model, spacing, radius) for radius in tqdm(RADII, desc="cut families")]
     coupled = [coupled_error(model, radius) for radius in COUPLED]
     error, edge, eigenvalue = (np.array(column) for column in zip(*cut))
-    figure, ax = panels(5.2, 3.6)
+    figure, ax = panels(7, 3.6)
     ax.semilogy(RADII, 100 * edge, "s--", label="families cut, at the edge")
     ax.semilogy(RADII, 100 * error, "o-", label="families cut")
     ax.semilogy(COUPLED, 100 * np.array(coupled), "^-", label="elements at the edge")

@@ -100,7 +100,7 @@ def lame_parameters(data: Dataset) -> Entry:
         lambda: Model(-MU, MU, 1.0, np.ones(1), HORIZON),
         f"certificate: {wp.certify(soft, spacing=train.spacing).statement}",
     )
-    figure, (left, middle, right) = panels(14, 4, count=3)
+    figure, (left, middle, right) = panels(11, 3.6, count=3)
     small = {"fontsize": "small"}
     for name in symbols:
         left.plot(BULK, symbols[name], "o-", label=name, markersize=3)
@@ -343,9 +343,11 @@ def free_surfaces() -> Entry:
     points = square_lattice(6, 3.0, 1.0)
     body = points.x[:, 0] <= 5
     cut = Points(points.x[body], points.interior[body], 1.0)
-    figure, ax = panels()
-    rows = {f"{label}, order {orders[label]:.2f}": errors for label, errors in table.items()}
+    figure, ax = panels(7.4, 4.2)
+    rows = {f"{label}: order {orders[label]:.2f}": errors for label, errors in table.items()}
     axes = {"xlabel": "spacing (side 1), δ = 3h", "ylabel": "largest error of displacement"}
     curves(ax, "loglog", spacings, rows, "C0o-", "C0s--", "C1o-", "C1s--", **axes)
+    ax.set_xticks(spacings, [f"1/{1 / h:g}" for h in spacings])
+    ax.minorticks_off()
     values = {"numbers": np.round(1 / spacings).astype(int), "error": table, "order": orders}
     return entry("surfaces", numbers, (lambda: families_of(cut, 3.0),), figure, values)

@@ -178,13 +178,13 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     for ax, (law, title) in zip(axes, {"LPS": "LPS", "tensors": "crystal model"}.items()):
         known = [row for row in rows if row["law"] == law and "E_u" in row]
         for kind, label in kinds.items():
-            some = [(row["loads"], 100 * row["E_u"][1]) for row in known if row["kind"] == kind]
+            some = [(row["loads"], row["E_u"][1]) for row in known if row["kind"] == kind]
             counts = sorted({n for n, _ in some})
             middle = [np.median([error for n, error in some if n == count]) for count in counts]
             ax.loglog(counts, middle, "o-", label=label)
         every = next(row for row in known if row["kind"] == "all")
-        ax.axhline(100 * every["E_u"][1], color="0.4", ls="--", lw=0.8)
-        note(ax, f"all {every['loads']} waves", (1, 100 * every["E_u"][1]), (0, -11))
+        ax.axhline(every["E_u"][1], color="0.4", ls="--", lw=0.8)
+        note(ax, f"all {every['loads']} waves", (1, every["E_u"][1]), (0, -11))
         ax.set(xlabel="loads to learn from", title=title)
         name_lines(ax)
     axes[0].set_ylabel("error on unseen disks [%]")
