@@ -100,7 +100,7 @@ def lame_parameters(data: Dataset) -> Entry:
         lambda: Model(-MU, MU, 1.0, np.ones(1), HORIZON),
         f"certificate: {wp.certify(soft, spacing=train.spacing).statement}",
     )
-    figure, (left, middle, right) = panels(11, 3.6, count=3)
+    figure, (left, middle, right) = panels(11, 4, count=3)
     small = {"fontsize": "small"}
     for name in symbols:
         left.plot(BULK, symbols[name], "o-", label=name, markersize=3)
@@ -108,7 +108,7 @@ def lame_parameters(data: Dataset) -> Entry:
     left.set(xlabel="(λ + μ)/μ", ylabel="least stiffness of a wave over μ", xscale="log")
     left.set_yscale("symlog", linthresh=1e-6)
     left.axhline(0, color="0.6", linewidth=0.8)
-    left.legend(frameon=False, **small)
+    left.legend(frameon=False, loc=(0.02, 0.15), **small)
     middle.set(xlabel="(λ + μ)/μ", ylabel="condition of the operator, 12 × 12 nodes")
     rows = {
         f"λ/μ = {ratio:g}, order {order:.2f}": row

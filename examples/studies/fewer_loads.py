@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import headline, name_lines, note, panels, save_figure
+from examples.figures import headline, note, panels, save_figure
 from examples.predict import tell
 from examples.train_graphene import DATA, make_data
 from examples.train_graphene import main as train_main
@@ -184,9 +184,10 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
             ax.loglog(counts, middle, "o-", label=label)
         every = next(row for row in known if row["kind"] == "all")
         ax.axhline(every["E_u"][1], color="0.4", ls="--", lw=0.8)
-        note(ax, f"all {every['loads']} waves", (1, every["E_u"][1]), (0, -11))
+        note(ax, f"all {every['loads']} waves", (35, every["E_u"][1]), (0, -11), ha="right")
         ax.set(xlabel="loads to learn from", title=title)
-        name_lines(ax)
+        ax.set_xticks(RANDOM, [*map(str, RANDOM)])
+        ax.legend(frameon=False)
     axes[0].set_ylabel("error on unseen disks [%]")
     headline(figure, "A few designed loads teach what all waves do")
     save_figure(figure, path, dpi=150, bbox_inches=None)
