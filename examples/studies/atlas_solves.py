@@ -108,7 +108,7 @@ def lame_parameters(data: Dataset) -> Entry:
     left.set(xlabel="(λ + μ)/μ", ylabel="least stiffness of a wave over μ", xscale="log")
     left.set_yscale("symlog", linthresh=1e-6)
     left.axhline(0, color="0.6", linewidth=0.8)
-    left.legend(frameon=False, loc=(0.02, 0.15), **small)
+    left.legend(frameon=False, loc=(0.54, 0.12), handlelength=0.8, **small)
     middle.set(xlabel="(λ + μ)/μ", ylabel="condition of the operator, 12 × 12 nodes")
     rows = {
         f"λ/μ = {ratio:g}, order {order:.2f}": row
@@ -116,6 +116,8 @@ def lame_parameters(data: Dataset) -> Entry:
     }
     axes = {"xlabel": "spacing (side π), δ = 3h", "ylabel": "relative error against elasticity"}
     curves(right, "loglog", SPACINGS, rows, "o-", legend=small, **axes)
+    right.set_xticks(SPACINGS, [f"π/{round(np.pi / h)}" for h in SPACINGS])
+    right.minorticks_off()
     values = {"bulk": BULK, "symbol_min": symbols, "condition": conditions, "orders": orders}
     return entry("lame", numbers, seen, figure, values)
 

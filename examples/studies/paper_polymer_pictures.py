@@ -65,7 +65,8 @@ def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
             drawn[0].set_label(label)
         ax.set(title=f"Deborah number {De:g}", xlabel="time t / t₀")
         ax.set_ylabel("shear stress at five heights")
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 3, "frameon": False}
+    figure.legend(*ax.get_legend_handles_labels(), **below)
     headline(figure, "The learned fluid's stress follows the exact law at every height")
     save_figure(figure, path)
 
