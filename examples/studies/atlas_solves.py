@@ -11,7 +11,7 @@ from scipy.sparse.linalg import spsolve
 from tqdm import tqdm
 
 import warp_peri as wp
-from examples.figures import curves, panels
+from examples.figures import curves, panels, ticks
 from examples.prose import rows_of
 from examples.studies.atlas_entry import Entry, entry, square_lattice
 from examples.studies.atlas_kernels import unconstrained
@@ -116,8 +116,7 @@ def lame_parameters(data: Dataset) -> Entry:
     }
     axes = {"xlabel": "spacing (side π), δ = 3h", "ylabel": "relative error against elasticity"}
     curves(right, "loglog", SPACINGS, rows, "o-", legend=small, **axes)
-    right.set_xticks(SPACINGS, [f"π/{round(np.pi / h)}" for h in SPACINGS])
-    right.minorticks_off()
+    ticks(right, SPACINGS, [f"π/{round(np.pi / h)}" for h in SPACINGS])
     values = {"bulk": BULK, "symbol_min": symbols, "condition": conditions, "orders": orders}
     return entry("lame", numbers, seen, figure, values)
 
@@ -349,7 +348,6 @@ def free_surfaces() -> Entry:
     rows = {f"{label}: order {orders[label]:.2f}": errors for label, errors in table.items()}
     axes = {"xlabel": "spacing (side 1), δ = 3h", "ylabel": "largest error of displacement"}
     curves(ax, "loglog", spacings, rows, "C0o-", "C0s--", "C1o-", "C1s--", **axes)
-    ax.set_xticks(spacings, [f"1/{1 / h:g}" for h in spacings])
-    ax.minorticks_off()
+    ticks(ax, spacings, [f"1/{1 / h:g}" for h in spacings])
     values = {"numbers": np.round(1 / spacings).astype(int), "error": table, "order": orders}
     return entry("surfaces", numbers, (lambda: families_of(cut, 3.0),), figure, values)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from examples.figures import headline, name_lines, panels, save_figure
+from examples.figures import headline, name_lines, panels, save_figure, ticks
 
 COUNTS = (1000, 10_000, 100_000)
 """Dumbbells of an ensemble, as printed."""
@@ -44,8 +44,7 @@ def draw_law(path: Path, law: Mapping[str, Any]) -> None:
     for ax in axes:
         ax.set(xlabel="shear rate × relaxation time")
     printed, known = (np.median(law[name]["errors"][0]) for name in LAWS)
-    times = f"{printed / known:.0f} times more accurate"
-    headline(figure, f"Near its data (dots) the law is {times} with the kinematics known")
+    headline(figure, f"Near its data (dots), known kinematics err {printed / known:.0f} times less")
     save_figure(figure, path)
 
 
@@ -65,8 +64,7 @@ def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
             drawn[0].set_label(label)
         ax.set(title=f"Deborah number {De:g}", xlabel="time t / t₀")
         ax.set_ylabel("shear stress at five heights")
-    below: dict[str, Any] = {"loc": "outside lower center", "ncols": 3, "frameon": False}
-    figure.legend(*ax.get_legend_handles_labels(), **below)
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     headline(figure, "The learned fluid's stress follows the exact law at every height")
     save_figure(figure, path)
 
@@ -83,8 +81,7 @@ def draw_plates(path: Path, rows: Mapping[str, Mapping[str, Sequence[Sequence[fl
             ax.errorbar(COUNTS, median, spread, ecolor=f"C{color}", capsize=3, fmt="none")
         ax.set(title=f"Deborah number {De}", xlabel="dumbbells in an ensemble")
         ax.set(xscale="log", yscale="log", xlim=(700, 4e6))
-        ax.set_xticks(COUNTS)
-        ax.set_xticks([], minor=True)
+        ticks(ax, COUNTS, ["10³", "10⁴", "10⁵"])
         name_lines(ax)
     axes[0].set_ylabel("largest error of the velocity [% of the wall's]")
     figure.suptitle("With the kinematics known, a learned fluid errs least")
@@ -112,8 +109,7 @@ def draw_training(path: Path, rows: Mapping[str, Mapping[int, float]]) -> None:
     for color, (name, errors) in enumerate(rows.items()):
         ax.plot([*errors], 100 * np.array([*errors.values()]), f"C{color}o-", label=name)
     ax.set(xscale="log", yscale="log", xlim=(800, 30_000), xlabel="training points")
-    ax.set_xticks([*TRAINING], [f"{n}" for n in TRAINING])
-    ax.set_xticks([], minor=True)
+    ticks(ax, TRAINING)
     ax.set_ylabel("largest error of the velocity [% of the mean]")
     ax.set_title("Only with the kinematics known is the error below 3 %")
     name_lines(ax)
