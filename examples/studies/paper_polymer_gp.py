@@ -136,8 +136,7 @@ def redraw(page: str, figures: Path) -> None:
     pictures.draw_training(figures / "polymer_training.png", training)
     costs = {}
     for name in fluids_of_channel():
-        said = name.replace("law", "model")
-        (row,) = cells_of(page, "What a run costs", f"| {said} |")
+        (row,) = cells_of(page, "What a run costs", f"| {name.replace('law', 'model')} |")
         costs[name] = dict(zip(("learned", "seconds", "error"), map(float, row)))
     pictures.draw_costs(figures / "polymer_costs.png", costs)
 
