@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 
 import warp_peri as wp
 from examples import prose
-from examples.figures import panels, save_figure
+from examples.figures import panels, save_figure, ticks
 from tools.graphene import THICKNESS
 from tools.make_graphene import INTERIOR, REACH, SMOOTHING_RADIUS, read_samples
 from tools.options import Options
@@ -259,9 +259,7 @@ def figure(model: Model, file: Path) -> None:
         label = f"{spacing:g} Å, δ = {there.horizon:.3g} Å, {record['bonds']} bonds"
         ax.loglog(record["wavelength"], 100 * np.array(record["error"]), label=label)
     ax.set(xlabel="wavelength [Å]", ylabel="displacement against home [%]", ylim=(0.05, 100))
-    ticks = (20, 30, 50, 100, 200, 400, 800)
-    ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
-    ax.minorticks_off()
+    ticks(ax, (20, 30, 50, 100, 200, 400, 800))
     ax.set_title("A kernel of its own on each lattice, from one learned at 5 Å")
     ax.legend(fontsize=8)
     save_figure(drawn, file, dpi=130, bbox_inches=None)

@@ -49,7 +49,8 @@ def main(arguments: list[str] | None = None) -> int:
     figure, axes = panels(5.2, 4.3)
     image = axes.pcolormesh(x, z, shown, cmap="viridis", shading="nearest")
     axes.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₃ [Å]")
-    axes.set_title(f"Tension along x₃ is {np.nanmax(shown):.1f} times larger beside the void")
+    beside = np.nanmax(shown[np.hypot(x, z) < 2 * RADIUS])
+    axes.set_title(f"Beside the void the stress is {beside:.1f} times the tension")
     figure.colorbar(image, ax=axes, label="stress σ₃₃ over the tension")
     save_figure(figure, given.out)
     return 0

@@ -68,6 +68,12 @@ def curves(
         ax.legend(**{"frameon": False} | legend)
 
 
+def ticks(ax: Axes, at: Any, labels: Any = None) -> None:
+    """These ticks along x, and no others."""
+    ax.set_xticks(at, labels or [f"{x:g}" for x in at])
+    ax.minorticks_off()
+
+
 def note(ax: Axes, text: str, at: Any, shift: Any = (4, 4), color: str = "0.4", **how: Any) -> None:
     """A word beside a place, so many points away."""
     ax.annotate(text, at, shift, textcoords="offset points", size=9, color=color, **how)

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 
 import warp_peri as wp
 from examples.cracks.inclusions import MEANS, Mixed
-from examples.figures import headline, name_lines, panels, save_figure
+from examples.figures import headline, name_lines, panels, save_figure, ticks
 from tools.options import Options
 from warp_peri import Cracked
 from warp_peri.damage import box
@@ -95,8 +95,7 @@ def main(argv: list[str] | None = None) -> int:
             numbers[name][label] = {"errors": errors, "order": float(order)}
         ax.loglog(args.cells, numbers[name]["series, ball"]["errors"], "o-", label=name)
     ax.set(xlabel="nodes per half side", ylabel="relative error of displacement")
-    ax.set_xticks(args.cells, [f"{n}" for n in args.cells])
-    ax.set_xticks([], minor=True)
+    ticks(ax, args.cells)
     name_lines(ax)
     case = args.case or next(iter(CASES))
     _, x, off = inclusion(args.cells[-1], *CASES[case], d=d)

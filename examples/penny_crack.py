@@ -88,7 +88,7 @@ if __name__ == "__main__":
     print(json.dumps(numbers, indent=None if as_json else 1))
     count = round(len(points.x) ** (1 / 3))
     damage = motion.details.damage.reshape(3 * (count,))
-    figure, axes = panels(11, 3.4, count=3)
+    figure, axes = panels(9.5, 3.2, count=3)
     cuts = damage[:, count // 2], damage[:, :, count // 2]
     for ax, cut, names in zip(axes, cuts, ("xz", "xy")):
         edges = 2 * (-count / 2, count / 2)

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 import warp_peri as wp
 from examples.exact import plate_with_hole
-from examples.figures import curves, name_lines, note, panels
+from examples.figures import curves, name_lines, note, panels, ticks
 from examples.studies.atlas_entry import Entry, entry, square_lattice, words
 from tools.crystals import force_constants
 from warp_peri import Dataset, Points
@@ -50,7 +50,7 @@ def cut_families(model: wp.Model) -> Entry:
     cut = [cut_plate(model, spacing, radius) for radius in tqdm(RADII, desc="cut families")]
     coupled = [coupled_error(model, radius) for radius in COUPLED]
     error, edge, eigenvalue = (np.array(column) for column in zip(*cut))
-    figure, ax = panels(5.2, 3.6)
+    figure, ax = panels(7, 3.6)
     ax.semilogy(RADII, 100 * edge, "s--", label="families cut, at the edge")
     ax.semilogy(RADII, 100 * error, "o-", label="families cut")
     ax.semilogy(COUPLED, 100 * np.array(coupled), "^-", label="elements at the edge")
@@ -196,8 +196,7 @@ def cut_at_edges(data: Dataset) -> Entry:
     figure, ax = panels()
     axes = {"xlabel": "nodes a side", "ylabel": "error of displacement [%]"}
     curves(ax, "loglog", SIDES, table, *STYLES.values(), **axes)
-    ax.set_xticks(SIDES, labels=map(str, SIDES))
-    ax.minorticks_off()
+    ticks(ax, SIDES)
     numbers = dict(zip(("cut", "dressed", "plain"), (values[1] for values in table.values())))
     numbers |= {"side": SIDES[1], "bonds": law.crystal.bonds}
     return entry("edges", numbers, (lambda: law.on(points),), figure, table)
@@ -249,8 +248,7 @@ def small_holes(data: Dataset) -> Entry:
     figure, ax = panels()
     axes = {"xlabel": "radius of the hole over the spacing", "ylabel": "error of what it adds [%]"}
     curves(ax, "loglog", HOLES, table, "o-", **axes)
-    ax.set_xticks(HOLES, labels=[f"{r:g}" for r in HOLES])
-    ax.minorticks_off()
+    ticks(ax, HOLES)
     fitted, stairs = table.values()
     numbers = {"small": fitted[0], "two": fitted[HOLES.index(2)], "stairs": stairs[HOLES.index(2)],
                "large": fitted[-1], "least": HOLES[0], "most": HOLES[-1]}  # fmt: skip

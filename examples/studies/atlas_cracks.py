@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from examples.cracks.energy_release import energy_release, tip_shift
-from examples.figures import curves, name_lines, panels
+from examples.figures import curves, name_lines, panels, ticks
 from examples.static_crack import edge_crack
 from examples.studies.atlas_entry import Entry, entry, words
 from warp_peri import Cracked, Model, Points
@@ -151,8 +151,7 @@ def edge_tips(
     ax.axhline(0, color="0.7")
     ax.set(xlabel="length of the crack [spacings]", xscale="log")
     ax.set_ylabel("error of the energy release rate [%]")
-    ax.set_xticks(lengths, [str(n) for n in lengths])
-    ax.minorticks_off()
+    ticks(ax, lengths)
     name_lines(ax)
     middle = lengths.index(13) if 13 in lengths else 0
     plain, shifted = (errors[f"{ratios[-2]:g}h, {name}"][middle] for name in ("as cut", "shifted"))

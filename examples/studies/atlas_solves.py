@@ -11,7 +11,7 @@ from scipy.sparse.linalg import spsolve
 from tqdm import tqdm
 
 import warp_peri as wp
-from examples.figures import curves, panels
+from examples.figures import curves, panels, ticks
 from examples.prose import rows_of
 from examples.studies.atlas_entry import Entry, entry, square_lattice
 from examples.studies.atlas_kernels import unconstrained
@@ -100,7 +100,7 @@ def lame_parameters(data: Dataset) -> Entry:
         lambda: Model(-MU, MU, 1.0, np.ones(1), HORIZON),
         f"certificate: {wp.certify(soft, spacing=train.spacing).statement}",
     )
-    figure, (left, middle, right) = panels(14, 4, count=3)
+    figure, (left, middle, right) = panels(11, 4, count=3)
     small = {"fontsize": "small"}
     for name in symbols:
         left.plot(BULK, symbols[name], "o-", label=name, markersize=3)
@@ -108,7 +108,7 @@ def lame_parameters(data: Dataset) -> Entry:
     left.set(xlabel="(λ + μ)/μ", ylabel="least stiffness of a wave over μ", xscale="log")
     left.set_yscale("symlog", linthresh=1e-6)
     left.axhline(0, color="0.6", linewidth=0.8)
-    left.legend(frameon=False, **small)
+    left.legend(frameon=False, loc=(0.54, 0.12), handlelength=0.8, **small)
     middle.set(xlabel="(λ + μ)/μ", ylabel="condition of the operator, 12 × 12 nodes")
     rows = {
         f"λ/μ = {ratio:g}, order {order:.2f}": row
@@ -116,6 +116,7 @@ def lame_parameters(data: Dataset) -> Entry:
     }
     axes = {"xlabel": "spacing (side π), δ = 3h", "ylabel": "relative error against elasticity"}
     curves(right, "loglog", SPACINGS, rows, "o-", legend=small, **axes)
+    ticks(right, SPACINGS, [f"π/{round(np.pi / h)}" for h in SPACINGS])
     values = {"bulk": BULK, "symbol_min": symbols, "condition": conditions, "orders": orders}
     return entry("lame", numbers, seen, figure, values)
 
@@ -343,9 +344,10 @@ def free_surfaces() -> Entry:
     points = square_lattice(6, 3.0, 1.0)
     body = points.x[:, 0] <= 5
     cut = Points(points.x[body], points.interior[body], 1.0)
-    figure, ax = panels()
-    rows = {f"{label}, order {orders[label]:.2f}": errors for label, errors in table.items()}
+    figure, ax = panels(7.4, 4.2)
+    rows = {f"{label}: order {orders[label]:.2f}": errors for label, errors in table.items()}
     axes = {"xlabel": "spacing (side 1), δ = 3h", "ylabel": "largest error of displacement"}
     curves(ax, "loglog", spacings, rows, "C0o-", "C0s--", "C1o-", "C1s--", **axes)
+    ticks(ax, spacings, [f"1/{1 / h:g}" for h in spacings])
     values = {"numbers": np.round(1 / spacings).astype(int), "error": table, "order": orders}
     return entry("surfaces", numbers, (lambda: families_of(cut, 3.0),), figure, values)

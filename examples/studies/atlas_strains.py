@@ -74,16 +74,16 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
                     errors[name].append(wp.evaluate(model, samples)["E_u"])
                 except InputError:
                     errors[name].append(np.nan)
-    figure, ax = panels(6, 3.6)
+    figure, ax = panels(7, 3.6)
     percent = 100 * np.array(list(sets))
     for name, values in errors.items():
         ax.semilogy(percent, 100 * np.array(values), "o-", label=name)
     of_patch = path[-1].max_bond_strain
     ax.set(xlabel="largest bond strain [%]", ylabel="error of displacement [%]")
-    name_lines(ax)
     for body, strain, style in (("patch", of_patch, ":"), ("disk", of_disk, "--")):
         ax.axvline(100 * strain, color="0.6", linestyle=style)
         note(ax, f"atoms fail\n({body})", (100 * strain, ax.get_ylim()[0]), (-4, 4), ha="right")
+    name_lines(ax)
     proven, column = energy.proven_strain(train.spacing), STRAINS.index(0.04)
     linear, of_energy, smooth = (np.array(values) for values in errors.values())
     numbers = {

@@ -8,7 +8,7 @@ import numpy as np
 from ase.calculators.emt import EMT
 
 import warp_peri as wp
-from examples.figures import curves, note, panels
+from examples.figures import curves, note, panels, ticks
 from examples.studies.atlas_entry import Entry, entry
 from warp_peri import Model, Points
 from warp_peri.core.elastic import voigt
@@ -70,9 +70,7 @@ def transfers(model: Model) -> Entry:
     curves(ax, "loglog", WAVELENGTHS, table, *styles, scale=100, **axes)
     ax.axvspan(WAVELENGTHS.min(), shortest, color="0.9")
     note(ax, "beyond the data", (shortest, 0.1), (-4, 4), ha="right")
-    ticks = (12, 20, 30, 50, 100, 200)
-    ax.set_xticks(ticks, [f"{tick}" for tick in ticks])
-    ax.minorticks_off()
+    ticks(ax, (12, 20, 30, 50, 100, 200))
     values = {"wavelength": WAVELENGTHS, "error": table}
     return entry("transfer", numbers, seen, figure, values)
 

@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import headline, name_lines, note, panels, save_figure
+from examples.figures import headline, note, panels, save_figure
 from examples.predict import tell
 from examples.train_graphene import DATA, make_data
 from examples.train_graphene import main as train_main
@@ -178,15 +178,16 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     for ax, (law, title) in zip(axes, {"LPS": "LPS", "tensors": "crystal model"}.items()):
         known = [row for row in rows if row["law"] == law and "E_u" in row]
         for kind, label in kinds.items():
-            some = [(row["loads"], 100 * row["E_u"][1]) for row in known if row["kind"] == kind]
+            some = [(row["loads"], row["E_u"][1]) for row in known if row["kind"] == kind]
             counts = sorted({n for n, _ in some})
             middle = [np.median([error for n, error in some if n == count]) for count in counts]
             ax.loglog(counts, middle, "o-", label=label)
         every = next(row for row in known if row["kind"] == "all")
-        ax.axhline(100 * every["E_u"][1], color="0.4", ls="--", lw=0.8)
-        note(ax, f"all {every['loads']} waves", (1, 100 * every["E_u"][1]), (0, -11))
+        ax.axhline(every["E_u"][1], color="0.4", ls="--", lw=0.8)
+        note(ax, f"all {every['loads']} waves", (35, every["E_u"][1]), (0, -11), ha="right")
         ax.set(xlabel="loads to learn from", title=title)
-        name_lines(ax)
+        ax.set_xticks(RANDOM, [*map(str, RANDOM)])
+        ax.legend(frameon=False)
     axes[0].set_ylabel("error on unseen disks [%]")
     headline(figure, "A few designed loads teach what all waves do")
     save_figure(figure, path, dpi=150, bbox_inches=None)

@@ -143,7 +143,7 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
     for ax in axes:
         ax.set_xticks(degrees)
         name_lines(ax)
-    headline(figure, "At 300 K noise sets the errors, whatever the degree (figure 6, right)")
+    headline(figure, "At 300 K noise sets the errors; against quiet data degrees help")
     save_figure(figure, path)
 
 

@@ -156,7 +156,7 @@ def roses(path: Path, laws: Mapping[int, Any], roses: Mapping[int, Mapping[str, 
         figure, "At every horizon the dictionary finds the fibres; the network differs each time"
     )
     figure.colorbar(drawn, ax=shown, shrink=0.85, label="ω over its largest value")
-    save_figure(figure, path)
+    save_figure(figure, path, dpi=100)
 
 
 def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
@@ -185,6 +185,7 @@ def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
         ratios.plot(a, b, "o", color="C0")
     ratios.set(aspect="equal", xlim=(0, 1.15), ylim=(0, 1.15), title="Seven protocols of pulling")
     ratios.set(xlabel="pull along x₁", ylabel="pull along x₂")
+    headline(figure, "A square of leaflet is pulled by its tines in seven proportions")
     save_figure(figure, path)
 
 

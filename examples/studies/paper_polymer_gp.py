@@ -121,7 +121,7 @@ def parts(runs: Path, kept: Callable[..., Any], figures: Path) -> dict[str, Call
 
 
 def redraw(page: str, figures: Path) -> None:
-    """Figures 5 and 9 from the tables of the page."""
+    """Figures 5 and 9, and what a run costs, from the tables of the page."""
     plates: dict[str, dict[str, Any]] = {}
     for De, name in product(UNTIL, (*LAWS, "coupled")):
         (row,) = cells_of(page, "Figure 5", f"| {De:g} | {name} |")
@@ -134,6 +134,11 @@ def redraw(page: str, figures: Path) -> None:
         ended = {int(points): u for points, _, _, u, *_ in rows if NUMBER.match(u)}
         training[name] = {points: float(u) for points, u in ended.items()}
     pictures.draw_training(figures / "polymer_training.png", training)
+    costs = {}
+    for name in fluids_of_channel():
+        (row,) = cells_of(page, "What a run costs", f"| {name.replace('law', 'model')} |")
+        costs[name] = dict(zip(("learned", "seconds", "error"), map(float, row)))
+    pictures.draw_costs(figures / "polymer_costs.png", costs)
 
 
 def numbers(values: Iterable[float]) -> list[str]:

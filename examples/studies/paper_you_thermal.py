@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 import warp_peri as wp
-from examples.figures import panels, save_figure
+from examples.figures import headline, panels, save_figure
 from examples.studies.noise_report import ERRORS, PRINTED_TABLE_3, PRINTED_TABLE_5
 from tools.lammps_session import LammpsSession
 from tools.loads import VALIDATION
@@ -346,4 +346,5 @@ def draw_kernels(path: Path, cold: wp.Model, kernels: Mapping[str, Any]) -> None
         ax.axhline(0, color="grey", linewidth=0.8)
         ax.set(xlabel="r [Å]", ylabel="K / m [Å⁻⁴]", title=title, ylim=(-most, most))
         ax.legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.15))
+    headline(figure, "Heat leaves the influence function as it is; smaller loads teach another")
     save_figure(figure, path)
