@@ -21,6 +21,7 @@ from warp_peri.sources.dumps import (
 from warp_peri.structures.calculators import find_mpi, named_calculator
 from warp_peri.structures.learn import LearnedCrystal, from_atoms, from_force_constants
 from warp_peri.structures.rest import from_phonopy
+from warp_peri.structures.rest import unit_cell as unit_cell
 
 __all__ = [
     "LearnedCrystal",

@@ -127,7 +127,8 @@ def test_two_stage_stops_after_two_stages(monkeypatch):
 
     monkeypatch.setattr(stages, "long_wave_moduli", asked)
     points, _ = data("sign-changing", 3.0)
-    learned = fit(points, horizon=3.0, kernel=Bernstein(5), method=QUICK)
+    longer = replace(QUICK, inner_epochs=160)
+    learned = fit(points, horizon=3.0, kernel=Bernstein(5), method=longer)
     assert [stage.name[0] for stage in learned.history] == ["1", "2"]
     assert learned.starts == {}
     assert learned.settings.moduli is None

@@ -24,7 +24,6 @@ from warp_peri.points.unit_names import USUAL
 from warp_peri.sources.dic import frames_of_folder, noise_of
 from warp_peri.sources.dump_files import LARGEST_HEADER, MARKS, encoding_of, unpacked
 from warp_peri.storage import save
-from warp_peri.structures.rest import unit_cell
 
 NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
 ONE = "exactly one equilibrium for every load"
@@ -134,7 +133,7 @@ def read_structure(path: Path) -> Any:
             if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
                 raise InputError("expected the masses of the types in a LAMMPS data file, got none")
             if b"ATOMIC_SPECIES" in head and b"LATTICE_VECTORS" in head:
-                return unit_cell(readable, "abacus")
+                return warp_peri.atoms.unit_cell(readable, "abacus")
             form = "lammps-data" if of_lammps else None  # None: as ASE guesses
             found: Any = ase.io.read(readable, index=-1, format=form)
         except InputError as error:

@@ -70,6 +70,7 @@ class CutSolid(OnPoints):
         moves: bool = False,
     ) -> None:
         self.model, self.body, self.corrected = material.linear, body, corrected
+        self.moves = moves
         self.solver = solver
         check_horizon(self.model, body)
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
@@ -181,7 +182,12 @@ class CutSolid(OnPoints):
         return force[:, self.inside]
 
     def stiffest_wave(self) -> float:
-        """A proven upper bound of Λmax L (S. Gershgorin, 1931) [stress / length²]."""
+        """A proven upper bound of Λmax L (S. Gershgorin, 1931) [stress / length²].
+
+        Raises InputError at rest: whether such a body may move is not looked at there.
+        """
+        if not self.moves:
+            raise InputError("move: expected a Cracked of a BrittleSolid, or one with a density")
         return float(abs(self.matrix).sum(axis=1).max())
 
     def energy(self, u: np.ndarray) -> Any:

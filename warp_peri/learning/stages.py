@@ -35,7 +35,7 @@ from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.lagrangian import augmented_lagrangian
 from warp_peri.regression.optimum import Reached, constrained_optimum
-from warp_peri.regression.settings import LONG_WAVES, Optimum
+from warp_peri.regression.settings import ISOTROPIC, LONG_WAVES, Optimum
 from warp_peri.third_order.fit import long_wave_moduli
 
 SMALL_SHARE = 0.01
@@ -141,10 +141,18 @@ class Stages:
         return self
 
     def _reach(self, start: Parameters, method: Optimum) -> Reached:
-        """The constrained optimum from one start; InputError where it was led out of a domain."""
-        return constrained_optimum(
-            self.losses, start, self.data.conditions, method, two_functions=self.two_functions
-        )
+        """The constrained optimum from one start; InputError where it was led out of a domain.
+
+        Isotropic long waves are asked of the free optimum: from afar the search may end at λ = μ.
+        """
+        asked = self.losses, self.data.conditions
+        two = self.two_functions
+        if method.moduli == ISOTROPIC:
+            free = dataclasses.replace(method, moduli=None)
+            start = constrained_optimum(
+                asked[0], start, asked[1], free, two_functions=two
+            ).parameters
+        return constrained_optimum(asked[0], start, asked[1], method, two_functions=two)
 
     def hold(self, method: Optimum, name: str, start: Parameters) -> Optimum:
         """The method with the moduli of long waves, where it asks for them and free ones miss them.
@@ -161,7 +169,7 @@ class Stages:
             alone = self._reach(start, free)
             off = np.abs(self._moduli(alone.parameters) - found)
             sure = waves.errors.max() <= AGREE * (waves.lam + 2 * waves.mu)
-            sure &= waves.misfit <= POOR
+            sure &= waves.misfit <= min(POOR, alone.loss**0.5)  # else the fit tells more than they
             apart = (off > SPREADS * waves.errors).any()
             beside = self._reach(start, held) if sure and apart else alone
         except InputError:  # they do not tell, or a function is not defined where it was led
