@@ -127,7 +127,7 @@ def test_two_stage_stops_after_two_stages(monkeypatch):
 
     monkeypatch.setattr(stages, "long_wave_moduli", asked)
     points, _ = data("sign-changing", 3.0)
-    longer = replace(QUICK, inner_epochs=160)
+    longer = TwoStage(epochs=1000, inner_epochs=160, outer_iterations=6)
     learned = fit(points, horizon=3.0, kernel=Bernstein(5), method=longer)
     assert [stage.name[0] for stage in learned.history] == ["1", "2"]
     assert learned.starts == {}
