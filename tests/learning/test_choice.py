@@ -225,4 +225,7 @@ def test_the_command_plans(tmp_path, capsys):
     assert told["answer"] in told["reason"] or told["method"] in told["reason"]
     size = ["--size", "500", "500", "--shortest-wave", "50"]
     assert main(["plan", *size, "--tolerance", "0.05"]) == 0
+    for idle in (["--modulus", "0.5"], ["--set", "val"]):
+        assert main(["plan", *size, *idle]) == 2
+        assert f"{idle[0][2:]}: expected with a data file" in capsys.readouterr().err
     assert main(["plan", "--size", "500", "500"]) == 2

@@ -246,6 +246,7 @@ def run_plan(given: argparse.Namespace) -> dict[str, Any]:
             warp_peri.choice.Scene.of(problem, modulus=given.modulus), **typed
         )
     elif {"size", "shortest_wave"} <= typed.keys():
+        refuse_options(given, {"set": "test", "modulus": 0.72}, "a data file")
         scene = warp_peri.choice.Scene(**typed)
     else:
         raise InputError("plan: expected a data file, or --size and --shortest-wave")
