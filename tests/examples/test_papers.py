@@ -168,7 +168,7 @@ def test_numbers_are_read_from_a_page_and_shown():
 def test_pictures_are_redrawn_from_the_rows_of_a_page(tmp_path):
     paper_polymer_gp.redraw(long("polymer_gp"), tmp_path)
     assert {path.name for path in tmp_path.iterdir()} == {
-        "polymer_plates.png", "polymer_training.png",
+        "polymer_costs.png", "polymer_plates.png", "polymer_training.png",
     }  # fmt: skip
 
 

@@ -143,11 +143,11 @@ class Stages:
     def _reach(self, start: Parameters, method: Optimum) -> Reached:
         """The constrained optimum from one start; InputError where it was led out of a domain.
 
-        Isotropic long waves are asked of the free optimum: from afar the search may end at λ = μ.
+        Two functions are held isotropic from the free optimum on: from afar they may end at λ = μ.
         """
         asked = self.losses, self.data.conditions
         two = self.two_functions
-        if method.moduli == ISOTROPIC:
+        if two and method.moduli == ISOTROPIC:
             free = dataclasses.replace(method, moduli=None)
             start = constrained_optimum(
                 asked[0], start, asked[1], free, two_functions=two
