@@ -197,11 +197,16 @@ def q1_tensors(elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return steps, (tensors + tensors.transpose(0, 2, 1)) / 2
 
 
+def central_weights(reach: int) -> np.ndarray:
+    """w with u′ ≈ Σ w_m (u(m) − u(−m)) of m = 1 … reach spacings of one, of order 2 reach."""
+    m = np.arange(1, reach + 1)
+    ways = np.cumprod((reach + 1 - m) / (reach + m))  # r!²/((r − m)! (r + m)!)
+    return np.asarray(-((-1.0) ** m) * ways / m)
+
+
 def difference_tensors(elastic: np.ndarray, reach: int) -> tuple[np.ndarray, np.ndarray]:
     """As q1_tensors, of central differences of order 2 reach: waves err by (k h) to that power."""
-    d, m = elastic.shape[0], np.arange(1, reach + 1)
-    ways = np.cumprod((reach + 1 - m) / (reach + m))  # r!²/((r − m)! (r + m)!)
-    first = -((-1.0) ** m) * ways / m
+    d, m, first = elastic.shape[0], np.arange(1, reach + 1), central_weights(reach)
     found = [
         (step * np.eye(d, dtype=int)[a], 2 * weight / step * elastic[:, a, :, a])
         for a in range(d)

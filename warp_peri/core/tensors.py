@@ -275,11 +275,10 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     def back(g: np.ndarray) -> np.ndarray:
         return np.stack(_pulled(operator, g, g, solver)[1:])
 
-    refuse_tangents(*numbers)
     if operator.is_linear and not any(one.requires_grad for one in numbers):
         answer = linear(torch.stack(fields), there, back)
     else:
-        refuse_tangents(*fields)
+        refuse_tangents(*fields, *operator.networks)
         answer = _at_rest(operator, there, solver, list(named), *fields, *numbers)
     return replace(found[0], u=answer.to(u if u.is_floating_point() else answer))
 

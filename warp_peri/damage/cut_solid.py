@@ -93,12 +93,12 @@ class CutSolid(OnPoints):
             self.matrix = bond_matrix(body, self.neighbour, *bonds, corrected=corrected)
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
         squares = not uneven and not (bonds.stiffness < 0).any()
-        if moves and not (squares and (self.held == self.held[:, :1]).all()):
-            raise InputError(
-                "move: expected one material with a positive influence function, whose nodes are "
-                "held in all components or in none"
-            )
         if moves:
+            if not (squares and (self.held == self.held[:, :1]).all()):
+                raise InputError(
+                    "move: expected one material with a positive influence function, whose nodes "
+                    "are held in all components or in none"
+                )
             return
         if self.one and not squares:
             check_cut(self.matrix[self.free][:, self.free])

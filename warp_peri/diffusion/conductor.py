@@ -214,10 +214,7 @@ class DiffusionOperator(OnPoints):
         """
         refuse_solver(solver, (Direct,), self.what)
         b, phi = checked_fields(self.points, b, u, self.shape)
-        rest, left = Implicit(self), 0.0
-        for potential, source in zip(*(one.reshape(-1, *self.shape) for one in (phi, b))):
-            potential[:], one = rest.after(None, potential, source)
-            left = max(left, one)
+        left = Implicit(self).rest(b, phi)
         return Solution(phi, self.points, self, self.load(b), "lu", measured=left)
 
     march = stepped  # ∂φ/∂t = −L φ + b by Crank–Nicolson (theory, Di4)

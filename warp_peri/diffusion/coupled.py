@@ -204,9 +204,7 @@ class CoupledOperator(OnPoints):
         """
         refuse_solver(solver, (Direct,), self.what)
         load, given = checked_fields(self.points, b, u, self.shape)
-        rest, pairs = Implicit(self), (one.reshape(-1, *self.shape) for one in (given, load))
-        for field, one in zip(*pairs):
-            field[:] = rest.after(None, field.ravel(), one.ravel())[0].reshape(field.shape)
+        Implicit(self).rest(load, given)
         return Solution(given, self.points, self, self.load(load), "lu")
 
     march = stepped  # by backward Euler, b a load or a function of time
@@ -220,10 +218,8 @@ class CoupledOperator(OnPoints):
 
     def storage_slopes(self, names: list[str], rates: np.ndarray, w: np.ndarray) -> dict[str, Any]:
         """Derivatives of Σ w · storage() rates to numbers, of rates [K, N, 3], w [K, I, 3]."""
-        torch, own = (
-            in_torch().torch,
-            self.model.model.learnable | {"coupling": self.model.coupling},
-        )
+        torch = in_torch().torch
+        own = self.model.model.learnable | {"coupling": self.model.coupling}
         asked = [name for name in names if name in own]
         if not asked:
             return {}

@@ -299,6 +299,15 @@ class Implicit:
             raise InputError(f"{self.what}: the solve lost its digits")
         return later, float(left / size) if size else 0.0
 
+    def rest(self, loads: np.ndarray, given: np.ndarray) -> float:
+        """The largest relative residual of equilibria, put into what is given; [..., N, …] both."""
+        pairs = zip(*(one.reshape(-1, len(self.free)) for one in (given, loads)))
+        left = 0.0
+        for field, load in pairs:
+            field[:], one = self.after(None, field, load)
+            left = max(left, one)
+        return left
+
     def there(self, start: np.ndarray, loads: np.ndarray, given: np.ndarray) -> np.ndarray:
         """Fields at the start and after each step, of loads and what is given in each."""
         one = self.operator.shape

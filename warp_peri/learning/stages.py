@@ -12,6 +12,7 @@ import joblib
 import numpy as np
 from tqdm.auto import tqdm
 
+from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError
 from warp_peri.learning import LOSSES
@@ -145,14 +146,11 @@ class Stages:
 
         Two functions are held isotropic from the free optimum on: from afar they may end at λ = μ.
         """
-        asked = self.losses, self.data.conditions
-        two = self.two_functions
-        if two and method.moduli == ISOTROPIC:
-            free = dataclasses.replace(method, moduli=None)
-            start = constrained_optimum(
-                asked[0], start, asked[1], free, two_functions=two
-            ).parameters
-        return constrained_optimum(asked[0], start, asked[1], method, two_functions=two)
+        if self.two_functions and method.moduli == ISOTROPIC:
+            start = self._reach(start, dataclasses.replace(method, moduli=None)).parameters
+        return constrained_optimum(
+            self.losses, start, self.data.conditions, method, two_functions=self.two_functions
+        )
 
     def hold(self, method: Optimum, name: str, start: Parameters) -> Optimum:
         """The method with the moduli of long waves, where it asks for them and free ones miss them.
@@ -272,9 +270,7 @@ class Stages:
         model, sets = as_model(parameters, self.data.horizon), self.data.sets
         if any(np.count_nonzero(each.interior) > MOST_NODES for each in sets):
             return False
-        one = np.eye(2)
-        swapped = np.einsum("ik,jl->ijkl", one, one) + np.einsum("il,jk->ijkl", one, one)
-        C = parameters.lam * np.einsum("ij,kl->ijkl", one, one) + parameters.mu * swapped
+        C = from_voigt(plane_isotropic(parameters.lam, parameters.mu))
         errors = np.zeros(2)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)

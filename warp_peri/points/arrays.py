@@ -16,15 +16,20 @@ LARGEST = 1e100
 GRADIENT = "expected values without a gradient, which is not had here, got tensors with one"
 
 
-def plain(name: str, value: Any) -> np.ndarray:
-    """An array of float64, whose values may be anything; InputError for a tensor whose gradient
-    would be lost, for masked entries, complex numbers, text and objects."""
+def _made(name: str, make: Callable[[Any], Any], value: Any) -> Any:
+    """An array of what a user gave; InputError for what makes none."""
     try:
-        found = np.asarray(value)
-    except RuntimeError:
+        return make(value)
+    except RuntimeError:  # of torch, which would have the gradient thrown away
         raise InputError(f"{name}: {GRADIENT}") from None
     except ValueError as error:
         raise InputError(f"{name}: expected an array ({error})") from None
+
+
+def plain(name: str, value: Any) -> np.ndarray:
+    """An array of float64, whose values may be anything; InputError for a tensor whose gradient
+    would be lost, for masked entries, complex numbers, text and objects."""
+    found = _made(name, np.asarray, value)
     if found.dtype.kind not in "fiu" or np.ma.is_masked(value):
         got = "masked entries" if np.ma.is_masked(value) else found.dtype
         raise InputError(f"{name}: expected float values, got {got}")
@@ -50,12 +55,7 @@ def checked(
     Raises InputError for complex numbers, text and objects, for masked entries, for numbers that
     are not finite or beyond LARGEST, and for another shape.
     """
-    try:
-        masked = np.ma.array(value, copy=False)  # that of a list of masked arrays too
-    except RuntimeError:  # of torch, which would have the gradient thrown away
-        raise InputError(f"{name}: {GRADIENT}") from None
-    except ValueError as error:
-        raise InputError(f"{name}: expected an array ({error})") from None
+    masked = _made(name, np.ma.asanyarray, value)  # that of a list of masked arrays too
     value = np.asarray(masked.data)
     if value.dtype.kind not in {bool: "b", int: "iu"}.get(kind, "fiu"):
         raise InputError(f"{name}: expected {kind.__name__} values, got {value.dtype}")

@@ -14,14 +14,14 @@ from scipy.optimize import root
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
-from warp_peri.core.stencil import Basis, invariant_basis
+from warp_peri.core.stencil import Basis, central_weights, invariant_basis
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.regression import Learned
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.families import bond_classes
-from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import Samples, axis_of
 from warp_peri.regression.search import compressed
 from warp_peri.third_order.material import ThirdOrderCrystal
@@ -34,8 +34,6 @@ CONSTANTS = 3
 """Columns of t3, tq2 and q3, the first ones."""
 REACH, MODES = 2, 2
 """Spacings that gradients of long waves reach over, and half waves of the fields that see them."""
-DIFFERENCES = ((1, 2 / 3), (2, -1 / 12))
-"""Of fourth order, over REACH spacings."""
 NOTHING = 1e-13
 """Of equations of size one, that is rounding."""
 
@@ -204,24 +202,17 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
 
 def _gradients(samples: Samples, kept: np.ndarray) -> np.ndarray:
     """∂u/∂x along the nodes' axes by differences over REACH spacings, [S, n, 2, 2]."""
-    grid, axes = lattice_steps(samples.points)
-    low = grid.min(axis=0)
-    size = grid.max(axis=0) - low + 1
-    place = np.full(size, -1)
-    place[tuple((grid - low).T)] = np.arange(len(grid))
-    H = np.zeros((len(samples.u), len(kept), 2, 2))
-    for along, step in enumerate(np.eye(2, dtype=int)):
-        for count, weight in DIFFERENCES:
-            ends = []
-            for way in (count, -count):
-                there = grid[kept] - low + way * step
-                outside = (there < 0) | (there >= size)
-                nodes = place[tuple((there % size).T)]
-                if (nodes < 0).any() or (samples.points.box is None and outside.any()):
-                    raise InputError("moduli: expected nodes two spacings around the interior")
-                ends.append(samples.u[:, nodes])
-            H[..., along] += weight / samples.spacing * (ends[0] - ends[1])
-    return np.asarray(np.einsum("ka,snkl->snal", axes, H, optimize=True))
+    points, h = samples.points, samples.spacing
+    grid, axes = lattice_steps(points)
+    period = None if points.box is None else np.rint(np.asarray(points.box) / h).astype(int)
+    ways = itertools.product(np.eye(2, dtype=int), range(1, REACH + 1), (1, -1))
+    near = neighbour_table(grid, np.array([sign * m * one for one, m, sign in ways]), period)[kept]
+    if (near < 0).any():
+        raise InputError("moduli: expected nodes two spacings around the interior")
+    ahead, behind = np.moveaxis(samples.u[:, near.reshape(len(kept), 2, REACH, 2)], 4, 0)
+    return np.asarray(
+        np.einsum("m,snlmk,ka->snal", central_weights(REACH) / h, ahead - behind, axes)
+    )
 
 
 def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
