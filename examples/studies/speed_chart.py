@@ -47,7 +47,7 @@ def draw_front(
 ) -> None:
     """Time, error [%] and name of each: the front with names, the others grey.
 
-    `exact`: times of what has no error, by name, drawn as vertical lines; `every`: name all, in a wide chart.
+    `exact`: times of what has no error, by name, drawn as vertical lines; `every`: name all.
     """
     best: list[tuple[float, float, str]] = []
     for at in sorted(some):
