@@ -40,7 +40,7 @@ LONGEST, SHORTEST, ROUGH = 60.0, 24.0, 13.0
 """Waves of the loads [Å]; rough loads go down to the last."""
 STEPS, SKIPPED, QUIET = 40, 20, 8
 """Time steps of 0.5 fs a load, those left out at the begin, and fields of noise alone."""
-BATH = {"steps": STEPS, "timestep": 5e-4, "damping": 0.1}
+BATH: dict[str, Any] = {"steps": STEPS, "timestep": 5e-4, "damping": 0.1}
 
 
 @dataclass(frozen=True)
