@@ -30,6 +30,7 @@ from tests.ranks.job import (
     inside,
     nonlinear,
     proofs,
+    ringing,
     scattered,
     slopes,
     small,
@@ -374,6 +375,13 @@ def test_a_breaking_block_in_space_has_the_bits_of_one_process(jobs):
     alone = block()
     assert alone["worst"] > 0.3
     assert [jobs[count]["block"] for count in (1, 2, 3)] == [alone] * 3
+
+
+def test_waves_of_a_notched_plate_have_the_bits_of_one_process(jobs):
+    alone = ringing()
+    assert alone["off"] == 0.0
+    assert alone["drift"] < 1e-12
+    assert [jobs[count]["ringing"] for count in (1, 2, 3)] == [alone] * 3
 
 
 def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
