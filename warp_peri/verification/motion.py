@@ -142,8 +142,11 @@ GLASS = {"LPS": 0.22, "bond-based": 1 / 3}
 """ν of glass."""
 
 
-def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
-    """By how much a crack in a pulled glass plate outruns Rayleigh's wave, over it."""
+def crack_speed(name: str, s: UnitScale, cells: int) -> tuple[float, np.ndarray, np.ndarray]:
+    """Speed over Rayleigh's of a crack in pulled glass, 10 to 30 mm after its start; nodes, damage.
+
+    NaN of a crack that does not come so far.
+    """
     nu, E, h = GLASS[name], 64e3, 0.1 / cells
     glass, plate, x = glass_plate(name, s, h, E, 2450.0, 3.8e-6, 1.0)
     rim = np.abs(x[:, 1]) > 0.02 - h
@@ -152,14 +155,26 @@ def faster(name: str, s: UnitScale, cells: int = 100) -> Outcome:
     def tip(damage: np.ndarray) -> float:
         return float(x[damage > 0.3, 0].max(initial=0.0))
 
-    told: dict[str, Any] = {"every": 20, "no_fail": rim, "watch": {"tip": tip}}
+    told: dict[str, Any] = {"every": cells // 20, "no_fail": rim, "watch": {"tip": tip}}
     run = move(glass, plate, step=step, steps=4 * cells, **told)
-    fast = np.polyfit(run.time[-8:], run["tip"][-8:] * s.length, 1)[0]
+    runs = (run["tip"] > 0.01) & (run["tip"] < 0.03)
+    far = run["tip"].max() >= 0.03
+    fast = np.polyfit(run.time[runs], run["tip"][runs] * s.length, 1)[0] if far else np.nan
     shear = np.sqrt(s.stiffness * E / 2 / (1 + nu) / glass.density)
-    rayleigh = (0.862 + 1.14 * nu) / (1 + nu) * shear
-    note, label = f"it runs at {fast / rayleigh:.2f} of Rayleigh's speed", "share of broken bonds"
-    over = max(0.0, float(fast / rayleigh) - 1) if fast > 0 else np.nan  # one that stands
-    return Outcome(over, None, x, run.details.damage, label, note)
+    return float(fast * (1 + nu) / (0.862 + 1.14 * nu) / shear), x, run.details.damage
+
+
+def faster(name: str, s: UnitScale, *, finer: bool = False) -> Outcome:
+    """By how much a crack in a pulled glass plate outruns Rayleigh's wave, at three spacings.
+
+    Or, finer, the difference of its speeds at the two finest, over the last.
+    """
+    found = [crack_speed(name, s, cells) for cells in (100, 140, 200)]
+    speeds, (_, x, damage) = np.array([one[0] for one in found]), found[-1]
+    told = ", ".join(f"{speed:.3f}" for speed in speeds)
+    note = f"it runs at {told} of Rayleigh's speed at spacings of 1, 0.71 and 0.5 mm"
+    value = abs(speeds[1] / speeds[2] - 1) if finer else np.maximum(0, speeds - 1).max()
+    return Outcome(float(value), None, x, damage, "share of broken bonds", note)
 
 
 def branches(name: str, s: UnitScale, cells: int = 200) -> Outcome:
