@@ -199,7 +199,7 @@ def test_a_row_that_misses_stays_in_the_table_and_one_that_does_not_apply_says_w
     assert "Notes" not in table([made(note="too soft")])
     assert "1. Kirsch." in told
     assert "- does not apply, because ν: hole: bonds." in told
-    assert "| hole | **10 %** | – |" in by_material(lines)
+    assert "|hole [1]|**10**|–|" in by_material(lines)
     assert "0 of 1 rows hold" in page(lines)
 
 
