@@ -1,4 +1,4 @@
-"""References of strips and a bar with cracks against quadratic elements that are refined at the tips."""
+"""References of strips and a bar with cracks against quadratic elements refined at the tips."""
 
 import numpy as np
 import pytest
