@@ -26,15 +26,16 @@ def potential(mesh, tip, kind):
 
     top = mesh.facets_satisfying(lambda x: np.abs(x[1] - HIGH) < 1e-9)
     pull = fem.LinearForm(lambda v, w: v[1]).assemble(fem.FacetBasis(mesh, element, facets=top))
-    if kind.startswith("bend"):  # half a unit force on the middle, against a support
-        pull = np.zeros(len(pull))
-        pull[basis.nodal_dofs[0, np.argmin(np.hypot(*(mesh.p.T - [WIDE, 0]).T))]] = -0.5
+    bent = kind.startswith("bend")  # half a unit force on the middle, against a support
+    ends = [basis.nodal_dofs[0, [np.argmin(np.abs(mesh.p.T - x).sum(axis=1))]]
+            for x in ([WIDE, 0], [0, 2 * WIDE])]  # fmt: skip
+    if bent:
+        pull = -0.5 * (np.arange(len(pull)) == ends[0])
     side = 1 if kind == "double edge crack" else -1  # of the tip where the ligament is
     whole = mesh.facets_satisfying(lambda x: (x[1] < 1e-12) & (side * (tip - x[0]) > 0))
     held = [basis.get_dofs(whole).all("u^2")]
-    if kind.startswith("bend"):
-        away = np.hypot(*(mesh.p.T - [0, 2 * WIDE]).T)
-        held.append(basis.nodal_dofs[0, [np.argmin(away)]])
+    if bent:
+        held.append(ends[1])
     elif kind == "edge crack":
         held.append(basis.nodal_dofs[0, [np.argmax(mesh.p[0] - mesh.p[1])]])
     else:
