@@ -38,7 +38,14 @@ def potential(mesh, tip, kind):
     return -pull @ u / 2
 
 
-@pytest.mark.parametrize("kind", ["centre crack", "edge crack", "double edge crack"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pytest.param("centre crack", marks=pytest.mark.slow),
+        "edge crack",
+        pytest.param("double edge crack", marks=pytest.mark.slow),
+    ],
+)
 def test_references_of_strips_are_what_refined_elements_say(kind):
     tip = WIDE / 2
     mesh = fem.MeshTri.init_tensor(np.linspace(0, WIDE, 13), np.linspace(0, HIGH, 20))
