@@ -310,7 +310,8 @@ class Stages:
 
 def _local(C: np.ndarray, samples: Samples) -> dict[str, Any]:
     """Errors of local elasticity, by the widest differences that the collar has nodes for."""
-    h = samples.spacing
+    h, points = samples.spacing, dataclasses.replace(samples.points, axis=None)
+    samples = dataclasses.replace(samples, points=points)  # what is isotropic has no axis
     for reach in range(MOST_REACH, 1, -1):
         steps, tensors = difference_tensors(C, reach)
         try:
