@@ -91,30 +91,32 @@ class LongWaves:
 def long_wave_moduli(sets: Sequence[Samples]) -> LongWaves:
     """λ and μ of the long waves of lattices in the plane, beside no more terms than foretell.
 
-    Each sample counts by its load, each test field by what all terms together leave on it. Of all
-    choices of dispersion, third order and constants of fourth order the smallest is taken that
-    foretells what is left out as well as the best, to the standard error of their difference. An
-    axis that is not stated is learned.
+    Samples count by their loads, test fields by what all terms leave on them. Of all choices of
+    dispersion, third order and constants of fourth order the smallest is taken that foretells as
+    well as the best, to the standard error of that. An axis that is not stated is learned.
 
     Raises InputError for samples that see no long waves, or do not tell λ and μ.
     """
     turns = 1 if all(each.points.axis is not None for each in sets) else 2
     tables, loads = zip(*(_long_wave_table(each, turns) for each in sets))
     R, y = np.concatenate(tables), np.concatenate(loads)
-    groups = _groups(turns)
-    rest = _rest(_mixed(R, _columns(tuple(groups)[2:], groups)), y)
-    weight = 1 / np.sqrt((rest**2).mean(axis=0) + NOTHING * (y**2).mean())
+    size = np.sqrt((R**2).sum(axis=(0, 1, 2)))
+    R, groups = R / np.where(size > 0, size, 1), _groups(turns)
+    terms = R[..., groups[LAME[1]].start :]
+    c = np.linalg.lstsq(terms.reshape(y.size, -1), y.ravel(), rcond=NOTHING)[0]
+    weight = 1 / np.sqrt(((y - terms @ c) ** 2).mean(axis=0) + NOTHING * (y**2).mean())
     R, y = R * weight[..., None], y * weight
     if len(R) < ENOUGH:  # too few samples to leave out: test fields are
         R, y = R.swapaxes(0, 1), y.swapaxes(0, 1)
-    parts = R.reshape(len(R), -1, R.shape[-1]), y.reshape(len(y), -1)
-    tried = {
-        names: _foretold(*parts, _columns(names, groups))
+    R, y = R.reshape(len(R), -1, len(size)), y.reshape(len(y), -1)
+    columns = {
+        names: [groups[name] for name in (LAME[THIRD in names], *names)]
         for n in range(len(groups) - 1)
         for names in itertools.combinations(tuple(groups)[2:], n)
-        if THIRD in names or not set(names) - {DISPERSION}
+        if THIRD in names or set(names) <= {DISPERSION}
     }
-    best = min(tried.values(), key=lambda one: float(one[0].sum()))[0]
+    tried = {names: _foretold(_mixed(R, some), y) for names, some in columns.items()}
+    best = min((left for left, _ in tried.values()), key=np.sum)
 
     def lost(names: tuple[str, ...]) -> float:
         """What these leave more than the best, in standard errors of that."""
@@ -125,16 +127,14 @@ def long_wave_moduli(sets: Sequence[Samples]) -> LongWaves:
         (names for names in tried if lost(names) <= 1),
         key=lambda names: (len(names), float(tried[names][0].sum())),
     )
-    columns = _columns(taken, groups)
-    flat = parts[0].reshape(-1, R.shape[-1]), parts[1].ravel()
-    (lam, mu, *_), misfit = regression.moduli_of(_mixed(flat[0], columns), flat[1])
-    drawn = tried[taken][1]
-    errors = np.sqrt((len(drawn) - 1) * drawn.var(axis=0))
+    found, misfit = regression.moduli_of(_mixed(R, columns[taken]), y)
+    unit, drawn = size[columns[taken][0]], tried[taken][1]
+    (lam, mu), errors = found[:2] / unit, np.sqrt((len(drawn) - 1) * drawn.var(axis=0)) / unit
     return LongWaves(float(lam), float(mu), errors, misfit, taken)
 
 
 LAME, DISPERSION, THIRD = ("linear", "geometric"), "dispersion", "third order"
-"""Names of columns: λ and μ at small and at finite strain, and what comes first."""
+"""Names of columns: λ and μ at small strain, and with what finite strain adds; others."""
 
 
 def _groups(turns: int) -> dict[str, slice]:
@@ -145,35 +145,16 @@ def _groups(turns: int) -> dict[str, slice]:
     return {name: slice(*pair) for name, pair in zip(sizes, itertools.pairwise(ends))}
 
 
-def _columns(names: Sequence[str], groups: dict[str, slice]) -> list[slice]:
-    """Of λ and μ first, with finite strain where anything nonlinear is taken."""
-    return [groups[name] for name in (LAME[THIRD in names], *names)]
-
-
 def _mixed(R: np.ndarray, columns: Sequence[slice]) -> np.ndarray:
     return np.concatenate([R[..., some] for some in columns], axis=-1)
 
 
-def _rest(R: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """What least squares of R [..., m] leave of y."""
-    flat = R.reshape(-1, R.shape[-1])
-    size = np.linalg.norm(flat, axis=0)
-    c = np.linalg.lstsq(flat / np.where(size > 0, size, 1), y.ravel(), rcond=NOTHING)[0]
-    return y - R @ (c / np.where(size > 0, size, 1))
-
-
-def _foretold(
-    R: np.ndarray, y: np.ndarray, columns: Sequence[slice]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Squares that the other parts leave of each part [P], and their λ and μ, [P, 2]."""
-    R = _mixed(R, columns)
-    size = np.linalg.norm(R, axis=(0, 1))
-    R = R / np.where(size > 0, size, 1)
+def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squares that the other parts leave of each part [P], and their first two numbers, [P, 2]."""
     square, side = np.einsum("pra,prb->pab", R, R), np.einsum("pra,pr->pa", R, y)
     others = square.sum(axis=0) - square, side.sum(axis=0) - side
     c = (np.linalg.pinv(others[0], rcond=NOTHING, hermitian=True) @ others[1][..., None])[..., 0]
-    left = np.einsum("pra,pa->pr", R, c) - y
-    return (left**2).sum(axis=1), c[:, :2] / np.where(size > 0, size, 1)[:2]
+    return ((np.einsum("pra,pa->pr", R, c) - y) ** 2).sum(axis=1), c[:, :2]
 
 
 def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarray]:
