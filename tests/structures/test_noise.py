@@ -26,7 +26,7 @@ from warp_peri.structures.noise import (
     measured,
     projected,
 )
-from warp_peri.structures.phonons import check_phonons
+from warp_peri.structures.phonons import at_zone_edge, check_phonons
 from warp_peri.structures.rest import at_rest
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
@@ -73,6 +73,11 @@ def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small(aluminiu
         assert abs(figures["moduli_GPa"]["law"][name] - value) < 1e-3
     assert set(aluminium.said) >= {"noise", "displacements", "both"}
     assert "agree" in aluminium.said["both"]
+    exact = from_calculator(ase.build.bulk("Al", a=3.99413), EMT(), (5, 5, 5))
+    true, none, _ = at_zone_edge(replace(exact, doubt=0 * exact.values[None]))
+    found, bar, most = at_zone_edge(aluminium.atoms)
+    assert none < abs(found - true) < 3 * bar < 3 * most + 1e-12 < 0.01
+    assert f"{found:.3f} ± {bar:.2g} THz" in aluminium.said["phonons at the zone's edge"]
 
 
 def test_the_error_goes_into_the_law_and_into_what_is_proven(aluminium):

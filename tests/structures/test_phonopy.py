@@ -83,6 +83,26 @@ def test_what_is_no_file_of_phonopy_is_refused(tmp_path):
         wp.atoms.from_phonopy(tmp_path)
 
 
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # phonopy leaves files open
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore:primitive_matrix")
+@pytest.mark.filterwarnings("ignore:.* taken for a supercell:UserWarning")
+def test_lengths_that_phonopy_reads_wrongly_are_refused(tmp_path):
+    """Its reader of SIESTA takes 5.43 Å for 1 bohr behind a line that ends in a number."""
+    pytest.importorskip("phonopy")
+    (tmp_path / "Si.fdf").write_text(
+        "%block ChemicalSpeciesLabel\n 1 14 Si\n%endblock ChemicalSpeciesLabel\n"
+        "AtomicCoordinatesFormat Fractional\nNumberOfAtoms 2\nLatticeConstant 5.43 Ang\n"
+        "%block LatticeVectors\n 0 0.5 0.5\n 0.5 0 0.5\n 0.5 0.5 0\n%endblock LatticeVectors\n"
+        "%block AtomicCoordinatesAndAtomicSpecies\n 0 0 0 1\n 0.25 0.25 0.25 1\n"
+        "%endblock AtomicCoordinatesAndAtomicSpecies\n"
+    )
+    rows = "\n".join(["2 2"] + [f"{i} {j}\n0 0 0\n0 0 0\n0 0 0" for i in (1, 2) for j in (1, 2)])
+    (tmp_path / "FORCE_CONSTANTS").write_text(rows + "\n")
+    with pytest.raises(wp.InputError, match=r"got 0.23 Å between .* are lengths not in Å"):
+        wp.atoms.from_phonopy(tmp_path)
+
+
 def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(tmp_path):
     """Of eight atoms of copper every other one is as near as its images: nothing can decay."""
     narrow = from_calculator(bulk("Cu", a=3.59), EMT(), (2, 2, 2))

@@ -202,7 +202,7 @@ class ForceConstants:
         bad = least[:, 0] <= SOFT * 1e-7 * np.abs(self.values).max()
         if bad.any():
             wave = np.linalg.eigh(D[bad][0])[1][:, 0].reshape(n, m)
-            error = self.stiffness_error(k[bad][0], wave)
+            error = float(self.stiffness_error(k[bad][0], wave))
             bar = f" ± {error:.2g}" if error else ""
             raise InputError(
                 f"force constants: expected a stable crystal, got the stiffness "
@@ -214,16 +214,17 @@ class ForceConstants:
         moved = np.linalg.solve(D, force.reshape(len(k), n * m, -1)).reshape(force.shape)[:, :, :d]
         return np.asarray(moved if f.ndim == 3 else moved[..., 0])
 
-    def stiffness_error(self, k: np.ndarray, wave: np.ndarray) -> float:
-        """Error [eV/Å²] of the stiffness of a wave [n, m] at k [1/Å]; 0 where none is told."""
-        if self.doubt is None:
-            return 0.0
-        phase, m = np.exp(1j * (self.vectors[:, : len(k)] @ k)), wave.shape[1]
-        first, second = (wave[self.pairs[:, side]] for side in (0, 1))
-        off = np.einsum(
-            "p,pa,qpab,pb->q", phase, first.conj(), self.doubt[..., :m, :m], second, optimize=True
-        )
-        return float(np.linalg.norm(off.real))
+    def stiffness_error(self, k: np.ndarray, waves: np.ndarray) -> Any:
+        """Errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å]; 0 where none is told."""
+        doubt, m, n = self.doubt, waves.shape[-1], len(self.positions)
+        if doubt is None:
+            return np.zeros(waves.shape[:-2])
+        phase, count = np.exp(1j * (self.vectors[:, : len(k)] @ k)), len(self.pairs)
+        onto = sp.csr_array((phase, (self.pairs @ [n, 1], np.arange(count))), shape=(n * n, count))
+        off = onto @ np.moveaxis(doubt[..., :m, :m], 0, -1).reshape(count, -1)
+        off = off.reshape(n, n, m, m, len(doubt))
+        ends = np.einsum("...ia,ijabq,...jb->...q", waves.conj(), off, waves, optimize=True)
+        return np.linalg.norm(ends.real, axis=-1)
 
     def effective(self, k: np.ndarray) -> np.ndarray:
         """D_eff(k) = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ [TPa/Å²], shape [K, d, d] (T14).

@@ -414,20 +414,18 @@ def check_phonons(atoms: ForceConstants) -> None:
     so that its bending is not. Raises it too for parts that feel no force from the rest.
     """
     d = atoms.dimension
-    back = 2 * np.pi * np.linalg.inv(atoms.cell[:d, :d]).T
     line = np.arange(GRID[d]) / GRID[d]
     parts = np.array(list(itertools.product(line, repeat=d)))
     parts = np.where(parts > 0.5, parts - 1, parts)
     parts = parts[parts @ [1.0, 1e-3, 1e-6][:d] >= 0]
-    weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], 3))
-    D = atoms.dynamical(parts @ back, moving=3) * weight * weight[:, None]
+    back, weight, D = _modes(atoms, parts)
     least = np.linalg.eigvalsh(D)
     worst = int(least[:, 0].argmin())
     top = least[:, -2 if d == 2 else -1].max()  # above it is what a mean height is held with
     error = 0.0
     if atoms.doubt is not None and least[worst, 0] < 0:
         wave = np.linalg.eigh(D[worst])[1][:, 0] * weight
-        error = atoms.stiffness_error(parts[worst] @ back, wave.reshape(-1, 3))
+        error = float(atoms.stiffness_error(parts[worst] @ back, wave.reshape(-1, 3)))
     if least[worst, 0] >= -max(SOFT * top, TIMES * error):
         stiffest = np.linalg.eigvalsh(atoms.dynamical(parts @ back))[:, 0].max()
         if stiffest <= SOFT * np.abs(atoms.values).max():
@@ -441,3 +439,22 @@ def check_phonons(atoms: ForceConstants) -> None:
         f"{imaginary:.2f}{bar}i THz at k = {np.round(parts[worst], 4).tolist()} of the reciprocal "
         f"edges ({np.round(k, 4).tolist()} 1/Å); displace atoms along it in a larger cell and relax"
     )
+
+
+def _modes(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Reciprocal edges [1/Å], 1/√mass of each coordinate, D over masses of waves, by their parts."""
+    back = 2 * np.pi * np.linalg.inv(atoms.cell[: atoms.dimension, : atoms.dimension]).T
+    weight = 1 / np.sqrt(np.repeat(atomic_masses[atoms.species], 3))
+    return back, weight, atoms.dynamical(parts @ back, moving=3) * weight * weight[:, None]
+
+
+def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
+    """The softest phonon [THz] of halves of the reciprocal edges, its error, and the largest."""
+    parts = np.array(list(itertools.product((0, 0.5), repeat=atoms.dimension)))[1:]
+    back, weight, D = _modes(atoms, parts)
+    size, modes = np.linalg.eigh(D)
+    waves = (modes.swapaxes(1, 2) * weight).reshape(*size.shape, -1, 3)
+    off = np.array([atoms.stiffness_error(k, one) for k, one in zip(parts @ back, waves)])
+    low, middle, high = (THZ * np.sqrt(np.clip(size + way * off, 0, None)) for way in (-1, 0, 1))
+    error, soft = (high - low) / 2, np.unravel_index(size.argmin(), size.shape)
+    return float(middle[soft]), float(error[soft]), float(error.max())

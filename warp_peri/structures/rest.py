@@ -588,6 +588,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
         for part in (small, large)
     )
+    _check_sites(cell)  # phonopy passes over some lengths of SIESTA
     displaced = np.asarray(small.p2s_map)
     phi = units.force_to_eVperA / x * np.asarray(found.force_constants)
     phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
