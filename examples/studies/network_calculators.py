@@ -3,7 +3,7 @@
 python examples/studies/network_calculators.py Al Si                    laws of two crystals
 python examples/studies/network_calculators.py --tools law matcalc matscipy    all sixty by three
 python examples/studies/network_calculators.py Fe --tools phonons    its softest waves, by phonopy
-python examples/studies/network_calculators.py Al Si --tools lists    small cells one at a time or 16
+python examples/studies/network_calculators.py Al Si --tools lists    small cells, 1 or 16 at a time
 
 The network is CHGNet (pip install chgnet); its weights come with it. Each result is kept in a file
 as it ends, and a second start goes on from there.

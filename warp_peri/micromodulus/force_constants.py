@@ -6,7 +6,6 @@ Lengths in Å, energies in eV as every code of atoms has them; the stiffness of 
 from __future__ import annotations
 
 import itertools
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +35,6 @@ LONG = 4e-3
 """|k| [1/Å] of waves that have the moduli of moments where Φ keeps its sums."""
 SMALL = 2e-3
 """|k| [1/Å] of the differences that second moments of ions' fields are taken by."""
-LARGEST_FILE = 2**31
 TINY = float(np.finfo(float).tiny)
 """Divides what is zero."""
 SOFT = 1e-7
@@ -579,55 +577,3 @@ def from_calculator(
     phi, change = finite_differences(forces, at_rest, first, step=step)
     supercell.positions[:] = at_rest
     return from_supercell(structure, supercell, phi, first, thickness=thickness, change=change)
-
-
-def read_force_constants(
-    path: str | os.PathLike[str],
-    structure: Any,
-    supercell: Any,
-    displaced: Sequence[int],
-    *,
-    thickness: float | None = None,
-) -> ForceConstants:
-    """Read a FORCE_CONSTANTS file as phonopy writes it, in eV/Å², whole or of the cell's atoms.
-
-    Args:
-        path: text: two counts, then for each pair its two numbers and three rows.
-        structure: the primitive cell, an ase.Atoms.
-        supercell: in the order of the file, an ase.Atoms.
-        displaced: numbers in the supercell, from 0, of the atoms of the primitive cell.
-
-    Raises InputError for a file that is not one, naming the line.
-    """
-    if not os.path.isfile(path):
-        raise InputError(f"{path}: no such file")
-    if os.path.getsize(path) > LARGEST_FILE:
-        raise InputError(f"{path}: expected less than {LARGEST_FILE} bytes")
-    with open(path, encoding="ascii", errors="replace") as file:
-        words = file.readline().split()
-        lines = file.read().split("\n")
-    try:
-        counts = [int(word) for word in words]
-    except ValueError:
-        counts = []
-    total = len(supercell)
-    rows = counts[0] if counts else 0
-    if not counts or rows not in (len(displaced), total) or counts[-1] != total:
-        raise InputError(f"{path}: line 1: expected {len(displaced)} {total}, got {words}")
-    phi = np.zeros((len(displaced), 3, total, 3))
-    wanted = {atom: row for row, atom in enumerate(displaced)}
-    lines = [line for line in lines if line.strip()]
-    if len(lines) != 4 * rows * total:
-        raise InputError(f"{path}: expected {4 * rows * total} more lines, got {len(lines)}")
-    for number in range(0, len(lines), 4):
-        try:
-            i, j = (int(word) - 1 for word in lines[number].split()[:2])
-            if i not in wanted:
-                continue
-            block = [[float(word) for word in line.split()] for line in lines[number + 1 :][:3]]
-            phi[wanted[i], :, j] = block
-        except (ValueError, IndexError):
-            raise InputError(
-                f"{path}: line {number + 2}: expected a pair and 3 × 3 numbers"
-            ) from None
-    return from_supercell(structure, supercell, phi, displaced, thickness=thickness)
