@@ -235,6 +235,8 @@ REACHED = 1e-5
 """Force at half the width of a supercell, over the largest, that is none."""
 MOST_ATOMS, NOISY_ATOMS = 6000, 700
 """In a supercell; where forces are noisy strains tell moduli better than what is further away."""
+FILLED = 0.75
+"""Of the memory that there is, which the calculator may take; the rest is for what else runs."""
 WITH_IONS = 14.0
 """Width of a supercell [Å] where Born charges take off what reaches further."""
 GRID = {2: 24, 3: 8}
@@ -366,7 +368,7 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
         many = cell.repeat(wider)
         grown = (_kilobytes("self/status", "VmHWM") - fullest) * np.prod(wider) / np.prod(repeats)
         held = _kilobytes("self/status", "VmRSS") + _kilobytes("meminfo", "MemAvailable")
-        if repeats != (1, 1, 1) and fullest + grown > held:
+        if repeats != (1, 1, 1) and fullest + grown > FILLED * held:
             ended = f"; {len(many)} atoms would need more memory than there is"
             break
         at_rest, x = forces_of(many, calculator), np.array(many.positions)
