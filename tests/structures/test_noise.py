@@ -14,7 +14,7 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures import learn, phonons
+from warp_peri.structures import learn, noise, phonons
 from warp_peri.structures.calculators import lammps_calculator
 from warp_peri.structures.noise import (
     BENDING,
@@ -25,6 +25,7 @@ from warp_peri.structures.noise import (
     bent_by_strain,
     measured,
     projected,
+    rattled,
 )
 from warp_peri.structures.phonons import at_zone_edge, check_phonons
 from warp_peri.structures.rest import at_rest
@@ -310,6 +311,18 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
         assert abs(value - secant(LARGEST * size)) < 1.05 * bar
     assert "largest steps" in crystal.said["rough"]
     assert crystal.certificate.holds
+
+
+def test_phonons_of_a_rough_surface_on_half_the_displacement_lie_within_their_errors(monkeypatch):
+    cell, seen = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST), []
+    told = measured(cell, Dimpled(), False)
+    for most in (0.03, 0.015):
+        monkeypatch.setattr(noise, "MOST", most)
+        how = {"thickness": None, "polar": None, "stress": None}
+        atoms, _ = rattled(cell, cell.repeat(4), Dimpled(), told, **how)
+        seen.append(at_zone_edge(atoms))
+    (wide, error, _), (near, *_) = seen
+    assert 0.02 * wide < near - wide < error < 0.05 * wide
 
 
 @pytest.mark.parametrize("name", ["Al", "Cu", "Ni", "Ag", "Pt", "Au", "Si", "W", "Zr"])
