@@ -113,6 +113,7 @@ def covered(seeds, kind="crystal", **options):
     return float(np.mean(inside))
 
 
+@pytest.mark.slow
 def test_bands_hold_the_truth_on_a_few_sets():
     assert covered(range(3), leave_one_out=True) > 0.7
 

@@ -35,6 +35,11 @@ def good_data(path):
     return data
 
 
+def good_model():
+    """A model with records."""
+    return kernel("sign-changing", 20.0, spacing=5.0)
+
+
 def truncated(raw, rng):
     return raw[: rng.randrange(len(raw))]
 
@@ -157,7 +162,7 @@ def mutate(folder, number, seed=0):
     """Mutated files: (path, what was done, contents that count as a correct read)."""
     data_file, model_file = folder / "good.h5", folder / "good.json"
     expected = content_hash(good_data(data_file))
-    kernel("sign-changing", 20.0, spacing=5.0).save(model_file)
+    good_model().save(model_file)
     right_model = json.dumps(json.loads(model_file.read_text()), sort_keys=True)
     for index in range(number):
         rng = random.Random(seed * 1_000_003 + index)

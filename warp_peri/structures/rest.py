@@ -588,6 +588,9 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
         for part in (small, large)
     )
+    _check_sites(cell)  # phonopy passes over some lengths of SIESTA
+    if small.magnetic_moments is not None:  # sites that they tell apart are no images
+        cell.set_initial_magnetic_moments(small.magnetic_moments)
     displaced = np.asarray(small.p2s_map)
     phi = units.force_to_eVperA / x * np.asarray(found.force_constants)
     phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
@@ -623,7 +626,9 @@ def unit_cell(path: Path, code: str) -> ase.Atoms:
     _, calculator = _phonopy()
     cell: Any = calculator.read_crystal_structure(path, code)[0]
     x = vars(calculator)["get_calculator_physical_units"](code).distance_to_A
-    return ase.Atoms(cell.numbers, positions=x * cell.positions, cell=x * cell.cell, pbc=True)
+    moments = cell.magnetic_moments
+    edges, places = x * cell.cell, x * cell.positions
+    return ase.Atoms(cell.numbers, positions=places, cell=edges, pbc=True, magmoms=moments)
 
 
 def _opened(file: Path, read: Callable[[Path, str], tuple[Any, Any]]) -> dict[str, Any]:
