@@ -14,7 +14,7 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures import learn, noise, phonons
+from warp_peri.structures import learn, phonons
 from warp_peri.structures.calculators import lammps_calculator
 from warp_peri.structures.noise import (
     BENDING,
@@ -317,7 +317,7 @@ def test_phonons_of_a_rough_surface_on_half_the_displacement_lie_within_their_er
     cell, seen = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST), []
     told = measured(cell, Dimpled(), False)
     for most in (0.03, 0.015):
-        monkeypatch.setattr(noise, "MOST", most)
+        monkeypatch.setattr("warp_peri.structures.noise.MOST", most)
         how = {"thickness": None, "polar": None, "stress": None}
         atoms, _ = rattled(cell, cell.repeat(4), Dimpled(), told, **how)
         seen.append(at_zone_edge(atoms))
