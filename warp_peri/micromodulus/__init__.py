@@ -3,7 +3,7 @@
 from warp_peri.core.elastic import from_voigt
 from warp_peri.micromodulus.force_constants import Polar, from_calculator
 from warp_peri.micromodulus.law import Crystal, StencilMaterial, tensors_of
-from warp_peri.micromodulus.learning import CrystalFit, Micromodulus
+from warp_peri.micromodulus.learning import Micromodulus
 from warp_peri.micromodulus.waves import (
     fit_symbol,
     from_phonons,
@@ -14,7 +14,6 @@ from warp_peri.micromodulus.waves import (
 
 __all__ = [
     "Crystal",
-    "CrystalFit",
     "Micromodulus",
     "Polar",
     "StencilMaterial",
