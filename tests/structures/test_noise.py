@@ -245,6 +245,13 @@ def test_the_widest_supercell_that_memory_holds_is_taken_and_told(monkeypatch):
     assert told["force constants"] == "5 x 5 x 5 cells, 125 atoms"
 
 
+def test_what_is_rough_is_no_noise_of_forces_far_away():
+    rest = at_rest(ase.build.bulk("Cu"), EMT())
+    noise = replace(measured(rest.cell, EMT(), False), force=1e-6, rough=1.0)
+    found = phonons._wide_enough(replace(rest, noise=noise), EMT(), (4.0, 6.0, 8.0))
+    assert found == (3, 3, 3)  # of two cells atoms at half the width are still pulled
+
+
 @pytest.mark.slow
 def test_the_study_counts_laws_errors_and_bands():
     found = study(["Si"], [1e-4], 1)
