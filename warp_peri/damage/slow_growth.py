@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from warp_peri.damage.cut_solid import CutSolid, check_pieces, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, cracked, lattice_body
-from warp_peri.damage.operator import bonds_of, stretch_rows, unit_toughness
+from warp_peri.damage.operator import bonds_of, dilatations, stretch_rows, unit_toughness
 from warp_peri.damage.solid import BrittleCrystal, CrystalBonds, check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
@@ -64,11 +64,8 @@ class _Weakened:
         if self._bonds.excess != 0:
             new = np.setdiff1d(ends, self._nodes)
             self._nodes = np.append(self._nodes, new)
-            at, its = np.nonzero(neighbour[new] >= 0)
-            rows = stretch_rows(body, new[at], its, neighbour[new[at], its])
-            shape = (len(new), len(at))
-            sums = sp.csr_array((self._bonds.share[its], (at, np.arange(len(at)))), shape=shape)
-            self._theta = self._more(1, self._theta, sp.csr_array(sums @ rows))
+            rows = dilatations(body, self._bonds.share, neighbour, new)
+            self._theta = self._more(1, self._theta, rows)
         self.holds = len(self._kinds) + len(self._nodes) <= MOST_LOST and self._settled()
 
     def _more(self, which: int, rows: sp.csr_array, new: sp.csr_array) -> sp.csr_array:
