@@ -212,8 +212,9 @@ def mean_gradients(
     spans = np.linalg.eigvalsh(shape)[:, 0] > SPANNED * whole
     node, there = node[spans], there[spans]
     by_bond = np.einsum("nb,bi,nij->njb", there * pull, xi, np.linalg.inv(shape[spans]))
-    row, bond = np.nonzero(by_bond.reshape(d * len(node), -1))
-    value, own = by_bond.reshape(d * len(node), -1)[row, bond], node[row // d]
+    flat = by_bond.reshape(d * len(node), len(xi))
+    row, bond = np.nonzero(flat)
+    value, own = flat[row, bond], node[row // d]
     columns = np.concatenate([neighbour[own, bond], own])
     entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
     slopes = sp.csr_array(sp.coo_array(entries, shape=(d * len(node), len(neighbour))))

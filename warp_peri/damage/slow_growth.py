@@ -117,6 +117,7 @@ def grow(
     stretches: ArrayLike = 1.0,
     cracks: Sequence[ArrayLike] = (),
     no_fail: np.ndarray | None = None,
+    corrected: bool = False,
     progress: bool = False,
 ) -> Motion:
     """Break the bond most stretched beside its limit, and its mirror images, event by event.
@@ -130,6 +131,7 @@ def grow(
         stretches: critical ones of the bonds of a ball, shape [B], of which the load is told.
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
+        corrected: as of CutSolid; the body is then factorised anew at each event.
         progress: shows a bar.
 
     Returns:
@@ -154,7 +156,8 @@ def grow(
         try:
             check_pieces(body, neighbour, given)
             if weak is None or not weak.holds:
-                weak = _Weakened(CutSolid(model, body, held, neighbour=neighbour), u)
+                how: dict[str, Any] = {"neighbour": neighbour, "corrected": corrected}
+                weak = _Weakened(CutSolid(model, body, held, **how), u)
         except InputError:
             if not loads:
                 raise
@@ -170,7 +173,10 @@ def grow(
         energies.append(weak.energy)
         counts.append(start - int((neighbour >= 0).sum()))
         chosen = stretch > largest * (1 - TOGETHER)
-        weak.lose(*np.nonzero(chosen))
+        if corrected:
+            weak = None
+        else:
+            weak.lose(*np.nonzero(chosen))
         neighbour = np.where(chosen, -1 - neighbour, neighbour)
         end = field * loads[-1]
     history = dict(zip(("load", "energy", "broken"), map(np.array, (loads, energies, counts))))
