@@ -163,11 +163,11 @@ def pulled_plate(path=None, steps=400, finer=1):
 
 
 def test_a_corrected_plate_breaks_through_with_its_ledger_and_goes_on_with_the_same_bits(tmp_path):
-    run, fine = pulled_plate(), pulled_plate(finer=2)
+    run, fine = pulled_plate(), pulled_plate(finer=4)
     assert run["dissipated"][-1] > 0
     assert (np.diff(run["dissipated"]) >= 0).all()
     assert run.missing < 0.02
-    assert fine.missing < run.missing / 2  # to second order in the step
+    assert fine.missing < run.missing / 4  # of second order, while bonds break one by one
     pulled_plate(tmp_path / "run.h5", 300)
     again = pulled_plate(tmp_path / "run.h5")
     np.testing.assert_array_equal(again.u, run.u)

@@ -124,18 +124,18 @@ class SurfaceCorrection:
         body, d = self._operator.body, self._operator.body.dimension
         there = self._operator.kept(self.links, nodes[:, None], np.arange(len(share)))
         xi, along = body.xi, self._along
-        shape = np.einsum("nb,bi,bj->nij", there * self._pull, xi, xi, optimize=True)
+        # node by node, so that the bits are the same however many there are
+        pull = ((there * self._pull)[:, :, None] * xi).swapaxes(1, 2)
+        shape = pull @ xi
         spans = np.linalg.eigvalsh(shape)[:, 0] > self._least
         shape[~spans] = np.eye(d)
         lack = ~there & spans[:, None]
         made = (
             np.where(there, body.neighbour[nodes], nodes[:, None]),
             (there * share)[:, :, None] * xi,
-            np.einsum(
-                "nb,bi,nij->njb", there * self._pull * spans[:, None], xi, np.linalg.inv(shape)
-            ),
-            np.einsum("nb,bp,bq->npq", lack * stiffness, along, along, optimize=True),
-            (lack * share) @ along,
+            spans[:, None, None] * (np.linalg.inv(shape) @ pull),
+            ((lack * stiffness)[:, None] * along.T) @ along,
+            ((lack * share)[:, None] @ along)[:, 0],
         )
         stay = ~np.isin(self.nodes, nodes)
         every = np.append(self.nodes[stay], nodes)
