@@ -600,9 +600,9 @@ class DressedBody(OnPoints):
         return np.array(tables), np.array(shares)
 
     @cached_property
-    def _chains(self) -> list[Chain]:
+    def chains(self) -> list[Chain]:
         """What goes by rows, and the short list of what does not, of each G."""
-        law, h, d = self.model, self.model.spacing, len(self.axes)
+        h, d, elements = self.model.spacing, len(self.axes), self.model.base == "elements"
         neighbour, pairs = self._pairs
         plain = np.asarray(pairs.all(axis=0))
         near = plain[neighbour] & (self.grain[neighbour] == self.grain[:, None]) & (neighbour >= 0)
@@ -610,43 +610,29 @@ class DressedBody(OnPoints):
         felt = short.copy()
         felt[neighbour[short]] = True
         odd = np.flatnonzero(~self._sites_whole & self._there.any(axis=1))
-        strains, every, found = self._strains(odd), range(len(self.factors)), []
+        strains, found = self._strains(odd), []
         for number, tensors in enumerate(self._tensors):
-            parts = [number] if len(self._tensors) > 1 else list(every)
-            K = sp.csr_array(sum(self.part(a, self.factors[a], strains) for a in parts))
-            factors, tables = None, (np.zeros((0, 0, 0)),) * 2
-            if law.base == "elements":
-                tables = self.phases(parts)
-            elif self._sites_whole.any():
+            parts = [number] if len(self._tensors) > 1 else list(range(len(self.factors)))
+            K = sum(self.part(a, self.factors[a], strains) for a in parts)
+            G, Gt = self._dressing(tensors, ~plain), self._dressing(tensors, felt).T
+            tables, shares = self.phases(parts) if elements else (np.zeros((0, d, d)), np.zeros(0))
+            factors = None
+            if not elements and self._sites_whole.any():
                 live = self.factors * self._sites_whole / h**2
-                factors = bond_table(law.parts)[2][:, parts] @ live[parts]
-            found.append(
-                Chain(
-                    tensors,
-                    self._dressing(tensors, ~plain),
-                    sp.csr_array(_picked(short, d) @ self._dressing(tensors, felt).T),
-                    tables[0] / h**2,
-                    tables[1],
-                    factors,
-                    K,
-                )
-            )
+                factors = bond_table(self.model.parts)[2][:, parts] @ live[parts]
+            rows = G, sp.csr_array(_picked(short, d) @ Gt)
+            found.append(Chain(tensors, *rows, tables / h**2, shares, factors, sp.csr_array(K)))
         return found
-
-    def _by_rows(self, dtype: Any) -> BodyLayers:
-        law, periodic = self.model, self.points.box is not None
-        place = self.grid, self.sides, periodic, law.steps, self.grain, law.parts
-        return BodyLayers(*place, self._chains, dtype)
 
     @cached_property
     def _exact(self) -> BodyLayers:
         """L of all nodes."""
-        return self._by_rows(np.float64)
+        return BodyLayers(self)
 
     @cached_property
     def _sweep(self) -> BodyLayers:
         """L of all nodes, in the body's own precision."""
-        return self._exact if self.dtype == np.float64 else self._by_rows(self.dtype)
+        return self._exact if self.dtype == np.float64 else BodyLayers(self, self.dtype)
 
     @cached_property
     def layers(self) -> list[sp.csr_array]:
@@ -657,17 +643,13 @@ class DressedBody(OnPoints):
     @cached_property
     def stiffness(self) -> np.ndarray:
         """Diagonal of K, zero where nothing belongs to a node, [N, d]."""
-        base, (count, d) = self.model.parts, self.points.x.shape
-        found = np.zeros((count + 1, d))
-        found[:-1] = np.sum([chain.sites.diagonal() for chain in self._chains], axis=0).reshape(
-            -1, d
-        )
+        B, d = self.model.parts.strains / self.model.spacing, len(self.axes)
+        found = np.zeros((len(self.grid) + 1, d))
+        for chain in self.chains:
+            found[:-1] += chain.sites.diagonal().reshape(-1, d)
         for a, factor in enumerate(self.factors * self._sites_whole):
             for share, M in self.tensors(a):
-                own = (
-                    np.einsum("spi,st,tpi->pi", base.strains, M, base.strains)
-                    / self.model.spacing**2
-                )
+                own = np.einsum("spi,st,tpi->pi", B, M, B)
                 for near, each in zip(self._corner.T, own):
                     found[near] += (share * factor)[:, None] * each
         return found[:-1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,18 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 import scipy.fft
 import scipy.sparse as sp
-import warp as wp
 from scipy.ndimage import maximum_filter
 
 from warp_peri.core.elastic import PAIRS, named_symmetry, voigt
 from warp_peri.core.grid import Grid
-from warp_peri.core.sweeps import FASTER, SCALARS, convolved, entries, inverse, row_pieces
+from warp_peri.core.sweeps import SCALARS, Rows, convolved, entries, inverse
 from warp_peri.damage.solid import CrystalBonds
 from warp_peri.errors import InputError
 from warp_peri.kernels.dressed.bonds import bonds as bond_kernels
 from warp_peri.kernels.dressed.elements import element_planes
-from warp_peri.kernels.micromodulus.rows import rows
-from warp_peri.launch import DEVICE, floats, ints, launch_slices, threads
+from warp_peri.launch import floats, ints, launch_slices, threads
 from warp_peri.points.families import bond_classes
 
 KINDS = ("elements", "bonds")
@@ -255,60 +252,7 @@ def half(stencil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return steps[kept], (tensors[kept] + tensors[kept].transpose(0, 2, 1)) / 2
 
 
-class _Rows:
-    """Planes of a box that go row by row, piece by piece.
-
-    Args:
-        wide: places of the box along its axes.
-        dtype: float64 or float32.
-    """
-
-    def __init__(self, wide: Sequence[int], dtype: Any) -> None:
-        self.wide, self.dtype, d = tuple(wide), np.dtype(dtype), len(wide)
-        self.scalar, self.places = SCALARS[self.dtype], int(np.prod(wide))
-        self.kernels = rows(self.scalar, d)
-        self.strides = np.array([int(np.prod(wide[a + 1 :])) for a in range(d)])
-        self._buffers: dict[tuple[int, int], np.ndarray] = {}
-
-    def table(self, steps: np.ndarray, tensors: np.ndarray) -> tuple[Any, Any]:
-        """Offsets and tensors of half a family, as the kernel takes them."""
-        return ints(steps @ self.strides), self._floats(entries(tensors))
-
-    def _launch(
-        self, kernel: Any, pieces: Any, inputs: tuple[Any, ...], given: np.ndarray, out: np.ndarray
-    ) -> None:
-        if len(pieces):
-            launch_slices(
-                kernel,
-                len(pieces),
-                (pieces, *inputs, floats(given, self.scalar)),
-                (floats(out, self.scalar),),
-                samples=len(given),
-                weight=self.kernels.lanes // FASTER,
-            )
-
-    def _buffer(self, number: int, count: int, size: int) -> np.ndarray:
-        """[S, size] with room behind for the last piece's lanes, kept between calls."""
-        key = number, count
-        if key not in self._buffers:
-            self._buffers[key] = np.zeros(count * size + self.kernels.lanes, self.dtype)
-        return self._buffers[key][: count * size].reshape(count, size)
-
-    def _pieces(self, asked: np.ndarray) -> Any:
-        return wp.array(
-            row_pieces(asked.ravel(), self.kernels.lanes), dtype=wp.vec2i, device=DEVICE
-        )
-
-    def _floats(self, values: np.ndarray, spare: bool = False) -> Any:
-        if not spare:
-            return floats(values.astype(self.dtype), self.scalar)
-        room = np.zeros(values.size + self.kernels.lanes, self.dtype)
-        laid = room[: values.size].reshape(values.shape)
-        laid[:] = values
-        return floats(laid, self.scalar)
-
-
-class ByLayers(_Rows):
+class ByLayers(Rows):
     """L u of an even solid of one G in three sweeps, each over as many places as the next reads.
 
     Args:
@@ -337,7 +281,7 @@ class ByLayers(_Rows):
         self.stages: list[tuple[Any, ...]] = []
         reach, ends = 0, []
         for dressed, steps_, C in (outer, (0, along, K / spacing**2), outer):
-            pieces = self._pieces(maximum_filter(mask, 2 * reach + 1))
+            pieces = self.pieces(maximum_filter(mask, 2 * reach + 1))
             self.stages.insert(0, (pieces, dressed, *self.table(steps_, C)))
             reach += int(np.abs(steps_).max())
             ends.append(int(pieces.numpy()[-1, 0] + (steps_ @ self.strides).max()))
@@ -347,15 +291,15 @@ class ByLayers(_Rows):
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
         nodes, d = self.nodes, self.nodes.dimension
         count, size = len(planes), d * self.places
-        first, second = (self._buffer(n, count, size) for n in range(2))
+        first, second = (self.buffer(n, count, size) for n in range(2))
         field = np.ascontiguousarray(planes, self.dtype).reshape(count, -1)
         if self.beyond:  # lanes of the last piece would read past the end
-            field = self._buffer(2, count, size)
+            field = self.buffer(2, count, size)
             field[:] = planes.reshape(count, -1)
         out = np.zeros((count, size), self.dtype)
         ways = ((field, first), (first, second), (second, out))
         for (pieces, *inputs), (given, found) in zip(self.stages, ways):
-            self._launch(self.kernels.pulled, pieces, tuple(inputs), given, found)
+            self.launch(self.kernels.pulled, pieces, tuple(inputs), given, found)
         force = out.reshape(count, d, *nodes.wide)
         return force[(slice(None), slice(None), *nodes.core)] if nodes.periodic else force
 
@@ -380,51 +324,36 @@ class Chain(NamedTuple):
     sites: sp.csr_array
 
 
-class BodyLayers(_Rows):
+class BodyLayers(Rows):
     """L u of all nodes of a body that ends, varies or is broken: by rows of the whole lattice, and
     a short list of rows and sites that are not whole.
 
     Args:
-        grid, sides: steps of the nodes, from 0, [N, d], and of the box or the period around them.
-        periodic: whether it is a period.
-        steps: of one half of G, [H, d].
-        grain: number of each node's own G, [N].
-        base: of the law.
-        chains: of each G.
+        body: dressed.
         dtype: float64 or float32.
     """
 
-    def __init__(
-        self,
-        grid: np.ndarray,
-        sides: Sequence[int],
-        periodic: bool,
-        steps: np.ndarray,
-        grain: np.ndarray,
-        base: Base,
-        chains: Sequence[Chain],
-        dtype: Any = np.float64,
-    ) -> None:
-        d = len(sides)
+    def __init__(self, body: Any, dtype: Any = np.float64) -> None:
+        base, steps, d = body.model.parts, body.model.steps, len(body.sides)
         self.reach = r = int(np.abs(np.concatenate([steps, base.corners])).max())
-        super().__init__([n + 2 * r for n in sides], dtype)
-        self.periodic = periodic
-        place = np.ravel_multi_index(tuple((grid + r).T), self.wide)
+        super().__init__([n + 2 * r for n in body.sides], dtype)
+        self.periodic = body.points.box is not None
+        place = np.ravel_multi_index(tuple((body.grid + r).T), self.wide)
         self.at = (self.places * np.arange(d) + place[:, None]).ravel()
-        self.core: Any = (..., *(slice(r, n + r) for n in sides))
+        self.core: Any = (..., *(slice(r, n + r) for n in body.sides))
 
         def pieces(nodes: np.ndarray) -> Any:
             mask = np.zeros(self.places, bool)
             mask[place[nodes]] = True
-            return self._pieces(mask)
+            return self.pieces(mask)
 
         self.stages = []
-        for chain in chains:
+        for chain in body.chains:
             ways = []
             for odd in (chain.rows, chain.columns):
                 plain = np.diff(odd.indptr)[::d] == 0
                 each = [
-                    (pieces(plain & (grain == g)), 1, *self.table(steps, C))
+                    (pieces(plain & (body.grain == g)), 1, *self.table(steps, C))
                     for g, C in enumerate(chain.tensors)
                 ]
                 ways.append((each, self._some(odd)))
@@ -436,15 +365,15 @@ class BodyLayers(_Rows):
                 flat = np.zeros((2, self.places))
                 flat[:, place] = chain.factors
                 self._close(flat)
-                inputs = ints(along @ self.strides), self._floats(table)
-                every = pieces(np.ones(len(grid), bool))
-                middle = every, (*inputs, self._floats(flat, spare=True))
+                inputs = ints(along @ self.strides), self.floats(table)
+                every = pieces(np.ones(len(place), bool))
+                middle = every, (*inputs, self.floats(flat, spare=True))
             self.stages.append((ways[0], middle, self._some(chain.sites), ways[1]))
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """L u of fields along the nodes' axes, [S, d N]."""
         count, size = len(u), len(self.wide) * self.places
-        given, first, second, last = (self._buffer(n, count, size) for n in range(4))
+        given, first, second, last = (self.buffer(n, count, size) for n in range(4))
         given[:, self.at] = u
         total = np.zeros(u.shape, self.dtype)
         for G, middle, sites, Gt in self.stages:
@@ -459,7 +388,7 @@ class BodyLayers(_Rows):
         whole, (odd, matrix) = way
         self._close(given)
         for pieces, *inputs in whole:
-            self._launch(self.kernels.pulled, pieces, tuple(inputs), given, found)
+            self.launch(self.kernels.pulled, pieces, tuple(inputs), given, found)
         found[:, odd] = 0
         self._add((odd, matrix), given, found)
 
@@ -474,15 +403,13 @@ class BodyLayers(_Rows):
             return
         self._close(given)
         pieces, inputs = middle
-        kernels, pulls = bond_kernels(self.scalar), self._buffer(4, len(given), self.places)
-        self._launch(kernels.stressed, pieces, inputs, given, pulls)
+        kernels, pulls = bond_kernels(self.scalar), self.buffer(4, len(given), self.places)
+        self.launch(kernels.stressed, pieces, inputs, given, pulls)
         self._close(pulls)
         inputs = *inputs, floats(pulls, self.scalar)
-        self._launch(kernels.gathered, pieces, inputs, given, found)
+        self.launch(kernels.gathered, pieces, inputs, given, found)
 
-    def _add(
-        self, some: tuple[np.ndarray, sp.csr_array], given: np.ndarray, to: np.ndarray
-    ) -> None:
+    def _add(self, some: tuple[np.ndarray, Any], given: np.ndarray, to: np.ndarray) -> None:
         odd, matrix = some
         for one, out in zip(given, to if len(odd) else ()):
             out[odd] += matrix @ one
