@@ -1,9 +1,5 @@
-"""K u of square elements whose moduli vary, many nodes of a row at a time (theory, Dr22).
+"""K u of multilinear elements whose moduli vary, a plane of them at a time (theory, Dr22, Dr27).
 
-Planes and pieces are those of micromodulus/rows.py. A site is the element whose first corner is its
-place; `row` says how many places there are along the second axis. The site sweep turns displacement
-into what an element pulls with, five numbers: three of its mean strain and two of its hourglass
-modes; the node sweep gathers those of four elements.
 For the processor only: the loops over lanes are C++, which Warp's compiler turns into vectors.
 """
 

@@ -14,6 +14,7 @@ from warp_peri import InputError, Krylov, Points, move, solve
 from warp_peri.damage import Cracked, box, lattice_body, operator, penny, point_force, rectangle
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.motion import SPREAD, BreakingBody
+from warp_peri.damage.solid import largest_stiffness
 from warp_peri.damage.operator import bond_weights, cut_matrix
 from warp_peri.dynamics.verlet import inertia
 from warp_peri.launch import floats, zeros
@@ -145,6 +146,7 @@ def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatc
     np.testing.assert_allclose(force.numpy(), expected, atol=1e-12 * np.abs(expected).max())
     assert energy.numpy().sum() == pytest.approx(u.ravel() @ L @ u.ravel() / 2, rel=1e-12)
     stiffest = np.linalg.eigvalsh(L.toarray())[-1]
+    assert stiffest < 1.05 * largest_stiffness(brittle.model, body.classes)
     assert moving.longest_step < 2 * np.sqrt(brittle.density / stiffest)
     less()
     for one, known in zip((force.numpy(), energy.numpy()), plain):
