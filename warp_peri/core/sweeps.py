@@ -34,7 +34,7 @@ def entries(tensors: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(tensors[(slice(None), *upper)])
 
 
-class Rows:
+class PlaneRows:
     """Planes of a box that go row by row, piece by piece.
 
     Args:
@@ -90,7 +90,7 @@ class Rows:
         return floats(laid, self.scalar)
 
 
-class ByRows(Rows):
+class ByRows(PlaneRows):
     """Half families by rows; the bits are the same on any number of threads.
 
     Args:

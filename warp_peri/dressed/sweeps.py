@@ -14,7 +14,7 @@ from scipy.ndimage import maximum_filter
 
 from warp_peri.core.elastic import PAIRS, named_symmetry, voigt
 from warp_peri.core.grid import Grid
-from warp_peri.core.sweeps import SCALARS, Rows, convolved, entries, inverse
+from warp_peri.core.sweeps import SCALARS, PlaneRows, convolved, entries, inverse
 from warp_peri.damage.solid import CrystalBonds
 from warp_peri.errors import InputError
 from warp_peri.kernels.dressed.bonds import bonds as bond_kernels
@@ -252,7 +252,7 @@ def half(stencil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return steps[kept], (tensors[kept] + tensors[kept].transpose(0, 2, 1)) / 2
 
 
-class ByLayers(Rows):
+class ByLayers(PlaneRows):
     """L u of an even solid of one G in three sweeps, each over as many places as the next reads.
 
     Args:
@@ -324,7 +324,7 @@ class Chain(NamedTuple):
     sites: sp.csr_array
 
 
-class BodyLayers(Rows):
+class BodyLayers(PlaneRows):
     """L u of all nodes of a body that ends, varies or is broken: by rows of the whole lattice, and
     a short list of rows and sites that are not whole.
 
