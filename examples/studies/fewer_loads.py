@@ -75,7 +75,7 @@ def laws(data: Any) -> dict[str, Any]:
     lam, mu = truth["lambda"], truth["mu"]
     moduli = np.array([[lam + 2 * mu, lam, 0], [lam, lam + 2 * mu, 0], [0, 0, mu]])
     return {
-        "LPS": wp.LPS(20.0, wp.Bernstein(10), wp.methods.Optimum(moduli=None)),
+        "LPS": wp.LPS(20.0, wp.Bernstein(10)),
         "tensors": wp.Micromodulus(15.0, "4mm", moduli=moduli, normalise=True),
     }
 

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ import pytest
 
 import warp_peri as wp
 from examples.large_plate import main as large_plate
+from tests.conformance.test_laws import dressed
 from tests.ranks.job import (
     ASKED,
     LOOSE,
@@ -23,13 +25,13 @@ from tests.ranks.job import (
     block,
     carried,
     crack,
-    even,
     family,
     fields,
     halved,
     inside,
     nonlinear,
     proofs,
+    ringing,
     scattered,
     slopes,
     small,
@@ -178,7 +180,8 @@ def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_ne
 def test_a_dressed_solid_has_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
     assert len({jobs[count]["dressed"] for count in (1, 2, 3)}) == 1
     x = H * np.argwhere(np.ones((52, 52)))
-    alone = wp.solve(even(), wp.Dirichlet(wp.Points(x, inside(x), H, axis=0.0), *fields(x))).u
+    here = wp.Dirichlet(wp.Points(x, inside(x), H, axis=0.0), *fields(x))
+    alone = wp.solve(replace(dressed(), spacing=H), here).u
     answer = np.load(folder / "dressed_2.npy")
     assert np.abs(answer - alone).max() <= 1e-7 * np.abs(alone).max()
 
@@ -374,6 +377,12 @@ def test_a_breaking_block_in_space_has_the_bits_of_one_process(jobs):
     alone = block()
     assert alone["worst"] > 0.3
     assert [jobs[count]["block"] for count in (1, 2, 3)] == [alone] * 3
+
+
+def test_waves_of_a_notched_plate_have_the_bits_of_one_process(jobs):
+    alone = ringing()
+    assert alone["drift"] < 1e-12
+    assert [jobs[count]["ringing"] for count in (1, 2, 3)] == [alone] * 3
 
 
 def test_an_error_on_one_rank_ends_all_with_one_line(jobs):

@@ -62,17 +62,9 @@ class BreakingState:
 
     def copy(self) -> BreakingState:
         """The same state in memory of its own."""
-        return replace(
-            self,
-            u=wp.clone(self.u),
-            v=wp.clone(self.v),
-            links=wp.clone(self.links),
-            force=wp.clone(self.force),
-            energy=wp.clone(self.energy),
-            work=wp.clone(self.work),
-            dissipated=self.dissipated.copy(),
-            whole=self.whole.copy(),
-        )
+        kinds = {wp.array: wp.clone, np.ndarray: np.copy}
+        parts = [(name, one, kinds.get(type(one))) for name, one in vars(self).items()]
+        return replace(self, **{name: clone(one) for name, one, clone in parts if clone})
 
 
 @dataclass(frozen=True)

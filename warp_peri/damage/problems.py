@@ -94,6 +94,11 @@ class Cracked:
             raise InputError("points: a Cracked is for lattices that have no box and none outside")
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)
 
+    def waves(self, material: Any) -> CutSolid:
+        """L of a positive solid whose bonds stay, which moves; InputError as of CutSolid."""
+        how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected, "moves": True}
+        return CutSolid(material, self.body(material, "move"), self.held, **how)
+
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The body at rest, of a solid with a linear part, or of one with several moduli."""
         refuse_solver(solver, (Direct, Krylov), "a body with cracks")
@@ -136,14 +141,13 @@ class Cracked:
                 `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
                 the displacement at the end are differentiable: see damage.adjoint.pulled.
         """
-        body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
         if "density" in options and not hasattr(material, "density"):
-            waves: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected}
-            cut = CutSolid(material, body, self.held, moves=True, **waves)
-            u = np.zeros_like(body.x) if self.u is None else self.u
+            u = np.zeros_like(self.points.x) if self.u is None else self.u
+            cut = self.waves(material)
             return in_torch().in_motion(cut, self.b, u, options)  # type: ignore[no-any-return]
+        body = self.body(material, "move")
         grows = "events" in options or ("step" in options and not options.get("sections"))
         if self.corrected and not grows:
             raise InputError(
