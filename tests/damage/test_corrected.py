@@ -14,8 +14,8 @@ from warp_peri import InputError, Krylov, Points, move, solve
 from warp_peri.damage import Cracked, box, lattice_body, operator, penny, point_force, rectangle
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.motion import SPREAD, BreakingBody
-from warp_peri.damage.solid import largest_stiffness
 from warp_peri.damage.operator import bond_weights, cut_matrix
+from warp_peri.damage.solid import largest_stiffness
 from warp_peri.dynamics.verlet import inertia
 from warp_peri.launch import floats, zeros
 from warp_peri.verification import cracks

@@ -295,14 +295,13 @@ class BreakingBody:
         if lost is not None:
             correction.lose(lost)
         more, stored = correction(u.numpy())
-        force.numpy()[:] += more
-
-        nodes = correction.nodes
-        energy.numpy()[nodes] += stored
+        nodes, all_forces, energies = correction.nodes, force.numpy(), energy.numpy()
+        plain = all_forces.copy(), energies[nodes]  # to have the same bits wherever nothing breaks
+        all_forces += more
+        energies[nodes] += stored
 
         def less() -> None:
-            force.numpy()[:] -= more
-            energy.numpy()[nodes] -= stored
+            all_forces[:], energies[nodes] = plain
 
         return less
 
