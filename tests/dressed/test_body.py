@@ -361,7 +361,10 @@ def varied(kind):
         ends = [(middle[0] + side * SPACING, middle[1]) for side in (-2, 3)]
         options["broken"] = torn(nodes(d, n), [ends], reach=3.0 if "crystal" in kind else 1.5)
     if "grains" in kind:
-        few = [replace(law, tensors=law.tensors * share) for share in (1, 0.7, 1.2, 0.5)]
+        few = [
+            replace(law, tensors=law.tensors * share, elastic=law.elastic * (2 - share))
+            for share in (1, 0.7, 1.2, 0.5)
+        ]
         options["grains"] = few, np.random.default_rng(1).integers(4, size=len(points.x))
         if "columns" in kind:
             options["grains"] = few, (4 * points.x[:, 0] / (n * SPACING)).astype(int)

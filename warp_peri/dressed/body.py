@@ -94,8 +94,8 @@ def key(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
 
 Grains = tuple[Sequence["DressedSolid"], ArrayLike]
 """Laws, and the number of that which each node belongs to, [N]."""
-SAME = 1e-6
-"""Relative, of spacings that are one."""
+SAME, ALIKE = 1e-6, 1e-12
+"""Relative, of spacings that are one, and of tables of bonds."""
 
 
 def grains_of(
@@ -581,8 +581,11 @@ class DressedBody(OnPoints):
 
     @cached_property
     def _sites_whole(self) -> np.ndarray:
-        """Which sites go by rows, [N]: of elements, and of bonds of one law in the plane."""
-        rows = self.model.base == "elements" or (len(self.laws) == 1 and len(self.axes) == 2)
+        """Which sites go by rows, [N]: of elements, and of bonds of one kind in the plane."""
+        rows = self.model.base == "elements"
+        if not rows and len(self.axes) == 2:
+            own, *others = (bond_table(law.parts)[1] for law in self.laws)
+            rows = all(np.allclose(own, other, rtol=ALIKE, atol=0) for other in others)
         return np.asarray(self._there.all(axis=1) & (self.share == 1) & rows)
 
     def phases(self, parts: Iterable[int]) -> tuple[np.ndarray, np.ndarray]:
@@ -618,8 +621,11 @@ class DressedBody(OnPoints):
             tables, shares = self.phases(parts) if elements else (np.zeros((0, d, d)), np.zeros(0))
             factors = None
             if not elements and self._sites_whole.any():
-                live = self.factors * self._sites_whole / h**2
-                factors = bond_table(self.model.parts)[2][:, parts] @ live[parts]
+                live = (self.factors * self._sites_whole / h**2)[parts]
+                each = zip(self.laws, self.tensors(0))
+                factors = sum(
+                    bond_table(a.parts)[2][:, parts] @ (share * live) for a, (share, _) in each
+                )
             rows = G, sp.csr_array(_picked(short, d) @ Gt)
             found.append(Chain(tensors, *rows, tables / h**2, shares, factors, sp.csr_array(K)))
         return found
