@@ -219,13 +219,14 @@ def by_fields(name: str) -> dict[str, dict[str, Any]]:
         if symmetry == "m-3m":
             solid = LPS(2 * h, Bernstein(2), method=Optimum(moduli=held))
             laws[key] = tensors_of(wp.fit(train, solid).material, h)
-    if law.dimension == 2:
-        laws["isotropic, fields"] = tensors_of(wp.fit(train, LPS(WIDE * h)).material, h)
+    for key, two in (("isotropic, fields", False), ("isotropic, two functions", True)):
+        if law.dimension == 2:
+            wide = wp.fit(train, LPS(WIDE * h, Bernstein(10, two))).material
+            laws[key] = tensors_of(wide, h)
     found = {
-        key: {"moduli": one.moduli("GPa")}
-        | {on: loads.errors_of(one)[1] for on, loads in zip(ON_LOADS, unseen)}
-        for key, one in laws.items()
-    }
+        key: {on: loads.errors_of(one)[1] for on, loads in zip(ON_LOADS, unseen)}
+        | {"moduli": one.moduli("GPa")} for key, one in laws.items()
+    }  # fmt: skip
     tensors = {"true moduli": elastic(name, atoms)} | {
         f"moduli of {key}": one.tensor() for key, one in laws.items() if key.endswith("fields")
     }

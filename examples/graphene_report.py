@@ -287,13 +287,13 @@ def conditions_line(numbers: dict[str, Any]) -> str:
     """Which conditions to ask for when, where both were."""
     if "other" not in numbers:
         return ""
-    bounds = {numbers["other"]["conditions"]: numbers["other"]["symbol_bound"]}
-    paper = bounds.get("paper", numbers["certificate"]["symbol_bound"])
-    direct = bounds.get("direct", numbers["certificate"]["symbol_bound"])
+    proofs = {numbers["other"]["conditions"]: numbers["other"]}
+    paper, direct = (proofs.get(kind, numbers["certificate"]) for kind in ("paper", "direct"))
+    third = "" if direct["gamma_minus_2phi_min"] >= 0 else ", and (iii) does not hold"
     return (
-        f"\nConditions (i)–(iii) prove a stiffness of {paper:.3f} TPa: take them for answers that "
-        f"are stable under any load. A positive symbol alone proves {direct:.3f} TPa: take it "
-        "where the residual is what counts.\n"
+        f"\nConditions (i)–(iii) prove a stiffness of {paper['symbol_bound']:.3f} TPa: take them "
+        "for answers that are stable under any load. A positive symbol alone proves "
+        f"{direct['symbol_bound']:.3f} TPa{third}: take it where the residual is what counts.\n"
     )
 
 

@@ -127,8 +127,8 @@ def other_row(sets: dict[str, Samples], given: argparse.Namespace) -> dict[str, 
     kind = "direct" if given.conditions == "paper" else "paper"
     law = wp.LPS(given.horizon, wp.Bernstein(given.degree), conditions=wp.methods.Conditions(kind))
     found = wp.fit(sets["train"], law, progress=False)
-    bound = found.certificate.figures()["symbol_bound"]
-    return {**errors_of(found.material, sets), "conditions": kind, "symbol_bound": bound}
+    proof = {key: found.certificate.figures()[key] for key in report.CERTIFICATE}
+    return {**errors_of(found.material, sets), "conditions": kind, **proof}
 
 
 def nonlinear_row(

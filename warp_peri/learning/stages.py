@@ -310,11 +310,12 @@ class Stages:
 
 def _local(C: np.ndarray, samples: Samples) -> dict[str, Any]:
     """Errors of local elasticity, by the widest differences that the collar has nodes for."""
-    h = samples.spacing
+    h, no_axis = samples.spacing, dataclasses.replace(samples.points, axis=None)
     for reach in range(MOST_REACH, 1, -1):
         steps, tensors = difference_tensors(C, reach)
         try:
-            return evaluate(Crystal(h, steps, tensors / h**2), samples)
+            law = Crystal(h, steps, tensors / h**2)  # isotropic
+            return evaluate(law, dataclasses.replace(samples, points=no_axis))
         except InputError:  # bonds reach beyond the collar
             continue
     return {"E_u": np.inf}

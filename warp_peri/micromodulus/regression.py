@@ -111,8 +111,8 @@ def learn(
 
 CHUNK = 2**24
 """Numbers of a block of rows before it is compressed."""
-MODES = 1
-"""Half waves along an axis of the longest test fields."""
+MODES, LEAST_HALF_WAVE = 1, 3
+"""Half waves along an axis of the longest test fields, and spacings that one has at least."""
 
 
 def rows(samples: Samples, bonds: Basis, *, normalise: bool = False) -> tuple[np.ndarray, ...]:
@@ -239,6 +239,7 @@ def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.n
             f"{(high - low).min() - 1}; give them"
         )
     t = (grid[kept] - low) / (high - low)
+    modes = min(modes, int((high - low).min()) // LEAST_HALF_WAVE)
     return [_bumps(t[:, a], h * (high - low)[a], modes) for a in range(d)], kept
 
 

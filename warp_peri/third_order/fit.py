@@ -18,6 +18,7 @@ from warp_peri.core.stencil import Basis, central_weights, invariant_basis
 from warp_peri.errors import InputError
 from warp_peri.launch import floats
 from warp_peri.micromodulus import regression
+from warp_peri.micromodulus.learning import ENOUGH
 from warp_peri.micromodulus.regression import Learned
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.families import bond_classes
@@ -32,7 +33,7 @@ SETTLED = 1e-9
 """Relative, of moduli that are found."""
 CONSTANTS = 3
 """Columns of t3, tq2 and q3, the first ones."""
-REACH, MODES = 2, 2
+REACH, MODES = 2, 4
 """Spacings that gradients of long waves reach over, and half waves of the fields that see them."""
 NOTHING = 1e-13
 """Of equations of size one, that is rounding."""
@@ -90,75 +91,70 @@ class LongWaves:
 def long_wave_moduli(sets: Sequence[Samples]) -> LongWaves:
     """λ and μ of the long waves of lattices in the plane, beside no more terms than foretell.
 
-    Dispersion, third order and each constant of fourth order are tried in turn: the best is taken
-    where its gain, on what is left out, is more than the standard error of the gain. An axis that
-    is not stated is learned.
+    Samples count by their loads, test fields by what all terms leave on them. Of all choices of
+    dispersion, third order and constants of fourth order the smallest is taken that foretells as
+    well as the best, to the standard error of that. An axis that is not stated is learned.
 
     Raises InputError for samples that see no long waves, or do not tell λ and μ.
     """
     turns = 1 if all(each.points.axis is not None for each in sets) else 2
     tables, loads = zip(*(_long_wave_table(each, turns) for each in sets))
-    groups = _groups(turns)
     R, y = np.concatenate(tables), np.concatenate(loads)
-    if len(R) < R.shape[1]:  # fewer samples than test fields
+    size = np.sqrt((R**2).sum(axis=(0, 1, 2)))
+    R, groups = R / np.where(size > 0, size, 1), _groups(turns)
+    terms = R[..., groups[LAME[1]].start :]
+    c = np.linalg.lstsq(terms.reshape(y.size, -1), y.ravel(), rcond=NOTHING)[0]
+    weight = 1 / np.sqrt(((y - terms @ c) ** 2).mean(axis=0) + NOTHING * (y**2).mean())
+    R, y = R * weight[..., None], y * weight
+    if len(R) < ENOUGH:  # too few samples to leave out: test fields are
         R, y = R.swapaxes(0, 1), y.swapaxes(0, 1)
-    parts = R.reshape(len(R), -1, R.shape[-1]), y.reshape(len(y), -1)
-    taken: tuple[str, ...] = ()
-    left = _foretold(*parts, _columns(taken, groups))[0]
-    while True:
-        tried = {
-            (*taken, name): _foretold(*parts, _columns((*taken, name), groups))[0]
-            for name in groups
-            if name not in taken and name not in LAME and (THIRD in taken or name in FIRST)
-        }
-        if not tried:
-            break
-        best = min(tried, key=lambda names: float(tried[names].sum()))
-        gain = left - tried[best]
-        if not gain.sum() > np.sqrt(len(gain)) * gain.std():
-            break
-        taken, left = best, tried[best]
-    columns = _columns(taken, groups)
-    flat = parts[0].reshape(-1, R.shape[-1]), parts[1].ravel()
-    (lam, mu, *_), misfit = regression.moduli_of(_mixed(flat[0], columns), flat[1])
-    drawn = _foretold(*parts, columns)[1]
-    errors = np.sqrt((len(drawn) - 1) * drawn.var(axis=0))
+    R, y = R.reshape(len(R), -1, len(size)), y.reshape(len(y), -1)
+    columns = {
+        names: [groups[name] for name in (LAME[THIRD in names], *names)]
+        for n in range(len(groups) - 1)
+        for names in itertools.combinations(tuple(groups)[2:], n)
+        if THIRD in names or set(names) <= {DISPERSION}
+    }
+    tried = {names: _foretold(_mixed(R, some), y) for names, some in columns.items()}
+    best = min((left for left, _ in tried.values()), key=np.sum)
+
+    def lost(names: tuple[str, ...]) -> float:
+        """What these leave more than the best, in standard errors of that."""
+        more = tried[names][0] - best
+        return float(more.sum() / max(np.sqrt(len(more)) * more.std(), NOTHING * best.sum()))
+
+    taken = min(
+        (names for names in tried if lost(names) <= 1),
+        key=lambda names: (len(names), float(tried[names][0].sum())),
+    )
+    found, misfit = regression.moduli_of(_mixed(R, columns[taken]), y)
+    unit, drawn = size[columns[taken][0]], tried[taken][1]
+    (lam, mu), errors = found[:2] / unit, np.sqrt((len(drawn) - 1) * drawn.var(axis=0)) / unit
     return LongWaves(float(lam), float(mu), errors, misfit, taken)
 
 
-LAME, THIRD, FIRST = ("linear", "geometric"), "third order", ("dispersion", "third order")
-"""Names of columns: λ and μ at small and at finite strain, and what may be tried first."""
+LAME, DISPERSION, THIRD = ("linear", "geometric"), "dispersion", "third order"
+"""Names of columns: λ and μ at small strain, and with what finite strain adds; others."""
 
 
 def _groups(turns: int) -> dict[str, slice]:
     """Columns of each group, of a term with six periods a turn so many."""
-    sizes = {"linear": 2, "geometric": 2, "dispersion": 2 + turns, THIRD: 2 + turns}
+    sizes = {"linear": 2, "geometric": 2, DISPERSION: 2 + turns, THIRD: 2 + turns}
     sizes |= {"θ⁴": 1, "θ²q": 1, "q²": 1, "θ z³": turns}
     ends = np.cumsum([0, *sizes.values()]).tolist()
     return {name: slice(*pair) for name, pair in zip(sizes, itertools.pairwise(ends))}
-
-
-def _columns(names: Sequence[str], groups: dict[str, slice]) -> list[slice]:
-    """Of λ and μ first, with finite strain where anything nonlinear is taken."""
-    return [groups[name] for name in (LAME[THIRD in names], *names)]
 
 
 def _mixed(R: np.ndarray, columns: Sequence[slice]) -> np.ndarray:
     return np.concatenate([R[..., some] for some in columns], axis=-1)
 
 
-def _foretold(
-    R: np.ndarray, y: np.ndarray, columns: Sequence[slice]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Squares that the other parts leave of each part [P], and their λ and μ, [P, 2]."""
-    R = _mixed(R, columns)
-    size = np.linalg.norm(R, axis=(0, 1))
-    R = R / np.where(size > 0, size, 1)
+def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squares that the other parts leave of each part [P], and their first two numbers, [P, 2]."""
     square, side = np.einsum("pra,prb->pab", R, R), np.einsum("pra,pr->pa", R, y)
     others = square.sum(axis=0) - square, side.sum(axis=0) - side
     c = (np.linalg.pinv(others[0], rcond=NOTHING, hermitian=True) @ others[1][..., None])[..., 0]
-    left = np.einsum("pra,pa->pr", R, c) - y
-    return (left**2).sum(axis=1), c[:, :2] / np.where(size > 0, size, 1)[:2]
+    return ((np.einsum("pra,pa->pr", R, c) - y) ** 2).sum(axis=1), c[:, :2]
 
 
 def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -197,7 +193,9 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
     geometric = [one + more for one, more in zip(linear, felt)]
     table = np.stack([*linear, *geometric, *bent, *six, *felt[2:]], axis=-1)
     values = regression.derived(lines, np.zeros(2, dtype=int))
-    return table, np.einsum("vn,snk->svk", values, b, optimize=True)
+    size = np.linalg.norm(samples.loads[:, samples.interior].reshape(len(b), -1), axis=1)
+    weight = np.divide(1, size, out=np.zeros_like(size), where=size > 0)[:, None, None]
+    return table * weight[..., None], weight * np.einsum("vn,snk->svk", values, b, optimize=True)
 
 
 def _gradients(samples: Samples, kept: np.ndarray) -> np.ndarray:
