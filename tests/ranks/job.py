@@ -372,7 +372,7 @@ def rest(folder):
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
         lambda: wp.solve(finite(), wp.Dirichlet(sheet, *fields(sheet.x))),
         lambda: wp.move(BrittleSolid(solid(2), 2.5, toughness=1.0),
-                        wp.Cracked(sheet, corrected=True), step=0.1, steps=1),
+                        wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found
@@ -426,6 +426,17 @@ def ringing(by="rows"):
     return {"u": digest(gather(points, motion.u)), "drift": motion.drift}
 
 
+def corrected(by="rows"):
+    """A notched plate that breaks, its missing bonds made up for."""
+    x = rectangle(40.0, 20.0, 1.0)
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
+    glass = BrittleSolid(wp.Model(0.3, 0.3, 1.0, np.ones(1), horizon=3.0), 2.5, toughness=1e-4)
+    pull = np.where(np.abs(points.x[:, 1:]) > 9, np.sign(points.x) * (0.0, 0.01), 0.0)
+    plate = Cracked(points, pull, cracks=[[(-20.5, 0.0), (-5.0, 0.0)]], corrected=True)
+    motion = wp.move(glass, plate, step=0.5 * glass.longest_step(1.0), steps=60)
+    return [digest(gather(points, one)) for one in (motion.u, motion.details.damage)]
+
+
 def block(by="rows"):
     """A notched block in space."""
     x = box((20.0, 10.0, 8.0), 1.0)
@@ -455,6 +466,7 @@ if __name__ == "__main__":
     found = {"crack": crack(Path(folder), by, steps, pause)}
     if pause == "0":
         found["ringing"] = ringing(by)
+        found["corrected"] = corrected(by)
         metis = by == "bisection" and find_spec("pymetis")
         found["block"] = block("metis" if metis else by)
     if "rest" in more:

@@ -24,6 +24,7 @@ from tests.ranks.job import (
     H,
     block,
     carried,
+    corrected,
     crack,
     family,
     fields,
@@ -326,7 +327,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
     assert rows.endswith("with third-order constants on ranks, got FiniteSolid")
-    assert "no pressure or correction, on ranks" in edges
+    assert "no pressure, on ranks" in edges
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
 
 
@@ -384,6 +385,10 @@ def test_waves_of_a_notched_plate_have_the_bits_of_one_process(jobs):
     assert one == two == three
     assert one["u"] == ringing()["u"]
     assert one["drift"] < 1e-12
+
+
+def test_a_corrected_plate_breaks_with_the_bits_of_one_process(jobs):
+    assert [jobs[count]["corrected"] for count in (1, 2, 3)] == [corrected()] * 3
 
 
 def test_an_error_on_one_rank_ends_all_with_one_line(jobs):

@@ -211,7 +211,7 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
             broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].
             grains: laws, and the number of that which each node belongs to, [N]; as for turned
                 grains from_phonons (`orientation`) or `transferred` (`rotation`) make them (Dr24).
-            dtype: float64, or float32 of even solids and of sheets with maps that nothing cuts.
+            dtype: float64 or float32.
 
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
         and pairs that do not fit.

@@ -332,6 +332,8 @@ class RowCut(Felt):
 
     def stiffest_wave(self) -> float:
         """As CutSolid.stiffest_wave, of the rows of all ranks."""
+        if not self.placed.corrected:
+            return float(self.placed.stiffest_wave())
         own = float(abs(self.placed.matrix)[self.placed.free].sum(axis=1).max())
         return float(max(self.points.comm.allgather(own if self.asked else 0.0)))
 
@@ -520,10 +522,9 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         if not isinstance(problem, Cracked) or "step" not in options:
             raise InputError("move: expected a Dirichlet or Cracked, and step=…, steps=… on ranks")
         offered(material, "density", "move", "a BrittleSolid")
-        if material.by_energy or problem.pressure is not None or problem.corrected:
+        if material.by_energy or problem.pressure is not None:
             raise InputError(
-                "move: expected bonds that break by their stretch, and no pressure or correction, "
-                "on ranks"
+                "move: expected bonds that break by their stretch, and no pressure, on ranks"
             )
         check_same(material.units, piece.units)
         material.linear.check_dimension(piece)
@@ -532,7 +533,11 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     d = piece.dimension
     excess = bonds_of(model, bond_classes(piece.spacing, model.horizon, dimension=d)).excess
     build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
-    felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if excess == 0 else 2)
+    felt = (
+        model.horizon
+        * (1 + HORIZON_TOLERANCE)
+        * (1 if excess == 0 and not problem.corrected else 2)
+    )
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
     given |= {name: how.pop(name, None) for name in ("no_fail", "grip")}
@@ -549,7 +554,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         if not np.array_equal(body.axes, np.eye(d)):
             raise InputError("points: expected a lattice along the axes on ranks, got a turned one")
         at_start = {name: here.pop(name) for name in ("u", "v")}
-        moving = BreakingBody(material, body, **here, **how)
+        moving = BreakingBody(material, body, corrected=problem.corrected, **here, **how)
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
     marching = CrackRun(moving, nodes=halo, **records)
     moving.operator.sweep_early(halo.is_own)
