@@ -33,13 +33,11 @@ from tools.options import Options
 from warp_peri import Bernstein, Model, Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json, write_text
-from warp_peri.methods import Optimum
 from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer import cache as kept
 from warp_peri.transfer.lattice import dispersion, new_lattice, rings, wave_errors
 from warp_peri.transfers import on_lattice, one_kernel
 
-FREE = Optimum(moduli=None)
 LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (7.5, 22.5), (10.0, 25.0))
 """Spacing and horizon [Å]; None for the fewest bonds that meet the tolerance."""
 TURNS = (15.0, 30.0, 45.0)
@@ -158,7 +156,7 @@ def scattered(
     row |= {"asymmetry": figures.asymmetry, "smallest_eigenvalue": figures.smallest_eigenvalue}
     row |= {"condition": figures.condition, "sigma_min": figures.smallest_singular_value}
     carried = wp.transfers.onto_lattice(Samples(points, *atoms.at(points.x, "train")), spacing=5.0)
-    learned = wp.fit(carried, wp.LPS(20.0, Bernstein(10), FREE)).material
+    learned = wp.fit(carried, wp.LPS(20.0, Bernstein(10))).material
     row["learned_disks"] = 100 * wp.evaluate(learned, data["test"])["E_u"]
     return row
 
@@ -186,9 +184,7 @@ def measure(
     """All tables; `part` keeps each as it is finished."""
     atoms = SmoothedAtoms(cache)
     nodes = lattice(5.0)
-    rich = functools.cache(
-        lambda: wp.fit(data["train"], wp.LPS(25.0, Bernstein(15), FREE)).material
-    )
+    rich = functools.cache(lambda: wp.fit(data["train"], wp.LPS(25.0, Bernstein(15))).material)
     return {
         "home": part("home", lambda: {"horizon": model.horizon, **errors(model, atoms, nodes)}),
         "lattices": [

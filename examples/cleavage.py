@@ -43,6 +43,8 @@ MEASURED, CELLS, GROWTH = 20, (16, 24, 32), 4
 """Heights in spacings, of the strip that `spent` is of and of those predicted; growth of these."""
 HELD, RUN = 0.9, 1.05
 """Shares of Griffith's load that edges go to in motion."""
+PREDICTED, SHORTER = (16, SMALL), (10, 16)
+"""Cracks in sheets of graphene, and half their sides, in hexagons."""
 PLANE = np.ix_([0, 1, 5], [0, 1, 5])
 """Of a Voigt matrix, in plane strain."""
 
@@ -172,53 +174,69 @@ def moved(solid: BrittleCrystal, cells: int = CELLS[0]) -> dict[str, float]:
     return found | {"missing work": missing}
 
 
+@dataclass(frozen=True)
+class Opened:
+    """A crack in a sheet of atoms as it opens, and what the continuum makes of it.
+
+    `along`: "zigzag" or "armchair" rows; `long`, `half`: of the crack and the sheet, in hexagons.
+    """
+
+    along: str
+    long: int
+    half: int
+
+    def strain_and_release(self) -> tuple[float, Callable[[float], float]]:
+        """Strain of the atoms; G at unit strain of a toughness, Irwin's zone included (C17)."""
+        bond = bond_length()
+        step, constants = float(np.sqrt(3) * bond), elastic_constants(bond)
+        turn = 30.0 * (self.along == "armchair")
+        ends, half = crack(turn, self.long, step), self.half * step
+        long = opened(cracked_sheet([ends], half=half, turned=turn), ends) / 2 / step
+        strain = critical_strain([ends], 0.04, half=half, turned=turn)["strain"]
+        strength = ideal_strength(along_zigzag=turn > 0)[0]
+        sheet = Continuum(constants["lambda"], constants["mu"], step, self.half)
+        release = sheet.release(self.half // 2 + 2)
+        wide = constants["E"] / (2 * np.pi * strength**2) / step
+        return strain, lambda toughness: release(long + wide * toughness)
+
+    def spent(self, begin: float) -> float:
+        """Toughness that makes the strain right."""
+        strain, release = self.strain_and_release()
+        for _ in range(50):
+            begin = release(begin) * strain**2
+        return begin
+
+
 def of_sheets() -> dict[str, dict[str, float]]:
     """Graphene: strips along both kinds of rows, and cracks of 40 Å beside atoms.
 
-    Predicted is what 2γ says, Irwin's zone included (C17); `fitted` has one number, what the atoms
-    of the zigzag crack spend over 2γ.
+    Predicted is what 2γ says; what atoms of a shorter crack along the same row spend, in a smaller
+    sheet; and what they spend along zigzag rows, over 2γ, for both.
     """
     bond = bond_length()
-    step, constants = float(np.sqrt(3) * bond), elastic_constants(bond)
-    lam, mu, E = (constants[name] for name in ("lambda", "mu", "E"))
-    cell = graphene(a=step, vacuum=10)
+    constants = elastic_constants(bond)
+    cell = graphene(a=float(np.sqrt(3) * bond), vacuum=10)
     cell.pbc = True
     calculator = named_calculator("lammps:pair_style tersoff", cell.symbols, "SiC_1989.tersoff")
     energies = [
         cleavage_energy(cell, calculator, plane, thickness=THICKNESS)
         for plane in ((1, 0, 0), (1, 1, 0))
     ]
-    release = Continuum(lam, mu, step, SMALL).release(SMALL // 2)
     found, fitted = {}, 1.0
-    for name, turn in (("zigzag", 0.0), ("armchair", 30.0)):
-        own, other = energies if name == "zigzag" else energies[::-1]
+    for along, own, other in (("zigzag", *energies), ("armchair", *energies[::-1])):
         angles = np.pi / 6 * np.arange(6)
         normals = np.round(np.column_stack([np.sin(angles), np.cos(angles)]), 9) + 0.0
         known = {tuple(n): (own, other)[k % 2] for k, n in enumerate(normals.tolist())}
-        numbers = {"2γ": 100 * own} | strips_of(brittle(plane_isotropic(lam, mu), known))
-        ends = crack(turn, 16, step)
-        half = SMALL * step
-        long = opened(cracked_sheet([ends], half=half, turned=turn), ends) / 2 / step
-        strain = critical_strain([ends], 0.04, half=half, turned=turn)["strain"]
-        strength = ideal_strength(along_zigzag=name == "armchair")[0]
-
-        def zone(toughness: float, strength: float = strength) -> float:
-            return E * toughness / (2 * np.pi * strength**2) / step
-
-        def predicted(toughness: float, long: float = long) -> float:
-            return float(np.sqrt(toughness / release(long + zone(toughness))))
-
-        spent = own
-        for _ in range(50):
-            spent = release(long + zone(spent)) * strain**2
-        fitted = spent / own if name == "zigzag" else fitted
-        numbers |= {
-            "strain, atoms": strain,
-            "error": predicted(own) / strain - 1,
-            "error, fitted": predicted(own * fitted) / strain - 1,
-            "spent by atoms": spent / own,
-        }
-        found[f"graphene {name}"] = numbers
+        solid = brittle(plane_isotropic(constants["lambda"], constants["mu"]), known)
+        numbers = {"2γ": 100 * own} | strips_of(solid)
+        strain, release = Opened(along, *PREDICTED).strain_and_release()
+        shorter = Opened(along, *SHORTER).spent(own) / own
+        fitted = shorter if along == "zigzag" else fitted
+        numbers |= {"strain, atoms": strain, "spent by a shorter crack, over 2γ": shorter}
+        for name, share in (("", 1.0), (", shorter", shorter), (", shorter zigzag", fitted)):
+            unit = float(np.sqrt(share * own / release(share * own)))
+            numbers[f"error{name}"] = unit / strain - 1
+        found[f"graphene {along}"] = numbers
     return found
 
 

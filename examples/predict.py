@@ -346,14 +346,16 @@ def draw(path: Path, rows: list[dict[str, Any]], answer: Answer) -> None:
     ends = np.array([0.03, 30])
     left.loglog(ends, ends, "k-", lw=0.8)
     note(left, "both alike", (3, 3), (4, -8))
-    left.set(xlabel="true error [%]", ylabel="likely error [%]", title="Unseen scenes, each a dot")
+    left.set(
+        xlabel="true error [%]", ylabel="likely error [%]", title="Unseen problems, each a dot"
+    )
     left.set_aspect("equal", "datalim")
     left.legend(title="tolerance", frameon=False)
     answer.plot(ax=right)
     right.set_title("Where one answer is likely wrong")
     told = [row[key] for row in rows for key in ("0.01", "best")]
-    above = np.mean([one["error"] >= one["true"] for one in told])
-    headline(figure, f"{100 * above:.0f} % of the likely errors are no smaller than the true ones")
+    above = sum(one["error"] >= one["true"] for one in told)
+    headline(figure, f"{above} of {len(told)} likely errors are no smaller than the true ones")
     right.set(xlabel="x [Å]", ylabel="y [Å]")
     save_figure(figure, path, dpi=150, bbox_inches=None)
 

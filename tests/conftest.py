@@ -1,5 +1,6 @@
 """Data made once for the whole run, however many processes it is spread over."""
 
+import gc
 import os
 from hashlib import sha256
 from importlib.metadata import version
@@ -21,6 +22,13 @@ LONGEST = (
     "test_scales", "test_commands",
 )  # fmt: skip
 """Files of ten seconds to a minute, begun first, so that no process waits for another."""
+
+
+def pytest_collection_finish():
+    """What is imported stays: the collector of garbage need not go through it again and again."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000, 20, 50)
 
 
 def pytest_collection_modifyitems(items):

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from tools.peri_lps import PeriLps
-from warp_peri import Model
-from warp_peri.damage import box, lattice_body
+from warp_peri import Krylov, Model, Points, solve
+from warp_peri.damage import Cracked, box, lattice_body, penny
 from warp_peri.damage.motion import BreakingBody, step
 from warp_peri.damage.operator import CutOperator
 from warp_peri.damage.solid import BrittleSolid
@@ -229,12 +229,39 @@ def block(repeats: int, side: int = 16, ratio: float = 3.0) -> dict[str, Any]:
     return found
 
 
+def search(side: int = 28) -> dict[str, float]:
+    """A penny in a block by conjugate gradients, one thread: processor seconds of the solve, and
+    nanoseconds a node of a product by rows, of one by the matrix, and of assembling that."""
+    set_threads(1)
+    x = box(3 * (side,), 1.0)
+    points = Points(x, np.abs(x).max(axis=1) < side / 2 - 2, 1.0)
+    model = Model(lam=2.0, mu=1.0, alpha=1.0, D=np.ones(1), horizon=2.0, dimension=3)
+    problem = Cracked(points, u=0.01 * x * (0, 1, 0), cracks=[penny(side / 5)])
+
+    def spent(job: Callable[[], Any]) -> float:
+        began = time.process_time()
+        job()
+        return time.process_time() - began
+
+    def solved() -> Any:
+        return solve(model, problem, solver=Krylov())
+
+    cut, fields = solved().operator, 1e-3 * np.random.default_rng(0).normal(size=(1, *x.shape))
+    found = {"nodes": len(x), "solve s": spent(solved)}
+    found["assemble ns"] = 1e9 * spent(lambda: cut.matrix) / len(x)
+    ways = {"rows ns": lambda: cut.times(fields), "matrix ns": lambda: cut.matrix @ fields.ravel()}
+    return found | {
+        name: 1e9 * min(spent(way) for _ in range(9)) / len(x) for name, way in ways.items()
+    }
+
+
 def broken(*, quick: bool, threads: tuple[int, ...] = (1, 2)) -> dict[str, Any]:
     """Sweeps of plates, shares of broken bonds, and the block."""
     import numba
 
     rivals, repeats = rival(), 5 if quick else 15
     found: dict[str, Any] = {"sweeps": [], "shares": [], "block": block(repeats)}
+    found["search"] = search(20 if quick else 28)
     for count in threads:
         set_threads(count)
         numba.set_num_threads(count)

@@ -13,8 +13,7 @@ from tools.benchmark_crystals import least
 from tools.graphene_phonons import force_constants
 from warp_peri import Points
 from warp_peri.core.elastic import PAIRS, voigt
-from warp_peri.dressed import DressedSolid, FiniteSolid, effective, from_phonons
-from warp_peri.dressed.sweeps import ByLayers
+from warp_peri.dressed import DressedSolid, FiniteSolid, effective, from_phonons, torn
 from warp_peri.launch import set_threads
 from warp_peri.micromodulus import from_phonons as tensors_from_phonons
 
@@ -26,25 +25,44 @@ MATRIX = 4
 
 
 def ways(law: DressedSolid, points: Points) -> dict[str, Callable[[], Any]]:
-    """Ways to the same force on one thread; checked against the first."""
+    """Ways to the same force on one thread, and of bodies that vary and end; checked."""
     rng = np.random.default_rng(0)
     rows, layers = law.crystal.on(points, method="rows"), law.on(points)
-    single = law.on(points, dtype=np.float32)
     planes = layers.nodes.scatter(rng.normal(size=(1, *points.x.shape)))
     found: dict[str, Callable[[], Any]] = {
         "bonds of L by rows": functools.partial(rows.pull, planes),
         "G, K, G": functools.partial(layers.pull, planes),
-        "G, K, G, float32": functools.partial(single.pull, planes.astype(np.float32)),
     }
-    factors = np.ones((len(law.parts.names), *layers.nodes.wide))
-    own = layers.nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors
-    found["with maps"] = functools.partial(ByLayers(*own), planes)
-    found["with maps, float32"] = functools.partial(ByLayers(*own, np.float32), planes.astype("f4"))
+    if law.dimension == 2:
+        single = law.on(points, dtype=np.float32)
+        found["G, K, G, float32"] = functools.partial(single.pull, planes.astype(np.float32))
     known = found["bonds of L by rows"]()
     for name, way in found.items():
         off = np.abs(way() - known).max() / np.abs(known).max()
         assert off < (1e-5 if "float32" in name else 1e-12), f"{name}: {off:.1e}"
+    x, h = points.x, law.spacing
+    ends = Points(x, points.interior, h)
+    maps = {name: rng.uniform(0.5, 1.5, len(x)) for name in law.parts.names}
+    far = np.linalg.norm(x - x.mean(axis=0), axis=1) > 0.2 * np.ptp(x[:, 0])
+    bodies = {
+        "maps": law.on(points, maps=maps),
+        "edges": law.on(ends, edges=True),
+        "a hole": law.on(Points(x[far], points.interior[far], h), edges=True),
+        "two grains": law.on(points, grains=([law, law], (x[:, 0] > x[:, 0].mean()).astype(int))),
+    }
+    if law.dimension == 2:
+        across = 0.25 * np.ptp(x[:, 0]) * np.array([[1, 2], [3, 2]])
+        bodies["a crack"] = law.on(ends, edges=True, broken=torn(ends, [across]))
+    for name, body in bodies.items():
+        found[name] = functools.partial(body.in_turn, rng.normal(size=(body.points.x.size, 1)))
     return found
+
+
+def block_of_elements() -> DressedSolid:
+    """A solid in space under a G of 26 neighbours."""
+    steps = np.array([step for step in np.ndindex(3, 3, 3) if step > (1, 1, 1)]) - 1
+    tensors = np.broadcast_to(0.01 * np.eye(3), (1, len(steps), 3, 3))
+    return DressedSolid(1.0, "elements", isotropic_matrix(1.0, 1.0), steps, tensors)
 
 
 def dressed(*, quick: bool) -> None:
@@ -52,16 +70,20 @@ def dressed(*, quick: bool) -> None:
     side = 200 if quick else 1000
     set_threads(1)
     table: dict[str, dict[str, float]] = {}
-    for name, (base, neighbours) in LAWS.items():
-        law = from_phonons(
+    laws = {
+        name: from_phonons(
             force_constants(), 5.0, base, neighbours, symmetry="isotropic", split=False
         )
-        points = Points.sheet((side, side), law.spacing)
-        rounds = 3 if quick else 15
+        for name, (base, neighbours) in LAWS.items()
+    } | {"elements in space, G 26": block_of_elements()}
+    for name, law in laws.items():
+        d, rounds = law.dimension, 3 if quick else 15
+        across = side if d == 2 else round(side ** (2 / 3))
+        points = lattice(across, law)
         table[name] = {
-            way: 1e9 * least(run, rounds) / side**2 for way, run in ways(law, points).items()
+            way: 1e9 * least(run, rounds) / len(points.x) for way, run in ways(law, points).items()
         }
-        small = Points.sheet((side // MATRIX,) * 2, law.spacing)
+        small = lattice(across // MATRIX, law)
         L = law.on(small).matrix()
         v = np.random.default_rng(0).normal(size=L.shape[1])
         table[name]["SciPy CSR"] = 1e9 * least(lambda: L @ v, rounds) / len(small.x)  # noqa: B023
@@ -75,6 +97,13 @@ def dressed(*, quick: bool) -> None:
     seconds = least(lambda: operator.pull(planes), rounds)
     table["tensors, 20 bonds"] = {"bonds of L by rows": 1e9 * seconds / side**2}
     print(json.dumps({"side": side, "nanoseconds a node": table}, indent=1))
+
+
+def lattice(side: int, law: DressedSolid) -> Points:
+    """A period of so many nodes each way."""
+    d, h = law.dimension, law.spacing
+    x = h * np.indices((side,) * d).reshape(d, -1).T
+    return Points(x, np.ones(len(x), bool), h, box=(side * h,) * d)
 
 
 CONTRASTS = (2, 20)

@@ -218,8 +218,9 @@ def _error(row: dict[str, Any], scene: Scene, name: str) -> float:
     """Of a row on loads as long or short as a scene's, at its strain."""
     error: float = row[f"{name}_error"]
     agreed = 0.0
-    if name == "disks" and "agrees" in row:
-        agreed = _agreement(row["agrees"], scene.shortest_wave)
+    if name == "disks" and "agrees" in row:  # levels up to which a transfer does, and lengths [Å]
+        levels = (level for level, length in row["agrees"] if length <= scene.shortest_wave)
+        agreed = min(levels, default=math.inf)
     if scene.strain is None or "strained" not in row:
         return float(max(error, agreed))
     strain, measured = np.array(row["strained"]).T
@@ -228,11 +229,6 @@ def _error(row: dict[str, Any], scene: Scene, name: str) -> float:
     if name == "waves":
         return float(np.hypot(error, at))
     return float(max(at, agreed))
-
-
-def _agreement(pairs: list[list[float]], wave: float) -> float:
-    """The level that a transfer agrees with home to on a wave; pairs of level and length [Å]."""
-    return min((level for level, length in pairs if length <= wave), default=math.inf)
 
 
 def choose_model(

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import joblib
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 
 WAIT = 30
 """Seconds that a scheduler and its first worker are waited for."""
@@ -28,10 +28,8 @@ def scheduler(address: str | None) -> Iterator[None]:
     if address is None:
         yield
         return
-    try:
-        import distributed
-    except ImportError:
-        raise InputError("scheduler: needs Dask: pip install 'warp_peri[cluster]'") from None
+    without = "scheduler: needs Dask: pip install 'warp_peri[cluster]'"
+    distributed = optional("distributed", without)
     try:
         client = distributed.Client(address, timeout=WAIT)
         client.wait_for_workers(1, timeout=WAIT)

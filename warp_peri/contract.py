@@ -10,6 +10,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from copy import deepcopy
+from dataclasses import dataclass
 from functools import wraps
 from importlib import import_module
 from inspect import signature
@@ -254,11 +255,17 @@ class Material(Protocol):
         """What its file holds; `load` reads it again."""
 
 
-class Doubting(Protocol):
-    """A material that can tell how wrong it is: what `predict` asks of it."""
+@dataclass(frozen=True)
+class MaterialFit:
+    """A learned `material`, and its `history`: losses and numbers on the way."""
 
-    def with_doubts(self, points: Any) -> Any:
-        """The material on points with its `doubts`, the fields of what it does not know there."""
+    material: Any
+    history: dict[str, Any]
+
+    @property
+    def certificate(self) -> Any:
+        """What is proven of it."""
+        return self.material.certificate
 
 
 class Problem(Protocol):

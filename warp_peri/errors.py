@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
+from typing import Any
 
 LAST_WORDS: list[Callable[[str, int], None]] = []
 """What ends all processes of a run that has many, given a line to say and the exit status."""
@@ -27,6 +29,14 @@ class InputError(ValueError):
         line = " ".join(str(message)[: 4 * LONGEST].split())
         shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
         super().__init__(shown if len(shown) <= LONGEST else shown[:LONGEST] + " …")
+
+
+def optional(module: str, without: str) -> Any:
+    """A module of an extra; InputError, which says `without`, where it is not installed."""
+    try:
+        return import_module(module)
+    except ImportError:
+        raise InputError(without) from None
 
 
 def exit_status(

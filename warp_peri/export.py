@@ -284,7 +284,8 @@ def _of_linear(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarr
     if model.linear is not model:
         operator = model.on(points, transfer=False, allow_uncertified=True)
         _, P = operator.gradients(u)
-        added = {"piola": _matrix(P[:, points.interior[operator.sweeps.full]])}
+        here = _full(P[:, points.interior[operator.sweeps.full]])
+        added = {"piola": here.reshape(*here.shape[:-2], 9)}  # not symmetric
     return {
         "stress": _tensor(fields.stress),
         **added,
@@ -312,11 +313,6 @@ def _tensor(field: np.ndarray) -> np.ndarray:
     full = _full(field)
     places = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
     return np.stack([full[..., a, c] for a, c in places], axis=-1)
-
-
-def _matrix(field: np.ndarray) -> np.ndarray:
-    """The nine components of tensors that are not symmetric, row by row."""
-    return _full(field).reshape(*field.shape[:-2], 9)
 
 
 def _full(field: np.ndarray) -> np.ndarray:

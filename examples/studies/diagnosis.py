@@ -28,7 +28,6 @@ from tools.options import Options
 from tools.statics import Statics
 from warp_peri import LPS, Bernstein, Points, Samples, diagnose, fit
 from warp_peri.atoms import coarse_grain, smoothing_matrix
-from warp_peri.methods import Optimum
 from warp_peri.structures.calculators import potential_file
 
 CELLS = (24, 14)
@@ -41,6 +40,7 @@ LONGEST, SHORTEST, ROUGH = 60.0, 24.0, 13.0
 """Waves of the loads [Å]; rough loads go down to the last."""
 STEPS, SKIPPED, QUIET = 40, 20, 8
 """Time steps of 0.5 fs a load, those left out at the begin, and fields of noise alone."""
+BATH: dict[str, Any] = {"steps": STEPS, "timestep": 5e-4, "damping": 0.1}
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Sheet:
     temperature: float = 0.0
 
 
-NITRIDE = ("B", "N")
+NITRIDE, BOTH = ("B", "N"), ("anisotropy", "heterogeneity")
 SHEETS = (
     Sheet("stretched", ("anisotropy",), stretch=(1.1, 1.0)),
     Sheet("sheared", ("anisotropy",), stretch=(1.06, 0.96), turn=np.pi / 4),
@@ -75,17 +75,11 @@ SHEETS = (
     Sheet("rough loads", ("dispersion",), shortest=ROUGH),
     Sheet("nonlinear", ("nonlinearity",), strain=0.02),
     Sheet("noisy", ("noise",), temperature=300.0),
-    Sheet("mixed", ("anisotropy", "heterogeneity"), stretch=(1.1, 1.0), missing=0.02),
+    Sheet("mixed", BOTH, stretch=(1.1, 1.0), missing=0.02),
     Sheet("boron nitride, stretched", ("anisotropy",), elements=NITRIDE, stretch=(1.0, 1.08)),
     Sheet("a disk of boron nitride", ("heterogeneity",), phase="disk"),
     Sheet("boron nitride, nonlinear", ("nonlinearity",), elements=NITRIDE, strain=0.02),
-    Sheet(
-        "boron nitride, mixed",
-        ("anisotropy", "heterogeneity"),
-        elements=NITRIDE,
-        stretch=(1.0, 1.1),
-        missing=0.015,
-    ),
+    Sheet("boron nitride, mixed", BOTH, elements=NITRIDE, stretch=(1.0, 1.1), missing=0.015),
     Sheet("tight, nonlinear", ("nonlinearity",), stretch=(1.03, 1.03), strain=0.015),
     Sheet("boron nitride, rough loads", ("dispersion",), elements=NITRIDE, shortest=ROUGH),
 )
@@ -100,12 +94,7 @@ UNSEEN = (
         strain=0.02,
     ),
     Sheet("tight, rough loads", ("dispersion",), stretch=(1.03, 1.03), shortest=ROUGH),
-    Sheet(
-        "a disk of boron nitride, stretched",
-        ("anisotropy", "heterogeneity"),
-        phase="disk",
-        stretch=(1.1, 1.0),
-    ),
+    Sheet("a disk of boron nitride, stretched", BOTH, phase="disk", stretch=(1.1, 1.0)),
 )
 
 
@@ -217,15 +206,7 @@ def moved(
     Its own mean is zero.
     """
     total, begin = np.zeros_like(u), statics.reference + u
-    run = session.trajectory(
-        begin,
-        force,
-        temperature=asked.temperature,
-        seed=seed,
-        steps=STEPS,
-        timestep=5e-4,
-        damping=0.1,
-    )
+    run = session.trajectory(begin, force, temperature=asked.temperature, seed=seed, **BATH)
     for step, (x, _) in enumerate(run):
         if step >= SKIPPED:
             move = x - begin
@@ -242,12 +223,7 @@ def study(sheets: Sequence[Sheet]) -> list[dict[str, Any]]:
         samples, quiet = make(asked)
         made = time.perf_counter() - begin
         with warnings.catch_warnings(action="ignore"):
-            found = fit(
-                samples,
-                LPS(HORIZON, Bernstein(DEGREE), Optimum(moduli=None)),
-                noise=quiet,
-                progress=False,
-            )
+            found = fit(samples, LPS(HORIZON, Bernstein(DEGREE)), noise=quiet, progress=False)
             diagnosis = diagnose(found.material, samples, quiet)
         named = diagnosis.causes[: len(asked.causes)]
         rows.append(

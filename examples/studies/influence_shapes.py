@@ -52,7 +52,7 @@ def fits(train: Samples) -> dict[str, tuple[int, Fit]]:
     cases["table, 9 knots"] = (len(KNOTS) - 1, values)
     cases["Bernstein, M = 10"] = (DEGREE + 1, wp.Bernstein(DEGREE))
     return {
-        name: (count, wp.fit(train, wp.LPS(HORIZON, kernel, wp.methods.Optimum(moduli=None))))
+        name: (count, wp.fit(train, wp.LPS(HORIZON, kernel)))
         for name, (count, kernel) in tqdm(cases.items(), desc="fits")
     }
 

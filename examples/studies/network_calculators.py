@@ -3,6 +3,7 @@
 python examples/studies/network_calculators.py Al Si                    laws of two crystals
 python examples/studies/network_calculators.py --tools law matcalc matscipy    all sixty by three
 python examples/studies/network_calculators.py Fe --tools phonons    its softest waves, by phonopy
+python examples/studies/network_calculators.py Al Si --tools lists    small cells, 1 or 16 at a time
 
 The network is CHGNet (pip install chgnet); its weights come with it. Each result is kept in a file
 as it ends, and a second start goes on from there.
@@ -25,6 +26,7 @@ import numpy as np
 import warp_peri as wp
 from examples.studies.network_crystals import (
     CRYSTALS,
+    by_lists,
     by_matcalc,
     by_matscipy,
     by_phonopy,
@@ -57,7 +59,8 @@ def by_law(name: str, calculator: Any) -> dict[str, Any]:
 
 
 TOOLS: dict[str, Any] = {
-    "law": by_law, "matcalc": by_matcalc, "matscipy": by_matscipy, "phonons": by_phonopy
+    "law": by_law, "matcalc": by_matcalc, "matscipy": by_matscipy, "phonons": by_phonopy,
+    "lists": by_lists,
 }  # fmt: skip
 
 

@@ -36,8 +36,8 @@ def short(label: str) -> str:
     return label.removesuffix(", LU").replace(", h = 5", "")
 
 
-ROOM = 1.2
-"""For names left of a front, over the width of the points."""
+ROOM, WIDE = 1.2, 0.4
+"""For names left of a front, over the width of the points: in a small chart, and in a wide one."""
 APART = 1.35
 """Errors of names on a front differ by this factor, so that they can be read."""
 
@@ -65,9 +65,10 @@ def draw_front(
             note(ax, here[2], here[:2], (-5, -low), "C0", ha="right", va="top")
     for name, seconds in exact.items():
         ax.axvline(seconds, color="0.3", ls="--", lw=0.8)
-        ax.annotate(f"{name}: exact ", (seconds, max(y)), size=8, ha="right")
+        top = {"xycoords": ax.get_xaxis_transform(), "ha": "right", "va": "top"}
+        ax.annotate(f"{name}: exact ", (seconds, 0.98), size=8, **top)
     low, high = ax.get_xlim()
-    ax.set_xlim(low / (high / low) ** ROOM, high)
+    ax.set_xlim(low / (high / low) ** (WIDE if every else ROOM), high)
     ax.set_ylim(bottom=min(y) / 2)
 
 
@@ -130,11 +131,10 @@ def error_chart(rows: list[Row], file: Path, error: str) -> None:
     for x, y, name in found:
         if any(x > a and y >= b for a, b, _ in found):  # those on the front get their names there
             note(ax, name, (x, y), (-5, 4), ha="right")
-    draw_front(
-        ax, found, {row["label"]: row["seconds"] for row in rows if not row["error"]}, every=True
-    )
-    best = min(found, key=lambda one: one[1])[2]
-    ax.set(xlabel="seconds in all", ylabel=error, title=f"Least error: {best}")
+    exact = {row["kind"]: row["seconds"] for row in rows if not row["error"]}
+    draw_front(ax, found, exact, every=True)
+    _, least, best = min(found, key=lambda one: one[1])
+    ax.set(xlabel="seconds in all", ylabel=error, title=f"Least error, {least:.2g} %: {best}")
     ax.set_ylim(top=1.5 * max(y for _, y, _ in found))
     save_figure(figure, file, dpi=110, bbox_inches=None)
 

@@ -342,10 +342,5 @@ def strained_disks(file: Path, spacing: float) -> list[tuple[float, Samples]]:
         paths = [strained_file(file.with_suffix(".cache"), disk, one, strain) for one in DISK]
         samples = [one for one in map(read_sample, paths) if one is not None]
         points = making.point_set(disk, DISK, samples, spacing=spacing)
-        found.append((mean_gradient(points), points))
+        found.append((np.sqrt(np.mean([gradient_size(points, u) ** 2 for u in points.u])), points))
     return found
-
-
-def mean_gradient(points: Samples) -> float:
-    """Root mean square of |grad u| of all samples."""
-    return float(np.sqrt(np.mean([gradient_size(points, u) ** 2 for u in points.u])))

@@ -503,9 +503,10 @@ def test_moduli_that_the_data_deny_are_told_beside_those_that_they_have(tmp_path
     assert "moduli of a crystal model" in printed.out
 
 
-@pytest.mark.parametrize(
-    "kind", ["tensors", pytest.param("dressed", marks=pytest.mark.slow), "third-order"]
-)
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("dressed", "third-order")]
+
+
+@pytest.mark.parametrize("kind", ["tensors", *SLOW])
 def test_every_law_is_trained_at_the_shell(kind, tmp_path, capsys):
     law, path = crystal_data(tmp_path)
     words = ["train", path, "--law", kind, "--out", tmp_path / "out", "--degree", 2]

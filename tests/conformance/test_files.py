@@ -158,8 +158,8 @@ def bare(content):
 def test_what_is_no_value_is_one_error(material):
     _, path = material
     content = hashed(bare(json.loads(path.read_text())))
-    for key in content:
-        for value in HOSTILE:
+    for n, key in enumerate(content):
+        for value in HOSTILE[n % 3 :: 3]:  # each of them for some key of every material
             with contextlib.suppress(wp.InputError):  # another error ends the test
                 read(path, hashed(content | {key: value}))
         if key not in (*RECORDS, "sha256"):

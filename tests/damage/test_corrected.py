@@ -11,10 +11,13 @@ from scipy.sparse.linalg import spsolve
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import difference, fitted_order, kernel
 from warp_peri import InputError, Krylov, Points, move, solve
-from warp_peri.damage import Cracked, box, lattice_body, penny, point_force, rectangle
+from warp_peri.damage import Cracked, box, lattice_body, operator, penny, point_force, rectangle
 from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.damage.motion import SPREAD, BreakingBody
 from warp_peri.damage.operator import bond_weights, cut_matrix
+from warp_peri.damage.solid import largest_stiffness
 from warp_peri.dynamics.verlet import inertia
+from warp_peri.launch import floats, zeros
 from warp_peri.verification import cracks
 from warp_peri.verification.cracks import energy_release, tip_shift
 from warp_peri.verification.motion import frequency
@@ -124,11 +127,85 @@ def test_a_learned_kernel_that_changes_sign_may_be_checked_with_edges():
     CutSolid(model, body, held, cracks=[[(-8, 0), (0, 0)]], corrected=True)
 
 
-def test_what_breaks_is_not_corrected():
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6])
+def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatch):
+    monkeypatch.setattr(operator, "SPANNED", SPREAD)
+    body = plate(*(12, 9, 7)[-d:], horizon=2.0)
+    brittle = solid(0.4, horizon=2.0, dimension=d)
+    table = random_breaking(body, np.random.default_rng(1), share)
+    moving = BreakingBody(brittle, body, corrected=True)
+    links, u = moving.operator.links(table), np.random.default_rng(2).normal(size=body.x.shape)
+    vector = moving.operator.vector
+    field, force, energy = floats(u, vector), zeros(len(u), dtype=vector), zeros(len(u))
+    moving.operator.sweep(field, links, force, energy)
+    plain = force.numpy().copy(), energy.numpy().copy()
+    less = moving.correct(field, links, force, energy)
+    L = matrix(brittle.model, body, table)
+    expected = -(L @ u.ravel()).reshape(u.shape)
+    np.testing.assert_allclose(force.numpy(), expected, atol=1e-12 * np.abs(expected).max())
+    assert energy.numpy().sum() == pytest.approx(u.ravel() @ L @ u.ravel() / 2, rel=1e-12)
+    stiffest = np.linalg.eigvalsh(L.toarray())[-1]
+    assert stiffest < 1.05 * largest_stiffness(brittle.model, body.classes)
+    assert moving.longest_step < 2 * np.sqrt(brittle.density / stiffest)
+    less()
+    for one, known in zip((force.numpy(), energy.numpy()), plain):
+        np.testing.assert_allclose(one, known, atol=1e-13 * np.abs(known).max())
+
+
+def pulled_plate(path=None, steps=400, finer=1):
+    """A corrected plate, cracked from its edge, that is pulled until the crack runs through."""
+    x, brittle = rectangle(30, 20, 1.0), solid(1.0)
+    rim = np.abs(x[:, 1]) > 9
+    step = 0.5 * BreakingBody(brittle, plate(6, 6), corrected=True).longest_step / finer
+    pull = np.outer(rim * np.sign(x[:, 1]), (0, 2.5e-4 / step / finer))
+    problem = Cracked(Points(x, ~rim, 1.0), cracks=[[(-15, 0), (-4, 0)]], corrected=True)
+    how = {"grip": pull, "no_fail": rim, "step": step, "steps": steps * finer, "every": 20 * finer}
+    return move(brittle, problem, **how, checkpoint=path, checkpoint_every=1)
+
+
+def test_a_corrected_plate_breaks_through_with_its_ledger_and_goes_on_with_the_same_bits(tmp_path):
+    run, fine = pulled_plate(), pulled_plate(finer=4)
+    assert run["dissipated"][-1] > 0
+    assert (np.diff(run["dissipated"]) >= 0).all()
+    assert run.missing < 0.02
+    assert fine.missing < run.missing / 4  # of second order, while bonds break one by one
+    pulled_plate(tmp_path / "run.h5", 300)
+    again = pulled_plate(tmp_path / "run.h5")
+    np.testing.assert_array_equal(again.u, run.u)
+    np.testing.assert_array_equal(again.details.damage, run.details.damage)
+
+
+def test_a_crack_grows_slowly_in_a_corrected_body_and_releases_energy():
+    x = rectangle(30, 16, 1.0)
+    held = np.abs(x[:, 1]) > 6
+    u = np.outer(np.sign(x[:, 1]) * held, (0, 0.5))
+    problem = Cracked(Points(x, ~held, 1.0), u=u, cracks=[[(-15, 0), (0, 0)]], corrected=True)
+    growth = move(solid().model, problem, events=7)
+    assert (np.diff(growth["energy"]) < 0).all()
+    cut = CutSolid(
+        solid().model, lattice_body(x, 1.0, 3.0), held, neighbour=growth.details, corrected=True
+    )
+    assert cut.energy(cut.solve(None, u)) < growth["energy"][-1]
+
+
+def test_what_is_not_corrected_where_it_breaks():
     x = rectangle(12, 10, 1.0)
-    problem = Cracked(Points(x, np.abs(x[:, 1]) < 3, 1.0), u=x, corrected=True)
-    with pytest.raises(InputError, match="corrected: expected False"):
-        move(solid(), problem, events=1)
+    problem = Cracked(Points(x, np.abs(x[:, 1]) < 3, 1.0), corrected=True)
+    energy = dataclasses.replace(
+        solid(), toughness=None, critical_stretch=None, critical_energy=1.0
+    )
+    how = {"step": 1e-6, "steps": 1}
+    for law, given, said in (
+        (solid(), {"loads": [1.0], "line": [(-6, 0), (6, 0)]}, "expected slow growth, events"),
+        (solid(), how | {"sections": {"across": [(-6, 0), (6, 0)]}}, "steps without sections"),
+        (energy, how, "whose bonds break at a stretch"),
+    ):
+        with pytest.raises(InputError, match=f"corrected: .*{said}"):
+            move(law, problem, **given)
+    tensor = dataclasses.replace(problem, b=torch.zeros(x.shape))
+    with pytest.raises(InputError, match="corrected: expected arrays of NumPy"):
+        move(solid(), tensor, **how)
 
 
 HOW = {"density": 1000.0, "steps": 40, "every": 4}
@@ -203,8 +280,6 @@ def test_waves_are_refused_where_they_may_grow():
                      (model, dataclasses.replace(problem, free=free))):  # fmt: skip
         with pytest.raises(InputError, match="move: expected one material with a positive"):
             move(law, one, step=0.5 * step, **HOW)
-    with pytest.raises(InputError, match="corrected: expected False where bonds break"):
-        move(solid(), problem, step=0.5 * step, **HOW)  # which would not break
 
 
 @pytest.mark.parametrize("d", [2, 3])

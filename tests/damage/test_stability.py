@@ -25,6 +25,7 @@ STATES = 1000
     ("sides", "states"),
     [pytest.param((6, 6), STATES, marks=pytest.mark.slow), ((3, 4, 3), STATES // 5)],
 )
+@pytest.mark.slow
 def test_random_states_have_no_negative_eigenvalue(sides, states):
     d, random = len(sides), np.random.default_rng(0)
     body = plate(*sides, horizon=2.5)

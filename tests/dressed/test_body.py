@@ -307,7 +307,7 @@ def test_a_crystal_cleaves_in_the_base_and_the_atoms_show_it():
         ({"broken": [[0, 100]]}, "numbers of nodes below 100"),
         ({"broken": [0, 1]}, "pairs of nodes"),
         ({"edges": lambda x: x[:, 0]}, "one bool a position"),
-        ({"dtype": np.float32}, "dtype: expected float64, or float32 of a sheet"),
+        ({"dtype": np.float16}, "dtype: expected float64 or float32, got float16"),
     ],
 )
 def test_what_does_not_fit_is_refused(options, message):
@@ -335,15 +335,74 @@ def test_layers_are_the_crystal_and_an_uneven_sheet_the_matrix(base, p, periodic
     maps = {name: rng.uniform(0, 2, len(points.x)) for name in law.parts.names}
     body = law.on(points, maps=maps)
     by_matrix = (body.L @ u.reshape(2, -1).T).T.reshape(u.shape)[:, points.interior]
-    assert body._sweep is not None
     np.testing.assert_allclose(body(u), by_matrix, atol=1e-13 * size)
     single = law.on(points, maps=maps, dtype=np.float32)(u)
     assert single.dtype == np.float32
     np.testing.assert_allclose(single, by_matrix, atol=1e-5 * size)
 
 
+def varied(kind):
+    """Bodies with grains, outlines, holes and cracks, on a period too."""
+    d = 3 if "space" in kind else 2
+    law = solid(d, "bonds" if "bonds" in kind else "elements", 2.0 if d == 2 else 3**0.5)
+    if "crystal" in kind:
+        law = crystal()
+    n = {2: 14, 3: 8}[d]
+    points = nodes(d, n)
+    x, middle = points.x, points.x.mean(axis=0)
+    if "period" in kind:
+        points = wp.Points(x, points.interior, SPACING, box=(n * SPACING,) * d)
+    if "hole" in kind:
+        points = nodes(d, n, np.linalg.norm(x - middle - 0.3, axis=1) > 2.5 * SPACING)
+    options = {"edges": True}
+    if "outline" in kind:
+        options["edges"] = lambda y: np.linalg.norm(y - middle, axis=1) < 0.43 * n * SPACING
+    if "crack" in kind:
+        ends = [(middle[0] + side * SPACING, middle[1]) for side in (-2, 3)]
+        options["broken"] = torn(nodes(d, n), [ends], reach=3.0 if "crystal" in kind else 1.5)
+    if "grains" in kind:
+        few = [
+            replace(law, tensors=law.tensors * share, elastic=law.elastic * (2 - share))
+            for share in (1, 0.7, 1.2, 0.5)
+        ]
+        options["grains"] = few, np.random.default_rng(1).integers(4, size=len(points.x))
+        if "columns" in kind:
+            options["grains"] = few, (4 * points.x[:, 0] / (n * SPACING)).astype(int)
+    return law.on(points, **options)
+
+
+@pytest.mark.parametrize("kind", [
+    "edges, elements", "crack", "period, crack", "period, crack, bonds", "crack, bonds",
+    "hole, bonds", "hole", "crack, crystal", "outline", "grains", "period, grains, columns",
+    "grains, bonds", "hole, space", "outline, space", "period, grains, space",
+])  # fmt: skip
+def test_any_body_goes_by_rows_and_is_its_matrix(kind):
+    body = varied(kind)
+    fields = np.random.default_rng(0).normal(size=(2, *body.points.x.shape))
+    flat = body.flat(fields).T
+    expected = body.L @ flat
+    np.testing.assert_allclose(body.in_turn(flat), expected, atol=1e-13 * np.abs(expected).max())
+    inner = (expected.T.reshape(fields.shape) @ body.axes.T)[:, body.points.interior]
+    np.testing.assert_allclose(body(fields), inner, atol=1e-13 * np.abs(inner).max())
+    diagonal = sum(K.diagonal() for K in body.layers)
+    np.testing.assert_allclose(body.stiffness.ravel(), diagonal, atol=1e-13 * diagonal.max())
+    options = body._made_of[1] | {"dtype": np.float32}
+    single = type(body)(*body._made_of[0], **options)(fields)
+    assert single.dtype == np.float32
+    np.testing.assert_allclose(single, inner, atol=1e-5 * np.abs(inner).max())
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_bodies_at_random_go_by_rows(seed):
+    body = random_body(seed)
+    flat = np.random.default_rng(seed).normal(size=(body.points.x.size, 2))
+    expected = body.L @ flat
+    np.testing.assert_allclose(body.in_turn(flat), expected, atol=1e-13 * np.abs(expected).max())
+
+
 @pytest.mark.parametrize("base", ["elements", "bonds"])
-def test_an_uneven_sheet_has_the_same_bits_on_any_threads(base):
+@pytest.mark.parametrize("broken", [None, [[3030, 3031], [4555, 4655]]])
+def test_an_uneven_sheet_has_the_same_bits_on_any_threads(base, broken):
     law, points = solid(2, base), wp.Points.sheet((90, 100), SPACING)
     rng = np.random.default_rng(0)
     u = rng.normal(size=points.x.shape)
@@ -352,7 +411,7 @@ def test_an_uneven_sheet_has_the_same_bits_on_any_threads(base):
     try:
         for count in (1, 3):
             set_threads(count)
-            found.append(law.on(points, maps=maps)(u))
+            found.append(law.on(points, maps=maps, broken=broken, edges=True)(u))
     finally:
         set_threads(before)
     np.testing.assert_array_equal(*found)

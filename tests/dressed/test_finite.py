@@ -20,13 +20,9 @@ def solid(along=-0.12, across=0.03, share=0.05):
     return FiniteSolid(1.0, -0.2, 0.72, along, across, share, *CONSTANTS)
 
 
-def fields(points, size, count):
-    return np.stack([waves(points, size, seed) for seed in range(count)])
-
-
 def test_a_law_is_found_again_from_its_forces():
     law, points = solid(), lattice(6, 1.5)
-    u = fields(points, 0.02, 4)
+    u = np.stack([waves(points, 0.02, seed) for seed in range(4)])
     b = np.zeros_like(u)
     b[:, points.interior] = law.on(points)(u)
     samples = wp.Samples(points, u, b)

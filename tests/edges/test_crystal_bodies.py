@@ -27,10 +27,6 @@ def ball():
     return mesh_solid(Sphere(19.0, name="skin"), size=4.0)
 
 
-def one_cell():
-    return make_tetrahedra([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2, 3]])
-
-
 BODIES = {2: (plate, SIDES, 2), 3: (ball, ("skin",), 1)}
 
 
@@ -116,7 +112,10 @@ def test_tetrahedra_know_their_parts_their_voids_and_what_they_hold():
     ("change", "message"),
     [
         ({"coupling": Coupling(spacing=1.0)}, "coupling: expected spacing 1.5 or None, got 1"),
-        ({"mesh": one_cell}, "mesh: expected triangles, for a model of 2 dimensions"),
+        (
+            {"mesh": lambda: make_tetrahedra(np.eye(4)[[3, 0, 1, 2], :3], [[0, 1, 2, 3]])},
+            "mesh: expected triangles, for a model of 2 dimensions",
+        ),
         ({"stress": np.eye(2)}, "model: expected a crystal at rest"),
     ],
 )

@@ -199,6 +199,7 @@ def test_a_thin_body_is_solved_by_elements_alone(model):
     assert error(solution.u_rim, field(solution.rim.x)[0]) < 5e-4
 
 
+@pytest.mark.slow
 def test_elements_alone_name_a_spacing_that_gives_the_lattice_room(model):
     """The spacing that is named serves."""
     mesh = mesh_outline(box(30, 30), [], size=1.0)

@@ -65,6 +65,7 @@ def test_a_process_with_products_two_by_two_is_not_drawn():
         draw(fit_process(X, X[:, 0], kernel="second"), np.random.default_rng(0))
 
 
+@pytest.mark.slow
 def test_the_band_holds_the_exact_velocity():
     flow = PlaneFlow(1.0, 10.0, 16, top=lambda t: 1.0)
     run = lambda law: run_plane(flow, Closure(law, 1.0, 16), until=4.0, dt=0.04, every=20).u

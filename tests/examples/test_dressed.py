@@ -11,6 +11,7 @@ from warp_peri.dressed import FiniteStrain, from_phonons
 from warp_peri.methods import Smoothing
 
 
+@pytest.mark.slow
 def test_six_numbers_from_fields_and_from_phonons(graphene):
     data = wp.load(graphene)
     known = from_phonons(force_constants(), 5.0, "bonds", 12, symmetry="isotropic", split=False)

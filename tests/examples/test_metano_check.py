@@ -14,6 +14,7 @@ KEPT = Path(__file__).parent / "metano"
 """Loads 0 and 5 of task 0 of the MetaNO repository, under the MIT licence that lies beside them."""
 
 
+@pytest.mark.slow
 def test_linear_triangles_give_the_published_fields_back():
     differences = check(KEPT, [0], [0, 1])["task 0"]
     assert max(differences["linear triangles"]) < 1e-4

@@ -2,9 +2,12 @@
 
 import json
 
+import pytest
+
 from examples import network_from_residuals
 
 
+@pytest.mark.slow
 def test_residuals_teach_a_law_that_is_solved_with(tmp_path, capsys):
     asked = ["--json", "--steps", "100", "--last", "3", "--out", str(tmp_path)]
     assert network_from_residuals.main(asked) == 0

@@ -21,6 +21,7 @@ from warp_peri.tissue import hyperelastic_errors, material_terms, read_material,
 WITHIN = 1.3
 
 
+@pytest.mark.slow
 def test_a_sheet_with_fibres(tmp_path):
     """docs/archive/tissue.md, linear elements, read out, from 30 squares for 200."""
     sets = make_hgo(tmp_path, counts=(30, 0, 8, 1), jobs=1, progress=False)

@@ -84,13 +84,10 @@ def test_lengths_in_any_unit(data, plain, length):
     assert solved == pytest.approx(there.u, rel=0, abs=1e-4 * np.abs(there.u).max())
 
 
-def named(samples, units):
-    return replace(samples, points=replace(samples.points, units=units))
-
-
 @pytest.mark.parametrize("units", [("nm", "GPa"), ("sigma", "epsilon/sigma^3")])
 def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, units):
-    there = named(at_scale(data, 0.1, 1000.0), units)
+    there = at_scale(data, 0.1, 1000.0)
+    there = replace(there, points=replace(there.points, units=units))
     result = learned(there, 0.1)
     length, stress = symbols(units)
     assert result.material.units == units

@@ -167,6 +167,7 @@ def test_moduli_that_a_shape_cannot_have_are_no_result(moduli):
         fit(points, horizon=HORIZON, kernel=shape, method=Optimum(moduli=moduli))
 
 
+@pytest.mark.slow
 def test_moduli_are_held_by_a_shape_that_can():
     def two(r, a, b):
         return 1 / r + a + b * r

@@ -15,13 +15,7 @@ from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.micromodulus import force_constants
-from warp_peri.micromodulus.force_constants import (
-    Polar,
-    finite_differences,
-    from_calculator,
-    from_supercell,
-    read_force_constants,
-)
+from warp_peri.micromodulus.force_constants import Polar, from_calculator, from_supercell
 from warp_peri.micromodulus.law import Crystal, tensors_of
 from warp_peri.micromodulus.learning import fit
 from warp_peri.micromodulus.regression import long_wave_moduli
@@ -206,37 +200,6 @@ def test_translations_cost_nothing_and_the_matrix_is_hermitian(copper):
     np.testing.assert_allclose(D, D.conj().T)
 
 
-def test_force_constants_from_a_file(tmp_path, copper):
-    cell = copper[1]
-    supercell = cell.repeat((2, 2, 2))
-    supercell.calc = EMT()
-    rest = supercell.positions.copy()
-
-    def forces(x):
-        supercell.positions[:] = x
-        return supercell.get_forces()
-
-    phi, change = finite_differences(forces, rest, range(4))
-    assert change < 1e-3
-    supercell.positions[:] = rest
-    lines = [f"4 {len(supercell)}"]
-    for i in range(4):
-        for j in range(len(supercell)):
-            lines += [
-                f"{i + 1} {j + 1}",
-                *(" ".join(f"{v:.15f}" for v in row) for row in phi[i, :, j]),
-            ]
-    path = tmp_path / "FORCE_CONSTANTS"
-    path.write_text("\n".join(lines) + "\n")
-    read = read_force_constants(path, cell, supercell, range(4))
-    made = from_supercell(cell, supercell, phi, range(4))
-    k = np.array([[0.2, 0.1, -0.3]])
-    np.testing.assert_allclose(read.effective(k), made.effective(k), rtol=1e-9)
-    path.write_text("\n".join(lines[:-1]))
-    with pytest.raises(InputError, match="more lines"):
-        read_force_constants(path, cell, supercell, range(4))
-
-
 def ions(positions, elements, charges, a=4.0, repeats=3):
     """Force constants of a cubic cell of ions: springs to neighbours and their electric field.
 
@@ -347,11 +310,9 @@ def test_a_linear_peridynamic_solid_is_one_of_twice_the_range(name):
     assert law.horizon <= 2 * model.horizon
 
 
-def test_what_is_no_solid_or_no_file_is_named():
+def test_what_is_no_solid_is_named():
     with pytest.raises(InputError, match="expected a linear peridynamic solid, got Crystal"):
         tensors_of(learned(2), 1.5)
-    with pytest.raises(InputError, match="nowhere: no such file"):
-        read_force_constants("nowhere", None, [0], [0])
 
 
 def test_phonons_of_an_unstable_crystal_are_refused():

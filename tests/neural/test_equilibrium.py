@@ -102,6 +102,7 @@ def gradient(material, loss):
     return torch.cat([part.grad.ravel() for part in material.parameters()])
 
 
+@pytest.mark.slow
 def test_gradients_of_an_equilibrium():
     """By the adjoint, through the steps of the search as it converges, and by differences."""
     material, placed, u = problem()

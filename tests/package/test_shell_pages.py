@@ -162,10 +162,6 @@ def of_arrays(folder):
     wp.save("mine.h5", wp.Dataset({"train": samples}, thickness=3.35, density=2150.0))
 
 
-def of_dumps(folder):
-    own_material.make_dumps(folder / "runs" / "boron_nitride" / "dumps")
-
-
 GIVEN = {
     "how-to/arrays": of_arrays,
     "how-to/calculators": of_atoms,
@@ -174,7 +170,7 @@ GIVEN = {
     "how-to/paraview": of_any,
     GALLERY: of_gallery,
     "tutorials/crystal": of_atoms,
-    "tutorials/dumps": of_dumps,
+    "tutorials/dumps": lambda of: own_material.make_dumps(of / "runs" / "boron_nitride" / "dumps"),
 }
 
 

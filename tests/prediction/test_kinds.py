@@ -71,6 +71,7 @@ def test_crystals(dimension):
 
 
 @pytest.mark.filterwarnings("ignore:mesh:UserWarning")
+@pytest.mark.slow
 def test_a_body_is_answered_and_its_edge_named(family):
     stretch = {"sides": lambda x: 1e-3 * x}
     body = wp.Body(plate(3.0, 12.0, 6, 24), displacement=stretch)

@@ -372,6 +372,7 @@ def test_without_a_tolerance_the_best_that_was_computed_comes_back(family):
         assert wp.predict(family, asked, None).error < 1.1 * min(bars)
 
 
+@pytest.mark.slow
 def test_a_stated_axis_is_held_against_the_data_and_said_to_be_believed(family):
     data = held_in(family.rich, 0.03, 8)
     points = replace(data.points, axis=data.points.axis + 12)

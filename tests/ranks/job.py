@@ -61,11 +61,6 @@ def solid(dimension):
                     certified_on=(H,), dimension=dimension)  # fmt: skip
 
 
-def even():
-    """A dressed solid on these nodes."""
-    return replace(dressed(), spacing=H)
-
-
 def nonlinear():
     return NonlinearModel(solid(2), -3.0, -2.0, 0.5)
 
@@ -331,9 +326,8 @@ def rest(folder):
     bent = wp.solve(nonlinear(), wp.Dirichlet(sheet, *small(sheet.x)))
     found["nonlinear"] = {"u": kept(folder, "nonlinear", sheet, bent.u),
                           "solves": bent.iterations[0], "residual": bent.residual}  # fmt: skip
-    found["dressed"] = kept(
-        folder, "dressed", sheet, wp.solve(even(), wp.Dirichlet(sheet, *fields(sheet.x))).u
-    )
+    stiff = wp.solve(replace(dressed(), spacing=H), wp.Dirichlet(sheet, *fields(sheet.x)))
+    found["dressed"] = kept(folder, "dressed", sheet, stiff.u)
     straight, tiny = (
         wp.solve(law, wp.Dirichlet(sheet, *(size * field for field in small(sheet.x)))).u / size
         for law, size in ((solid(2), 1.0), (nonlinear(), 1e-200))
@@ -378,7 +372,7 @@ def rest(folder):
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
         lambda: wp.solve(finite(), wp.Dirichlet(sheet, *fields(sheet.x))),
         lambda: wp.move(BrittleSolid(solid(2), 2.5, toughness=1.0),
-                        wp.Cracked(sheet, corrected=True), step=0.1, steps=1),
+                        wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found
@@ -421,6 +415,28 @@ def crack(folder, by="rows", steps="60", pause="0"):
     }
 
 
+def ringing(by="rows"):
+    """A wave in a notched plate whose bonds stay, its missing bonds made up for."""
+    x = rectangle(40.0, 20.0, 1.0)
+    points = partition(wp.Points(x, x[:, 1] < 9, 1.0), by)
+    u = 1e-3 * np.sin(points.x[:, ::-1] / 3)
+    plate = Cracked(points, u=u, cracks=[[(-20.5, 0.0), (-5.0, 0.0)]], corrected=True)
+    law = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5)
+    motion = wp.move(law, plate, density=2200.0, step=0.004, steps=40, every=10)
+    return {"u": digest(gather(points, motion.u)), "drift": motion.drift}
+
+
+def corrected(by="rows"):
+    """A notched plate that breaks, its missing bonds made up for."""
+    x = rectangle(40.0, 20.0, 1.0)
+    points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
+    glass = BrittleSolid(wp.Model(0.3, 0.3, 1.0, np.ones(1), horizon=3.0), 2.5, toughness=1e-4)
+    pull = np.where(np.abs(points.x[:, 1:]) > 9, np.sign(points.x) * (0.0, 0.01), 0.0)
+    plate = Cracked(points, pull, cracks=[[(-20.5, 0.0), (-5.0, 0.0)]], corrected=True)
+    motion = wp.move(glass, plate, step=0.5 * glass.longest_step(1.0), steps=60)
+    return [digest(gather(points, one)) for one in (motion.u, motion.details.damage)]
+
+
 def block(by="rows"):
     """A notched block in space."""
     x = box((20.0, 10.0, 8.0), 1.0)
@@ -449,6 +465,8 @@ if __name__ == "__main__":
     folder, by, steps, pause, *more = sys.argv[1:]
     found = {"crack": crack(Path(folder), by, steps, pause)}
     if pause == "0":
+        found["ringing"] = ringing(by)
+        found["corrected"] = corrected(by)
         metis = by == "bisection" and find_spec("pymetis")
         found["block"] = block("metis" if metis else by)
     if "rest" in more:

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,6 +15,7 @@ import pytest
 
 import warp_peri as wp
 from examples.large_plate import main as large_plate
+from tests.conformance.test_laws import dressed
 from tests.ranks.job import (
     ASKED,
     LOOSE,
@@ -22,14 +24,15 @@ from tests.ranks.job import (
     H,
     block,
     carried,
+    corrected,
     crack,
-    even,
     family,
     fields,
     halved,
     inside,
     nonlinear,
     proofs,
+    ringing,
     scattered,
     slopes,
     small,
@@ -178,7 +181,8 @@ def test_a_nonlinear_solid_at_rest_has_the_same_bits_and_those_of_one_process_ne
 def test_a_dressed_solid_has_the_same_bits_and_those_of_one_process_nearly(jobs, folder):
     assert len({jobs[count]["dressed"] for count in (1, 2, 3)}) == 1
     x = H * np.argwhere(np.ones((52, 52)))
-    alone = wp.solve(even(), wp.Dirichlet(wp.Points(x, inside(x), H, axis=0.0), *fields(x))).u
+    here = wp.Dirichlet(wp.Points(x, inside(x), H, axis=0.0), *fields(x))
+    alone = wp.solve(replace(dressed(), spacing=H), here).u
     answer = np.load(folder / "dressed_2.npy")
     assert np.abs(answer - alone).max() <= 1e-7 * np.abs(alone).max()
 
@@ -323,7 +327,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
     assert rows.endswith("with third-order constants on ranks, got FiniteSolid")
-    assert "no pressure or correction, on ranks" in edges
+    assert "no pressure, on ranks" in edges
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
 
 
@@ -374,6 +378,17 @@ def test_a_breaking_block_in_space_has_the_bits_of_one_process(jobs):
     alone = block()
     assert alone["worst"] > 0.3
     assert [jobs[count]["block"] for count in (1, 2, 3)] == [alone] * 3
+
+
+def test_waves_of_a_notched_plate_have_the_bits_of_one_process(jobs):
+    one, two, three = (jobs[count]["ringing"] for count in (1, 2, 3))
+    assert one == two == three
+    assert one["u"] == ringing()["u"]
+    assert one["drift"] < 1e-12
+
+
+def test_a_corrected_plate_breaks_with_the_bits_of_one_process(jobs):
+    assert [jobs[count]["corrected"] for count in (1, 2, 3)] == [corrected()] * 3
 
 
 def test_an_error_on_one_rank_ends_all_with_one_line(jobs):

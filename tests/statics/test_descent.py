@@ -49,6 +49,7 @@ def test_a_scalar_field():
 
 
 @pytest.mark.filterwarnings("ignore:transferred from:UserWarning")
+@pytest.mark.slow
 def test_scattered_points():
     wide = lattice(6, 4.5)
     x = wide.x + 0.1 * noise(wide)

@@ -132,8 +132,9 @@ def test_types_by_number_are_elements_by_their_masses_and_asked_for_without(tmp_
         ends.append(salt.get_potential_energy())
     assert ends[0] == pytest.approx(ends[1], rel=1e-9)
     numbers = "lj/cut 6.0; pair_coeff 1 1 0.1 2.0; pair_coeff 2 2 0.2 1.9"
-    with pytest.raises(wp.InputError, match="expected which of Mg, O each type of its lines is"):
-        lammps_calculator(numbers, ["Mg", "O"])
+    for lines in (numbers, "amoeba; pair_coeff * * a.prm", "table linear 9; pair_coeff * * 1.0"):
+        with pytest.raises(wp.InputError, match="expected which of Mg, O each type of its lines"):
+            lammps_calculator(lines, ["Mg", "O"])
     with pytest.raises(wp.InputError, match="masses, for each .*, Mg, O, once, got O"):
         lammps_calculator(f"{numbers}; mass 1 15.999; mass 2 40.1", ["Mg", "O"])
     lammps_calculator("lj/cut 6.0; pair_coeff 1 1 0.1 2.0", ["Mg"])

@@ -25,8 +25,9 @@ from warp_peri.structures.noise import (
     bent_by_strain,
     measured,
     projected,
+    rattled,
 )
-from warp_peri.structures.phonons import check_phonons
+from warp_peri.structures.phonons import at_zone_edge, check_phonons
 from warp_peri.structures.rest import at_rest
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
@@ -73,6 +74,11 @@ def test_a_noisy_calculator_gives_a_law_whose_errors_are_true_and_small(aluminiu
         assert abs(figures["moduli_GPa"]["law"][name] - value) < 1e-3
     assert set(aluminium.said) >= {"noise", "displacements", "both"}
     assert "agree" in aluminium.said["both"]
+    exact = from_calculator(ase.build.bulk("Al", a=3.99413), EMT(), (5, 5, 5))
+    true, none, _ = at_zone_edge(replace(exact, doubt=0 * exact.values[None]))
+    found, bar, most = at_zone_edge(aluminium.atoms)
+    assert none < abs(found - true) < 3 * bar < 3 * most + 1e-12 < 0.01
+    assert f"{found:.3f} ± {bar:.2g} THz" in aluminium.said["phonons at the zone's edge"]
 
 
 def test_the_error_goes_into_the_law_and_into_what_is_proven(aluminium):
@@ -222,8 +228,11 @@ class Full(EMT):
 
 def test_the_widest_supercell_that_memory_holds_is_taken_and_told(monkeypatch):
     reference = at_rest(ase.build.bulk("Cu"), EMT())
+    np.ones(2**26)  # what was computed before, and let go, is no part of a crystal's peak
+    peak = phonons._kilobytes("self/status", "VmHWM")
     with pytest.warns(UserWarning, match="343 atoms need more memory than there is"):
         _, told = phonons.force_constants(reference, Full())
+    assert peak == 0 or phonons._kilobytes("self/status", "VmHWM") < peak - 2e5
     assert told["force constants"] == "5 x 5 x 5 cells, 125 atoms"
     monkeypatch.setattr(Full, "most", 100)
     with pytest.raises(RuntimeError, match="allocate memory"):  # none that holds the crystal
@@ -234,6 +243,13 @@ def test_the_widest_supercell_that_memory_holds_is_taken_and_told(monkeypatch):
     with pytest.warns(UserWarning, match="343 atoms would need more memory than there is"):
         _, told = phonons.force_constants(reference, EMT())
     assert told["force constants"] == "5 x 5 x 5 cells, 125 atoms"
+
+
+def test_what_is_rough_is_no_noise_of_forces_far_away():
+    rest = at_rest(ase.build.bulk("Cu"), EMT())
+    noise = replace(measured(rest.cell, EMT(), False), force=1e-6, rough=1.0)
+    found = phonons._wide_enough(replace(rest, noise=noise), EMT(), (4.0, 6.0, 8.0))
+    assert found == (3, 3, 3)  # of two cells atoms at half the width are still pulled
 
 
 @pytest.mark.slow
@@ -302,6 +318,18 @@ def test_a_surface_with_a_dimple_is_measured_beyond_it_and_its_spread_is_an_erro
         assert abs(value - secant(LARGEST * size)) < 1.05 * bar
     assert "largest steps" in crystal.said["rough"]
     assert crystal.certificate.holds
+
+
+def test_phonons_of_a_rough_surface_on_half_the_displacement_lie_within_their_errors(monkeypatch):
+    cell, seen = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST), []
+    told = measured(cell, Dimpled(), False)
+    for most in (0.03, 0.015):
+        monkeypatch.setattr("warp_peri.structures.noise.MOST", most)
+        how = {"thickness": None, "polar": None, "stress": None}
+        atoms, _ = rattled(cell, cell.repeat(4), Dimpled(), told, **how)
+        seen.append(at_zone_edge(atoms))
+    (wide, error, _), (near, *_) = seen
+    assert 0.02 * wide < near - wide < error < 0.05 * wide
 
 
 @pytest.mark.parametrize("name", ["Al", "Cu", "Ni", "Ag", "Pt", "Au", "Si", "W", "Zr"])

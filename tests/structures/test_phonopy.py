@@ -54,6 +54,25 @@ def test_force_constants_are_read_in_their_place(tmp_path):
     assert moduli(found) == pytest.approx(wanted, rel=1e-6)
 
 
+def test_magnetic_moments_of_a_folder_tell_its_sites_apart(tmp_path):
+    phonopy = pytest.importorskip("phonopy")
+    file_io = pytest.importorskip("phonopy.file_IO")
+    folder = EXAMPLES / "copper"
+    known = phonopy.load(
+        folder / "phonopy_disp.yaml", force_sets_filename=folder / "FORCE_SETS", is_compact_fc=False
+    )
+    file_io.write_FORCE_CONSTANTS(known.force_constants, tmp_path / "FORCE_CONSTANTS")
+    cell = known.unitcell.copy()
+    layers = np.round(cell.scaled_positions[:, 2], 3) % 1 < 0.4
+    cell.magnetic_moments = np.where(layers, 1.0, -1.0)
+    one = phonopy.Phonopy(cell, known.supercell_matrix, primitive_matrix="P")
+    one.generate_displacements()
+    one.save(tmp_path / "phonopy_disp.yaml")
+    found = wp.atoms.from_phonopy(tmp_path)
+    assert len(found.group()) == 16  # of a tetragonal crystal
+    assert moduli(found) == pytest.approx(moduli(wp.atoms.from_phonopy(folder)), rel=1e-6)
+
+
 def test_born_charges_make_the_field_of_ions_part_of_every_wave():
     """Magnesium oxide of rigid ions: moduli of finite strains, which a Coulomb cut-off has not."""
     found = wp.atoms.from_phonopy(EXAMPLES / "magnesia")
@@ -80,6 +99,26 @@ def test_what_is_no_file_of_phonopy_is_refused(tmp_path):
         wp.atoms.from_phonopy(tmp_path / "nowhere")
     (tmp_path / "phonopy.yaml").write_text("nothing: here\n")
     with pytest.raises(wp.InputError, match="phonopy does not read it"):
+        wp.atoms.from_phonopy(tmp_path)
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning")  # phonopy leaves files open
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.filterwarnings("ignore:primitive_matrix")
+@pytest.mark.filterwarnings("ignore:.* taken for a supercell:UserWarning")
+def test_lengths_that_phonopy_reads_wrongly_are_refused(tmp_path):
+    """Its reader of SIESTA takes 5.43 Å for 1 bohr behind a line that ends in a number."""
+    pytest.importorskip("phonopy")
+    (tmp_path / "Si.fdf").write_text(
+        "%block ChemicalSpeciesLabel\n 1 14 Si\n%endblock ChemicalSpeciesLabel\n"
+        "AtomicCoordinatesFormat Fractional\nNumberOfAtoms 2\nLatticeConstant 5.43 Ang\n"
+        "%block LatticeVectors\n 0 0.5 0.5\n 0.5 0 0.5\n 0.5 0.5 0\n%endblock LatticeVectors\n"
+        "%block AtomicCoordinatesAndAtomicSpecies\n 0 0 0 1\n 0.25 0.25 0.25 1\n"
+        "%endblock AtomicCoordinatesAndAtomicSpecies\n"
+    )
+    rows = "\n".join(["2 2"] + [f"{i} {j}\n0 0 0\n0 0 0\n0 0 0" for i in (1, 2) for j in (1, 2)])
+    (tmp_path / "FORCE_CONSTANTS").write_text(rows + "\n")
+    with pytest.raises(wp.InputError, match=r"got 0.23 Å between .* are lengths not in Å"):
         wp.atoms.from_phonopy(tmp_path)
 
 

@@ -20,6 +20,7 @@ def small(monkeypatch):
     monkeypatch.setattr(base, "TEST", [RimLoad(3)])
 
 
+@pytest.mark.slow
 def test_loads_are_scaled_to_the_strains_asked_for(small, tmp_path, monkeypatch):
     options = {"strains": (0.03, 0.05), "jobs": 1, "progress": False}
     data = load_dataset(tool.make_strained(tmp_path / "s.h5", **options))

@@ -131,6 +131,7 @@ def test_a_killed_tool_goes_on_with_the_run_in_hand(plans, tmp_path, monkeypatch
     assert cut.read_bytes() == whole.read_bytes()
 
 
+@pytest.mark.slow
 def test_smoothing_and_average_are_those_of_the_trajectory(plans, tmp_path):
     make(tmp_path, plans, reductions=["plain"])
     sheet = plans[1].body

@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 
 Symmetry: TypeAlias = str | np.ndarray
 """Name of a point group, or rotations of one, shape [G, d, d]."""
@@ -194,13 +194,11 @@ def by_spglib(ask: str, crystal: tuple[np.ndarray, ...], precision: float, **how
 
     Raises InputError where spglib is not installed.
     """
-    try:
-        import spglib  # an extra; the rest of the package does without
-    except ImportError:
-        raise InputError(
-            "symmetry: auto asks spglib for the group of a structure: pip install "
-            "'warp_peri[crystals]', or name the group"
-        ) from None
+    spglib = optional(
+        "spglib",
+        "symmetry: auto asks spglib for the group of a structure: pip install "
+        "'warp_peri[crystals]', or name the group",
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # of how it will report errors one day
         return getattr(spglib, ask)(crystal, symprec=precision, **how)

@@ -147,7 +147,7 @@ def prove(
             if holds:
                 proven = c
             elif against is not None:
-                lower = _zoomed(ratio, against, np.pi / FIRST)
+                lower = _zoomed(ratio, against[None], np.pi / FIRST)
                 if lower < sampled * (1 - FOUND):  # a dip that the grid has missed
                     sampled = lower
                     continue
@@ -181,19 +181,20 @@ def _smallest_ratio(ratio: Ratio, group: np.ndarray) -> float:
     d = group.shape[-1]
     grid = zone_sample(group, d, SAMPLE[d])
     value = in_blocks(ratio, grid, AT_ONCE)
-    zoomed = (_zoomed(ratio, grid[n], np.pi / SAMPLE[d]) for n in np.argsort(value)[:STARTS])
-    return min(float(value.min()), *zoomed)
+    lowest = grid[np.argsort(value)[:STARTS]]
+    return min(float(value.min()), _zoomed(ratio, lowest, np.pi / SAMPLE[d]))
 
 
 def _zoomed(ratio: Ratio, k: np.ndarray, reach: float) -> float:
-    """The smallest ratio of grids about a wave, each finer by a factor of 3 than the last."""
-    patch = np.array(list(itertools.product(np.linspace(-1, 1, 7), repeat=len(k))))
+    """The smallest ratio of grids about waves [n, d], each finer by a factor of 3 than the last."""
+    patch = np.array(list(itertools.product(np.linspace(-1, 1, 7), repeat=k.shape[1])))
     smallest = np.inf
     for _ in range(ZOOMS):
-        near = k + reach * patch
-        near = near[(near**2).sum(axis=1) > LEAST_WAVE**2]
-        found = ratio(near)
-        k, smallest = near[found.argmin()], min(smallest, float(found.min()))
+        near = k[:, None] + reach * patch
+        short = (near**2).sum(axis=2) <= LEAST_WAVE**2
+        found = np.where(short, np.inf, ratio(near.reshape(-1, k.shape[1])).reshape(short.shape))
+        best = found.argmin(axis=1)
+        k, smallest = near[np.arange(len(k)), best], min(smallest, float(found.min()))
         reach /= 3
     return smallest
 

@@ -15,8 +15,8 @@ from scipy.sparse.csgraph import connected_components
 
 from warp_peri.contract import OnPoints
 from warp_peri.damage.lattice_body import LatticeBody, cracked
-from warp_peri.damage.operator import bond_matrix, bond_weights, bonds_of, cut_matrix
-from warp_peri.damage.solid import check_cut, check_horizon
+from warp_peri.damage.operator import CutRows, bond_matrix, bond_weights, bonds_of, cut_matrix
+from warp_peri.damage.solid import check_cut, check_horizon, largest_stiffness
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked
@@ -46,8 +46,7 @@ class CutSolid(OnPoints):
         moves: for waves alone; nothing need hold it, and it is not factorised.
 
     Attributes:
-        matrix: L of (C4), symmetric, shape [d N, d N].
-        factors: of its rows and columns that are free.
+        factors: of the rows and columns of L that are free; none for Krylov.
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
@@ -89,8 +88,9 @@ class CutSolid(OnPoints):
             weights = bond_weights(self.model, body.classes)
             moduli = material.moduli(body, weights)
             self.matrix = cut_matrix(body, weights, self.neighbour, *moduli, corrected=corrected)
-        else:
-            self.matrix = bond_matrix(body, self.neighbour, *bonds, corrected=corrected)
+        self._rows: CutRows | None = None
+        if moves or isinstance(solver, Krylov):
+            self._rows = CutRows(self.model, body, self.neighbour, corrected)
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
         squares = not uneven and not (bonds.stiffness < 0).any()
         if moves:
@@ -102,21 +102,31 @@ class CutSolid(OnPoints):
             return
         if self.one and not squares:
             check_cut(self.matrix[self.free][:, self.free])
-        rows = sp.csr_array(self.matrix[self.free])
-        how: dict[str, Any] = {"factorise": symmetric_factors}
         if isinstance(solver, Krylov):
             if not squares or solver.preconditioner:
                 raise InputError(
                     "solver: expected Krylov() for one material with a positive influence "
                     f"function, or Direct(), got {solver}"
                 )
-            limit = solver.tolerance
-            how = {"factorise": partial(Iterated, tolerance=limit), "tolerance": limit}
-        self._problem = direct.MatrixProblem(rows, ~held, **how)
+            return
+        rows = sp.csr_array(self.matrix[self.free])
+        self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
         self.factors = self._problem.factors
         if uneven:
             check_mixed(self.factors)
         self.left = np.inf
+
+    @cached_property
+    def matrix(self) -> sp.csr_array:
+        """L of (C4), symmetric, shape [d N, d N]."""
+        bonds = bonds_of(self.model, self.body.classes)
+        return bond_matrix(self.body, self.neighbour, *bonds, corrected=self.corrected)
+
+    def times(self, fields: np.ndarray) -> np.ndarray:
+        """L of fields of all nodes, [S, N, d]."""
+        if self._rows is not None:
+            return self._rows(fields)
+        return np.asarray(fields.reshape(len(fields), -1) @ self.matrix).reshape(fields.shape)
 
     @property
     def held(self) -> np.ndarray:
@@ -133,14 +143,13 @@ class CutSolid(OnPoints):
 
         Raises InputError for another shape and what is not finite.
         """
-        fields = self.fields(u)
-        force = (self.matrix @ fields.reshape(len(fields), -1).T).T.reshape(fields.shape)
-        return np.asarray(force[:, self.inside].reshape(*np.shape(u)[:-2], -1, fields.shape[-1]))
+        force = self.times(self.fields(u))[:, self.inside]
+        return force.reshape(*np.shape(u)[:-2], *force.shape[1:])
 
     def product_transpose(self, u: Any, w: np.ndarray) -> np.ndarray:
         """The matrix, which is symmetric, of w on nodes that are not held, on all, [..., N, d]."""
         fields = self.on_all(w)
-        return np.asarray(fields.reshape(-1, self.free.size) @ self.matrix).reshape(fields.shape)
+        return self.times(fields.reshape(-1, *self.shape)).reshape(fields.shape)
 
     def solve(self, b: ArrayLike | None, u: ArrayLike) -> np.ndarray:
         """u at rest, shape [..., N, d].
@@ -154,9 +163,27 @@ class CutSolid(OnPoints):
         one, held = self.body.x.shape, self.held
         given = np.where(held, checked("u", u, float, (..., *one), held), 0.0)
         load = np.zeros(given.shape) if b is None else checked("b", b, float, given.shape)
-        answer = self._problem.solve(load.reshape(-1, *one), given.reshape(-1, *one))
+        load, known = load.reshape(-1, *one), given.reshape(-1, *one)
+        if isinstance(self.solver, Krylov):
+            return self._searched(load, known, self.solver.tolerance).reshape(given.shape)
+        answer = self._problem.solve(load, known)
         self.left = self._problem.left
         return np.asarray(answer.reshape(given.shape))
+
+    def _searched(self, load: np.ndarray, known: np.ndarray, tolerance: float) -> np.ndarray:
+        """The same of fields [S, N, d] by conjugate gradients."""
+        rows: Any = self._rows
+        free = ~self.held
+        search = partial(
+            definite,
+            lambda u: free * rows(u[None])[0],
+            lambda r: r * (free / rows.diagonal),
+            tolerance=tolerance,
+            hint="; Direct() factorises the operator",
+        )
+        found, records = zip(*map(search, free * (load - rows(known))))
+        self.left = max(record.residual for record in records)
+        return np.asarray(known + np.stack(found))
 
     def rest(self, b: Any, u: Any, solver: Solver = None) -> Solution:
         """The Solution of `solve`, of nodes that are not held."""
@@ -182,39 +209,21 @@ class CutSolid(OnPoints):
         return force[:, self.inside]
 
     def stiffest_wave(self) -> float:
-        """A proven upper bound of Λmax L (S. Gershgorin, 1931) [stress / length²].
+        """A proven upper bound of Λmax L [stress / length²]: (C9), or S. Gershgorin's of 1931.
 
         Raises InputError at rest: whether such a body may move is not looked at there.
         """
         if not self.moves:
             raise InputError("move: expected a Cracked of a BrittleSolid, or one with a density")
+        if not self.corrected:
+            return largest_stiffness(self.model, self.body.classes)
         return float(abs(self.matrix).sum(axis=1).max())
 
     def energy(self, u: np.ndarray) -> Any:
         """Elastic energy [stress · length^d], bonds among held nodes included, shape [...]."""
-        flat = np.reshape(u, (*np.shape(u)[:-2], -1))
-        energy = (flat * (flat @ self.matrix)).sum(axis=-1) / 2
-        return self.body.spacing**self.body.dimension * energy
-
-
-class Iterated:
-    """The inverse of a positive definite matrix by conjugate gradients, as factors offer it."""
-
-    def __init__(self, matrix: sp.csc_array, tolerance: float) -> None:
-        self.matrix, self.tolerance = sp.csr_array(matrix), tolerance
-        self._diagonal = self.matrix.diagonal()
-
-    def solve(self, right: np.ndarray) -> np.ndarray:
-        """The answer to columns, shape [n] or [n, S]."""
-        inverse = partial(
-            definite,
-            lambda u: self.matrix @ u,
-            lambda r: r / self._diagonal,
-            tolerance=self.tolerance,
-            hint="; Direct() factorises the operator",
-        )
-        found = [inverse(column)[0] for column in right.reshape(len(right), -1).T]
-        return np.stack(found, axis=1).reshape(right.shape)
+        fields = np.reshape(u, (-1, *self.shape))
+        energy = (fields * self.times(fields)).sum(axis=(1, 2)) / 2
+        return self.body.spacing**self.body.dimension * energy.reshape(np.shape(u)[:-2])[()]
 
 
 def symmetric_factors(matrix: sp.csc_array) -> Any:
@@ -421,11 +430,8 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
         )
     bulk = d * (lam + 2 * mu / d)
     strain = (stress - lam / bulk * np.trace(stress) * np.eye(d)) / (2 * mu)
-    u = (body.x @ strain).ravel()
-    bonds = bonds_of(model, body.classes)
-    whole = bond_matrix(body, body.neighbour, *bonds, corrected=cut.corrected)
-    load: np.ndarray = (whole @ u - cut.matrix @ u).reshape(body.x.shape)
-    return load
+    u, whole = (body.x @ strain)[None], CutRows(model, body, body.neighbour, cut.corrected)
+    return np.asarray((whole(u) - cut.times(u))[0])
 
 
 def opening_volume(solution: Solution, normal: Sequence[float] | None = None) -> float:

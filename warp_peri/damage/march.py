@@ -262,7 +262,12 @@ class CrackRun:
             "start": self._began,
             "nodes": self.nodes.mark(body.body.x),
             "solid": fingerprint(
-                *numbers, body.operator.limits, solid.by_energy, solid.tension_only, model.units
+                *numbers,
+                body.operator.limits,
+                solid.by_energy,
+                solid.tension_only,
+                model.units,
+                *[True] * body.corrected,
             ),
             "no_fail": self.nodes.mark(body.no_fail),
             "load": self.nodes.mark(body.load.numpy()),

@@ -62,17 +62,9 @@ class BreakingState:
 
     def copy(self) -> BreakingState:
         """The same state in memory of its own."""
-        return replace(
-            self,
-            u=wp.clone(self.u),
-            v=wp.clone(self.v),
-            links=wp.clone(self.links),
-            force=wp.clone(self.force),
-            energy=wp.clone(self.energy),
-            work=wp.clone(self.work),
-            dissipated=self.dissipated.copy(),
-            whole=self.whole.copy(),
-        )
+        kinds = {wp.array: wp.clone, np.ndarray: np.copy}
+        parts = [(name, one, kinds.get(type(one))) for name, one in vars(self).items()]
+        return replace(self, **{name: clone(one) for name, one, clone in parts if clone})
 
 
 @dataclass(frozen=True)
@@ -94,6 +86,74 @@ class Ledger:
         return self.work - self.kinetic - self.elastic - self.dissipated
 
 
+SPREAD = 0.25
+"""Least eigenvalue of the shape tensor of a node that is corrected in motion, over a whole ball's:
+a straight edge has half."""
+SHORTER = 0.95
+"""Of the step (C9), where bonds are corrected: breaking at random raises Λmax by up to 1.05."""
+
+
+class SurfaceCorrection:
+    """What (C26) adds to force and energy at nodes that lack bonds, as they lose more of them.
+
+    Args:
+        operator: of the body.
+        links: which bonds are unbroken, as the operator has it.
+    """
+
+    def __init__(self, operator: CutOperator, links: wp.array[Any]) -> None:
+        self._operator, self.links, xi = operator, links, operator.body.xi
+        self._along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)
+        self._pull = np.abs(operator.bonded.share)
+        self._least = SPREAD * np.linalg.eigvalsh((self._pull * xi.T) @ xi)[0]
+        self.nodes = np.zeros(0, int)
+        self._kept: list[np.ndarray] = []
+        self.lose(np.flatnonzero(~operator.kept(links).all(axis=1)))
+
+    def lose(self, nodes: np.ndarray) -> None:
+        """These nodes lack bonds, or more of them."""
+        stiffness, share, _ = self._operator.bonded
+        body, d = self._operator.body, self._operator.body.dimension
+        there = self._operator.kept(self.links, nodes[:, None], np.arange(len(share)))
+        xi, along = body.xi, self._along
+        # node by node, so that the bits are the same however many there are
+        pull = ((there * self._pull)[:, :, None] * xi).swapaxes(1, 2)
+        shape = pull @ xi
+        spans = np.linalg.eigvalsh(shape)[:, 0] > self._least
+        shape[~spans] = np.eye(d)
+        lack = ~there & spans[:, None]
+        made = (
+            np.where(there, body.neighbour[nodes], nodes[:, None]),
+            (there * share)[:, :, None] * xi,
+            spans[:, None, None] * (np.linalg.inv(shape) @ pull),
+            ((lack * stiffness)[:, None] * along.T) @ along,
+            ((lack * share)[:, None] @ along)[:, 0],
+        )
+        stay = ~np.isin(self.nodes, nodes)
+        every = np.append(self.nodes[stay], nodes)
+        order = np.argsort(every)
+        before = [one[stay] for one in self._kept] or [one[:0] for one in made]
+        self.nodes = every[order]
+        self._kept = [np.concatenate(pair)[order] for pair in zip(before, made)]
+
+    def __call__(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Force density of all nodes [N, d], energy density of `nodes`, at a displacement."""
+        far, felt, by_bond, squares, lacked = self._kept
+        excess, d = self._operator.bonded.excess, u.shape[1]
+        apart = u[far] - u[self.nodes, None]
+        gradient = (by_bond @ apart).reshape(len(far), -1)
+        theta = (felt * apart).reshape(len(far), -1).sum(axis=1)
+        stress, more = (squares @ gradient[..., None])[..., 0], (lacked * gradient).sum(axis=1)
+        energy = (gradient * stress).sum(axis=1) / 2 + excess * more * (theta + more / 2)
+        stress = (stress + excess * (theta + more)[:, None] * lacked).reshape(-1, d, d)
+        pulls = by_bond.swapaxes(1, 2) @ stress
+        pulls += (excess * more)[:, None, None] * felt
+        force = np.zeros_like(u)
+        np.subtract.at(force, far, pulls)
+        force[self.nodes] += pulls.sum(axis=1)
+        return force, energy
+
+
 class BreakingBody:
     """A brittle solid on a lattice body, with its loads: what `step` marches.
 
@@ -105,9 +165,11 @@ class BreakingBody:
         held: components of the displacement that are prescribed, shape [N] or [N, d] bool.
         grip: velocity of held components, shape [N, d]; zero by default, and where not held.
         ramp: share of load and grip at a time; 1 by default.
+        corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
 
     Attributes:
-        longest_step: Δt proven stable under any breaking (theory, C9).
+        longest_step: Δt proven stable under any breaking (theory, C9); where bonds are corrected
+            a little less, measured.
         stretch: critical stretch; None where bonds break by energy.
         exchange: sends for the displacement of nodes that another process moves, and gives what
             waits for it; None where none does.
@@ -126,6 +188,7 @@ class BreakingBody:
         held: ArrayLike | None = None,
         grip: ArrayLike | None = None,
         ramp: Callable[[float], float] | None = None,
+        corrected: bool = False,
     ) -> None:
         check_breakable(solid.model, body.classes)
         check_horizon(solid.model, body)
@@ -151,6 +214,14 @@ class BreakingBody:
             for name, field in (("load", load), ("held", held), ("grip", grip))
         )
         self.longest_step = breaking_time_step(solid.model, body.classes, solid.density)
+        self.corrected = corrected
+        self._correction: SurfaceCorrection | None = None
+        if corrected:
+            self.longest_step *= SHORTER
+            if solid.by_energy or isinstance(solid, BrittleCrystal):
+                raise InputError(
+                    "corrected: expected a linear peridynamic solid whose bonds break at a stretch"
+                )
         self.exchange: Callable[[wp.array[Any]], Callable[[], None]] | None = None
         self.broke: Callable[[BreakingState], None] | None = None
 
@@ -196,12 +267,43 @@ class BreakingBody:
                     "at rest, before anything moves"
                 )
         self.operator.sweep(fields[0], links, force, energy)
+        self.correct(fields[0], links, force, energy)
         whole = (self.body.neighbour >= 0).sum(axis=1) if count_cracks else (neighbour >= 0).sum(1)
         kinetic = self.solid.density / 2 * np.square(fields[1].numpy()).sum(axis=1)
         work = floats(kinetic + energy.numpy())
         return BreakingState(
             *fields, links, force, energy, work, np.zeros(count), whole.astype(float)
         )
+
+    def correct(
+        self,
+        u: wp.array[Any],
+        links: wp.array[Any],
+        force: wp.array[Any],
+        energy: wp.array[Any],
+        lost: np.ndarray | None = None,
+    ) -> Callable[[], None]:
+        """Add to force and energy what bonds that are lacked do; what takes it off again.
+
+        lost: nodes that have lost bonds since the last call.
+        """
+        if not self.corrected:
+            return lambda: None
+        if self._correction is None or self._correction.links is not links:  # of another state
+            self._correction = SurfaceCorrection(self.operator, links)
+        correction = self._correction
+        if lost is not None:
+            correction.lose(lost)
+        more, stored = correction(u.numpy())
+        nodes, all_forces, energies = correction.nodes, force.numpy(), energy.numpy()
+        plain = all_forces.copy(), energies[nodes]  # to have the same bits wherever nothing breaks
+        all_forces += more
+        energies[nodes] += stored
+
+        def less() -> None:
+            all_forces[:], energies[nodes] = plain
+
+        return less
 
     def damage(self, state: BreakingState) -> np.ndarray:
         """φ, the share of bonds that a node has lost, shape [N]."""
@@ -292,6 +394,7 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     arrive = None if body.exchange is None else body.exchange(state.u)
     fields = state.u, state.links, state.force, state.energy
     lost = operator.sweep(*fields, breaking=True, arrive=arrive)
+    less = body.correct(*fields)
     launch_slices(
         kernels.second_kick,
         count,
@@ -302,7 +405,9 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         if body.broke is not None:
             body.broke(state)
         full = state.energy.numpy()[lost]
+        less()
         operator.again(state.links, lost, state.force, state.energy)
+        body.correct(*fields, lost)
         state.dissipated[lost] += full - state.energy.numpy()[lost]
     state.time += dt
     state.steps += 1

@@ -159,25 +159,41 @@ def bond_matrix(
     """L of a cut body as cut_matrix, of SplitBonds; the stiffness may be by bond [N, B]."""
     stretch, place = stretch_matrix(body, neighbour)
     each = np.broadcast_to(stiffness, neighbour.shape)
-    theta = _gathered(body, share, neighbour, stretch, place)
     total = stretch.T @ (sp.diags_array(each.ravel()[place]) @ stretch)
-    if corrected:
-        node, gradient = mean_gradients(body, share, neighbour)
-        xi, lack = body.xi, neighbour[node] < 0
-        along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
-        squares = np.einsum("nb,bp,bq->npq", lack * each[node], along, along, optimize=True)
-        blocks = sp.bsr_array((squares, np.arange(len(node)), np.arange(len(node) + 1)))
-        total = total + gradient.T @ (sp.csr_array(blocks) @ gradient)
-        size, width = along.shape[1], len(node)
-        felt = ((lack * share) @ along).ravel()
-        entries = felt, (np.repeat(node, size), np.arange(size * width))
-        theta = theta + sp.csr_array(entries, shape=(len(neighbour), size * width)) @ gradient
     if np.any(excess):  # else it is as wide as two balls, and zero
         of_nodes = np.broadcast_to(excess, len(neighbour))
+        theta = dilatations(body, share, neighbour, np.arange(len(neighbour)))
         total = total + theta.T @ (sp.diags_array(of_nodes) @ theta)
+    if corrected:
+        total = total + corrections(body, neighbour, each, share, excess)
     total = sp.csr_array(total)
     total.eliminate_zeros()
     return total
+
+
+def corrections(
+    body: LatticeBody,
+    neighbour: np.ndarray,
+    stiffness: np.ndarray,
+    share: np.ndarray,
+    excess: float | np.ndarray,
+) -> sp.csr_array:
+    """What (C26) adds to L, of nodes near those that lack bonds; as bond_matrix."""
+    node, gradient = mean_gradients(body, share, neighbour)
+    xi, lack, each = body.xi, neighbour[node] < 0, np.broadcast_to(stiffness, neighbour.shape)
+    along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
+    squares = np.einsum("nb,bp,bq->npq", lack * each[node], along, along, optimize=True)
+    blocks = sp.bsr_array((squares, np.arange(len(node)), np.arange(len(node) + 1)))
+    total = gradient.T @ (sp.csr_array(blocks) @ gradient)
+    if np.any(excess):
+        size, width = along.shape[1], len(node)
+        felt = ((lack * share) @ along).ravel()
+        rows = np.repeat(np.arange(width), size), np.arange(size * width)
+        more = sp.csr_array((felt, rows), shape=(width, size * width)) @ gradient
+        of_nodes = sp.diags_array(np.broadcast_to(excess, len(neighbour))[node])
+        crossed = more.T @ (of_nodes @ dilatations(body, share, neighbour, node))
+        total = total + crossed + crossed.T + more.T @ (of_nodes @ more)
+    return sp.csr_array(total)
 
 
 def mean_gradients(
@@ -196,31 +212,22 @@ def mean_gradients(
     spans = np.linalg.eigvalsh(shape)[:, 0] > SPANNED * whole
     node, there = node[spans], there[spans]
     by_bond = np.einsum("nb,bi,nij->njb", there * pull, xi, np.linalg.inv(shape[spans]))
-    row, bond = np.nonzero(by_bond.reshape(d * len(node), -1))
-    value, own = by_bond.reshape(d * len(node), -1)[row, bond], node[row // d]
+    flat = by_bond.reshape(d * len(node), len(xi))
+    row, bond = np.nonzero(flat)
+    value, own = flat[row, bond], node[row // d]
     columns = np.concatenate([neighbour[own, bond], own])
     entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
     slopes = sp.csr_array(sp.coo_array(entries, shape=(d * len(node), len(neighbour))))
     return node, sp.csr_array(sp.kron(slopes, sp.eye_array(d)))
 
 
-def dilatation_matrix(
-    body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
+def dilatations(
+    body: LatticeBody, share: np.ndarray, neighbour: np.ndarray, nodes: np.ndarray
 ) -> sp.csr_array:
-    """The plain dilatation θ of (C1) as a matrix [1/length], shape [N, d N]."""
-    return _gathered(body, body.dimension * weights, neighbour, *stretch_matrix(body, neighbour))
-
-
-def _gathered(
-    body: LatticeBody,
-    share: np.ndarray,
-    neighbour: np.ndarray,
-    stretch: sp.csr_array,
-    place: np.ndarray,
-) -> sp.csr_array:
-    node, bond = np.divmod(place, neighbour.shape[1])
-    shape = (len(neighbour), len(place))
-    gather = sp.csr_array((share[bond], (node, np.arange(len(place)))), shape=shape)
+    """The plain dilatation θ of (C1) of some nodes as a matrix [1/length], shape [n, d N]."""
+    at, bond = np.nonzero(neighbour[nodes] >= 0)
+    stretch = stretch_rows(body, nodes[at], bond, neighbour[nodes[at], bond])
+    gather = sp.csr_array((share[bond], (at, np.arange(len(at)))), shape=(len(nodes), len(at)))
     return sp.csr_array(gather @ stretch)
 
 
@@ -376,6 +383,46 @@ class CutOperator:
             around = np.union1d(changed, self._row[ends[ends >= 0]])
         pieces = [self._pieces[rows] for rows in (np.arange(0), changed, around)]
         self._shared(pieces, kernels.NONE, force, links, force, energy)()  # no u is laid out
+
+
+class CutRows:
+    """L of a cut body, [S, N, d] to [S, N, d]: by rows, and where bonds are corrected by a short
+    list.
+
+    Args:
+        model, corrected: as of CutSolid.
+        body: not endless.
+        neighbour: with broken bonds, shape [N, B].
+
+    Attributes:
+        diagonal: of L, shape [N, d].
+    """
+
+    def __init__(
+        self, model: Any, body: LatticeBody, neighbour: np.ndarray, corrected: bool
+    ) -> None:
+        self._operator = CutOperator(model, body)
+        stiffness, share, excess = self._operator.bonded
+        count, there, xi = len(body.x), neighbour >= 0, body.xi
+        u, force = (zeros(count, dtype=self._operator.vector) for _ in range(2))
+        self._fields = u, self._operator.links(neighbour), force, zeros(count)
+        once, twice = (2 * stiffness)[:, None] * xi**2, share[:, None] * xi
+        self.diagonal = there @ (once + excess * twice**2) + excess * (there @ twice) ** 2
+        self._more: Any = None
+        if corrected:
+            self._more = corrections(body, neighbour, stiffness, share, excess)
+            self.diagonal += self._more.diagonal().reshape(body.x.shape)
+
+    def __call__(self, fields: np.ndarray) -> np.ndarray:
+        """Minus the internal force density, of all nodes."""
+        found, (u, _, force, _) = np.empty_like(fields), self._fields
+        for field, out in zip(fields, found):
+            u.numpy()[:] = field
+            self._operator.sweep(*self._fields)
+            np.negative(force.numpy(), out=out)
+            if self._more is not None:
+                out += (self._more @ field.ravel()).reshape(out.shape)
+        return found
 
 
 def _places(body: LatticeBody) -> tuple[np.ndarray, np.ndarray]:

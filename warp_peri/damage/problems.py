@@ -48,8 +48,8 @@ class Cracked:
         pressure: [stress], shape [d, d], of what presses on the faces of the cracks, p n⊗n of a
             fluid (C13); of bodies in equilibrium.
         corrected: whether bonds that a node lacks, at edges and faces of cracks, take the mean
-            gradient of those that it has, so that both are as stiff as the solid (C26); of bodies
-            in which no bond breaks.
+            gradient of those that it has, so that both are as stiff as the solid (C26); of a solid
+            that breaks, no crystal and not by energy.
 
     `solve` and `move` raise InputError for points that are no plain lattice, fields of other
     shapes or not finite, a piece that nothing holds, a material without a linear part, and one
@@ -94,6 +94,11 @@ class Cracked:
             raise InputError("points: a Cracked is for lattices that have no box and none outside")
         return lattice_body(self.points.x, self.points.spacing, linear.horizon)
 
+    def waves(self, material: Any) -> CutSolid:
+        """L of a positive solid whose bonds stay, which moves; InputError as of CutSolid."""
+        how: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected, "moves": True}
+        return CutSolid(material, self.body(material, "move"), self.held, **how)
+
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The body at rest, of a solid with a linear part, or of one with several moduli."""
         refuse_solver(solver, (Direct, Krylov), "a body with cracks")
@@ -136,16 +141,19 @@ class Cracked:
                 `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
                 the displacement at the end are differentiable: see damage.adjoint.pulled.
         """
-        body = self.body(material, "move")
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
         if "density" in options and not hasattr(material, "density"):
-            waves: dict[str, Any] = {"cracks": self.cracks, "corrected": self.corrected}
-            cut = CutSolid(material, body, self.held, moves=True, **waves)
-            u = np.zeros_like(body.x) if self.u is None else self.u
+            u = np.zeros_like(self.points.x) if self.u is None else self.u
+            cut = self.waves(material)
             return in_torch().in_motion(cut, self.b, u, options)  # type: ignore[no-any-return]
-        if self.corrected:
-            raise InputError("corrected: expected False where bonds break; waves take a density")
+        body = self.body(material, "move")
+        grows = "events" in options or ("step" in options and not options.get("sections"))
+        if self.corrected and not grows:
+            raise InputError(
+                "corrected: expected slow growth, events=…, or steps without sections; bonds that "
+                "soften are not corrected"
+            )
         slow = "events" in options or "loads" in options
         if "loads" not in options:
             felt = self if slow else replace(self, b=None, u=None)
@@ -159,10 +167,13 @@ class Cracked:
         offered(material, "density", "move", "a BrittleSolid for steps, or events=…, or loads=…")
         given: list[Any] = [self.b, self.u, begin.pop("v", None)]
         learns = any(map(is_tensor, given))
+        if learns and self.corrected:
+            raise InputError("corrected: expected arrays of NumPy where bonds break, got tensors")
         if learns and records.get("checkpoint") is not None:
             raise InputError("move: expected no checkpoint of tensors")
         load, u, v = (one.detach().numpy() if is_tensor(one) else one for one in given)
-        moving = BreakingBody(material, body, load=load, held=self.held, **how)
+        how |= {"load": load, "held": self.held, "corrected": self.corrected}
+        moving = BreakingBody(material, body, **how)
         state = moving.start(u=u, v=v, cracks=self.cracks, **begin)
         path = (
             in_torch().Breakings(moving, state, records["step"], run["steps"]) if learns else None
@@ -175,10 +186,11 @@ class Cracked:
         u: Any = np.zeros_like(body.x) if self.u is None else self.u
         u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
-            (how,) = taken(options, "move", grow, given=("cracks", "stretches"))
+            (how,) = taken(options, "move", grow, given=("cracks", "stretches", "corrected"))
             if hasattr(material, "stretches"):
                 how["stretches"] = material.stretches(body.classes)
-            return grow(material.linear, body, self.held, u, cracks=self.cracks, **how)
+            how |= {"cracks": self.cracks, "corrected": self.corrected}
+            return grow(material.linear, body, self.held, u, **how)
         law = offered(material, "law", "move", "a SoftSolid for loads=…")
         numbers = options.pop("parameters", None)
         own, how = taken(options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks",))
@@ -208,7 +220,9 @@ def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
     Raises InputError for others.
     """
     parts = BreakingBody.__init__, BreakingBody.start, CrackRun.__init__, CrackRun.march
-    return taken(options, "move", *parts, given=("load", "held", "u", "cracks", "nodes"))
+    return taken(
+        options, "move", *parts, given=("load", "held", "u", "cracks", "nodes", "corrected")
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from warp_peri.damage.cut_solid import CutSolid, check_pieces, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, cracked, lattice_body
-from warp_peri.damage.operator import bonds_of, stretch_rows, unit_toughness
+from warp_peri.damage.operator import bonds_of, dilatations, stretch_rows, unit_toughness
 from warp_peri.damage.solid import BrittleCrystal, CrystalBonds, check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
@@ -64,11 +64,8 @@ class _Weakened:
         if self._bonds.excess != 0:
             new = np.setdiff1d(ends, self._nodes)
             self._nodes = np.append(self._nodes, new)
-            at, its = np.nonzero(neighbour[new] >= 0)
-            rows = stretch_rows(body, new[at], its, neighbour[new[at], its])
-            shape = (len(new), len(at))
-            sums = sp.csr_array((self._bonds.share[its], (at, np.arange(len(at)))), shape=shape)
-            self._theta = self._more(1, self._theta, sp.csr_array(sums @ rows))
+            rows = dilatations(body, self._bonds.share, neighbour, new)
+            self._theta = self._more(1, self._theta, rows)
         self.holds = len(self._kinds) + len(self._nodes) <= MOST_LOST and self._settled()
 
     def _more(self, which: int, rows: sp.csr_array, new: sp.csr_array) -> sp.csr_array:
@@ -120,6 +117,7 @@ def grow(
     stretches: ArrayLike = 1.0,
     cracks: Sequence[ArrayLike] = (),
     no_fail: np.ndarray | None = None,
+    corrected: bool = False,
     progress: bool = False,
 ) -> Motion:
     """Break the bond most stretched beside its limit, and its mirror images, event by event.
@@ -133,6 +131,7 @@ def grow(
         stretches: critical ones of the bonds of a ball, shape [B], of which the load is told.
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
+        corrected: as of CutSolid; the body is then factorised anew at each event.
         progress: shows a bar.
 
     Returns:
@@ -157,7 +156,8 @@ def grow(
         try:
             check_pieces(body, neighbour, given)
             if weak is None or not weak.holds:
-                weak = _Weakened(CutSolid(model, body, held, neighbour=neighbour), u)
+                how: dict[str, Any] = {"neighbour": neighbour, "corrected": corrected}
+                weak = _Weakened(CutSolid(model, body, held, **how), u)
         except InputError:
             if not loads:
                 raise
@@ -173,7 +173,10 @@ def grow(
         energies.append(weak.energy)
         counts.append(start - int((neighbour >= 0).sum()))
         chosen = stretch > largest * (1 - TOGETHER)
-        weak.lose(*np.nonzero(chosen))
+        if corrected:
+            weak = None
+        else:
+            weak.lose(*np.nonzero(chosen))
         neighbour = np.where(chosen, -1 - neighbour, neighbour)
         end = field * loads[-1]
     history = dict(zip(("load", "energy", "broken"), map(np.array, (loads, energies, counts))))

@@ -14,7 +14,7 @@ from warp_peri.contract import OnPoints
 from warp_peri.core.record import Record, Stress
 from warp_peri.damage.cut_solid import in_torch
 from warp_peri.damage.lattice_body import lattice_body
-from warp_peri.damage.operator import bond_weights, cut_matrix, dilatation_matrix
+from warp_peri.damage.operator import bond_weights, cut_matrix, dilatations
 from warp_peri.damage.solid import check_cut
 from warp_peri.diffusion.conductor import Conductivity, Conductor, DiffusionOperator
 from warp_peri.dynamics.adjoint import Implicit, stepped
@@ -125,7 +125,7 @@ class CoupledOperator(OnPoints):
         rows = diffusion.rows
         self.rows = rows
         self.free = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
-        theta = dilatation_matrix(body, w, table)
+        theta = dilatations(body, body.dimension * w, table, np.arange(len(table)))
         self._solid = cut_matrix(body, w, table, model.mu, model.lam - model.mu)[self.free]
         if (w < 0).any():
             check_cut(self._solid[:, self.free])

@@ -1,17 +1,15 @@
 """Solids of a positive base between two short convolutions: accurate, uneven, with edges (D)."""
 
 from warp_peri.dressed.body import grown, torn
-from warp_peri.dressed.finite import FiniteFit, FiniteSolid, FiniteStrain
-from warp_peri.dressed.law import Dressed, DressedFit, DressedSolid, from_phonons, transferred
+from warp_peri.dressed.finite import FiniteSolid, FiniteStrain
+from warp_peri.dressed.law import Dressed, DressedSolid, from_phonons, transferred
 from warp_peri.dressed.maps import DensityLaw, Effective, MapFit, effective, fit_density, fit_maps
 
 __all__ = [
     "DensityLaw",
     "Dressed",
-    "DressedFit",
     "DressedSolid",
     "Effective",
-    "FiniteFit",
     "FiniteSolid",
     "FiniteStrain",
     "MapFit",

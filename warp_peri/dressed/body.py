@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import eigsh, splu
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.contract import OnPoints
-from warp_peri.core.grid import Grid, grid_of
+from warp_peri.core.elastic import PAIRS
+from warp_peri.core.sweeps import SCALARS
 from warp_peri.damage.lattice_body import LatticeBody, cracked, lattice_body
-from warp_peri.dressed.sweeps import ByLayers, composed, gauss_shapes, half, spread
+from warp_peri.dressed.sweeps import (
+    BodyLayers,
+    Chain,
+    bond_table,
+    composed,
+    gauss_shapes,
+    half,
+    spread,
+)
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked, checked_fields
@@ -85,8 +94,8 @@ def key(first: np.ndarray, second: np.ndarray, count: int) -> np.ndarray:
 
 Grains = tuple[Sequence["DressedSolid"], ArrayLike]
 """Laws, and the number of that which each node belongs to, [N]."""
-SAME = 1e-6
-"""Relative, of spacings that are one."""
+SAME, ALIKE = 1e-6, 1e-12
+"""Relative, of spacings that are one, and of tables of bonds."""
 
 
 def grains_of(
@@ -268,6 +277,11 @@ def _free(body: DressedBody, loads: np.ndarray) -> tuple[np.ndarray, float]:
     return answer.T.reshape(loads.shape), left
 
 
+def _picked(nodes: np.ndarray, d: int) -> sp.dia_array:
+    """The identity on some nodes [N], zero on the others."""
+    return sp.diags_array(np.repeat(nodes, d).astype(float))
+
+
 def _rigid(body: DressedBody) -> np.ndarray:
     """Orthonormal rigid motions of the nodes that carry something, [d N, m].
 
@@ -346,11 +360,8 @@ class DressedBody(OnPoints):
             alive and len(self.laws) == 1 and not edges and not len(torn)
         )  # whole rows of G at every unknown
         self.dtype = np.dtype(dtype)
-        if self.dtype != np.float64 and not (self.dtype == np.float32 and self._sweep):
-            raise InputError(
-                "dtype: expected float64, or float32 of a sheet with or without maps that nothing "
-                f"cuts, got {self.dtype}"
-            )
+        if self.dtype not in SCALARS:
+            raise InputError(f"dtype: expected float64 or float32, got {self.dtype}")
 
     def stiffest_wave(self) -> float:
         """A bound on the eigenvalues of L over the masses [stress / length²], for time steps.
@@ -360,11 +371,13 @@ class DressedBody(OnPoints):
         """
         if self._even:
             return float(self.factors.max()) * self.model.stiffest_wave()
-        light = sp.diags_array(np.repeat(self.masses**-0.5, self.points.x.shape[1]))
-        waves = light @ self.L @ light
-        size, start = abs(waves).max(), np.random.default_rng(0).normal(size=waves.shape[0])
+        light = np.repeat(self.masses**-0.5, self.points.x.shape[1])
+        size, start = self.stiffness.max(), np.random.default_rng(0).normal(size=len(light))
         how: dict[str, Any] = {"tol": 1e-4, "v0": start, "return_eigenvectors": False}
-        return float(1.001 * size * eigsh(waves / size, 1, which="LA", **how)[0])  # in any units
+        waves = LinearOperator(  # in any units
+            2 * (len(light),), lambda v: light * self._exact(light * v.ravel()[None])[0] / size
+        )
+        return float(1.001 * size * eigsh(waves, 1, which="LA", **how)[0])
 
     @cached_property
     def masses(self) -> np.ndarray:
@@ -468,27 +481,34 @@ class DressedBody(OnPoints):
     @cached_property
     def strains(self) -> sp.csr_array:
         """B/h of all sites, those left out zero, [N S, d N]."""
-        there = self._there
+        return self._strains(np.arange(len(self._there)))
+
+    def _strains(self, sites: np.ndarray) -> sp.csr_array:
         base, (count, _) = self.model.parts, self._corner.shape
         s, p, i = np.nonzero(np.abs(base.strains) > 0)
-        site, entry = np.nonzero(there[:, s])
+        site, entry = np.nonzero(self._there[sites][:, s])
+        site = sites[site]
         row = site * len(base.strains) + s[entry]
         column = self._corner[site, p[entry]] * base.corners.shape[1] + i[entry]
         value = base.strains[s, p, i][entry] / self.model.spacing
         shape = (count * len(base.strains), count * base.corners.shape[1])
         return sp.csr_array(sp.coo_array((value, (row, column)), shape=shape))
 
-    def _dressing(self, tensors: np.ndarray) -> sp.csr_array:
-        """G of tensors of each grain [g, H, d, d]: a row is of its node's own grain, and the
-        identity where a neighbour is not there; torn pairs ±ξ are left out."""
-        count, d = self.points.x.shape
+    @cached_property
+    def _pairs(self) -> tuple[np.ndarray, np.ndarray]:
+        """Neighbours by steps of G, [N, 2 H], and which pairs ±ξ a row of G has, [H, N]."""
         neighbour = self._neighbours(self._steps)
         full = np.array((neighbour >= 0).all(axis=1), bool)
         full[self._corner[self.share < 1].ravel()] = False  # which an outline cuts
         half = len(self.model.steps)
-        whole = np.array([full & self._whole(step) for step in self._steps])
-        whole = np.tile(whole[:half] & whole[half:], (2, 1))
-        bond, node = np.nonzero(whole)
+        whole = np.array([full & self._whole(step) for step in self._steps]).reshape(-1, len(full))
+        return neighbour, whole[:half] & whole[half:]
+
+    def _dressing(self, tensors: np.ndarray, rows: np.ndarray) -> sp.csr_array:
+        """G of tensors of each grain [g, H, d, d], of the nodes `rows` [N]: a row is of its node's
+        own grain, and the identity where a neighbour is not there; torn pairs ±ξ are left out."""
+        (count, d), (neighbour, pairs) = self.points.x.shape, self._pairs
+        bond, node = np.nonzero(np.tile(pairs & rows, (2, 1)))
         i, j = np.indices((d, d))
         row, own = (d * node[:, None, None] + axis for axis in (i, j))
         column = d * neighbour[node, bond][:, None, None] + j
@@ -500,7 +520,7 @@ class DressedBody(OnPoints):
             ),
             shape=(d * count, d * count),
         )
-        return sp.csr_array(sp.eye_array(d * count) + shift)
+        return sp.csr_array(_picked(rows, d) + shift)
 
     def base_displacement(self, u: ArrayLike) -> np.ndarray:
         """v = G u, in which the energy is the base's own ½ vᵗ K v, shape [..., N, d]."""
@@ -533,10 +553,12 @@ class DressedBody(OnPoints):
             for grain, law in enumerate(self.laws)
         ]
 
-    def part(self, number: int, factor: np.ndarray) -> sp.csr_array:
+    def part(
+        self, number: int, factor: np.ndarray, strains: sp.csr_array | None = None
+    ) -> sp.csr_array:
         """K_a of one part with a factor at each site, [N]: symmetric, [d N, d N]."""
-        base = self.model.parts
-        inner = sp.csr_array((self.strains.shape[0],) * 2)
+        base, strains = self.model.parts, self.strains if strains is None else strains
+        inner = sp.csr_array((strains.shape[0],) * 2)
         for share, M in self.tensors(number):
             weight = sp.diags_array(share * factor)
             inner = inner + sp.kron(weight, sp.csr_array(M), format="csr")
@@ -544,28 +566,79 @@ class DressedBody(OnPoints):
             place = np.arange(len(factor) + 1)
             W = sp.bsr_array((self.gram * len(self.gram[0]), place[:-1], place))
             inner = inner @ sp.kron(W, sp.eye_array(len(base.strains) // len(self.gram[0])))
-        return sp.csr_array(self.strains.T @ (inner @ self.strains))
+        return sp.csr_array(strains.T @ (inner @ strains))
 
     @cached_property
     def dressings(self) -> list[sp.csr_array]:
         """G, or one for each part, [d N, d N]."""
-        return [self._dressing(g) for g in np.stack([law.tensors for law in self.laws], axis=1)]
+        every = np.ones(len(self.grain), bool)
+        return [self._dressing(g, every) for g in self._tensors]
+
+    @property
+    def _tensors(self) -> np.ndarray:
+        """Those of each G by grain, [A or 1, g, H, d, d]."""
+        return np.stack([law.tensors for law in self.laws], axis=1)
 
     @cached_property
-    def _sweep(self) -> tuple[Grid, ByLayers] | None:
-        """L by rows, of sheets that nothing cuts."""
-        law = self.model
-        if not (self._even and law.layered and law.dimension == 2):
-            return None
-        nodes = grid_of(self.points, law.crystal.steps)
-        factors = np.ones((len(self.factors), int(np.prod(nodes.shape))))
-        factors[:, nodes.place] = self.factors[:, nodes.near]
-        factors = factors.reshape(-1, *nodes.shape)
-        if nodes.periodic:
-            factors = np.pad(factors, [(0, 0), *[(nodes.reach,) * 2] * 2], mode="wrap")
-        return nodes, ByLayers(
-            nodes, law.steps, law.tensors[0], law.parts, law.spacing, factors, self.dtype
-        )
+    def _sites_whole(self) -> np.ndarray:
+        """Which sites go by rows, [N]: of elements, and of bonds of one kind in the plane."""
+        rows = self.model.base == "elements"
+        if not rows and len(self.axes) == 2:
+            own, *others = (bond_table(law.parts)[1] for law in self.laws)
+            rows = all(np.allclose(own, other, rtol=ALIKE, atol=0) for other in others)
+        return np.asarray(self._there.all(axis=1) & (self.share == 1) & rows)
+
+    def phases(self, parts: Iterable[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Voigt's matrices of these parts of all grains, [P, m, m], and the share of each at the
+        elements of the box that are whole, [P, *sides]."""
+        d, order = len(self.sides), np.ravel_multi_index(tuple(self.grid.T), self.sides)
+        rows = len(PAIRS[d])
+        shear = np.where(np.arange(rows) < d, 1.0, 2**-0.5)
+        tables, shares = [], []
+        for a in parts:
+            for share, M in self.tensors(a):
+                shares.append(np.zeros(self.sides))
+                shares[-1].flat[order] = share * self.factors[a] * self._sites_whole
+                tables.append(2**d * M[:rows, :rows] * np.outer(shear, shear))
+        return np.array(tables), np.array(shares)
+
+    @cached_property
+    def chains(self) -> list[Chain]:
+        """What goes by rows, and the short list of what does not, of each G."""
+        h, d, elements = self.model.spacing, len(self.axes), self.model.base == "elements"
+        neighbour, pairs = self._pairs
+        plain = np.asarray(pairs.all(axis=0))
+        near = plain[neighbour] & (self.grain[neighbour] == self.grain[:, None]) & (neighbour >= 0)
+        short = ~(plain & near.all(axis=1))  # rows of Gᵗ
+        felt = short.copy()
+        felt[neighbour[short]] = True
+        odd = np.flatnonzero(~self._sites_whole & self._there.any(axis=1))
+        strains, found = self._strains(odd), []
+        for number, tensors in enumerate(self._tensors):
+            parts = [number] if len(self._tensors) > 1 else list(range(len(self.factors)))
+            K = sum(self.part(a, self.factors[a], strains) for a in parts)
+            G, Gt = self._dressing(tensors, ~plain), self._dressing(tensors, felt).T
+            tables, shares = self.phases(parts) if elements else (np.zeros((0, d, d)), np.zeros(0))
+            factors = None
+            if not elements and self._sites_whole.any():
+                live = (self.factors * self._sites_whole / h**2)[parts]
+                each = zip(self.laws, self.tensors(0))
+                factors = sum(
+                    bond_table(a.parts)[2][:, parts] @ (share * live) for a, (share, _) in each
+                )
+            rows = G, sp.csr_array(_picked(short, d) @ Gt)
+            found.append(Chain(tensors, *rows, tables / h**2, shares, factors, sp.csr_array(K)))
+        return found
+
+    @cached_property
+    def _exact(self) -> BodyLayers:
+        """L of all nodes."""
+        return BodyLayers(self)
+
+    @cached_property
+    def _sweep(self) -> BodyLayers:
+        """L of all nodes, in the body's own precision."""
+        return self._exact if self.dtype == np.float64 else BodyLayers(self, self.dtype)
 
     @cached_property
     def layers(self) -> list[sp.csr_array]:
@@ -576,13 +649,20 @@ class DressedBody(OnPoints):
     @cached_property
     def stiffness(self) -> np.ndarray:
         """Diagonal of K, zero where nothing belongs to a node, [N, d]."""
-        each = np.sum([K.diagonal() for K in self.layers], axis=0)
-        return np.asarray(each.reshape(self.points.x.shape))
+        B, d = self.model.parts.strains / self.model.spacing, len(self.axes)
+        found = np.zeros((len(self.grid) + 1, d))
+        for chain in self.chains:
+            found[:-1] += chain.sites.diagonal().reshape(-1, d)
+        for a, factor in enumerate(self.factors * self._sites_whole):
+            for share, M in self.tensors(a):
+                own = np.einsum("spi,st,tpi->pi", B, M, B)
+                for near, each in zip(self._corner.T, own):
+                    found[near] += (share * factor)[:, None] * each
+        return found[:-1]
 
     def in_turn(self, flat: np.ndarray) -> np.ndarray:
-        """L of columns [d N, S] by G, K and G in turn."""
-        each = [G.T @ (K @ (G @ flat)) for G, K in zip(self.dressings, self.layers)]
-        return np.asarray(np.sum(each, axis=0))
+        """L of columns [d N, S], by rows."""
+        return self._exact(flat.T).T
 
     @cached_property
     def L(self) -> sp.csr_array:
@@ -593,11 +673,8 @@ class DressedBody(OnPoints):
 
     def force(self, u: ArrayLike) -> np.ndarray:
         """L u at the interior nodes [stress/length], shape [..., N, d] to [..., I, d]."""
-        if self._sweep is not None:
-            nodes, sweep = self._sweep
-            found = nodes.gather(sweep(nodes.scatter(self.fields(u), self.dtype)))
-            return found.reshape(*np.shape(u)[:-2], *found.shape[1:])
-        return np.asarray(self._through(self.L.dot, u)[..., self.points.interior, :])
+        found = self._sweep(self.flat(u)).reshape(np.shape(u))[..., self.points.interior, :]
+        return np.asarray(found @ self.axes.T.astype(self.dtype))
 
     def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """L of w on the interior [..., I, d], zero elsewhere, on all nodes [..., N, d]."""
@@ -647,7 +724,7 @@ class DressedBody(OnPoints):
         """½ h^d uᵗ L u of all nodes, shape [...]; never negative."""
         flat = self.flat(u)
         volume = self.points.spacing ** self.points.x.shape[1]
-        total = 0.5 * volume * np.einsum("sn,sn->s", flat, (self.L @ flat.T).T)
+        total = 0.5 * volume * np.einsum("sn,sn->s", flat, self._exact(flat))
         return float(total[0]) if np.ndim(u) == 2 else total.reshape(np.shape(u)[:-2])
 
     def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:

@@ -15,7 +15,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from warp_peri.contract import OnPoints
+from warp_peri.contract import MaterialFit, OnPoints
 from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.record import Length, Record, Stress
 from warp_peri.dressed.law import DressedSolid, third_order_moduli
@@ -548,19 +548,6 @@ STEP = 1e-4
 
 
 @dataclass(frozen=True)
-class FiniteFit:
-    """A learned solid.
-
-    Attributes:
-        material: the solid.
-        history: loss, mean E_res, largest |H| of the samples.
-    """
-
-    material: FiniteSolid
-    history: dict[str, Any]
-
-
-@dataclass(frozen=True)
 class FiniteStrain:
     """W = Ψ₂(E(∇G u)) + Ψ₃(E(∇F u)) of an isotropic sheet with third-order constants (Dr14).
 
@@ -571,7 +558,7 @@ class FiniteStrain:
 
     moduli: Any
 
-    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> FiniteFit:
+    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> MaterialFit:
         """The fit on one set of samples, which state the crystal's axis.
 
         Raises InputError for samples without a collar, without loads, or in space, and for moduli
@@ -580,7 +567,7 @@ class FiniteStrain:
         return fit_finite(one_set(samples), self.moduli)
 
 
-def fit_finite(samples: Samples, moduli: Any) -> FiniteFit:
+def fit_finite(samples: Samples, moduli: Any) -> MaterialFit:
     """The numbers that fit L u = b best, each sample weighed by 1/‖b‖; as FiniteStrain.learn."""
     found = _FiniteFit(samples)
     C = third_order_moduli(samples, moduli) if isinstance(moduli, Smoothing) else from_voigt(moduli)
@@ -596,7 +583,7 @@ def fit_finite(samples: Samples, moduli: Any) -> FiniteFit:
         "E_res": float((wrong / found.size).mean()),
         "largest_gradient": float(body.largest_gradient(samples.u).max()),
     }
-    return FiniteFit(solid, history)
+    return MaterialFit(solid, history)
 
 
 class _FiniteFit:

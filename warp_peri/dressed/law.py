@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
+from warp_peri.contract import MaterialFit
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned, voigt
 from warp_peri.core.grid import Grid
 from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
@@ -210,7 +211,7 @@ class DressedSolid(StencilMaterial, format="warp_peri.dressed"):
             broken: pairs of nodes between which a bond is broken, or an element torn, [n, 2].
             grains: laws, and the number of that which each node belongs to, [N]; as for turned
                 grains from_phonons (`orientation`) or `transferred` (`rotation`) make them (Dr24).
-            dtype: float64, or float32 of even solids and of sheets with maps that nothing cuts.
+            dtype: float64 or float32.
 
         Raises InputError for another spacing, axis or units, for nodes with cut bonds, for maps
         and pairs that do not fit.
@@ -268,7 +269,7 @@ def fit(
     axes = lattice_steps(samples.points)[1]
     d = len(axes)
     turn = np.eye(d)
-    if orientation is not None and not _isotropic(symmetry):
+    if orientation is not None and not np.array_equal(symmetry, "isotropic"):
         turn = axes.T @ checked_orientation(orientation, d)
     group = point_group(symmetry, d)
     if isinstance(moduli, str):
@@ -380,10 +381,6 @@ def transferred(
     )
     record |= {"from": "a law on other nodes", "spacing": law.spacing}
     return found.law(q, law.units, law.symmetry, orientation, record)
-
-
-def _isotropic(symmetry: Symmetry) -> bool:
-    return isinstance(symmetry, str) and symmetry == "isotropic"
 
 
 def _dressing(neighbours: int, group: np.ndarray) -> Basis:
@@ -516,24 +513,6 @@ class _Monomials:
 
 
 @dataclass(frozen=True)
-class DressedFit:
-    """A learned dressed solid.
-
-    Attributes:
-        material: with its certificate.
-        history: losses ‖L u − b‖/‖b‖ with G and of the base alone, numbers, steps.
-    """
-
-    material: DressedSolid
-    history: dict[str, Any]
-
-    @property
-    def certificate(self) -> Any:
-        """What is proven of the symbol."""
-        return self.material.certificate
-
-
-@dataclass(frozen=True)
 class Dressed:
     """L = Gᵗ K G: a positive base, its short waves lifted to the atoms' by G (theory, Dr).
 
@@ -574,11 +553,11 @@ class Dressed:
             raise InputError(f"neighbours: expected more than the fewest, got {self.neighbours}")
         return replace(self, neighbours=max(fewer))
 
-    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> DressedFit:
+    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> MaterialFit:
         """The fit; errors as of learning.fit. It takes a few steps, with no progress to show."""
         sets = one_set(samples)
         options = vars(self) | {
             "orientation": sets.axis if self.orientation is None else self.orientation
         }
         material = fit(sets, options.pop("base"), options.pop("neighbours"), **options)
-        return DressedFit(material, dict(material.provenance["fit"]))
+        return MaterialFit(material, dict(material.provenance["fit"]))

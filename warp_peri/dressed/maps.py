@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.core.elastic import PAIRS, from_voigt, voigt
+from warp_peri.core.elastic import from_voigt, voigt
 from warp_peri.dressed.body import DressedBody, Grains
 from warp_peri.dressed.law import DressedSolid
 from warp_peri.dressed.sweeps import PeriodicElements
@@ -441,7 +441,7 @@ def effective(
 
 def _of_body(body: DressedBody) -> tuple[np.ndarray, np.ndarray]:
     """Voigt matrices of the parts of all grains, and the share of each at the elements."""
-    law, d = body.model, len(body.sides)
+    law = body.model
     whole = body.points.box is not None and len(body.grid) == np.prod(body.sides)
     whole = whole and body.gram is None and bool(body._there.all())
     if law.base != "elements" or len(law.tensors) > 1 or not whole:
@@ -450,17 +450,7 @@ def _of_body(body: DressedBody) -> tuple[np.ndarray, np.ndarray]:
         )
     if not body.factors.min() > 0:
         raise InputError(f"maps: expected numbers > 0, the smallest is {body.factors.min():g}")
-    order = np.ravel_multi_index(tuple(body.grid.T), body.sides)
-    rows = len(PAIRS[d])
-    shear = np.where(np.arange(rows) < d, 1.0, 2**-0.5)
-    tables, shares = [], []
-    for a, factor in enumerate(body.factors):
-        for share, M in body.tensors(a):
-            tables.append(2**d * M[:rows, :rows] * np.outer(shear, shear))
-            placed = np.empty(len(order))
-            placed[order] = share * factor
-            shares.append(placed.reshape(body.sides))
-    return np.array(tables), np.array(shares)
+    return body.phases(range(len(body.factors)))
 
 
 def _of_phases(

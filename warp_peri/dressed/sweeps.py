@@ -5,22 +5,21 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.fft
-import warp as wp
+import scipy.sparse as sp
 from scipy.ndimage import maximum_filter
 
 from warp_peri.core.elastic import PAIRS, named_symmetry, voigt
 from warp_peri.core.grid import Grid
-from warp_peri.core.sweeps import FASTER, SCALARS, convolved, entries, inverse, row_pieces
+from warp_peri.core.sweeps import SCALARS, PlaneRows, convolved, entries, inverse
 from warp_peri.damage.solid import CrystalBonds
 from warp_peri.errors import InputError
 from warp_peri.kernels.dressed.bonds import bonds as bond_kernels
-from warp_peri.kernels.dressed.elements import element_planes, elements
-from warp_peri.kernels.micromodulus.rows import rows
-from warp_peri.launch import DEVICE, floats, ints, launch_slices, threads
+from warp_peri.kernels.dressed.elements import element_planes
+from warp_peri.launch import floats, ints, launch_slices, threads
 from warp_peri.points.families import bond_classes
 
 KINDS = ("elements", "bonds")
@@ -253,20 +252,14 @@ def half(stencil: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return steps[kept], (tensors[kept] + tensors[kept].transpose(0, 2, 1)) / 2
 
 
-MODES = {"elements": 5, "bonds": 1}
-"""What a site leaves for its nodes: modes of a square element that are not rigid; a dilatation."""
-
-
-class ByLayers:
-    """L u of one G in three sweeps, each over as many places as the next one reads.
+class ByLayers(PlaneRows):
+    """L u of an even solid of one G in three sweeps, each over as many places as the next reads.
 
     Args:
         nodes: the box, laid out for the reach of L.
         steps, tensors: of one half of G, [H, d] and [H, d, d].
         base: of the law, K.
         spacing: h.
-        factors: moduli of each part over those of the even solid at the sites of the box,
-            [A, *wide]; None for the even solid. In the plane.
         dtype: float64 or float32.
     """
 
@@ -277,123 +270,163 @@ class ByLayers:
         tensors: np.ndarray,
         base: Base,
         spacing: float,
-        factors: np.ndarray | None = None,
         dtype: Any = np.float64,
     ) -> None:
-        self.nodes, self.dtype = nodes, np.dtype(dtype)
-        self.scalar = SCALARS[self.dtype]
-        self.kernels = rows(self.scalar, nodes.dimension)
-        self.strides = np.array([int(np.prod(nodes.wide[a + 1 :])) for a in range(nodes.dimension)])
+        super().__init__(nodes.wide, dtype)
+        self.nodes = nodes
         mask = np.zeros(nodes.wide, bool)
         mask[nodes.core] = nodes.unknown
-        middle = half(base.stencils.sum(axis=0))
-        outer = (steps, tensors)
+        along, K = half(base.stencils.sum(axis=0))
+        outer = 1, steps, tensors
         self.stages: list[tuple[Any, ...]] = []
-        reach, own = 0, int(np.abs(steps).max())
-        for dressed, (along, C) in ((1, outer), (0, middle), (1, outer)):
-            pieces = self._pieces(maximum_filter(mask, 2 * reach + 1))
-            values = C if dressed else C / spacing**2
-            tables = ints(along @ self.strides), self._floats(entries(values))
-            self.stages.insert(0, (pieces, dressed, *tables))
-            reach += int(np.abs(along).max())
-        places = int(np.prod(nodes.wide))
-        ends = [int(p.numpy()[-1, 0]) + int(o.numpy().max()) for p, _, o, _ in self.stages]
-        self.beyond = max(ends) + self.kernels.lanes + int(self.strides.sum()) > places
-        self.kind, self.maps = base.kind, None
-        if factors is not None:
-            far = own + int(np.abs(base.corners).max())
-            sites = self._pieces(maximum_filter(mask, 2 * far + 1))
-            flat = factors.reshape(len(factors), -1) / spacing**2
-            where: Any  # offsets of bonds, or of the next row of elements
-            if base.kind == "bonds":
-                self.uneven = bond_kernels(self.scalar)
-                along, table, mixed = bond_table(base)
-                where, flat = ints(along @ self.strides), mixed @ flat
-            else:
-                self.uneven, table = elements(self.scalar), element_modes(base)
-                where = int(self.strides[0])
-            self.maps = sites, (where, self._floats(table), self._floats(flat, spare=True))
-        self._buffers: dict[tuple[int, int], np.ndarray] = {}
+        reach, ends = 0, []
+        for dressed, steps_, C in (outer, (0, along, K / spacing**2), outer):
+            pieces = self.pieces(maximum_filter(mask, 2 * reach + 1))
+            self.stages.insert(0, (pieces, dressed, *self.table(steps_, C)))
+            reach += int(np.abs(steps_).max())
+            ends.append(int(pieces.numpy()[-1, 0] + (steps_ @ self.strides).max()))
+        self.beyond = max(ends) + self.kernels.lanes > self.places
 
     def __call__(self, planes: np.ndarray) -> np.ndarray:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
         nodes, d = self.nodes, self.nodes.dimension
-        count, size = len(planes), d * int(np.prod(nodes.wide))
-        first, second = (self._buffer(n, count, size) for n in range(2))
+        count, size = len(planes), d * self.places
+        first, second = (self.buffer(n, count, size) for n in range(2))
         field = np.ascontiguousarray(planes, self.dtype).reshape(count, -1)
         if self.beyond:  # lanes of the last piece would read past the end
-            field = self._buffer(2, count, size)
+            field = self.buffer(2, count, size)
             field[:] = planes.reshape(count, -1)
         out = np.zeros((count, size), self.dtype)
-        for number, (given, found) in enumerate(((field, first), (first, second), (second, out))):
-            if number == 1 and self.maps is not None:
-                self._uneven(self.maps, given, found)
-            else:
-                self._launch(
-                    self.kernels.pulled,
-                    self.stages[number][0],
-                    self.stages[number][1:],
-                    given,
-                    found,
-                )
+        ways = ((field, first), (first, second), (second, out))
+        for (pieces, *inputs), (given, found) in zip(self.stages, ways):
+            self.launch(self.kernels.pulled, pieces, tuple(inputs), given, found)
         force = out.reshape(count, d, *nodes.wide)
         return force[(slice(None), slice(None), *nodes.core)] if nodes.periodic else force
 
-    def _uneven(self, maps: tuple[Any, Any], given: np.ndarray, found: np.ndarray) -> None:
-        (sites, inputs), nodes = maps, self.stages[1][0]
-        stresses = self._buffer(3, len(given), MODES[self.kind] * int(np.prod(self.nodes.wide)))
-        self._launch(self.uneven.stressed, sites, inputs, given, stresses)
-        if self.kind == "bonds":
-            both = (*inputs, floats(stresses, self.scalar))
-            self._launch(self.uneven.gathered, nodes, both, given, found)
-        else:
-            self._launch(self.uneven.gathered, nodes, inputs[:1], stresses, found)
 
-    def _launch(
-        self, kernel: Any, pieces: Any, inputs: tuple[Any, ...], given: np.ndarray, out: np.ndarray
-    ) -> None:
-        launch_slices(
-            kernel,
-            len(pieces),
-            (pieces, *inputs, floats(given, self.scalar)),
-            (floats(out, self.scalar),),
-            samples=len(given),
-            weight=self.kernels.lanes // FASTER,
-        )
+class Chain(NamedTuple):
+    """One G of a body and its K: what goes by rows, and what by sparse matrices, [d N, d N].
 
-    def _buffer(self, number: int, count: int, size: int) -> np.ndarray:
-        """[S, size] with room behind for the last piece's lanes, kept between calls."""
-        key = number, count
-        if key not in self._buffers:
-            self._buffers[key] = np.zeros(count * size + self.kernels.lanes, self.dtype)
-        return self._buffers[key][: count * size].reshape(count, size)
+    Attributes:
+        tensors: G of each grain, [g, H, d, d].
+        rows, columns: G and Gᵗ where a row is not that of a whole lattice, else empty.
+        tables, shares: of elements, as PeriodicElements has them, over h²; none of bonds.
+        factors: of bonds, c and q over h² at the sites that are whole, [2, N]; None of elements.
+        sites: K of all other sites.
+    """
 
-    def _pieces(self, asked: np.ndarray) -> Any:
-        return wp.array(
-            row_pieces(asked.ravel(), self.kernels.lanes), dtype=wp.vec2i, device=DEVICE
-        )
-
-    def _floats(self, values: np.ndarray, spare: bool = False) -> Any:
-        if not spare:
-            return floats(values.astype(self.dtype), self.scalar)
-        room = np.zeros(values.size + self.kernels.lanes, self.dtype)
-        laid = room[: values.size].reshape(values.shape)
-        laid[:] = values
-        return floats(laid, self.scalar)
+    tensors: np.ndarray
+    rows: sp.csr_array
+    columns: sp.csr_array
+    tables: np.ndarray
+    shares: np.ndarray
+    factors: np.ndarray | None
+    sites: sp.csr_array
 
 
-def element_modes(base: Base) -> np.ndarray:
-    """What sums of corner displacement of a square element cost, with its moduli, [A, 9]: of
-    ∂₁u₁, ∂₂u₂ and ∂₂u₁ + ∂₁u₂ the upper triangle, and that of the two hourglass modes."""
-    found = []
-    root = 2**-0.5
-    for modulus, part in zip(base.moduli, base.parts):
-        P = modulus * part[:3, :3]  # of one Gauss point of four: the quarter of half sums squared
-        even = np.diag([1, 1, root])
-        bent = [np.array([[1, 0], [0, 0], [0, root]]), np.array([[0, 0], [0, 1], [root, 0]])]
-        Q = sum(V.T @ P @ V for V in bent) / 3
-        found.append(np.concatenate([entries((even @ P @ even)[None])[0], entries(Q[None])[0]]))
-    return np.array(found)
+class BodyLayers(PlaneRows):
+    """L u of all nodes of a body that ends, varies or is broken: by rows of the whole lattice, and
+    a short list of rows and sites that are not whole.
+
+    Args:
+        body: dressed.
+        dtype: float64 or float32.
+    """
+
+    def __init__(self, body: Any, dtype: Any = np.float64) -> None:
+        base, steps, d = body.model.parts, body.model.steps, len(body.sides)
+        self.reach = r = int(np.abs(np.concatenate([steps, base.corners])).max())
+        super().__init__([n + 2 * r for n in body.sides], dtype)
+        self.periodic = body.points.box is not None
+        place = np.ravel_multi_index(tuple((body.grid + r).T), self.wide)
+        self.at = (self.places * np.arange(d) + place[:, None]).ravel()
+        self.core: Any = (..., *(slice(r, n + r) for n in body.sides))
+
+        def pieces(nodes: np.ndarray) -> Any:
+            mask = np.zeros(self.places, bool)
+            mask[place[nodes]] = True
+            return self.pieces(mask)
+
+        self.stages = []
+        for chain in body.chains:
+            ways = []
+            for odd in (chain.rows, chain.columns):
+                plain = np.diff(odd.indptr)[::d] == 0
+                each = [
+                    (pieces(plain & (body.grain == g)), 1, *self.table(steps, C))
+                    for g, C in enumerate(chain.tensors)
+                ]
+                ways.append((each, self._some(odd)))
+            middle: Any = None
+            if len(chain.tables):
+                middle = PeriodicElements(chain.tables, chain.shares, self.dtype)
+            elif chain.factors is not None:
+                along, table = bond_table(base)[:2]
+                flat = np.zeros((2, self.places))
+                flat[:, place] = chain.factors
+                self._close(flat)
+                inputs = ints(along @ self.strides), self.floats(table)
+                every = pieces(np.ones(len(place), bool))
+                middle = every, (*inputs, self.floats(flat, spare=True))
+            self.stages.append((ways[0], middle, self._some(chain.sites), ways[1]))
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """L u of fields along the nodes' axes, [S, d N]."""
+        count, size = len(u), len(self.wide) * self.places
+        given, first, second, last = (self.buffer(n, count, size) for n in range(4))
+        given[:, self.at] = u
+        total = np.zeros(u.shape, self.dtype)
+        for G, middle, sites, Gt in self.stages:
+            self._dressed(G, given, first)
+            self._based(middle, first, second)
+            self._add(sites, first, second)
+            self._dressed(Gt, second, last)
+            total += last[:, self.at]
+        return total
+
+    def _dressed(self, way: Any, given: np.ndarray, found: np.ndarray) -> None:
+        whole, (odd, matrix) = way
+        self._close(given)
+        for pieces, *inputs in whole:
+            self.launch(self.kernels.pulled, pieces, tuple(inputs), given, found)
+        found[:, odd] = 0
+        self._add((odd, matrix), given, found)
+
+    def _based(self, middle: Any, given: np.ndarray, found: np.ndarray) -> None:
+        if middle is None:
+            found[:] = 0
+            return
+        if isinstance(middle, PeriodicElements):
+            fields = (one.reshape(len(one), -1, *self.wide)[self.core] for one in (given, found))
+            for one, out in zip(*fields):
+                out[:] = middle(one)
+            return
+        self._close(given)
+        pieces, inputs = middle
+        kernels, pulls = bond_kernels(self.scalar), self.buffer(4, len(given), self.places)
+        self.launch(kernels.stressed, pieces, inputs, given, pulls)
+        self._close(pulls)
+        inputs = *inputs, floats(pulls, self.scalar)
+        self.launch(kernels.gathered, pieces, inputs, given, found)
+
+    def _add(self, some: tuple[np.ndarray, Any], given: np.ndarray, to: np.ndarray) -> None:
+        odd, matrix = some
+        for one, out in zip(given, to if len(odd) else ()):
+            out[odd] += matrix @ one
+
+    def _some(self, matrix: sp.csr_array) -> tuple[np.ndarray, sp.csr_array]:
+        """Rows of a matrix over nodes that are not empty: their places in planes, and they."""
+        odd = np.flatnonzero(np.diff(matrix.indptr))
+        kept, shape = matrix[odd], (len(odd), len(self.wide) * self.places)
+        parts = kept.data.astype(self.dtype), self.at[kept.indices], kept.indptr
+        return self.at[odd], sp.csr_array(parts, shape=shape)
+
+    def _close(self, field: np.ndarray) -> None:
+        """Fill the images of a period."""
+        planes, r = field.reshape(-1, *self.wide), self.reach
+        for axis in range(1, planes.ndim if self.periodic else 1):
+            line = np.moveaxis(planes, axis, 0)
+            line[:r], line[-r:] = line[-2 * r : -r], line[r : 2 * r]
 
 
 def bond_table(base: Base) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -423,10 +456,11 @@ class PeriodicElements:
         tables: moduli of P phases as matrices, [P, m, m]: Voigt's of elastic solids, with one
             component of displacement an axis; conductivities, m = d, with one component.
         shares: how much of each phase an element has, [P, *sides].
+        dtype: float64 or float32.
     """
 
-    def __init__(self, tables: np.ndarray, shares: np.ndarray) -> None:
-        self.sides = shares.shape[1:]
+    def __init__(self, tables: np.ndarray, shares: np.ndarray, dtype: Any = np.float64) -> None:
+        self.sides, of = shares.shape[1:], SCALARS[np.dtype(dtype)]
         d, rows = len(self.sides), len(tables[0])
         scalar = rows == d
         self.pairs = tuple((0, j) for j in range(d)) if scalar else PAIRS[d]
@@ -437,19 +471,21 @@ class PeriodicElements:
         apart = [abs(tables[:, i, j]).max() for i, j in upper if (i, j) not in used]
         if max(apart, default=0.0) > NOTHING * np.abs(tables).max():
             used = upper
-        self._kernel = element_planes(wp.float64, d, self.pairs, tuple(used))
+        self._kernel = element_planes(of, d, self.pairs, tuple(used))
         self._wide = tuple(n + 1 for n in self.sides)
         self._places = int(np.prod(self._wide))
         spare = self._kernel.lanes
-        factors = np.zeros((len(shares), self._places + spare))
+        first, second = np.array(used).T
+        moduli = np.ascontiguousarray(tables[:, first, second], dtype)
+        if len(tables) > len(used):  # as many maps as a modulus has entries do
+            shares, moduli = np.tensordot(moduli.T, shares, 1), np.eye(len(used), dtype=dtype)
+        factors = np.zeros((len(shares), self._places + spare), dtype)
         inner = factors[:, : self._places].reshape(-1, *self._wide)
         inner[(slice(None), *(slice(n) for n in self.sides))] = shares
         size = (1, self.components * self._places + spare)
-        self._given, self._found = np.zeros(size), np.zeros(size)
-        first, second = np.array(used).T
-        moduli = np.ascontiguousarray(tables[:, first, second])
-        self._arrays = floats(moduli), floats(factors), floats(self._given)
-        self._out = floats(self._found)
+        self._given, self._found = np.zeros(size, dtype), np.zeros(size, dtype)
+        self._arrays = tuple(floats(one, of) for one in (moduli, factors, self._given))
+        self._out = floats(self._found, of)
 
     def affine(self, load: int) -> np.ndarray:
         """Displacement of the mean strain of a row of Voigt's matrix, [c, *sides + 1]."""

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.ndimage import binary_dilation
 from scipy.sparse.linalg import splu
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh, Tetrahedra, pieces
 
@@ -58,11 +58,7 @@ class Moduli:
 
 def finite_elements() -> Any:
     """scikit-fem; InputError where it is not installed."""
-    try:
-        import skfem
-    except ImportError:
-        raise InputError("scikit-fem is not installed: pip install 'warp_peri[bodies]'") from None
-    return skfem
+    return optional("skfem", "scikit-fem is not installed: pip install 'warp_peri[bodies]'")
 
 
 MOST_STEPS, FOUND = 30, 1e-11

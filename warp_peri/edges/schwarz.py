@@ -51,7 +51,7 @@ class WholeBody:
         inside = np.setdiff1d(rim.corners, side)
         shared, outer = inside[depth[inside] >= collar], inside[depth[inside] < collar]
         side, shared, self.outer = (
-            _displacements(elements.corner_nodes[corners], rim.d)
+            (rim.d * elements.corner_nodes[corners][:, None] + np.arange(rim.d)).ravel()
             for corners in (side, shared, outer)
         )
         shared = shared[~fixed.ravel()[shared]]
@@ -91,11 +91,6 @@ class WholeBody:
         corrected = np.array(jump)
         corrected[self.rows] += side.reshape(-1, jump.shape[1])
         return corrected
-
-
-def _displacements(nodes: np.ndarray, d: int) -> np.ndarray:
-    """All displacements of each node."""
-    return np.asarray((d * nodes[:, None] + np.arange(d)).ravel())
 
 
 MOST_EXCHANGES = 100

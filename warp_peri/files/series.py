@@ -10,7 +10,7 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import optional
 from warp_peri.files.atomic import whole_file, write_text
 from warp_peri.files.checkpoint import write_arrays
 
@@ -20,13 +20,7 @@ def meshio_of(extra: str = "export", instead: str = "") -> Any:
 
     `extra` is its name and `instead` what is said beside it.
     """
-    try:
-        import meshio
-    except ImportError:
-        raise InputError(
-            f"meshio is not installed: pip install 'warp_peri[{extra}]'{instead}"
-        ) from None
-    return meshio
+    return optional("meshio", f"meshio is not installed: pip install 'warp_peri[{extra}]'{instead}")
 
 
 def write_vtu(

@@ -156,15 +156,14 @@ def _linear(
 ) -> Fit:
     """The linear solid; arguments as for `fit`, sets and fields of noise as lists."""
     shapes = check_choices(kernel, method, conditions)
-    given = sets, horizon, conditions, quiet, _carrier(method)
     steps = not isinstance(method, TwoStage)
+    given = sets, horizon, conditions, quiet, None if steps else method.lattice_spacing
     data, scale = scaled_data(*given, normalise=normalise, lengths=not shapes, steps=steps)
     method = scale.method(method)
     bernstein = kernel if isinstance(kernel, Bernstein) else None
     starts = _shaped(data, shapes) if bernstein is None else _plain(bernstein)
     probe = next((name for name in starts if name == PROBED), next(iter(starts)))
-    responds = not isinstance(method, TwoStage)
-    choice = choose_loss(loss, data, starts[probe], responds=responds)
+    choice = choose_loss(loss, data, starts[probe], responds=steps)
     consistency = ConsistencyCheck(data.grids, data.full)
     rough = _rough(bernstein, method)
     consistency.check(rough)
@@ -173,7 +172,7 @@ def _linear(
     optimum = stages.hold(_second(method), probe, starts[probe])
     depends = (bernstein, conditions, normalise, choice.name)
     final = _learned(stages, starts, rough, method, optimum, depends)
-    unasked = responds and loss == "auto" and choice.name == "residual"
+    unasked = steps and loss == "auto" and choice.name == "residual"
     if unasked and isinstance(optimum.moduli, tuple) and stages.worse_than_local(final):
         choice = LossChoice("output", "the residual's optimum is worse than local elasticity")
         final = stages.output(final, optimum)
@@ -228,11 +227,6 @@ def check_choices(
     if isinstance(method, TwoStage):
         raise InputError("kernel: influence functions are learned by Optimum or Constrained")
     return shapes
-
-
-def _carrier(method: Method) -> float | None:
-    """Spacing of the lattice that carries the conditions of scattered points, if there is one."""
-    return method.lattice_spacing if isinstance(method, TwoStage) else None
 
 
 def _second(method: Method) -> Optimum:

@@ -1,9 +1,9 @@
 """Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory, T)."""
 
 from warp_peri.core.elastic import from_voigt
-from warp_peri.micromodulus.force_constants import Polar, from_calculator, read_force_constants
+from warp_peri.micromodulus.force_constants import Polar, from_calculator
 from warp_peri.micromodulus.law import Crystal, StencilMaterial, tensors_of
-from warp_peri.micromodulus.learning import CrystalFit, Micromodulus
+from warp_peri.micromodulus.learning import Micromodulus
 from warp_peri.micromodulus.waves import (
     fit_symbol,
     from_phonons,
@@ -14,7 +14,6 @@ from warp_peri.micromodulus.waves import (
 
 __all__ = [
     "Crystal",
-    "CrystalFit",
     "Micromodulus",
     "Polar",
     "StencilMaterial",
@@ -24,7 +23,6 @@ __all__ = [
     "from_voigt",
     "plane_strain",
     "plane_stress",
-    "read_force_constants",
     "tensors_of",
     "transferred",
 ]

@@ -6,7 +6,6 @@ Lengths in Å, energies in eV as every code of atoms has them; the stiffness of 
 from __future__ import annotations
 
 import itertools
-import os
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -36,7 +35,6 @@ LONG = 4e-3
 """|k| [1/Å] of waves that have the moduli of moments where Φ keeps its sums."""
 SMALL = 2e-3
 """|k| [1/Å] of the differences that second moments of ions' fields are taken by."""
-LARGEST_FILE = 2**31
 TINY = float(np.finfo(float).tiny)
 """Divides what is zero."""
 SOFT = 1e-7
@@ -202,7 +200,7 @@ class ForceConstants:
         bad = least[:, 0] <= SOFT * 1e-7 * np.abs(self.values).max()
         if bad.any():
             wave = np.linalg.eigh(D[bad][0])[1][:, 0].reshape(n, m)
-            error = self.stiffness_error(k[bad][0], wave)
+            error = float(self.stiffness_error(k[bad][0], wave))
             bar = f" ± {error:.2g}" if error else ""
             raise InputError(
                 f"force constants: expected a stable crystal, got the stiffness "
@@ -214,16 +212,17 @@ class ForceConstants:
         moved = np.linalg.solve(D, force.reshape(len(k), n * m, -1)).reshape(force.shape)[:, :, :d]
         return np.asarray(moved if f.ndim == 3 else moved[..., 0])
 
-    def stiffness_error(self, k: np.ndarray, wave: np.ndarray) -> float:
-        """Error [eV/Å²] of the stiffness of a wave [n, m] at k [1/Å]; 0 where none is told."""
-        if self.doubt is None:
-            return 0.0
-        phase, m = np.exp(1j * (self.vectors[:, : len(k)] @ k)), wave.shape[1]
-        first, second = (wave[self.pairs[:, side]] for side in (0, 1))
-        off = np.einsum(
-            "p,pa,qpab,pb->q", phase, first.conj(), self.doubt[..., :m, :m], second, optimize=True
-        )
-        return float(np.linalg.norm(off.real))
+    def stiffness_error(self, k: np.ndarray, waves: np.ndarray) -> Any:
+        """Errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å]; 0 where none is told."""
+        doubt, m, n = self.doubt, waves.shape[-1], len(self.positions)
+        if doubt is None:
+            return np.zeros(waves.shape[:-2])
+        phase, count = np.exp(1j * (self.vectors[:, : len(k)] @ k)), len(self.pairs)
+        onto = sp.csr_array((phase, (self.pairs @ [n, 1], np.arange(count))), shape=(n * n, count))
+        off = onto @ np.moveaxis(doubt[..., :m, :m], 0, -1).reshape(count, -1)
+        off = off.reshape(n, n, m, m, len(doubt))
+        ends = np.einsum("...ia,ijabq,...jb->...q", waves.conj(), off, waves, optimize=True)
+        return np.linalg.norm(ends.real, axis=-1)
 
     def effective(self, k: np.ndarray) -> np.ndarray:
         """D_eff(k) = [(V/n²) Pᵗ D_at(k)⁻¹ P]⁻¹ [TPa/Å²], shape [K, d, d] (T14).
@@ -578,55 +577,3 @@ def from_calculator(
     phi, change = finite_differences(forces, at_rest, first, step=step)
     supercell.positions[:] = at_rest
     return from_supercell(structure, supercell, phi, first, thickness=thickness, change=change)
-
-
-def read_force_constants(
-    path: str | os.PathLike[str],
-    structure: Any,
-    supercell: Any,
-    displaced: Sequence[int],
-    *,
-    thickness: float | None = None,
-) -> ForceConstants:
-    """Read a FORCE_CONSTANTS file as phonopy writes it, in eV/Å², whole or of the cell's atoms.
-
-    Args:
-        path: text: two counts, then for each pair its two numbers and three rows.
-        structure: the primitive cell, an ase.Atoms.
-        supercell: in the order of the file, an ase.Atoms.
-        displaced: numbers in the supercell, from 0, of the atoms of the primitive cell.
-
-    Raises InputError for a file that is not one, naming the line.
-    """
-    if not os.path.isfile(path):
-        raise InputError(f"{path}: no such file")
-    if os.path.getsize(path) > LARGEST_FILE:
-        raise InputError(f"{path}: expected less than {LARGEST_FILE} bytes")
-    with open(path, encoding="ascii", errors="replace") as file:
-        words = file.readline().split()
-        lines = file.read().split("\n")
-    try:
-        counts = [int(word) for word in words]
-    except ValueError:
-        counts = []
-    total = len(supercell)
-    rows = counts[0] if counts else 0
-    if not counts or rows not in (len(displaced), total) or counts[-1] != total:
-        raise InputError(f"{path}: line 1: expected {len(displaced)} {total}, got {words}")
-    phi = np.zeros((len(displaced), 3, total, 3))
-    wanted = {atom: row for row, atom in enumerate(displaced)}
-    lines = [line for line in lines if line.strip()]
-    if len(lines) != 4 * rows * total:
-        raise InputError(f"{path}: expected {4 * rows * total} more lines, got {len(lines)}")
-    for number in range(0, len(lines), 4):
-        try:
-            i, j = (int(word) - 1 for word in lines[number].split()[:2])
-            if i not in wanted:
-                continue
-            block = [[float(word) for word in line.split()] for line in lines[number + 1 :][:3]]
-            phi[wanted[i], :, j] = block
-        except (ValueError, IndexError):
-            raise InputError(
-                f"{path}: line {number + 2}: expected a pair and 3 × 3 numbers"
-            ) from None
-    return from_supercell(structure, supercell, phi, displaced, thickness=thickness)

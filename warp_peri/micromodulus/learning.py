@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.contract import MaterialFit
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
 from warp_peri.core.groups import (
     CANDIDATES,
@@ -239,24 +240,6 @@ def long_waves_of_data(
 
 
 @dataclass(frozen=True)
-class CrystalFit:
-    """A learned crystal.
-
-    Attributes:
-        material: with its certificate.
-        history: loss, symmetry found, cuts and numbers.
-    """
-
-    material: Crystal
-    history: dict[str, Any]
-
-    @property
-    def certificate(self) -> Any:
-        """What is proven of the symbol."""
-        return self.material.certificate
-
-
-@dataclass(frozen=True)
 class Micromodulus:
     """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory, T).
 
@@ -282,12 +265,12 @@ class Micromodulus:
     moduli: Any = "long waves"
     normalise: bool = False
 
-    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> CrystalFit:
+    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> MaterialFit:
         """The fit; errors as of learning.fit. It is one least squares, with no progress to show."""
         sets = one_set(samples)
         stated = sets.axis if self.orientation is None else self.orientation
         material = fit(sets, **(vars(self) | {"orientation": stated}))
-        return CrystalFit(material, dict(material.provenance["fit"]))
+        return MaterialFit(material, dict(material.provenance["fit"]))
 
 
 def one_set(samples: Any) -> Samples:

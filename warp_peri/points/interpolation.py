@@ -80,7 +80,8 @@ def _weights(offset: np.ndarray) -> np.ndarray:
 
 
 def _spline(offset: np.ndarray) -> np.ndarray:
-    return np.asarray(-((offset**2).sum(axis=-1) ** 2.5))
+    square = offset[..., 0] ** 2 + offset[..., 1] ** 2
+    return np.asarray(-(square**2) * np.sqrt(square))
 
 
 def mean_spacing(points: PointsLike) -> float:

@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.points.arrays import checked
 
 REST = "rest"
@@ -468,10 +468,7 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
     Raises InputError for a file that is not read, without meshio (the extra `bodies`), with cells
     of other kinds or none, for triangles that are not plane, and as `points.mesh.outlined`.
     """
-    try:
-        import meshio
-    except ImportError:
-        raise InputError("meshio is not installed: pip install 'warp_peri[bodies]'") from None
+    meshio = optional("meshio", "meshio is not installed: pip install 'warp_peri[bodies]'")
     if not Path(path).is_file():
         raise InputError(f"{path}: no such mesh file")
     try:

@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.points.mesh import Mesh, Tetrahedra, make_mesh, make_tetrahedra
 
 GRADING = 0.2
 """Netgen's measure of how fast triangles may grow, 0 to 1."""
+
+WITHOUT = "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
 
 
 @dataclass(frozen=True)
@@ -69,18 +71,13 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: float) 
     Raises InputError for sizes that are not positive, a polygon that is none, outlines that cannot
     be meshed, and without Netgen.
     """
-    try:
-        from netgen.geom2d import SplineGeometry
-    except ImportError:
-        raise InputError(
-            "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
-        ) from None
+    netgen = optional("netgen.geom2d", WITHOUT)
     outlines = (outer, *holes)
     lengths = [size, *(o.radius for o in outlines if isinstance(o, Circle))]
     lengths += [o.size for o in outlines if o.size is not None]
     if not all(np.isfinite(length) and length > 0 for length in lengths):
         raise InputError(f"outline: expected radii and sizes > 0, got {lengths}")
-    geometry = SplineGeometry()
+    geometry = netgen.SplineGeometry()
     for outline in outlines:
         _add(geometry, outline, size, inside=outline is outer)
     try:
@@ -192,12 +189,7 @@ def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: flo
     Raises InputError for sizes that are not positive, a body that cannot be meshed, and without
     Netgen.
     """
-    try:
-        from netgen import csg
-    except ImportError:
-        raise InputError(
-            "netgen-mesher is not installed: pip install 'warp_peri[bodies]'"
-        ) from None
+    csg = optional("netgen.csg", WITHOUT)
     balls = [one for one in (outer, *voids) if isinstance(one, Sphere)]
     lengths = [size, *(ball.radius for ball in balls)]
     lengths += [ball.size for ball in balls if ball.size is not None]

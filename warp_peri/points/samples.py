@@ -10,7 +10,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.points.arrays import checked, is_name
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
@@ -117,10 +117,7 @@ class Samples(Shown):
         Positions and the interior are coordinates, units are attributes. Raises InputError without
         xarray.
         """
-        try:
-            import xarray
-        except ImportError:
-            raise InputError("xarray is not installed: pip install 'warp_peri[view]'") from None
+        xarray = optional("xarray", "xarray is not installed: pip install 'warp_peri[view]'")
         length, stress = self.points.units
         fields = ("sample", "node", "component")
         held: dict[str, Any] = {"u": (fields, self.u, {"units": length})}

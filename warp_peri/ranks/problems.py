@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from copy import copy
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
@@ -304,6 +305,39 @@ class RowNonlinear(Felt):
         )  # fmt: skip
 
 
+class RowCut(Felt):
+    """L of a Cracked whose bonds stay, on a lattice in parts: each rank has the bonds that its
+    nodes feel.
+
+    Args:
+        material: positive on the lattice.
+        problem: the Cracked, on the nodes of this rank.
+
+    Raises InputError as Cracked.waves, and for nodes that are held in part.
+    """
+
+    def __init__(self, material: Any, problem: Cracked) -> None:
+        piece: Any = problem.points
+        with agreed(piece.comm):
+            self.model = offered(material, "linear", "move", "a solid with a linear part")
+            if problem.free is not None or problem.pressure is not None:
+                raise InputError("move: expected neither free components nor a pressure on ranks")
+        reach = 2 * self.model.horizon * (1 + HORIZON_TOLERANCE)
+        alone = replace(problem, b=None, u=None)
+        super().__init__(piece, reach, lambda here: replace(alone, points=here).waves(material))
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """L u at this rank's interior nodes, shape [i, d], of u [n, d]."""
+        return np.asarray(self.placed.force(self.around(u)))[: self.points.interior.sum()]
+
+    def stiffest_wave(self) -> float:
+        """As CutSolid.stiffest_wave, of the rows of all ranks."""
+        if not self.placed.corrected:
+            return float(self.placed.stiffest_wave())
+        own = float(abs(self.placed.matrix)[self.placed.free].sum(axis=1).max())
+        return float(max(self.points.comm.allgather(own if self.asked else 0.0)))
+
+
 class OnRanks(OnPoints):
     """A solid on ranks as torch sees it: its solve transposed, and derivatives to its numbers.
 
@@ -468,7 +502,7 @@ class Kept:
 
 def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     """Motion of a Cracked on ranks: see Cracked.moved; fields are those of this rank's nodes.
-    Of an unbroken body: see dynamics.verlet.march.
+    Of one with a density, or an unbroken body: see dynamics.verlet.march.
 
     Raises InputError for anything but steps, and for bonds that break by energy.
     """
@@ -478,14 +512,19 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
             offered(material, "on", "move", MATERIAL)
             (options,) = taken(options, "move", march)
         return march(operator_on(material, piece), problem.b, problem.u, **options)
+    if isinstance(problem, Cracked) and "density" in options and not hasattr(material, "density"):
+        with agreed(comm):
+            (options,) = taken(options, "move", march)
+        cut: Any = RowCut(material, problem)
+        start = np.zeros_like(piece.x) if problem.u is None else problem.u
+        return march(cut, problem.b, start, **options)
     with agreed(comm):
         if not isinstance(problem, Cracked) or "step" not in options:
             raise InputError("move: expected a Dirichlet or Cracked, and step=…, steps=… on ranks")
         offered(material, "density", "move", "a BrittleSolid")
-        if material.by_energy or problem.pressure is not None or problem.corrected:
+        if material.by_energy or problem.pressure is not None:
             raise InputError(
-                "move: expected bonds that break by their stretch, and no pressure or correction, "
-                "on ranks"
+                "move: expected bonds that break by their stretch, and no pressure, on ranks"
             )
         check_same(material.units, piece.units)
         material.linear.check_dimension(piece)
@@ -494,7 +533,11 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     d = piece.dimension
     excess = bonds_of(model, bond_classes(piece.spacing, model.horizon, dimension=d)).excess
     build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
-    felt = model.horizon * (1 + HORIZON_TOLERANCE) * (1 if excess == 0 else 2)
+    felt = (
+        model.horizon
+        * (1 + HORIZON_TOLERANCE)
+        * (1 if excess == 0 and not problem.corrected else 2)
+    )
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
     given |= {name: how.pop(name, None) for name in ("no_fail", "grip")}
@@ -511,7 +554,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         if not np.array_equal(body.axes, np.eye(d)):
             raise InputError("points: expected a lattice along the axes on ranks, got a turned one")
         at_start = {name: here.pop(name) for name in ("u", "v")}
-        moving = BreakingBody(material, body, **here, **how)
+        moving = BreakingBody(material, body, corrected=problem.corrected, **here, **how)
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
     marching = CrackRun(moving, nodes=halo, **records)
     moving.operator.sweep_early(halo.is_own)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.files.checkpoint import agreed
 from warp_peri.launch import ranks_started
 from warp_peri.points.interpolation import fitting_spacing, mean_spacing
@@ -329,10 +329,7 @@ def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:
 
 def _by_metis(grid: np.ndarray, parts: int) -> np.ndarray:
     """Number of the part that each node is in, shape [N]."""
-    try:
-        import pymetis
-    except ImportError:
-        raise InputError("by: metis needs pymetis: pip install 'warp_peri[metis]'") from None
+    pymetis = optional("pymetis", "by: metis needs pymetis: pip install 'warp_peri[metis]'")
     along = np.eye(grid.shape[1], dtype=np.int64)
     table = neighbour_table(grid, np.concatenate([along, -along]))
     first = np.concatenate([[0], np.cumsum((table >= 0).sum(axis=1))])

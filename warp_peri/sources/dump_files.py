@@ -14,7 +14,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.points.unit_names import LENGTHS
 
 FRAME = "ITEM: TIMESTEP"
@@ -147,11 +147,8 @@ def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
     if head.startswith(BZIP2):
         return bz2.open(path, "rb")
     if head.startswith(ZSTD):
-        try:
-            import zstandard
-        except ImportError:
-            raise InputError(f"{path}: packed by zstd: pip install 'warp_peri[dumps]'") from None
-        return zstandard.open(path, "rb")
+        without = f"{path}: packed by zstd: pip install 'warp_peri[dumps]'"
+        return optional("zstandard", without).open(path, "rb")
     return open(path, "rb")
 
 

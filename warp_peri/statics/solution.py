@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.points.arrays import check_whole, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
@@ -223,7 +223,8 @@ class Solution(Shown):
         if self.points is None:
             raise InputError("residual: expected points, whose residual is asked for")
         u = self._values.astype(float)
-        held = np.where(_spread(self.points.interior, u), 0.0, u)
+        inside = self.points.interior
+        held = np.where(inside if u.shape[-1] == len(inside) else inside[:, None], 0.0, u)
         left, right = (_sizes(self.load - self.operator(f), len(self.load)) for f in (u, held))
         return float(np.max(np.divide(left, right, out=np.zeros_like(left), where=right > 0)))
 
@@ -279,10 +280,7 @@ class Solution(Shown):
 
     def to_pyvista(self, sample: int = 0) -> Any:
         """Nodes and displacement as a pyvista.PolyData; InputError without pyvista."""
-        try:
-            import pyvista
-        except ImportError:
-            raise InputError("pyvista is not installed: pip install 'warp_peri[view]'") from None
+        pyvista = optional("pyvista", "pyvista is not installed: pip install 'warp_peri[view]'")
         x, u = self._nodes(sample)
         cloud = pyvista.PolyData(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
         cloud["u"] = u if u.ndim == 1 else np.pad(u, ((0, 0), (0, 3 - u.shape[1])))
@@ -340,11 +338,6 @@ def told(solved: Callable[[], Solution]) -> Solution:
     with heard() as texts:
         solution = solved()
     return replace(solution, warnings=tuple(dict.fromkeys(texts))) if texts else solution
-
-
-def _spread(mask: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """A mask of nodes that goes with fields of vectors, or of numbers."""
-    return mask[:, None] if u.shape[-1] != len(mask) else mask
 
 
 def _sizes(values: np.ndarray, count: int) -> np.ndarray:

@@ -36,6 +36,7 @@ LINES = {
     *("dielectric", "mass", "set", "neighbor", "neigh_modify", "comm_modify", "newton"),
 }
 """Commands that a potential is made of; beside them a `fix` that equilibrates charges."""
+NUMBER = re.compile(r"[-+]?[\d.]+([eE][-+]?\d+)?")
 SAME_MASS = 0.02
 """Of a mass, within which it is an element's."""
 CODE = {"python", "mliappy", "unified", "quip"}
@@ -163,7 +164,7 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
     """Number of each element's type: its place behind the file of a pair_coeff, or by its mass.
 
     InputError for lines that name other elements than the structure has, or each in other places,
-    and for several elements whose types are told apart by number alone.
+    and for several elements whose types are told apart by number, or by a file, alone.
     """
     named: dict[int, str] = {}
     for words in (line.split() for line in lines if line.startswith("pair_coeff")):
@@ -185,7 +186,11 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
                 named[int(number)] = kinds[int(np.argmin(weights))]
     if not named:
         numbered = [words for words in split if words[0] in ("pair_coeff", "set") and words[2:]]
-        if len(kinds) > 1 and any(words[2] != "*" or words[1] != "*" for words in numbered):
+        told = [word for words in numbered for word in words[3:]] + split[0][1:]
+        alike = all(words[1:3] == ["*", "*"] for words in numbered) and all(
+            NUMBER.fullmatch(word) or word in _pair_styles() for word in told
+        )
+        if len(kinds) > 1 and not alike:  # a file has an order of its own
             raise InputError(
                 f"calculator: expected which of {', '.join(kinds)} each type of its lines is; say "
                 "each one's mass, as in: mass 1 24.305; mass 2 15.999"

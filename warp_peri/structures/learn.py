@@ -35,6 +35,7 @@ from warp_peri.structures.noise import EV_IN_TPA, PULLED, SMALLER, by_strains, j
 from warp_peri.structures.noise import STRAIN as STRETCH
 from warp_peri.structures.phonons import (
     Loads,
+    at_zone_edge,
     check_phonons,
     force_constants,
     forces_of,
@@ -633,6 +634,10 @@ def _doubts(atoms: ForceConstants) -> dict[str, str]:
     if atoms.doubt is not None:
         share = np.linalg.norm(atoms.doubt) / np.linalg.norm(atoms.values)
         said["force constants' error"] = f"{share:.1e} of Φ"
+        soft, error, most = at_zone_edge(atoms)
+        said["phonons at the zone's edge"] = (
+            f"{soft:.3f} ± {error:.2g} THz and more; standard errors up to {most:.2g} THz"
+        )
     if atoms.change is not None:
         steps = f"{STEP:g} to {WIDER * STEP:g} Å"
         said["force constants change"] = (

@@ -386,7 +386,7 @@ def rattled(
     x, rows, forces = np.array(many.positions), [], []
     moving = many.copy()
     moving.calc = calculator
-    for size in [h] * pairs + [h / 2]:
+    for size in [h] * pairs + [h / 2] * (pairs if noise.rough else 1):
         u = _directions(rng, len(many), size)
         ends = []
         for sign in (1, -1):
@@ -396,16 +396,21 @@ def rattled(
         own, ions = np.split(row, [len(known)], axis=1)
         rows.append(own @ free)
         forces.append((ends[0] - ends[1]) / 2 - own @ known - ions.sum(axis=1))
-    X, y = np.concatenate(rows[:-1]), np.concatenate(forces[:-1])
+    (X, y), (short, less) = (
+        [np.concatenate(one[part]) for one in (rows, forces)]
+        for part in (slice(pairs), slice(pairs, None))
+    )
     U, sizes, V = np.linalg.svd(X, full_matrices=False)
     kept = sizes > NONE * sizes[0]
     way = V[kept].T / sizes[kept]
     z = way @ (U.T[kept] @ y)
     error = float(np.linalg.norm(y - X @ z) / np.sqrt(max(len(y) - kept.sum(), 1)))
-    half = rows[-1] @ z
-    slope = float(half @ forces[-1] / (half @ half)) - 1
-    bent = slope if abs(slope) > TIMES * error / float(np.linalg.norm(half)) else 0.0
-    numbers = np.column_stack([known + free @ z, free @ way * error, bent * (free @ z)])
+    half = short @ z
+    slope = float(half @ less / (half @ half)) - 1
+    bent = slope * z if abs(slope) > TIMES * error / float(np.linalg.norm(half)) else 0 * z
+    if noise.rough:  # each number has a slope of its own
+        bent = np.linalg.lstsq(short, less, NONE)[0] - z
+    numbers = np.column_stack([known + free @ z, free @ way * error, free @ bent])
     pair, share = orbits.placed(made)
     values = (orbits.basis @ numbers).T.reshape(numbers.shape[1], -1, 3, 3)[:, pair] * share
     edge = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)

@@ -25,7 +25,7 @@ from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.linalg import sqrtm
 
 from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.micromodulus.force_constants import ForceConstants, Polar, from_supercell
 from warp_peri.structures.calculators import LammpsError
 from warp_peri.structures.noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
@@ -588,6 +588,9 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
         for part in (small, large)
     )
+    _check_sites(cell)  # phonopy passes over some lengths of SIESTA
+    if small.magnetic_moments is not None:  # sites that they tell apart are no images
+        cell.set_initial_magnetic_moments(small.magnetic_moments)
     displaced = np.asarray(small.p2s_map)
     phi = units.force_to_eVperA / x * np.asarray(found.force_constants)
     phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
@@ -614,12 +617,8 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
 
 def _phonopy() -> tuple[Any, Any]:
     """The package and its readers; InputError where it is not installed."""
-    try:
-        import phonopy
-        from phonopy.interface import calculator
-    except ImportError:
-        raise InputError("phonopy: pip install 'warp_peri[phonons]'") from None
-    return phonopy, calculator
+    without = "phonopy: pip install 'warp_peri[phonons]'"
+    return optional("phonopy", without), optional("phonopy.interface.calculator", without)
 
 
 def unit_cell(path: Path, code: str) -> ase.Atoms:
@@ -627,17 +626,14 @@ def unit_cell(path: Path, code: str) -> ase.Atoms:
     _, calculator = _phonopy()
     cell: Any = calculator.read_crystal_structure(path, code)[0]
     x = vars(calculator)["get_calculator_physical_units"](code).distance_to_A
-    return ase.Atoms(cell.numbers, positions=x * cell.positions, cell=x * cell.cell, pbc=True)
-
-
-def _code(file: Path) -> str | None:
-    """Phonopy's name of the code whose unit cell a file has by its name; None of phonopy's own."""
-    return next((code for name, code in CELLS.items() if fnmatch(file.name, name)), None)
+    moments = cell.magnetic_moments
+    edges, places = x * cell.cell, x * cell.positions
+    return ase.Atoms(cell.numbers, positions=places, cell=edges, pbc=True, magmoms=moments)
 
 
 def _opened(file: Path, read: Callable[[Path, str], tuple[Any, Any]]) -> dict[str, Any]:
     """What phonopy is told to read a crystal: a file of its own, or a unit cell and a supercell."""
-    code = _code(file)
+    code = next((code for name, code in CELLS.items() if fnmatch(file.name, name)), None)
     if code is None:
         return {"phonopy_yaml": file}
     cell: Any = read(file, code)[0]

@@ -281,12 +281,13 @@ class StaticProblem:
         self._laplace = splu(self._laplacian.tocsc())
         self.softest = float(self._laplacian.diagonal()[0])
         if len(op.interior) > 1:
+            inverse = LinearOperator(self._laplace.shape, self._laplace.solve, dtype=float)
             self.softest = float(
                 eigsh(
                     self._laplacian,
                     1,
                     sigma=0,
-                    OPinv=_inverse(self._laplace),
+                    OPinv=inverse,
                     v0=lanczos_start(len(op.interior)),
                     return_eigenvectors=False,
                     tol=1e-4,
@@ -623,7 +624,3 @@ class StaticProblem:
             tol=1e-2, maxiter=2000,
         )  # fmt: skip
         return float(values[0]) * self.softest
-
-
-def _inverse(factor: Any) -> LinearOperator:
-    return LinearOperator(factor.shape, factor.solve, dtype=float)

@@ -235,7 +235,7 @@ def home_of(model: Model, spacing: float) -> Home:
             "model: expected one that is certified on a lattice, which others are fitted to; "
             "this one is certified on none"
         )
-    nearest = _nearest(model, spacing)
+    nearest = min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
     figures = model.certificate.get(f"{nearest:g}", {})
     usual = ZETA * model.mu
     proven = figures.get("symbol_bound", 0.0) if isinstance(figures, dict) else 0.0
@@ -243,11 +243,6 @@ def home_of(model: Model, spacing: float) -> Home:
     if largest is None:  # an older file does not tell
         largest = SHARE * np.pi / min(model.certified_on)
     return Home(model, nearest, largest, min(usual, proven) or max(usual, proven))
-
-
-def _nearest(model: Model, spacing: float) -> float:
-    """The certified lattice that is nearest in size."""
-    return min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
 
 
 def _asked(home: Home, spacing: float, shortest_wave: float) -> float:

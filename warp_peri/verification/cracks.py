@@ -371,13 +371,11 @@ def penny_field(x: np.ndarray, a: float, E: float, nu: float) -> np.ndarray:
 def griffith(name: str, s: UnitScale, *, calibrated: bool = False) -> Outcome:
     """Load at which a crack runs by its most stretched bond, over Griffith's.
 
-    Calibrated: the stretch is that of the crack in an endless sheet (C7), and a crack that comes in
-    from the edge of a strip between grips is held against it.
+    The crack comes in from the edge of a strip between grips. Calibrated, its critical stretch is
+    that of a crack in an endless sheet (C7); else that of a straight cut (C6).
     """
     law, h = material(name, plane(1000.0, NU[name]).tensor, 1.0, s), s.length
-    ratio = apparent_toughness(law, h)
-    if not calibrated:
-        return Outcome(float(np.sqrt(ratio)))
+    ratio = apparent_toughness(law, h) if calibrated else 1.0
     x, classes = h * rectangle(2.0 * LONG, 2.0 * LONG + 6, 1.0), bond_classes(h, 3 * h)
     points = Points(x, np.abs(x[:, 1]) < LONG * h, h, units=s.units)
     problem = Cracked(points, u=x * (0.0, 1.0), cracks=[[(-h - LONG * h, 0.0), (0.0, 0.0)]])

@@ -243,21 +243,31 @@ def by_atoms(seed: int, model: Path | None = None) -> list[Line]:
     return lines
 
 
-def table(lines: Sequence[Line]) -> str:
-    """Rows as Markdown, with their sources and notes, and why one does not hold beside it."""
+def numbered(lines: Sequence[Line]) -> dict[str, int]:
+    """Sources of rows, each with its number."""
+    return {source: n for n, source in enumerate(dict.fromkeys(o["source"] for o in lines), 1)}
+
+
+def table(lines: Sequence[Line], sources: dict[str, int] | None = None) -> str:
+    """Rows as Markdown, and why one does not hold beside it; with notes and sources where no
+    numbers of sources are given."""
     names = "problem", "material", "reference", "answer", "error", "allowed", "order", "s", "holds"
-    words, sources = [f"| {' | '.join((*names, 'why'))} |", "|" + "---|" * 10], dict[str, int]()
-    for line in (line for line in lines if line["holds"] is not None):
-        number = sources.setdefault(line["source"], len(sources) + 1)
+    words = [f"| {' | '.join((*names, 'why'))} |", "|" + "---|" * 10]
+    posed = [line for line in lines if line["holds"] is not None]
+    numbers = sources or numbered(posed)
+    for line in posed:
         answer = "–" if line["answer"] is None else f"{line['answer']:.5g}"
         order = "" if line["order"] is None else f"{line['order']:.1f}"
         order += "" if line["least"] is None else f" (≥ {line['least']:g})"
-        cells = [line["problem"], line["material"], f"{line['reference']:.5g} [{number}]", answer]
-        cells += [_percent(line, "error"), _percent(line, "allowed"), order]
+        told = f"{line['reference']:.5g} [{numbers[line['source']]}]"
+        cells = [line["problem"], line["material"], told, answer]
+        cells += [_percent(line, name, " %") for name in ("error", "allowed")]
         holds = ("yes", "") if line["holds"] else ("**does not hold**", line["note"])
-        cells += [f"{line['seconds']:.1f}", *holds]
+        cells += [order, f"{line['seconds']:.1f}", *holds]
         words.append(f"| {' | '.join(cells)} |")
-    words += ["", "References:", ""] + [f"{n}. {source}." for source, n in sources.items()]
+    if sources is not None:
+        return "\n".join(words)
+    words += ["", "References:", "", listed(numbers)]
     by_note = dict[str, list[str]]()
     for line in (line for line in lines if line["note"] and line["holds"] is not False):
         by_note.setdefault(line["note"], []).append(line["name"])
@@ -265,24 +275,27 @@ def table(lines: Sequence[Line]) -> str:
     return "\n".join(words + (["", "Notes:", "", *notes] if notes else []))
 
 
+def listed(sources: dict[str, int]) -> str:
+    """Sources as a list in Markdown."""
+    return "\n".join(f"{n}. {source}." for source, n in sources.items())
+
+
 def by_material(lines: Sequence[Line]) -> str:
-    """Materials × problems as Markdown: error, or a dash where it does not apply."""
-    names = list(dict.fromkeys(line["material"] for line in lines))
-    words = [f"| | {' | '.join(names)} |", "|" + "---|" * (len(names) + 1)]
+    """Materials × problems as Markdown: error in %, or a dash where it does not apply."""
+    names, numbers = list(dict.fromkeys(line["material"] for line in lines)), numbered(lines)
+    words = [f"| |{'|'.join(names)}|", "|" + "---|" * (len(names) + 1)]
     for problem in dict.fromkeys(line["problem"] for line in lines):
         cells = dict.fromkeys(names, "")
         for line in (line for line in lines if line["problem"] == problem):
-            shown = _percent(line, "error")
+            shown, head = _percent(line, "error"), f"{problem} [{numbers[line['source']]}]"
             cells[line["material"]] = {None: "–", True: shown}.get(line["holds"], f"**{shown}**")
-        words.append(f"| {problem} | {' | '.join(cells.values())} |")
+        words.append(f"|{head}|{'|'.join(cells.values())}|")
     return "\n".join(words)
 
 
-def _percent(line: Line, name: str) -> str:
-    """A relative error in %; one of rounding as it is."""
-    if line[name] is None:
-        return "refused"
-    return f"{line[name]:.0e}" if line["allowed"] < SAME else f"{100 * line[name]:.2g} %"
+def _percent(line: Line, name: str, unit: str = "") -> str:
+    """A relative error in %."""
+    return "refused" if line[name] is None else f"{100 * line[name]:.2g}{unit}"
 
 
 def page(lines: Sequence[Line], data: str = "verification.csv") -> str:
@@ -294,8 +307,10 @@ def page(lines: Sequence[Line], data: str = "verification.csv") -> str:
     """
     posed = [line for line in lines if line["holds"] is not None]
     held = f"{sum(line['holds'] for line in posed)} of {len(posed)} rows hold"
-    missed = table([line for line in posed if not line["holds"]])
+    numbers = numbered(lines)
+    missed = table([line for line in posed if not line["holds"]], numbers)
     told = {"held": held, "data": data, "materials": by_material(lines), "rows": missed}
+    told["references"] = listed(numbers)
     return Path(__file__).with_name("rows.md").read_text("utf-8").format(**told)
 
 
