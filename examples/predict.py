@@ -343,9 +343,8 @@ def draw(path: Path, rows: list[dict[str, Any]], answer: Answer) -> None:
     for name, mark in (("0.01", "o"), ("best", ".")):
         pairs = np.array([[row[name]["true"], row[name]["error"]] for row in rows])
         left.loglog(*100 * pairs.T, mark, ms=4, alpha=0.6, label={"best": "best"}.get(name, "1 %"))
-    ends = np.array([0.03, 30])
-    left.loglog(ends, ends, "k-", lw=0.8)
-    note(left, "both alike", (3, 3), (4, -8))
+    left.axline((0.1, 0.1), (1, 1), color="k", lw=0.8)
+    note(left, "both alike", (0.2, 0.2), (4, -8))
     left.set(
         xlabel="true error [%]", ylabel="likely error [%]", title="Unseen problems, each a dot"
     )

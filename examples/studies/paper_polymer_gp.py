@@ -460,8 +460,9 @@ def force_rows(costs: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
 
 def cost_rows(costs: Mapping[str, Mapping[str, Any]]) -> list[list[str]]:
     """Seconds to learn and to run, and error of v."""
+    numbers = {"learned": ".1f", "seconds": ".1f", "error": ".2g"}
     return [
-        [name, f"{run['learned']:.1f}", f"{run['seconds']:.1f}", f"{run['error']:.2g}"]
+        [name.replace("law", "model"), *(f"{run[key]:{form}}" for key, form in numbers.items())]
         for name, run in costs.items()
     ]
 
