@@ -14,7 +14,6 @@ HORIZON = 2.5
 
 @pytest.mark.parametrize("axis", [None, 17.0])
 def test_fields_of_local_elasticity_are_fitted_by_displacement(axis):
-    """Sums of waves 3 to 20 spacings long; what is isotropic asks for no axis."""
     random, C = np.random.default_rng(0), from_voigt(plane_isotropic(LAM, MU))
     points = lattice(10, HORIZON)
     u, b = np.zeros((2, 10, *points.x.shape))
