@@ -346,7 +346,9 @@ def draw(path: Path, rows: list[dict[str, Any]], answer: Answer) -> None:
     ends = np.array([0.03, 30])
     left.loglog(ends, ends, "k-", lw=0.8)
     note(left, "both alike", (3, 3), (4, -8))
-    left.set(xlabel="true error [%]", ylabel="likely error [%]", title="Unseen problems, each a dot")
+    left.set(
+        xlabel="true error [%]", ylabel="likely error [%]", title="Unseen problems, each a dot"
+    )
     left.set_aspect("equal", "datalim")
     left.legend(title="tolerance", frameon=False)
     answer.plot(ax=right)

@@ -57,7 +57,7 @@ def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
         shown = (
             ("coupled, 10⁴ dumbbells", coupled, "stress", "C7"),
             ("learned, kinematics known", run, "stress", "C1"),
-            ("exact law", run, "exact", "k:"),
+            ("exact model", run, "exact", "k:"),
         )
         for label, one, key, style in shown:
             drawn = ax.plot(one["t"], np.array(one[key]), style, linewidth=1)
@@ -65,7 +65,7 @@ def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
         ax.set(title=f"Deborah number {De:g}", xlabel="time t / t₀")
         ax.set_ylabel("shear stress at five heights")
     figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
-    headline(figure, "The learned fluid's stress follows the exact law at every height")
+    headline(figure, "The learned fluid's stress follows the exact model at every height")
     save_figure(figure, path)
 
 
@@ -124,13 +124,13 @@ def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> Non
     """Figure 7."""
     figure, ax = panels(8, 3.8)
     for color, (De, found) in enumerate(channels.items()):
-        ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}, exact law")
+        ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}, exact model")
         open_marks = {"markersize": 4, "fillstyle": "none", "label": "learned"}
         ax.plot(found["t"], found["centre"]["learned"], f"C{color}o", **open_marks)
     ax.plot(found["t"], found["newton"], "k--", label="Newtonian")
     ax.set(xlabel="time t / t₀", ylabel="velocity in the middle u / U")
     ax.legend(frameon=False, fontsize=9, ncols=2)
-    ax.set_title("The learned fluid follows the exact law at each Deborah number")
+    ax.set_title("The learned fluid follows the exact model at each Deborah number")
     save_figure(figure, path)
 
 
@@ -141,7 +141,8 @@ def draw_forces(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
     shown = ("exact law", *learned, "coupled, 100000 dumbbells")
     for i, (ax, height) in enumerate(zip(axes, HEIGHTS)):
         for name, style in zip(shown, ("k-", "C0--", "C1:", "C2-.")):
-            ax.plot(costs[name]["t"], np.array(costs[name]["force"])[:, i], style, label=name)
+            ax.plot(costs[name]["t"], np.array(costs[name]["force"])[:, i], style)
+            ax.lines[-1].set_label(name.replace("law", "model"))
         ax.set(title=f"height {height:g} of the channel", xlabel="time t / t₀")
     figure.axes[0].set_ylabel("force ∂σ_xy/∂y")
     figure.axes[0].legend(frameon=False, fontsize=9)
@@ -158,8 +159,8 @@ def draw_costs(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
             if run["learned"]:
                 whole = run["seconds"] + run["learned"]
                 ax.plot(whole, run["error"], f"C{color}o", fillstyle="none")
-    ax.axvline(costs["exact law"]["seconds"], color="k", linestyle=":", label="exact law")
+    ax.axvline(costs["exact law"]["seconds"], color="k", linestyle=":", label="exact model")
     ax.set(xlabel="processor seconds (open: with learning)", ylabel="error of velocity [%]")
     ax.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
-    headline(figure, "A law from 10⁵ dumbbells runs in a second, as many coupled in minutes")
+    headline(figure, "A model from 10⁵ dumbbells runs in a second, as many coupled in minutes")
     save_figure(figure, path)

@@ -14,7 +14,7 @@ from ase.neighborlist import neighbor_list
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
 from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures import learn, noise, phonons
+from warp_peri.structures import learn, phonons
 from warp_peri.structures.calculators import lammps_calculator
 from warp_peri.structures.noise import (
     BENDING,
@@ -245,6 +245,13 @@ def test_the_widest_supercell_that_memory_holds_is_taken_and_told(monkeypatch):
     assert told["force constants"] == "5 x 5 x 5 cells, 125 atoms"
 
 
+def test_what_is_rough_is_no_noise_of_forces_far_away():
+    rest = at_rest(ase.build.bulk("Cu"), EMT())
+    noise = replace(measured(rest.cell, EMT(), False), force=1e-6, rough=1.0)
+    found = phonons._wide_enough(replace(rest, noise=noise), EMT(), (4.0, 6.0, 8.0))
+    assert found == (3, 3, 3)  # of two cells atoms at half the width are still pulled
+
+
 @pytest.mark.slow
 def test_the_study_counts_laws_errors_and_bands():
     found = study(["Si"], [1e-4], 1)
@@ -317,7 +324,7 @@ def test_phonons_of_a_rough_surface_on_half_the_displacement_lie_within_their_er
     cell, seen = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST), []
     told = measured(cell, Dimpled(), False)
     for most in (0.03, 0.015):
-        monkeypatch.setattr(noise, "MOST", most)
+        monkeypatch.setattr("warp_peri.structures.noise.MOST", most)
         how = {"thickness": None, "polar": None, "stress": None}
         atoms, _ = rattled(cell, cell.repeat(4), Dimpled(), told, **how)
         seen.append(at_zone_edge(atoms))

@@ -233,6 +233,8 @@ WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
 """Of supercells [Å], tried in turn."""
 REACHED = 1e-5
 """Force at half the width of a supercell, over the largest, that is none."""
+ENDED = 0.05
+"""The same of a surface that is rough, whose forces far away are no noise."""
 MOST_ATOMS, NOISY_ATOMS = 6000, 700
 """In a supercell; where forces are noisy strains tell moduli better than what is further away."""
 FILLED = 0.75
@@ -391,8 +393,8 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
             outside = far > 0.45 * (counts * heights)[:d].min()
             rim = max(rim, float(change[outside].max(initial=0.0) / change.max()))
             if noise is not None:
-                least = max(noise.force, noise.rough)
-                reached = max(reached, TIMES**2 * least / float(change.max()))
+                least = TIMES**2 * noise.force / float(change.max())
+                reached = max(reached, least, ENDED if noise.rough else 0.0)
         if rim <= reached:
             return repeats
     warnings.warn(
