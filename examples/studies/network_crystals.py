@@ -51,6 +51,11 @@ QUIET = 0.01
 """Forces [eV/Å] that the other tools relax to; matcalc's default is 0.1, without relaxed ions."""
 
 
+def kind_of(name: str) -> str:
+    """Symmetry of a crystal, as matscipy calls it."""
+    return SYMMETRY.get(CRYSTALS[name][0], "cubic")
+
+
 def structure(name: str) -> Any:
     """A crystal's cell in the axes of its conventional one."""
     kind, *edges = CRYSTALS[name]
@@ -89,8 +94,7 @@ def by_matscipy(name: str, calculator: Any) -> dict[str, Any]:
     moving: Any = FrechetCellFilter(cell)
     BFGS(moving, logfile=None).run(fmax=QUIET / 10, steps=200)
     how: dict[str, Any] = {"verbose": False, "graphics": False, "logfile": None, "fmax": QUIET}
-    kind = SYMMETRY.get(CRYSTALS[name][0], "cubic")
-    C, _ = tool.fit_elastic_constants(cell, kind, 5, 0.005, BFGS, **how)
+    C, _ = tool.fit_elastic_constants(cell, kind_of(name), 5, 0.005, BFGS, **how)
     return {"C": np.array(C) / GPa}
 
 

@@ -46,10 +46,14 @@ def held(measured, told):
     assert (told <= WITHIN * measured).all(), (measured, told)
 
 
+def page_of(page):
+    """The long page on a paper, with all tables."""
+    return (ROOT / "docs" / "archive" / f"papers_{page}.md").read_text(encoding="utf-8")
+
+
 def rows(page, section, start):
     """Numbers of every row of a section that starts so."""
-    text = (ROOT / "docs" / "archive" / f"papers_{page}.md").read_text(encoding="utf-8")
-    return numbers_of(text, section, start)
+    return numbers_of(page_of(page), section, start)
 
 
 def percent(table, *keys):

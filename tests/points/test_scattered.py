@@ -137,15 +137,10 @@ def test_sparse_solvability_is_the_dense_one(monkeypatch):
 GOOD = cloud(4, 3.0)
 
 
-def with_points(*extra):
-    return Points(
-        np.concatenate([GOOD.x, extra]), np.append(GOOD.interior, [False] * len(extra)), 0.0
-    )
-
-
+FAR = Points(np.vstack([GOOD.x, [400.0, 0.0]]), np.append(GOOD.interior, False), 0.0)
 NUMBER = len(GOOD.x)
 BAD = {
-    "an isolated point": (with_points((400.0, 0.0)), 3.0, f"isolated.*: {NUMBER}"),
+    "an isolated point": (FAR, 3.0, f"isolated.*: {NUMBER}"),
     "a horizon below the spacing": (GOOD, 0.1, "horizon: expected at least the spacing"),
     "no horizon": (GOOD, 0.0, "horizon: expected a length > 0"),
     "a horizon that is no number": (GOOD, np.nan, "horizon: expected a length > 0"),

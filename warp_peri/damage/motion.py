@@ -62,7 +62,7 @@ class BreakingState:
 
     def copy(self) -> BreakingState:
         """The same state in memory of its own."""
-        kinds = {wp.array: wp.clone, np.ndarray: np.copy}
+        kinds: dict[type, Any] = {wp.array: wp.clone, np.ndarray: np.copy}
         parts = [(name, one, kinds.get(type(one))) for name, one in vars(self).items()]
         return replace(self, **{name: clone(one) for name, one, clone in parts if clone})
 

@@ -156,8 +156,8 @@ def _linear(
 ) -> Fit:
     """The linear solid; arguments as for `fit`, sets and fields of noise as lists."""
     shapes = check_choices(kernel, method, conditions)
-    steps = not isinstance(method, TwoStage)
-    given = sets, horizon, conditions, quiet, None if steps else method.lattice_spacing
+    carrier = method.lattice_spacing if isinstance(method, TwoStage) else None
+    given, steps = (sets, horizon, conditions, quiet, carrier), not isinstance(method, TwoStage)
     data, scale = scaled_data(*given, normalise=normalise, lengths=not shapes, steps=steps)
     method = scale.method(method)
     bernstein = kernel if isinstance(kernel, Bernstein) else None
