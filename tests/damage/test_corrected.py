@@ -153,6 +153,14 @@ def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatc
         np.testing.assert_allclose(one, known, atol=1e-13 * np.abs(known).max())
 
 
+def test_few_bonds_are_no_measure_of_a_gradient_in_motion():
+    body, model = plate(16, 14), solid().model
+    tables = [random_breaking(body, np.random.default_rng(seed), 0.8) for seed in range(4)]
+    L = [matrix(model, body, table).toarray() for table in tables]
+    stiffest = max(np.linalg.eigvalsh(one)[-1] for one in L)
+    assert 15 < stiffest / largest_stiffness(model, body.classes) < 17
+
+
 def pulled_plate(path=None, steps=400, finer=1):
     """A corrected plate, cracked from its edge, that is pulled until the crack runs through."""
     x, brittle = rectangle(30, 20, 1.0), solid(1.0)

@@ -167,7 +167,7 @@ def cut_elements(
     return gram
 
 
-MOST_DIRECT = 1500
+MOST_DIRECT = 300
 """Nodes in space beyond which conjugate gradients are taken for a factorisation."""
 BALANCED, MET = 1e-4, 1e-6
 """Relative, of the resultant of a free body's load, which is taken off, and of a residual."""
