@@ -218,12 +218,12 @@ def of_sheets() -> dict[str, dict[str, float]]:
     cell = graphene(a=float(np.sqrt(3) * bond), vacuum=10)
     cell.pbc = True
     calculator = named_calculator("lammps:pair_style tersoff", cell.symbols, "SiC_1989.tersoff")
-    energies = [
+    first, second = (
         cleavage_energy(cell, calculator, plane, thickness=THICKNESS)
         for plane in ((1, 0, 0), (1, 1, 0))
-    ]
+    )
     found, fitted = {}, 1.0
-    for along, own, other in (("zigzag", *energies), ("armchair", *energies[::-1])):
+    for along, own, other in (("zigzag", first, second), ("armchair", second, first)):
         angles = np.pi / 6 * np.arange(6)
         normals = np.round(np.column_stack([np.sin(angles), np.cos(angles)]), 9) + 0.0
         known = {tuple(n): (own, other)[k % 2] for k, n in enumerate(normals.tolist())}

@@ -235,9 +235,12 @@ def test_the_widest_supercell_that_memory_holds_is_taken_and_told(monkeypatch):
     assert peak == 0 or phonons._kilobytes("self/status", "VmHWM") < peak - 2e5
     assert told["force constants"] == "5 x 5 x 5 cells, 125 atoms"
     monkeypatch.setattr(Full, "most", 100)
+    with pytest.warns(UserWarning, match="4 x 4 x 4 cells, narrower than 10 Å; 125 atoms need"):
+        phonons.force_constants(reference, Full())
+    monkeypatch.setattr(Full, "most", 10)
     with pytest.raises(RuntimeError, match="allocate memory"):  # none that holds the crystal
         phonons.force_constants(reference, Full())
-    peak = iter(1e6 * np.arange(1, 9))
+    peak = iter(1e6 * np.array([1, 1, 1.1, 1.2, 1.6]))
     figures = {"VmHWM": lambda: next(peak), "VmRSS": lambda: 2e6, "MemAvailable": lambda: 1e6}
     monkeypatch.setattr(phonons, "_kilobytes", lambda _, name: figures[name]())
     with pytest.warns(UserWarning, match="343 atoms would need more memory than there is"):

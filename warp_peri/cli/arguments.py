@@ -222,7 +222,7 @@ input
   model MODEL.json?  learned model of graphene for --atoms (default: that of `make graphene`)
   --atoms  solve fresh loads by LAMMPS instead, next to local elasticity; needs a checkout
   --seed N =0  seed of the fresh loads
-  --only NAME+ =[]  problems whose name has one of these words; all without it
+  --only NAME+ =[]  words of problems' names, or statics, cracks, motion; all without it
   --scale  solve in mm and Å too, with moduli times 1e6 and 1e-6
   --processes N =2  number of processes
 output

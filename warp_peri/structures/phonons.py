@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
 import itertools
 import re
 import warnings
@@ -231,6 +233,8 @@ def smoothing(
 
 WIDTHS = (10.0, 14.0, 18.0, 22.0, 26.0, 32.0, 40.0)
 """Of supercells [Å], tried in turn."""
+NARROW = (5.0, 7.0)
+"""Of those before, which tell what memory the first takes, and stand in for it."""
 REACHED = 1e-5
 """Force at half the width of a supercell, over the largest, that is none."""
 ENDED = 0.05
@@ -354,17 +358,21 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
     edges, noise = np.array(cell.cell), reference.noise
     step = STEP if noise is None else noise.length
     heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
-    rim, most = 0.0, MOST_ATOMS if noise is None else NOISY_ATOMS
+    rim, most = np.nan, MOST_ATOMS if noise is None else NOISY_ATOMS
     repeats: tuple[int, ...] = (1, 1, 1)
-    with suppress(OSError):  # the peak of what was computed before says nothing of this crystal
+    gc.collect()
+    with suppress(OSError, AttributeError):  # what was computed before is no part of this peak
+        ctypes.CDLL(None).malloc_trim(0)
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     fullest, ended = _kilobytes("self/status", "VmHWM"), ""
-    for width in widths:
+    for width in (*NARROW, *widths):
         counts = np.ceil(width / heights).astype(int)
         counts[d:] = 1
-        if repeats != (1, 1, 1) and np.prod(counts) * len(cell) > most:
+        if rim >= 0 and np.prod(counts) * len(cell) > most:
             break
         wider = tuple(counts.tolist())
+        if width < widths[0] and (wider == repeats or len(widths) == 1):
+            continue
         if len(widths) == 1:
             return wider
         many = cell.repeat(wider)
@@ -381,7 +389,10 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
                 raise
             ended = f"; {len(many)} atoms need more memory than there is"
             break
-        repeats, rim, reached = wider, 0.0, REACHED
+        repeats = wider
+        if width < widths[0]:
+            continue
+        rim, reached = 0.0, REACHED
         part = (x - x[0]) @ np.linalg.inv(np.array(many.cell))
         far = np.linalg.norm((part - np.rint(part)) @ np.array(many.cell), axis=1)
         for axis in range(d):
@@ -397,11 +408,11 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
                 reached = max(reached, least, ENDED if noise.rough else 0.0)
         if rim <= reached:
             return repeats
-    warnings.warn(
-        f"supercell: at half the width of {' x '.join(map(str, repeats[:d]))} cells forces still "
-        f"are {rim:.1e} of the largest{ended or '; supercell=… takes a wider one'}",
-        stacklevel=4,
-    )
+    cells = f"{' x '.join(map(str, repeats[:d]))} cells"
+    left = f"at half the width of {cells} forces still are {rim:.1e} of the largest"
+    left = left if rim >= 0 else f"{cells}, narrower than {widths[0]:g} Å"
+    told = f"supercell: {left}{ended or '; supercell=… takes a wider one'}"
+    warnings.warn(told, stacklevel=4)
     return repeats
 
 

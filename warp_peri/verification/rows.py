@@ -65,6 +65,11 @@ class Row:
         """Of problem and material."""
         return f"{self.problem}: {self.material}"
 
+    @property
+    def words(self) -> str:
+        """It is chosen by: its name, and statics, cracks or motion."""
+        return f"{self.run.func.__module__.split('.')[-1]} {self.name}".lower()  # type: ignore[attr-defined]
+
 
 POSED = vars(statics) | vars(cracks) | vars(motion)
 """Functions that pose problems, by name."""
@@ -92,16 +97,16 @@ ROWS = _read()
 
 
 def chosen(only: Sequence[str] = ()) -> list[Row]:
-    """Rows whose names hold one of some words; all without any.
+    """Rows whose names hold one of some words, or of statics, cracks, motion; all without any.
 
     Raises InputError for a word that no name holds, or an empty one.
     """
     for word in only:
-        if not word.strip() or not any(word.lower() in one.name.lower() for one in ROWS):
+        if not word.strip() or not any(word.lower() in one.words for one in ROWS):
             known = ", ".join(dict.fromkeys(one.problem for one in ROWS))
             raise InputError(f"only: expected a part of a row's name, got {word!r}; {known}")
     wanted = [word.lower() for word in only]
-    return [one for one in ROWS if not only or any(word in one.name.lower() for word in wanted)]
+    return [one for one in ROWS if not only or any(word in one.words for word in wanted)]
 
 
 def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line:
