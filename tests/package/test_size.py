@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 55_149,
+    "lines of warp_peri": 55_169,
     "files of warp_peri": 200,
     "lines of kernels": 5_725,
     "lines of examples and tools": 31_388,
-    "lines of tests": 36_597,
+    "lines of tests": 36_604,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,

@@ -38,7 +38,7 @@ from typing import (
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import plain, write_json
+from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.points.arrays import LARGEST, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
 from warp_peri.shown import Shown
@@ -483,12 +483,12 @@ def read_json(path: str | os.PathLike[str]) -> Any:
             raw = file.read(LARGEST_FILE + 1)
         if len(raw) > LARGEST_FILE:
             raise InputError(f"{path}: expected a file of at most {LARGEST_FILE} bytes")
-        return json.loads(raw.decode("utf-8"))
+        return parsed(raw)
     except FileNotFoundError:
         raise InputError(f"{path}: no such file") from None
     except InputError:
         raise
-    except (OSError, ValueError, RecursionError) as error:
+    except (OSError, ValueError) as error:
         raise InputError(f"{path}: not a readable JSON file ({error})") from None
 
 

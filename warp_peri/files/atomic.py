@@ -22,6 +22,8 @@ from warp_peri.errors import InputError
 
 MOST = 2**33
 """Bytes of one archive that are read at most."""
+DEEPEST, BLOCK = 100, 2**20
+"""Brackets of a text of JSON inside one another, at most, and bytes that are looked at together."""
 
 T = TypeVar("T")
 
@@ -225,6 +227,26 @@ def finite(value: Any) -> Any:
     if isinstance(value, list):
         return [finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def parsed(text: str | bytes) -> Any:
+    """What JSON says.
+
+    Raises ValueError for other text, and for brackets deeper than DEEPEST: they end the process
+    where a package has raised Python's limit of recursion.
+    """
+    if not isinstance(text, str | bytes):
+        raise ValueError(f"expected text, got {type(text).__name__}")
+    raw = text.encode() if isinstance(text, str) else text
+    marks, level = np.frombuffer(raw, np.uint8), 0
+    for first in range(0, len(marks), BLOCK):
+        some = marks[first : first + BLOCK]
+        opened, closed = (np.isin(some, list(kind)).astype(np.int64) for kind in (b"[{", b"]}"))
+        levels = level + np.cumsum(opened - closed)
+        if levels.max() > DEEPEST:
+            raise ValueError(f"more than {DEEPEST} brackets inside one another")
+        level = int(levels[-1])
+    return json.loads(raw.decode("utf-8"))
 
 
 def write_json(path: str | os.PathLike[str], content: dict[str, Any]) -> None:

@@ -23,7 +23,7 @@ import h5py
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import PART, destination, whole_file
+from warp_peri.files.atomic import PART, destination, parsed, whole_file
 
 Placed = tuple[np.ndarray, np.ndarray | None, int]
 """Rows [n, ...], their rising places in the whole or None for all, and how many it has."""
@@ -176,7 +176,7 @@ class RunFile:
                 for name in names:
                     if nodes.number is None and len(found[name]) != nodes.count:
                         raise ValueError(f"{name} is of another number of nodes")
-                return found, json.loads(found.pop("values").tobytes())
+                return found, parsed(found.pop("values").tobytes())
             except ValueError as error:
                 raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
 import os
 import time
 import warnings
@@ -18,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import locked, write_json
+from warp_peri.files.atomic import locked, parsed, write_json
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
@@ -362,7 +361,7 @@ def _trial(
 def _read(file: Path) -> Trial | None:
     """A finished trial; None when there is none or its files cannot be read."""
     try:
-        trial = Trial(**json.loads(file.read_text(encoding="utf-8")))
+        trial = Trial(**parsed(file.read_bytes()))
         Model.load(file.parent / trial.model)
     except (OSError, ValueError, TypeError):
         return None

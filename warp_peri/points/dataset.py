@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import plain, whole_file
+from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.points.arrays import check_positive, is_name, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
@@ -318,7 +318,7 @@ def _read(file: h5py.File) -> Dataset:
     units = check_units((length, stress))
     thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))
     try:
-        provenance = json.loads(_text(file.attrs.get("provenance", "{}")))
+        provenance = parsed(_text(file.attrs.get("provenance", "{}")))
     except (TypeError, ValueError) as error:
         raise InputError(f"provenance: expected JSON ({error})") from None
     if not isinstance(provenance, dict):

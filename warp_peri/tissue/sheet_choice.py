@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections.abc import Callable
@@ -17,7 +16,7 @@ from scipy.special import ndtri, stdtrit
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import locked, write_json
+from warp_peri.files.atomic import locked, parsed, write_json
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, part, seen_of
@@ -82,7 +81,7 @@ class KeptFits:
 
 def _read(record: Path, model: Path) -> DisplacementFit | None:
     try:
-        content = json.loads(record.read_text(encoding="utf-8"))
+        content = parsed(record.read_bytes())
         thickness = content["thickness"] and Thickness(**content["thickness"])
         read: dict[str, Any] = {
             "errors": np.array(content["errors"], float),
