@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 55_169,
+    "lines of warp_peri": 55_168,
     "files of warp_peri": 200,
     "lines of kernels": 5_725,
     "lines of examples and tools": 31_388,

@@ -80,7 +80,7 @@ class CutSolid(OnPoints):
             raise InputError(f"held: expected shape [{count}] or [{count}, {d}] of bool")
         if not moves:
             check_pieces(body, self.neighbour, held)
-        bonds, uneven = bonds_of(self.model, body.classes), hasattr(material, "moduli")
+        self._bonds, uneven = bonds_of(self.model, body.classes), hasattr(material, "moduli")
         self.one = isinstance(self.model, Model) and not uneven
         if corrected and not (self.one or uneven):
             raise InputError("corrected: expected a linear peridynamic solid, got a crystal")
@@ -89,38 +89,34 @@ class CutSolid(OnPoints):
             moduli = material.moduli(body, weights)
             self.matrix = cut_matrix(body, weights, self.neighbour, *moduli, corrected=corrected)
         self._rows: CutRows | None = None
-        if moves or isinstance(solver, Krylov):
-            self._rows = CutRows(self.model, body, self.neighbour, corrected)
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
-        squares = not uneven and not (bonds.stiffness < 0).any()
-        if moves:
-            if not (squares and (self.held == self.held[:, :1]).all()):
-                raise InputError(
-                    "move: expected one material with a positive influence function, whose nodes "
-                    "are held in all components or in none"
-                )
-            return
+        self.left = np.inf
+        squares = not uneven and not (self._bonds.stiffness < 0).any()
+        if moves and not (squares and (self.held == self.held[:, :1]).all()):
+            raise InputError(
+                "move: expected one material with a positive influence function, whose nodes "
+                "are held in all components or in none"
+            )
         if self.one and not squares:
             check_cut(self.matrix[self.free][:, self.free])
-        if isinstance(solver, Krylov):
-            if not squares or solver.preconditioner:
-                raise InputError(
-                    "solver: expected Krylov() for one material with a positive influence "
-                    f"function, or Direct(), got {solver}"
-                )
+        if isinstance(solver, Krylov) and (not squares or solver.preconditioner):
+            raise InputError(
+                "solver: expected Krylov() for one material with a positive influence "
+                f"function, or Direct(), got {solver}"
+            )
+        if moves or isinstance(solver, Krylov):
+            self._rows = CutRows(self.model, body, self.neighbour, corrected)
             return
         rows = sp.csr_array(self.matrix[self.free])
         self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
         self.factors = self._problem.factors
         if uneven:
             check_mixed(self.factors)
-        self.left = np.inf
 
     @cached_property
     def matrix(self) -> sp.csr_array:
         """L of (C4), symmetric, shape [d N, d N]."""
-        bonds = bonds_of(self.model, self.body.classes)
-        return bond_matrix(self.body, self.neighbour, *bonds, corrected=self.corrected)
+        return bond_matrix(self.body, self.neighbour, *self._bonds, corrected=self.corrected)
 
     def times(self, fields: np.ndarray) -> np.ndarray:
         """L of fields of all nodes, [S, N, d]."""

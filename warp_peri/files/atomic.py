@@ -24,6 +24,9 @@ MOST = 2**33
 """Bytes of one archive that are read at most."""
 DEEPEST, BLOCK = 100, 2**20
 """Brackets of a text of JSON inside one another, at most, and bytes that are looked at together."""
+DEEPER = np.zeros(256, int)
+"""By how much the text after a byte is deeper."""
+DEEPER[[*b"[{"]], DEEPER[[*b"]}"]] = 1, -1
 
 T = TypeVar("T")
 
@@ -240,9 +243,7 @@ def parsed(text: str | bytes) -> Any:
     raw = text.encode() if isinstance(text, str) else text
     marks, level = np.frombuffer(raw, np.uint8), 0
     for first in range(0, len(marks), BLOCK):
-        some = marks[first : first + BLOCK]
-        opened, closed = (np.isin(some, list(kind)).astype(np.int64) for kind in (b"[{", b"]}"))
-        levels = level + np.cumsum(opened - closed)
+        levels = level + np.cumsum(DEEPER[marks[first : first + BLOCK]])
         if levels.max() > DEEPEST:
             raise ValueError(f"more than {DEEPEST} brackets inside one another")
         level = int(levels[-1])

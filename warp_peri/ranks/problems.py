@@ -533,11 +533,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     d = piece.dimension
     excess = bonds_of(model, bond_classes(piece.spacing, model.horizon, dimension=d)).excess
     build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
-    felt = (
-        model.horizon
-        * (1 + HORIZON_TOLERANCE)
-        * (1 if excess == 0 and not problem.corrected else 2)
-    )
+    balls = 1 if excess == 0 and not problem.corrected else 2
+    felt = balls * model.horizon * (1 + HORIZON_TOLERANCE)
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
     given |= {name: how.pop(name, None) for name in ("no_fail", "grip")}

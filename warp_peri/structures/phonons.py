@@ -358,6 +358,14 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
     edges, noise = np.array(cell.cell), reference.noise
     step = STEP if noise is None else noise.length
     heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
+
+    def repeated(width: float) -> np.ndarray:
+        counts: np.ndarray = np.ceil(width / heights).astype(int)
+        counts[d:] = 1
+        return counts
+
+    if len(widths) == 1:
+        return tuple(repeated(*widths).tolist())
     rim, most = np.nan, MOST_ATOMS if noise is None else NOISY_ATOMS
     repeats: tuple[int, ...] = (1, 1, 1)
     gc.collect()
@@ -366,15 +374,12 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
     fullest, ended = _kilobytes("self/status", "VmHWM"), ""
     for width in (*NARROW, *widths):
-        counts = np.ceil(width / heights).astype(int)
-        counts[d:] = 1
+        counts, narrow = repeated(width), width < widths[0]
         if rim >= 0 and np.prod(counts) * len(cell) > most:
             break
         wider = tuple(counts.tolist())
-        if width < widths[0] and (wider == repeats or len(widths) == 1):
+        if narrow and wider == repeats:
             continue
-        if len(widths) == 1:
-            return wider
         many = cell.repeat(wider)
         grown = (_kilobytes("self/status", "VmHWM") - fullest) * np.prod(wider) / np.prod(repeats)
         held = _kilobytes("self/status", "VmRSS") + _kilobytes("meminfo", "MemAvailable")
@@ -390,7 +395,7 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
             ended = f"; {len(many)} atoms need more memory than there is"
             break
         repeats = wider
-        if width < widths[0]:
+        if narrow:
             continue
         rim, reached = 0.0, REACHED
         part = (x - x[0]) @ np.linalg.inv(np.array(many.cell))

@@ -11,7 +11,7 @@ import sys
 import time
 import tomllib
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -53,7 +53,7 @@ class Row:
     material: str
     source: str
     allowed: float
-    run: Callable[[UnitScale], Outcome]
+    run: partial[Outcome]
     reference: float = 0.0
     least: float | None = None
     quick: bool = False
@@ -68,7 +68,7 @@ class Row:
     @property
     def words(self) -> str:
         """It is chosen by: its name, and statics, cracks or motion."""
-        return f"{self.run.func.__module__.split('.')[-1]} {self.name}".lower()  # type: ignore[attr-defined]
+        return f"{self.run.func.__module__.split('.')[-1]} {self.name}".lower()
 
 
 POSED = vars(statics) | vars(cracks) | vars(motion)
@@ -101,11 +101,11 @@ def chosen(only: Sequence[str] = ()) -> list[Row]:
 
     Raises InputError for a word that no name holds, or an empty one.
     """
-    for word in only:
-        if not word.strip() or not any(word.lower() in one.words for one in ROWS):
+    wanted = [word.lower() for word in only]
+    for word, lower in zip(only, wanted):
+        if not word.strip() or not any(lower in one.words for one in ROWS):
             known = ", ".join(dict.fromkeys(one.problem for one in ROWS))
             raise InputError(f"only: expected a part of a row's name, got {word!r}; {known}")
-    wanted = [word.lower() for word in only]
     return [one for one in ROWS if not only or any(word in one.words for word in wanted)]
 
 
