@@ -427,9 +427,8 @@ def rattled(
     bent = slope * z if abs(slope) > TIMES * error / float(np.linalg.norm(half)) else 0 * z
     if noise.rough:  # each number has a slope of its own
         bent = np.linalg.lstsq(short, less, NONE)[0] - z
-        U, sizes, _ = np.linalg.svd(
-            np.hstack([scatter, free.T * (free @ bent)]), full_matrices=False
-        )
+        both = np.hstack([scatter, free.T * (free @ bent)])
+        U, sizes, _ = np.linalg.svd(both, full_matrices=False)
         each = U * sizes
     numbers = np.column_stack([known + free @ z, free @ np.column_stack([scatter, bent, each])])
     pair, share = orbits.placed(made)
@@ -496,9 +495,8 @@ def by_strains(
     S = (pulled @ back.swapaxes(-1, -2))[..., *place].transpose(2, 0, 1, 3)
     means = [np.reshape(one["forces"], (-1, n, 3)).mean(axis=0) for one in told]
     F = np.reshape(means, (*G.shape[:3], n, 3)).transpose(2, 0, 1, 3, 4)
-    even = np.linalg.lstsq(np.column_stack([e**0, e**2]), (S.sum(axis=0) / 2).reshape(len(e), -1))[
-        0
-    ]
+    means = (S.sum(axis=0) / 2).reshape(len(e), -1)
+    even = np.linalg.lstsq(np.column_stack([e**0, e**2]), means)[0]
     slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
     few = [slice(k, k + 1) for k in range(SMALLER)] if rough else [slice(0, 2)]
     short, _, wider = zip(*(_slope((S[0] - S[1])[k] / 2, e[k], rough) for k in few))
@@ -585,8 +583,7 @@ def joined(
     are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
     """
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
-    told = onto @ errors.reshape(len(errors), -1).T
-    own, both = np.split(told, [len(errors) - shared], axis=1)
+    own, both = np.split(onto @ errors.reshape(len(errors), -1).T, [len(errors) - shared], axis=1)
     other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
     off = other - seen
 

@@ -296,25 +296,14 @@ def force_constants(
     taken = {
         "force constants": f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms{ions}"
     }
+    how: Any = {"thickness": reference.thickness, "polar": polar, "stress": reference.stress}
     if reference.noise is not None:
-        found, said = rattled(
-            cell, many, calculator, reference.noise,
-            thickness=reference.thickness, polar=polar, stress=reference.stress,
-        )  # fmt: skip
+        found, said = rattled(cell, many, calculator, reference.noise, **how)
         check_phonons(found)
         return found, taken | said
-    forces, x = forces_of(many, calculator), np.array(many.positions)
-    phi, change = finite_differences(forces, x, range(len(cell)))
-    found = from_supercell(
-        cell,
-        many,
-        phi,
-        range(len(cell)),
-        thickness=reference.thickness,
-        polar=polar,
-        stress=reference.stress,
-        change=change,
-    )
+    forces, every = forces_of(many, calculator), range(len(cell))
+    phi, change = finite_differences(forces, np.array(many.positions), every)
+    found = from_supercell(cell, many, phi, every, **how, change=change)
     check_phonons(found)
     return found, taken
 
