@@ -110,9 +110,8 @@ class Polar:
         pull = (
             np.einsum("gb,nba->gna", K, self.born) * np.exp(1j * G[kept] @ positions.T)[..., None]
         )
-        return np.asarray(
-            np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)[None]
-        )
+        each = np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)
+        return np.asarray(each[None])
 
 
 @dataclass(frozen=True, eq=False)

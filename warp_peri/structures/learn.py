@@ -626,10 +626,8 @@ def _doubts(atoms: ForceConstants) -> dict[str, str]:
         edge = f"{soft:.3f} ± {error:.2g} THz and more; standard errors up to {most:.2g} THz"
         said["phonons at the zone's edge"] = edge
     if atoms.change is not None:
-        change = (
-            f"by {atoms.change:.1e} of the largest from steps of {STEP:g} to {WIDER * STEP:g} Å"
-        )
-        said["force constants change"] = change
+        change = f"by {atoms.change:.1e} of the largest from steps of {STEP:g} to "
+        said["force constants change"] = f"{change}{WIDER * STEP:g} Å"
     return said
 
 

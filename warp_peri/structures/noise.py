@@ -168,12 +168,12 @@ def strained(
 
     All at once where it has `calculate_many(cells, names)`, which gives such a list.
     """
-    cells = [cell.copy() for _ in turns]
+    cells, many = [cell.copy() for _ in turns], getattr(calculator, "calculate_many", None)
     for one, F in zip(cells, turns):
         one.set_cell(np.array(cell.cell) @ F, scale_atoms=True)
-        one.calc = calculator
-    if hasattr(calculator, "calculate_many"):
-        return list(calculator.calculate_many(cells, names))
+        one.calc = None if many else calculator
+    if many:
+        return list(many(cells, names))
     how = {"apply_constraint": False}
     return [{name: getattr(one, f"get_{name}")(**how) for name in names} for one in cells]
 

@@ -570,9 +570,8 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
     try:
         told = _opened(file, calculator.read_crystal_structure)
-        beside = {
-            n: v for n, v in beside.items() if n != "born_filename" or "nac_params" not in told
-        }
+        if "nac_params" in told:
+            beside.pop("born_filename", None)
         found: Any = phonopy.load(**told, **beside, symmetrize_fc=False, log_level=0)
     except Exception as error:  # phonopy raises whatever its parsing runs into
         hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
