@@ -4,6 +4,7 @@ python examples/studies/network_calculators.py Al Si                    laws of 
 python examples/studies/network_calculators.py --tools law matcalc matscipy    all sixty by three
 python examples/studies/network_calculators.py Fe --tools phonons    its softest waves, by phonopy
 python examples/studies/network_calculators.py Al Si --tools lists    small cells, 1 or 16 at a time
+python examples/studies/network_calculators.py K Al --tools law listed    strained cells as a list
 
 The network is CHGNet (pip install chgnet); its weights come with it. Each result is kept in a file
 as it ends, and a second start goes on from there.
@@ -31,6 +32,7 @@ from examples.studies.network_crystals import (
     by_matcalc,
     by_matscipy,
     by_phonopy,
+    listed,
     needed,
     structure,
 )
@@ -60,7 +62,7 @@ def by_law(name: str, calculator: Any) -> dict[str, Any]:
 
 TOOLS: dict[str, Any] = {
     "law": by_law, "matcalc": by_matcalc, "matscipy": by_matscipy, "phonons": by_phonopy,
-    "lists": by_lists,
+    "lists": by_lists, "listed": lambda name, calculator: by_law(name, listed(calculator)),
 }  # fmt: skip
 
 

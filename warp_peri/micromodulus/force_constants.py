@@ -110,9 +110,8 @@ class Polar:
         pull = (
             np.einsum("gb,nba->gna", K, self.born) * np.exp(1j * G[kept] @ positions.T)[..., None]
         )
-        return np.asarray(
-            np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)[None]
-        )
+        each = np.einsum("g,gia,gjb->iajb", factor, pull, pull.conj(), optimize=True)
+        return np.asarray(each[None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +132,8 @@ class ForceConstants:
         edge: share of Σ |Φ| r² that is at half the supercell's width, where none should be.
         change: of Φ between the two steps of finite differences, over the largest, if known.
         doubt: independent standard errors of `values`, shape [Q, P, 3, 3]; None where none is told.
+        spread: the same, if what they change by with the size of displacements is each number's own
+            and not one for all; None where they do not change.
     """
 
     cell: np.ndarray
@@ -148,6 +149,7 @@ class ForceConstants:
     edge: float = 0.0
     change: float | None = None
     doubt: np.ndarray | None = None
+    spread: np.ndarray | None = None
 
     @property
     def dimension(self) -> int:
@@ -215,6 +217,7 @@ class ForceConstants:
     def stiffness_error(self, k: np.ndarray, waves: np.ndarray) -> Any:
         """Errors [eV/Å²] of the stiffness of waves [..., n, m] at k [1/Å]; 0 where none is told."""
         doubt, m, n = self.doubt, waves.shape[-1], len(self.positions)
+        doubt = doubt if self.spread is None else self.spread
         if doubt is None:
             return np.zeros(waves.shape[:-2])
         phase, count = np.exp(1j * (self.vectors[:, : len(k)] @ k)), len(self.pairs)

@@ -329,13 +329,10 @@ class LearnedCrystal(Shown):
     @cached_property
     def unseen(self) -> dict[str, dict[str, float]]:
         """Mean E_u [%] on loads of waves that the law never saw, by law and rival."""
-        found = {}
-        for name, loads in self.loads.items():
-            found[name] = {
-                "law": loads.errors_of(self.law)[1],
-                "local": loads.errors(self.local)[1],
-            }
-        return found
+        return {
+            name: {"law": one.errors_of(self.law)[1], "local": one.errors(self.local)[1]}
+            for name, one in self.loads.items()
+        }
 
     @cached_property
     def loads(self) -> dict[str, Loads]:
@@ -362,20 +359,14 @@ class LearnedCrystal(Shown):
             columns["finite strains"] = self.strained
         group = self.law.symmetry
         shown = [("symmetry", group if isinstance(group, str) else f"{len(group)} rotations")]
-        shown += [
-            (
-                f"moduli, {name}",
-                ", ".join(f"{key} {value:.2f}" for key, value in named_moduli(1e3 * C).items())
-                + " GPa",
-            )
-            for name, C in columns.items()
-        ]
+        for name, C in columns.items():
+            parts = ", ".join(f"{key} {value:.2f}" for key, value in named_moduli(1e3 * C).items())
+            shown.append((f"moduli, {name}", f"{parts} GPa"))
         if self.errors is not None:
             bars = with_errors(self.tensor, self.errors)
             told = ", ".join(f"{name} {bar:.2g}" for name, (_, bar) in bars.items())
-            shown.append(
-                ("standard errors", f"{told} GPa; a sound wave's modulus {self.unsure:.2%}")
-            )
+            told += f" GPa; a sound wave's modulus {self.unsure:.2%}"
+            shown.append(("standard errors", told))
         if held is not None:
             stress = ", ".join(f"{1e3 * held[i, j]:.3g}" for i in range(d) for j in range(i, d))
             shown.append(("stress held", f"{stress} GPa (upper triangle)"))
@@ -418,15 +409,12 @@ class LearnedCrystal(Shown):
         if self.strained is not None:
             C["finite strains"] = self.strained
         proof, told = self.certificate, self.law.certificate
+        bars = {name: bar for name, (_, bar) in with_errors(self.tensor, self.errors).items()}
         return {
             "said": self.said,
             "elastic_tensor_GPa": {key: (1e3 * voigt(v)).tolist() for key, v in C.items()},
             "moduli_GPa": {key: named_moduli(1e3 * v) for key, v in C.items()},
-            "standard_errors_GPa": {
-                name: bar
-                for name, (_, bar) in with_errors(self.tensor, self.errors).items()
-                if self.errors is not None
-            },
+            "standard_errors_GPa": {} if self.errors is None else bars,
             "spacing": self.law.spacing,
             "horizon": self.law.horizon,
             "holds_to": self.holds_to,
@@ -589,10 +577,10 @@ def known_constants(
     new, chi, moved = joined(atoms, allowed, *found, shared=SMALLER * rough)
     check_phonons(new)
     told["moduli, force constants alone"] = alone
-    told["moduli, finite strains alone"] = (
-        f"{_written(*found)}, strains of {largest * PULLED[0]:.2g} to {largest:.2g}"
-    )
-    believed = "they agree" if chi <= APART else "strains are believed: forces leave the supercell"
+    sizes = f"strains of {largest * PULLED[0]:.2g} to {largest:.2g}"
+    told["moduli, finite strains alone"] = f"{_written(*found)}, {sizes}"
+    why = "forces leave the supercell" + " or are not linear" * rough
+    believed = "they agree" if chi <= APART else f"strains are believed: {why}"
     told["both"] = f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}"
     return new, found[0], told | _doubts(new)
 
@@ -635,14 +623,11 @@ def _doubts(atoms: ForceConstants) -> dict[str, str]:
         share = np.linalg.norm(atoms.doubt) / np.linalg.norm(atoms.values)
         said["force constants' error"] = f"{share:.1e} of Φ"
         soft, error, most = at_zone_edge(atoms)
-        said["phonons at the zone's edge"] = (
-            f"{soft:.3f} ± {error:.2g} THz and more; standard errors up to {most:.2g} THz"
-        )
+        edge = f"{soft:.3f} ± {error:.2g} THz and more; standard errors up to {most:.2g} THz"
+        said["phonons at the zone's edge"] = edge
     if atoms.change is not None:
-        steps = f"{STEP:g} to {WIDER * STEP:g} Å"
-        said["force constants change"] = (
-            f"by {atoms.change:.1e} of the largest from steps of {steps}"
-        )
+        change = f"by {atoms.change:.1e} of the largest from steps of {STEP:g} to "
+        said["force constants change"] = f"{change}{WIDER * STEP:g} Å"
     return said
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -48,6 +48,8 @@ AWAY = 30.0
 """Noise over the stiffness, of the distance from sites that it may leave an atom at."""
 ROUGH = 0.05
 """Of the force, that is not linear in displacements of SHAKEN, from which a surface is rough."""
+ROUGHER = 3
+"""How many times smaller displacements are that say what a rough surface's forces change by."""
 BENDING = 0.01
 """Of stress over strain, that changes from STRAIN to LARGEST, from which a surface is rough; more
 than was seen of any potential that is smooth."""
@@ -159,6 +161,23 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     return replace(found, rough=bent)
 
 
+def strained(
+    calculator: Any, cell: ase.Atoms, turns: np.ndarray, names: Sequence[str]
+) -> list[dict[str, Any]]:
+    """What a calculator says of a cell under deformation gradients [K, 3, 3], by ASE's names.
+
+    All at once where it has `calculate_many(cells, names)`, which gives such a list.
+    """
+    cells, many = [cell.copy() for _ in turns], getattr(calculator, "calculate_many", None)
+    for one, F in zip(cells, turns):
+        one.set_cell(np.array(cell.cell) @ F, scale_atoms=True)
+        one.calc = None if many else calculator
+    if many:
+        return list(many(cells, names))
+    how = {"apply_constraint": False}
+    return [{name: getattr(one, f"get_{name}")(**how) for name in names} for one in cells]
+
+
 def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -> float:
     """What stress over strain changes by from STRAIN to LARGEST, over it; 0 within noise [TPa]."""
     rng, slopes = np.random.default_rng(0), []
@@ -168,13 +187,9 @@ def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -
     ways = G + G.swapaxes(1, 2)
     ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
     for size in (STRAIN, LARGEST):
-        ends = []
-        for strain in (*size * ways, *-size * ways):
-            one = cell.copy()
-            one.set_cell(np.array(cell.cell) @ (np.eye(3) + strain), scale_atoms=True)
-            one.calc = calculator
-            ends.append(one.get_stress(apply_constraint=False))
-        slopes.append(np.subtract(*np.split(np.array(ends), 2)) / (2 * size))
+        turns = np.eye(3) + np.concatenate([size * ways, -size * ways])
+        ends = np.array([one["stress"] for one in strained(calculator, cell, turns, ["stress"])])
+        slopes.append(np.subtract(*np.split(ends, 2)) / (2 * size))
     off, error = np.linalg.norm(slopes[1] - slopes[0]), noise / EV_IN_TPA / STRAIN
     share = off / np.linalg.norm(slopes[0])
     return float(share) if off > 2 * TIMES * error * slopes[0].size ** 0.5 else 0.0
@@ -369,7 +384,7 @@ def rattled(
         thickness, polar, stress: as for `from_supercell`.
 
     Returns what was found on the way as well. The rules of physics hold in the fit itself. Beside
-    displacements of one size some of half of it are asked: what forces change by is an error too.
+    displacements of one size some of a smaller one are asked: what forces change by is an error.
     """
     orbits, rng, h = Orbits(cell, many), np.random.default_rng(1), noise.length
     first = orbits.place[:, orbits.number(np.zeros((1, 3), int))[0]].tolist()
@@ -386,7 +401,8 @@ def rattled(
     x, rows, forces = np.array(many.positions), [], []
     moving = many.copy()
     moving.calc = calculator
-    for size in [h] * pairs + [h / 2] * (pairs if noise.rough else 1):
+    small, few = (h / ROUGHER, pairs) if noise.rough else (h / 2, 1)
+    for size in [h] * pairs + [small] * few:
         u = _directions(rng, len(many), size)
         ends = []
         for sign in (1, -1):
@@ -407,17 +423,24 @@ def rattled(
     error = float(np.linalg.norm(y - X @ z) / np.sqrt(max(len(y) - kept.sum(), 1)))
     half = short @ z
     slope = float(half @ less / (half @ half)) - 1
+    scatter, each = way * error, way[:, :0]
     bent = slope * z if abs(slope) > TIMES * error / float(np.linalg.norm(half)) else 0 * z
     if noise.rough:  # each number has a slope of its own
         bent = np.linalg.lstsq(short, less, NONE)[0] - z
-    numbers = np.column_stack([known + free @ z, free @ way * error, free @ bent])
+        both = np.hstack([scatter, free.T * (free @ bent)])
+        U, sizes, _ = np.linalg.svd(both, full_matrices=False)
+        each = U * sizes
+    numbers = np.column_stack([known + free @ z, free @ np.column_stack([scatter, bent, each])])
     pair, share = orbits.placed(made)
     values = (orbits.basis @ numbers).T.reshape(numbers.shape[1], -1, 3, 3)[:, pair] * share
     edge = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
-    found = replace(made, values=values[0], doubt=values[1:], edge=edge)
+    values, doubt, spread = np.split(values, [1, scatter.shape[1] + 2])
+    found = replace(made, values=values[0], doubt=doubt, edge=edge)
+    if noise.rough:
+        found = replace(found, spread=spread)
     said = {
         "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants",
-        "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at half of it forces are "
+        "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at {small:.3g} Å forces are "
         f"{slope:+.1%} of linear ones",
     }
     if noise.rough:
@@ -456,28 +479,24 @@ def by_strains(
     """
     d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
     kinds, e = PAIRS[d], largest * np.array(PULLED)
-    S = np.zeros((2, len(e), len(kinds), len(kinds)))
-    F = np.zeros((2, len(e), len(kinds), n, 3))
-    many = cell.repeat((2, 2, 1 if flat else 2))
-    tall = cell.cell[2, 2] / atoms.thickness if flat else 1.0
-    for row, kind, side in np.ndindex(*S.shape[1:3], 2):
+    G = np.tile(np.eye(3), (len(e), len(kinds), 2, 1, 1))
+    for row, kind, side in np.ndindex(*G.shape[:3]):
         i, j = kinds[kind]
-        G = np.eye(3)
-        G[[i, j], [j, i]] += (1 - 2 * side) * e[row] / (1 if i == j else 2)
-        one = many.copy()
-        one.set_cell(np.array(many.cell) @ G, scale_atoms=True)
-        one.calc = calculator
-        try:
-            sigma = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False)) * tall
-        except NotImplementedError:
-            return None
-        back = np.linalg.inv(G)
-        pulled = np.linalg.det(G) * back @ sigma @ back.T * EV_IN_TPA
-        S[side, row, kind] = [pulled[pair] for pair in kinds]
-        F[side, row, kind] = np.reshape(one.get_forces(apply_constraint=False), (-1, n, 3)).mean(0)
-    even = np.linalg.lstsq(np.column_stack([e**0, e**2]), (S.sum(axis=0) / 2).reshape(len(e), -1))[
-        0
-    ]
+        G[row, kind, side, [i, j], [j, i]] += (1 - 2 * side) * e[row] / (1 if i == j else 2)
+    many = cell.repeat((2, 2, 1 if flat else 2))
+    try:
+        told = strained(calculator, many, G.reshape(-1, 3, 3), ["stress", "forces"])
+    except NotImplementedError:
+        return None
+    tall = EV_IN_TPA * (cell.cell[2, 2] / atoms.thickness if flat else 1.0)
+    sigma = np.array([voigt_6_to_full_3x3_stress(one["stress"]) for one in told]) * tall
+    back, place = np.linalg.inv(G), tuple(np.transpose(kinds))
+    pulled = np.linalg.det(G)[..., None, None] * back @ sigma.reshape(G.shape)
+    S = (pulled @ back.swapaxes(-1, -2))[..., *place].transpose(2, 0, 1, 3)
+    means = [np.reshape(one["forces"], (-1, n, 3)).mean(axis=0) for one in told]
+    F = np.reshape(means, (*G.shape[:3], n, 3)).transpose(2, 0, 1, 3, 4)
+    means = (S.sum(axis=0) / 2).reshape(len(e), -1)
+    even = np.linalg.lstsq(np.column_stack([e**0, e**2]), means)[0]
     slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
     few = [slice(k, k + 1) for k in range(SMALLER)] if rough else [slice(0, 2)]
     short, _, wider = zip(*(_slope((S[0] - S[1])[k] / 2, e[k], rough) for k in few))
@@ -564,15 +583,21 @@ def joined(
     are widened by √χ² above one, for what they know nothing of: a supercell that forces leave.
     """
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
-    J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
-    spread = onto @ errors.reshape(len(errors), -1).T
-    spread, both = np.split(spread, [len(errors) - shared], axis=1)
+    own, both = np.split(onto @ errors.reshape(len(errors), -1).T, [len(errors) - shared], axis=1)
     other, seen = onto @ C.ravel(), onto @ atoms.nearest_elastic(allowed)[0].ravel()
     off = other - seen
-    chi = float(off @ np.linalg.pinv(J @ J.T + spread @ spread.T) @ off) / len(allowed)
-    wider = max(1.0, chi**0.5)
-    doubt, J = np.asarray(atoms.doubt) * wider, J * wider
-    gain = J.T @ np.linalg.pinv(J @ J.T + spread @ spread.T)
+
+    def compared() -> tuple[np.ndarray, float]:
+        J = onto @ atoms.elastic_doubt(allowed).reshape(-1, onto.shape[1]).T
+        return J, float(off @ np.linalg.pinv(J @ J.T + own @ own.T) @ off) / len(allowed)
+
+    J, chi = compared()
+    wider = chi
+    if atoms.spread is not None:  # moduli would else tell how all of Φ changes with displacements
+        atoms = replace(atoms, doubt=atoms.spread, spread=None)
+        J, wider = compared()
+    doubt, J = (max(1.0, wider**0.5) * np.asarray(one) for one in (atoms.doubt, J))
+    gain = J.T @ np.linalg.pinv(J @ J.T + own @ own.T)
     values, step = atoms.values, np.zeros(len(doubt))
     for _ in range(3):  # moduli bend a little in Φ where atoms of a cell relax
         step = gain @ (other - seen + J @ step)

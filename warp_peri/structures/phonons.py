@@ -118,9 +118,8 @@ def wave_loads(
     in_step = bool(np.abs(cells_across - np.rint(cells_across)).max() < 1e-6)
     cells, collar = (PERIOD, 0) if in_step else (PART[d], collar)
     rng = np.random.default_rng(seed)
-    k, force = zip(
-        *(random_waves(rng, d, length, longest * spacing, shortest * spacing) for _ in range(loads))
-    )
+    ends = length, longest * spacing, shortest * spacing
+    k, force = zip(*(random_waves(rng, d, *ends) for _ in range(loads)))
     K, f = np.array(k), np.array(force)
     u = atoms.answer(K.reshape(-1, d), f.reshape(-1, d)).reshape(*f.shape[:2], count, d)
     points, x, kind, smooth = watched(atoms, spacing, cells, collar, length if in_step else None)
@@ -293,28 +292,16 @@ def force_constants(
         repeats = _wide_enough(reference, calculator, widths)
     many = cell.repeat(repeats)
     ions = "" if polar is None else ", and the field of ions by the calculator's Born charges"
-    taken = {
-        "force constants": f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms{ions}"
-    }
+    cells = f"{' x '.join(map(str, repeats[:d]))} cells, {len(many)} atoms"
+    taken = {"force constants": cells + ions}
+    how: Any = {"thickness": reference.thickness, "polar": polar, "stress": reference.stress}
     if reference.noise is not None:
-        found, said = rattled(
-            cell, many, calculator, reference.noise,
-            thickness=reference.thickness, polar=polar, stress=reference.stress,
-        )  # fmt: skip
+        found, said = rattled(cell, many, calculator, reference.noise, **how)
         check_phonons(found)
         return found, taken | said
-    forces, x = forces_of(many, calculator), np.array(many.positions)
-    phi, change = finite_differences(forces, x, range(len(cell)))
-    found = from_supercell(
-        cell,
-        many,
-        phi,
-        range(len(cell)),
-        thickness=reference.thickness,
-        polar=polar,
-        stress=reference.stress,
-        change=change,
-    )
+    forces, every = forces_of(many, calculator), range(len(cell))
+    phi, change = finite_differences(forces, np.array(many.positions), every)
+    found = from_supercell(cell, many, phi, every, **how, change=change)
     check_phonons(found)
     return found, taken
 
@@ -471,13 +458,19 @@ def _modes(atoms: ForceConstants, parts: np.ndarray) -> tuple[np.ndarray, ...]:
     return back, weight, atoms.dynamical(parts @ back, moving=3) * weight * weight[:, None]
 
 
-def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
-    """The softest phonon [THz] of halves of the reciprocal edges, its error, and the largest."""
+def edge_phonons(atoms: ForceConstants) -> tuple[np.ndarray, ...]:
+    """Phonons [THz] of halves of the reciprocal edges and their errors, [K, 3 n], and parts [K]."""
     parts = np.array(list(itertools.product((0, 0.5), repeat=atoms.dimension)))[1:]
     back, weight, D = _modes(atoms, parts)
     size, modes = np.linalg.eigh(D)
     waves = (modes.swapaxes(1, 2) * weight).reshape(*size.shape, -1, 3)
     off = np.array([atoms.stiffness_error(k, one) for k, one in zip(parts @ back, waves)])
     low, middle, high = (THZ * np.sqrt(np.clip(size + way * off, 0, None)) for way in (-1, 0, 1))
-    error, soft = (high - low) / 2, np.unravel_index(size.argmin(), size.shape)
-    return float(middle[soft]), float(error[soft]), float(error.max())
+    return middle, (high - low) / 2, parts
+
+
+def at_zone_edge(atoms: ForceConstants) -> tuple[float, float, float]:
+    """The softest phonon [THz] of those, its error, and the largest error."""
+    size, error, _ = edge_phonons(atoms)
+    soft = np.unravel_index(size.argmin(), size.shape)
+    return float(size[soft]), float(error[soft]), float(error.max())

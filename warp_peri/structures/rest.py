@@ -284,9 +284,7 @@ def at_rest(
     if thickness is not None and not 0 < thickness < np.inf:
         raise InputError(f"thickness: expected a length > 0 [Å], got {thickness}")
     cell, flat = oriented(atoms, turning=not held or held >= set(VOIGT))
-    turned = (
-        min(np.abs(np.array(cell.cell)[0] - edge).max() for edge in np.array(atoms.cell)) > FLAT
-    )
+    turned = np.abs(np.array(cell.cell)[0] - np.array(atoms.cell)).max(axis=1).min() > FLAT
     if not flat and thickness is not None:
         raise InputError("thickness: the structure is a solid, periodic in space; expected none")
     cell = smallest(cell, flat, calculator)
@@ -327,12 +325,11 @@ def at_rest(
         "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
         + f" Å, {len(cell)} atoms",
     }
+    if noise is None:
+        said["noise"] = f"{found.force:.1e} eV/Å, which is rounding"
     if turned:
-        said["axes"] = (
-            "turned: x along an edge of the cell, z across"
-            if flat
-            else "turned to those of the conventional cell"
-        )
+        other = "turned to those of the conventional cell"
+        said["axes"] = "turned: x along an edge of the cell, z across" if flat else other
     if np.abs(strain).max() > MOVED:
         said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
     if size is not None:
@@ -573,9 +570,8 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
     try:
         told = _opened(file, calculator.read_crystal_structure)
-        beside = {
-            n: v for n, v in beside.items() if n != "born_filename" or "nac_params" not in told
-        }
+        if "nac_params" in told:
+            beside.pop("born_filename", None)
         found: Any = phonopy.load(**told, **beside, symmetrize_fc=False, log_level=0)
     except Exception as error:  # phonopy raises whatever its parsing runs into
         hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
@@ -591,7 +587,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     _check_sites(cell)  # phonopy passes over some lengths of SIESTA
     if small.magnetic_moments is not None:  # sites that they tell apart are no images
         cell.set_initial_magnetic_moments(small.magnetic_moments)
-    displaced = np.asarray(small.p2s_map)
+    displaced = np.asarray(small.p2s_map).tolist()
     phi = units.force_to_eVperA / x * np.asarray(found.force_constants)
     phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
     if gap(cell, 2) >= VACUUM and thickness is None:
@@ -609,9 +605,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     across = float(np.abs(cell.cell[:2, 2]).max()) < 1e-6
     if thickness is not None and polar is None and not across:
         raise InputError(f"{path}: expected a sheet across z")
-    made = from_supercell(
-        cell, supercell, phi, displaced.tolist(), thickness=thickness, polar=polar
-    )
+    made = from_supercell(cell, supercell, phi, displaced, thickness=thickness, polar=polar)
     return projected(made, supercell)
 
 
