@@ -95,7 +95,7 @@ def picture(rows: dict[str, list[float]], steps: int) -> Any:
     figure, ax = panels()
     lines = {"residual": rows["E_res"], "displacement that is solved for": rows["E_u"]}
     ax.axvspan(steps, rows["step"][-1], alpha=0.15, label="answers in the loss")
-    ax.set_title("Residuals teach the law; answers in the loss add nothing here")
+    ax.set_title("Residuals teach the model; answers in the loss add nothing")
     labels = {"xlabel": "step of Adam", "ylabel": "error on loads never seen [%]"}
     curves(ax, "semilogy", rows["step"], lines, ".-", scale=100, **labels)
     return figure

@@ -201,7 +201,12 @@ def uneven_as_even() -> Entry:
             table[f"{name}, carried"].append(error(fit, carried, own=False))
     figure, ax = panels()
     axes = {"xlabel": "thickest / thinnest place", "ylabel": "error of displacement [%]"}
-    curves(ax, "semilogy", ratios, table, *styles.values(), **axes)
+    names = (
+        f"{fit}{where}"
+        for where in ("", ", transferred")
+        for fit in ("homogeneous", "with a thickness")
+    )
+    curves(ax, "semilogy", ratios, dict(zip(names, table.values())), *styles.values(), **axes)
     table = {"ratio": ratios} | table
     last = {name.replace(", ", "_"): values[-1] for name, values in table.items()}
     seen = (lambda: fit_displacement(train, EVEN, most_steps=8),)

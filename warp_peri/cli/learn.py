@@ -32,6 +32,8 @@ FITS = "fits"
 """Of the folder, where a second start goes on from."""
 DASHES = ("-", "--", ":")
 """Of curves, which may coincide."""
+ISOTROPIC = 1.02
+"""Largest stress over the smallest, among directions, of a sheet that is called isotropic."""
 STEP, PRINTED, ROWS = 0.025, 4, 8
 """Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
@@ -281,7 +283,11 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
         columns += [middle, low, high]
         names += [f"P {name}", f"low {name}", f"high {name}"]
     axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]")
-    axes.set_title("Stress of the identified sheet, with its 90 % band")
+    ends = {name: middle[-1] for name, (middle, _, _) in curves.items()}
+    ratio = max(ends.values()) / min(ends.values())
+    stiffest = f"{ratio:.3g} times as stiff along {max(ends, key=lambda name: ends[name])}"
+    said = stiffest if ratio > ISOTROPIC else "equally stiff along all directions"
+    axes.set_title(f"The sheet is {said} (90 % band)")
     axes.legend(frameon=False, title="tension along")
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=110)
