@@ -329,7 +329,8 @@ def large_degrees(data: Dataset) -> Entry:
         "error of the load, training [%]": 100 * np.array(errors),
         "largest |K| between bonds over that at bonds": np.array(swings),
     }
-    curves(right, "semilogy", list(map(str, tried)), rows, "o-", "s-", legend=ABOVE | {"ncols": 1}, **axes)
+    shown = list(map(str, tried))
+    curves(right, "semilogy", shown, rows, "o-", "s-", legend=ABOVE | {"ncols": 1}, **axes)
     values = {
         "degrees": degrees, "condition": condition, "tried": tried, "E_res": errors, "swing": swings
     }  # fmt: skip
