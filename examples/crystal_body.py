@@ -48,12 +48,10 @@ def main(arguments: list[str] | None = None) -> int:
     shown[np.hypot(x, z) < RADIUS] = np.nan
     figure, axes = panels(5.2, 4.3)
     image = axes.pcolormesh(x, z, shown, cmap="viridis", shading="nearest")
-    axes.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₃ [Å]")
-    for at in np.linspace(-0.4, 0.4, 5) * SIDE:
-        arrow = {"arrowstyle": "->", "color": "C3"}
-        axes.annotate("", (at, 0.6 * SIDE), (at, 0.52 * SIDE), arrowprops=arrow)
+    axes.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₃ [Å]", ylim=(-0.6 * SIDE, 0.6 * SIDE))
+    at = np.linspace(-0.4, 0.4, 5) * SIDE
+    axes.quiver(at, at * 0 + 0.52 * SIDE, at * 0, at * 0 + 1, color="C3", scale=15, width=0.006)
     note(axes, "held", (0, -0.5 * SIDE), (-10, -14), color="C3")
-    axes.set_ylim(-0.6 * SIDE, 0.6 * SIDE)
     most = np.nanmax(shown[np.hypot(x, z) < 2 * RADIUS])
     axes.set_title(f"At the void the stress is {most:.1f} times the tension")
     figure.colorbar(image, ax=axes, label="stress σ₃₃ over the tension")

@@ -80,8 +80,7 @@ def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))  # "4", not a power of ten
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set_xlabel("rounds of the fit")
-    ax.set_ylabel("relative misfit of the training set [%]")
+    ax.set(xlabel="rounds of the fit", ylabel="relative misfit of the training set [%]")
     ax.legend(frameon=False)
     return ax
 

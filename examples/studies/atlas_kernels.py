@@ -323,14 +323,14 @@ def large_degrees(data: Dataset) -> Entry:
     }  # fmt: skip
     figure, (left, right) = panels(10, 4, count=2)
     axes = {"xlabel": "degree of the influence function"}
-    left.semilogy(list(map(str, degrees)), condition, "o-")
+    left.semilogy([*map(str, degrees)], condition, "o-")
     left.set(ylabel="condition of the basis at nine bond lengths", **axes)
     rows = {
         "error of the load, training [%]": 100 * np.array(errors),
         "largest |K| between bonds over that at bonds": np.array(swings),
     }
-    shown = list(map(str, tried))
-    curves(right, "semilogy", shown, rows, "o-", "s-", legend=ABOVE | {"ncols": 1}, **axes)
+    above = ABOVE | {"ncols": 1}
+    curves(right, "semilogy", [*map(str, tried)], rows, "o-", "s-", legend=above, **axes)
     values = {
         "degrees": degrees, "condition": condition, "tried": tried, "E_res": errors, "swing": swings
     }  # fmt: skip

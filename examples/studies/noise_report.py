@@ -161,14 +161,9 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
         lower, upper = sure[factor].band(model, values, 0.9)
         middle = values(model)
         ax.errorbar(
-            classes.r + 0.15 * (number - 1),
-            middle,
-            (upper - lower) / 2,
-            fmt="o",
-            capsize=3,
-            color=f"C{number}",
-            label=f"loads × {factor:g}",
-        )
+            classes.r + 0.15 * (number - 1), middle, (upper - lower) / 2,
+            fmt="o", capsize=3, color=f"C{number}", label=f"loads × {factor:g}",
+        )  # fmt: skip
     ax.set(xlabel="bond length r [Å] (points moved apart by 0.15 Å)", ylabel="K / m  [Å⁻⁴]")
     ax.legend(frameon=False, title="time smoothing, 90 % band")
     ax.set_title("The smaller the loads, the less sure the influence function")

@@ -32,8 +32,6 @@ FITS = "fits"
 """Of the folder, where a second start goes on from."""
 DASHES = ("-", "--", ":")
 """Of curves, which may coincide."""
-ISOTROPIC = 1.02
-"""Largest stress over the smallest, among directions, of a sheet that is called isotropic."""
 STEP, PRINTED, ROWS = 0.025, 4, 8
 """Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
@@ -282,13 +280,10 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
         axes.fill_between(stretches, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
         columns += [middle, low, high]
         names += [f"P {name}", f"low {name}", f"high {name}"]
-    axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]")
-    ends = {name: middle[-1] for name, (middle, _, _) in curves.items()}
-    ratio = max(ends.values()) / min(ends.values())
-    stiffest = f"{ratio:.3g} times as stiff along {max(ends, key=lambda name: ends[name])}"
-    said = stiffest if ratio > ISOTROPIC else "equally stiff along all directions"
-    axes.set_title(f"The sheet is {said} (90 % band)")
-    axes.legend(frameon=False, title="tension along")
+    ends = [middle[-1] for middle, _, _ in curves.values()]
+    said = f"Directions differ by {100 * (max(ends) / min(ends) - 1):.2g} % in stress"
+    axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]", title=said)
+    axes.legend(frameon=False, title="tension along\n(90 % bands)")
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=110)
     with whole_file(folder / "curves.png") as path:
