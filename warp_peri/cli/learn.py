@@ -281,7 +281,7 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
         columns += [middle, low, high]
         names += [f"P {name}", f"low {name}", f"high {name}"]
     ends = [middle[-1] for middle, _, _ in curves.values()]
-    said = f"Directions differ by {100 * (max(ends) / min(ends) - 1):.2g} % in stress"
+    said = f"Directions differ by {100 * (max(ends) / min(ends) - 1):.1f} % in stress"
     axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]", title=said)
     axes.legend(frameon=False, title="tension along\n(90 % bands)")
     drawn = io.BytesIO()
