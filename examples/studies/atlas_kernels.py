@@ -324,6 +324,7 @@ def large_degrees(data: Dataset) -> Entry:
     figure, (left, right) = panels(10, 4, count=2)
     axes = {"xlabel": "degree of the influence function"}
     left.semilogy([*map(str, degrees)], condition, "o-")
+    left.tick_params("x", labelsize=8)
     left.set(ylabel="condition of the basis at nine bond lengths", **axes)
     rows = {
         "error of the load, training [%]": 100 * np.array(errors),
