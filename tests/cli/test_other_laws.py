@@ -71,8 +71,13 @@ EACH = {name: law.material for name, law in LAWS.items()}
 EACH |= {name: lambda name=name: SOLIDS[name](2) for name in ("brittle", "brittle, a crystal")}
 
 
+LONG = ("third order, filtered", "third order, energy", "LPS, bond-based", "LPS, two functions")
+
+
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize("name", EACH)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in EACH]
+)
 def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsys):
     wp.save(tmp_path / "m.json", EACH[name]())
     if name in LAWS:

@@ -97,6 +97,7 @@ def exact(x, law):
     return plate_with_hole(x, 12.0, 0.005, Moduli(law.tensor()))
 
 
+@pytest.mark.slow
 def test_tetrahedra_know_their_parts_their_voids_and_what_they_hold():
     mesh = mesh_solid(Block((40.0, 40.0, 40.0)), [Sphere(6.0, size=3.0)], size=8.0)
     assert set(mesh.parts) == {"left", "right", "front", "back", "bottom", "top", "void"}

@@ -26,6 +26,7 @@ def test_six_numbers_from_fields_and_from_phonons(graphene):
     assert law.certificate.proven > 0.9 * law.moduli()["C44"]
 
 
+@pytest.mark.slow
 def test_a_crystal_from_phonons_without_its_ball():
     found = dressed.crystal("Cu", with_ball=False)
     assert found["E_u"]["waves"] <= 0.7 < found["elements"]["waves"]

@@ -61,6 +61,7 @@ def test_a_law_of_ones_own_goes_through_every_verb(alone):
         wp.certify(law, points=wp.Points.sheet((9, 9), 5.0))
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_goes_on_ranks(alone, tmp_path):
     pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
     mpiexec = Path(sys.executable).with_name("mpiexec")

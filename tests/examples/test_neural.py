@@ -51,6 +51,7 @@ def test_the_plain_version_is_the_same_force():
     torch.testing.assert_close(plain(placed, u), placed(u), rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_both_derivatives_of_an_equilibrium(monkeypatch):
     """docs/archive/neural.md's table on fewer nodes: through more steps, nearer to the adjoint."""
     monkeypatch.setattr(neural_adjoint, "SIDE", 5)

@@ -89,6 +89,7 @@ def test_every_table_and_figure_is_made(small, tmp_path, monkeypatch):
         assert (out / name).stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_noise_fields_hold_no_load(small):
     for path in small(factors=[0.25], reductions=["plain"]).values():
         data = load_dataset(path)

@@ -15,6 +15,7 @@ from warp_peri.points.dataset import load_dataset
 
 
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
+@pytest.mark.slow
 def test_sweep_from_the_command_line(graphene, tmp_path, monkeypatch, capsys):
     few = functools.partial(sweep, horizons=(10.0, 12.5), degrees=(0, 5))
     monkeypatch.setattr(train_graphene, "sweep", few)

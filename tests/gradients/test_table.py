@@ -21,11 +21,14 @@ def made():
     return lambda name: kept.setdefault(name, OPERATORS[name]())
 
 
+FORCED_LONG = ("hyperelastic", "LPS in space", "scattered")
 SOLVED_LONG = ("dressed, finite strain", "scattered", "LPS in space", "third order, filtered",
-               "neural operator", "coupled", "crystal, third order",
-               "scattered, own weights")  # fmt: skip
-MOVED = ("LPS", "crystal", "own", "third order, energy", "dressed, varied")
+               "neural operator", "coupled", "crystal, third order", "scattered, own weights",
+               "third order, energy", "hyperelastic", "LPS, two functions", "LPS, bond-based",
+               "neural operator, frozen")  # fmt: skip
+MOVED = ("LPS", "dressed, varied")
 LONG = [
+    *(("force", name) for name in FORCED_LONG),
     *(("solve", name) for name in SOLVED_LONG),
     *(("move", name) for name in WAVES if name not in MOVED),
 ]

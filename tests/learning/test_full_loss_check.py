@@ -62,6 +62,7 @@ def test_a_departure_that_no_answer_shows_ends_no_fit(losses):
     ConsistencyCheck([replace(reduced, R=rounded)], [full]).check(cancelling(reduced.classes, 0.0))
 
 
+@pytest.mark.slow
 def test_every_fit_holds_its_gradient_to_warps_tape(losses, monkeypatch):
     counted = []
     backward = wp.Tape.backward

@@ -121,6 +121,7 @@ def test_the_printed_conditions_hold_densely_and_are_active(name):
     assert learned.material.certified_on == (1.0,)
 
 
+@pytest.mark.slow
 def test_two_stage_stops_after_two_stages(monkeypatch):
     def asked(_):
         raise RuntimeError("Algorithm 1 asks for no moduli of long waves")

@@ -61,9 +61,11 @@ def home(tmp_path_factory):
 
 SLOW = (
     "how-to/free_edges", "how-to/lattices", "how-to/error_bars", "how-to/pressure", "how-to/flow",
-    "how-to/other_codes", "tutorials/crystal", "tutorials/torch",
+    "how-to/other_codes", "how-to/influence", "how-to/horizon", "how-to/neural",
+    "how-to/calculators", "how-to/tissue", "how-to/strains", "how-to/noise", "tutorials/crystal",
+    "tutorials/torch",
 )  # fmt: skip
-"""Pages that take more than some 5 s."""
+"""Pages that take more than some 2 s."""
 
 
 def undefined(blocks):

@@ -165,6 +165,7 @@ def test_every_parity_of_waves_is_known(model, clean):
         assert square(WaveResponse(points, HORIZON).about(model), model) < 1e-20
 
 
+@pytest.mark.slow
 def test_bias_of_the_raw_loss_is_gone(model, clean):
     """Noise softens what the residual learns; the correction and the response are not misled."""
     data = noisy(clean, SIZE, seed=3)

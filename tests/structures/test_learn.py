@@ -66,6 +66,7 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
     assert (graphene / "law.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 def test_learning_says_what_there_is_how_good_and_is_repeated_from_its_settings(tmp_path, capsys):
     ase.io.write(tmp_path / "Cu.cif", ase.build.bulk("Cu"))
     line = f"learn {tmp_path}/Cu.cif --calculator ase.calculators.emt:EMT --out {tmp_path}/out"

@@ -80,6 +80,7 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path
     assert (table[:, 2] <= table[:, 1]).all()
 
 
+@pytest.mark.slow
 def test_a_second_start_goes_on_from_the_fits_that_are_kept(folder, tmp_path, monkeypatch, capsys):
     fit, names = sheet_choice.fit_displacement, []
 

@@ -23,6 +23,7 @@ def failing():
     return body, load, statics, start, to_failure(body, load, start)
 
 
+@pytest.mark.slow
 def test_the_last_equilibrium_is_at_the_largest_load(failing):
     _, _, _, start, path = failing
     loads = np.array([sample.amplitude for sample in (start, *path)])

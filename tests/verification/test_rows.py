@@ -156,6 +156,7 @@ def test_the_disc_is_continuous_and_in_balance(stiffer):
     assert slope == pytest.approx(strain, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_split_elements_bear_stresses_near_incompressibility():
     """Hoop stress in a bore at ν = 0.4999, of 1.25 times the pressure, by elements alone."""
     s, moduli, off = UnitScale(), plane(1000.0, 0.4999, strain=True), []
