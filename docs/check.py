@@ -16,8 +16,8 @@ sys.path.insert(0, str(DOCS))
 
 import equations  # noqa: E402
 
-LONG = 30
-"""A sentence is long above so many words."""
+LONG, MOST = 30, 25
+"""A sentence is long above so many words, and has no more than so many."""
 ROWS = 6
 """A table of a how-to is long above so many rows."""
 HOW_TO = ("tutorials/", "how-to/")
@@ -50,7 +50,7 @@ AVOIDED = {
 }
 """What the style of the pages avoids, and how it is found."""
 NONE = (
-    f"sentences above {LONG} words [%]",
+    f"sentences above {MOST} words",
     "sentences of how-tos with more than two numbers",
     f"tables of how-tos above {ROWS} rows",
     "equations of one tag twice",
@@ -245,6 +245,7 @@ def counted() -> dict[str, float]:
         f"sentences above {LONG} words [%]": round(
             100 * sum(len(sentence.split()) > LONG for sentence in said) / len(said), 1
         ),
+        f"sentences above {MOST} words": sum(len(sentence.split()) > MOST for sentence in said),
         "sentences of how-tos with more than two numbers": sum(
             len(re.findall(r"(?<![\w.])\d[\d.,]*", sentence)) > 2 for sentence in told
         ),

@@ -13,7 +13,7 @@ from scipy.interpolate import LinearNDInterpolator
 
 import warp_peri as wp
 from examples.crystals import learned
-from examples.figures import panels, save_figure
+from examples.figures import note, panels, save_figure
 from tools.crystals import force_constants
 from tools.options import Options
 from warp_peri.errors import exit_status
@@ -48,9 +48,12 @@ def main(arguments: list[str] | None = None) -> int:
     shown[np.hypot(x, z) < RADIUS] = np.nan
     figure, axes = panels(5.2, 4.3)
     image = axes.pcolormesh(x, z, shown, cmap="viridis", shading="nearest")
-    axes.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₃ [Å]")
-    beside = np.nanmax(shown[np.hypot(x, z) < 2 * RADIUS])
-    axes.set_title(f"Beside the void the stress is {beside:.1f} times the tension")
+    axes.set(aspect="equal", xlabel="x₁ [Å]", ylabel="x₃ [Å]", ylim=(-0.6 * SIDE, 0.6 * SIDE))
+    at = np.linspace(-0.4, 0.4, 5) * SIDE
+    axes.quiver(at, at * 0 + 0.52 * SIDE, at * 0, at * 0 + 1, color="C3", scale=15, width=0.006)
+    note(axes, "held", (0, -0.5 * SIDE), (-10, -14), color="C3")
+    most = np.nanmax(shown[np.hypot(x, z) < 2 * RADIUS])
+    axes.set_title(f"At the void the stress is {most:.1f} times the tension")
     figure.colorbar(image, ax=axes, label="stress σ₃₃ over the tension")
     save_figure(figure, given.out)
     return 0

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
-from examples.figures import save_figure
+from examples.figures import headline, save_figure
 from tools.options import Options
 from warp_peri import Points
 from warp_peri.diffusion import Conductor, CoupledSolid
@@ -157,16 +157,14 @@ def draw(
 ) -> None:
     """Conductivity and solution of the plate with grains."""
     figure = Figure(figsize=(9, 3.8), layout="constrained")
-    shown = {
-        "Grains conduct better than the plate": ("conductivity", kappa),
-        "so that temperature hardly varies inside": ("temperature", solved),
-    }
-    for ax, (title, (name, values)) in zip(figure.subplots(1, 2, sharey=True), shown.items()):
+    shown = {"conductivity / the plate's": kappa, "temperature, x₁ on the outer edge": solved}
+    for ax, (name, values) in zip(figure.subplots(1, 2, sharey=True), shown.items()):
         size = (180 / np.sqrt(free.sum())) ** 2  # of a node in the panel [points²]
         drawn = ax.scatter(*x[free].T, c=values[free], s=1.6 * size, marker="s", linewidths=0)
-        ax.set(aspect="equal", xlabel="x₁ / half side", title=title)
+        ax.set(aspect="equal", xlabel="x₁ / half side")
         figure.colorbar(drawn, ax=ax, label=name)
     figure.axes[0].set_ylabel("x₂ / half side")
+    headline(figure, "Temperature hardly varies inside grains that conduct better than the plate")
     save_figure(figure, path)
 
 

@@ -131,7 +131,7 @@ def picture(solid: HyperelasticSolid, disks: Samples, path: Path) -> None:
         field(ax, (disks.x + truth)[inner], size[inner], "displacement over the side of a square")
         ax.set(title=title, xlabel="x over the side of a square", ylabel="y")
     off = np.linalg.norm((u - truth)[inner]) / np.linalg.norm(truth[inner])
-    headline(figure, f"The learned sheet is off by {100 * off:.2g} % on a disk that it never saw")
+    headline(figure, f"On a disk that no fit saw, the learned sheet errs by {100 * off:.2g} %")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=100)
 

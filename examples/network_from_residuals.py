@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from examples.figures import curves, panels, shown
+from examples.figures import curves, note, panels, shown
 from warp_peri.dressed import FiniteSolid
 from warp_peri.errors import exit_status
 from warp_peri.neural import NeuralOperator
@@ -94,8 +94,9 @@ def picture(rows: dict[str, list[float]], steps: int) -> Any:
     """Errors on the way."""
     figure, ax = panels()
     lines = {"residual": rows["E_res"], "displacement that is solved for": rows["E_u"]}
-    ax.axvspan(steps, rows["step"][-1], alpha=0.15, label="answers in the loss")
-    ax.set_title("Residuals teach the law; answers in the loss add nothing here")
+    ax.axvspan(steps, rows["step"][-1], alpha=0.15)
+    note(ax, "answers\nin the loss", (steps, 30 * max(rows["E_res"])), (-52, 0))
+    ax.set_title("Residuals teach the model; answers in the loss add nothing")
     labels = {"xlabel": "step of Adam", "ylabel": "error on loads never seen [%]"}
     curves(ax, "semilogy", rows["step"], lines, ".-", scale=100, **labels)
     return figure

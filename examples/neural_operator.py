@@ -254,7 +254,7 @@ def draw(material: NeuralOperator, path: Path, stretch: float) -> None:
         state = state - state[len(state) // 2]
         right.plot(100 * curves.stretch, state, label=f"bond of {r:.3g} {length}")
     right.set(xlabel="stretch of the bond [%]")
-    right.set_ylabel(f"force less that at rest [{stress}/{length}³]")
+    right.set_ylabel(f"change of the force [{stress}/{length}³]")
     stiffest = curves.lengths[int(np.argmax([np.ptp(state) for state in curves.state]))]
     right.set_title(f"Of these, bonds of {stiffest:.3g} {length} are the stiffest")
     name_lines(right)

@@ -147,7 +147,7 @@ def draw(runs: dict[str, ChannelRecord], spread: Band, folder: Path) -> None:
     """Velocity in the middle of the channel, and its profile at the end."""
     figure, (left, right) = panels(10, 3.8, count=2)
     for (name, run), style in zip(runs.items(), ("k-", "C1--", "C0:")):
-        left.plot(run.t, run.centre(), style, label=name)
+        left.plot(run.t, run.centre(), style, label=name.replace("law", "model"))
         order = np.argsort(run.x[-1, :, 1])
         right.plot(run.v[-1, order, 0], run.x[-1, order, 1], style)
     t = runs["exact law"].t

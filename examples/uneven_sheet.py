@@ -103,7 +103,7 @@ def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Pa
         map_, off = found.maps[part], found.maps[part] - true[part]
         both = np.append(true[part], map_)
         field(row[0], at, true[part], most=(both.min(), both.max()))
-        field(row[1], at, map_, "over the even sheet's", (both.min(), both.max()))
+        field(row[1], at, map_, "over that outside", (both.min(), both.max()))
         field(row[2], at, off, most=(-np.abs(off).max(), np.abs(off).max()), cmap="RdBu")
         alike = f"error; correlation {correlation(map_, true[part]):.2f}"
         for ax, title in zip(row, (f"{name}, true", f"{name}, learned", alike)):

@@ -72,7 +72,7 @@ def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
     for number, stage in enumerate(history):
         residual = 100 * np.sqrt(stage.loss)
         steps = begin + np.arange(1, len(residual) + 1)
-        name = f"{stage.name} ({len(residual)})"
+        name = f"{stage.name.lstrip('0123456789 ')}, {len(residual)} rounds"
         style = "-D" if len(residual) < 100 else "-"
         ax.plot(steps, residual, style, color=f"C{number}", label=name, markersize=5)
         begin = int(steps[-1])
@@ -80,8 +80,7 @@ def loss_by_stage(history: Sequence[Stage], *, ax: Axes) -> Axes:
     ax.yaxis.set_major_formatter("{x:g}")
     ax.yaxis.set_minor_formatter(LogFormatter(minor_thresholds=(2, 0.5)))  # "4", not a power of ten
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set_xlabel("epochs of Algorithm 1, or rounds")
-    ax.set_ylabel("relative misfit of the training set [%]")
+    ax.set(xlabel="rounds of the fit", ylabel="relative misfit of the training set [%]")
     ax.legend(frameon=False)
     return ax
 

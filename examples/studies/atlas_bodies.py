@@ -246,7 +246,7 @@ def small_holes(data: Dataset) -> Entry:
             wrong, added = (np.linalg.norm(v[seen]) for v in (u - exact, exact - even))
             table[name].append(float(100 * wrong / added))
     figure, ax = panels()
-    axes = {"xlabel": "radius of the hole over the spacing", "ylabel": "error of what it adds [%]"}
+    axes = {"xlabel": "radius of the hole / spacing", "ylabel": "error of what the hole adds [%]"}
     curves(ax, "loglog", HOLES, table, "o-", **axes)
     ticks(ax, HOLES)
     fitted, stairs = table.values()
@@ -279,7 +279,7 @@ def stretched_beyond(law: FiniteSolid | None = None) -> Entry:
     first = min(float(np.interp(0, -np.array(c), sizes)) for c in table.values() if min(c) < 0)
     beyond = (first + 0.01) * ways["stretched both ways"] / 2**0.5
     figure, ax = panels()
-    axes = {"xlabel": "largest strain |H| [%]", "ylabel": "least eigenvalue over that at rest"}
+    axes = {"xlabel": "largest strain |H| [%]", "ylabel": "least eigenvalue / that unstrained"}
     curves(ax, "plot", 100 * sizes, table, ylim=(-1, 1.5), **axes)
     ax.axvspan(0, 100 * law.strain, color="C2", alpha=0.2, lw=0)
     note(ax, "proven", (0, -1), color="C2")
@@ -306,7 +306,7 @@ def crystals() -> Entry:
     figure, (left, right) = panels(9.2, 3.6, count=2)
     left.bar([str(n) for n in traction], list(traction.values()))
     left.axhline(half, color="C1", ls="--", label="(C12 − C44)/2")
-    left.set(xlabel="bonds of a node, copper", ylabel="traction on a turned face [GPa/rad]")
+    left.set(xlabel="bonds of a node, copper", ylabel="traction on a rotated face [GPa/rad]")
     left.set_ylim(0, 1.3 * max(traction.values()))
     left.legend(frameon=False)
     axes = {"xlabel": "angle of the axis that is not stated [°]"}

@@ -44,7 +44,7 @@ def independent_noise() -> Entry:
         seen.append(f"InputError: {error}")
     off = float(np.linalg.norm(shared.v - exact.v) / np.linalg.norm(exact.v))
     figure, axes = panels(6, 3.6)
-    axes.plot(exact.t, np.abs(exact.v).max(axis=(1, 2)), "k", label="exact law")
+    axes.plot(exact.t, np.abs(exact.v).max(axis=(1, 2)), "k", label="exact model")
     axes.plot(shared.t, np.abs(shared.v).max(axis=(1, 2)), "C0--", label="shared noise")
     t = (np.arange(len(speeds)) + 1) * UNTIL / STEPS
     axes.plot(t, speeds, "C3", label="noise of its own")

@@ -322,14 +322,16 @@ def large_degrees(data: Dataset) -> Entry:
         "swing": swings[widest], "swing_degree": tried[widest],
     }  # fmt: skip
     figure, (left, right) = panels(10, 4, count=2)
-    axes = {"xlabel": "degree of the influence function", "xscale": "symlog"}
-    left.semilogy(degrees, condition, "o-")
+    axes = {"xlabel": "degree of the influence function"}
+    left.semilogy([*map(str, degrees)], condition, "o-")
+    left.tick_params("x", labelsize=8)
     left.set(ylabel="condition of the basis at nine bond lengths", **axes)
     rows = {
         "error of the load, training [%]": 100 * np.array(errors),
         "largest |K| between bonds over that at bonds": np.array(swings),
     }
-    curves(right, "semilogy", tried, rows, "o-", "s-", legend=ABOVE | {"ncols": 1}, **axes)
+    above = ABOVE | {"ncols": 1}
+    curves(right, "semilogy", [*map(str, tried)], rows, "o-", "s-", legend=above, **axes)
     values = {
         "degrees": degrees, "condition": condition, "tried": tried, "E_res": errors, "swing": swings
     }  # fmt: skip

@@ -99,7 +99,8 @@ def lame_parameters(data: Dataset) -> Entry:
     figure, (left, middle, right) = panels(11, 4, count=3)
     small = {"fontsize": "small"}
     for name in symbols:
-        left.plot(BULK, symbols[name], "o-", label=name, markersize=3)
+        said = name.replace("'direct'", "of solvability").replace("'paper'", "of the source")
+        left.plot(BULK, symbols[name], "o-", label=said, markersize=3)
         middle.loglog(BULK, conditions[name], "o-", markersize=3)
     left.set(xlabel="(λ + μ)/μ", ylabel="least stiffness of a wave over μ", xscale="log")
     left.set_yscale("symlog", linthresh=1e-6)

@@ -185,7 +185,8 @@ def error(fit: DisplacementFit, test: Samples, *, own: bool = True) -> float:
 def uneven_as_even() -> Entry:
     """Errors of an even fit and of one with a thickness, against how uneven the sheet is."""
     styles = {
-        "even": "C3o-", "uneven": "C0o-", "even, carried": "C3s--", "uneven, carried": "C0s--"
+        "homogeneous": "C3o-", "heterogeneous": "C0o-",
+        "homogeneous, transferred": "C3s--", "heterogeneous, transferred": "C0s--",
     }  # fmt: skip
     table: dict[str, list[float]] = {name: [] for name in styles}
     ratios = []
@@ -194,11 +195,11 @@ def uneven_as_even() -> Entry:
         train, test = frames(amplitude, range(2)), frames(amplitude, range(2, 3))
         thick = Leaflet(uneven=amplitude).thickness(train.x - train.x.mean(axis=0))[train.interior]
         ratios.append(float(thick.max() / thick.min()))
-        for name, degree in (("even", 0), ("uneven", 2)):
+        for name, degree in (("homogeneous", 0), ("heterogeneous", 2)):
             with warnings.catch_warnings(action="ignore"):
                 fit = fit_displacement(train, EVEN, thickness=degree, most_steps=8)
             table[name].append(error(fit, test))
-            table[f"{name}, carried"].append(error(fit, carried, own=False))
+            table[f"{name}, transferred"].append(error(fit, carried, own=False))
     figure, ax = panels()
     axes = {"xlabel": "thickest / thinnest place", "ylabel": "error of displacement [%]"}
     curves(ax, "semilogy", ratios, table, *styles.values(), **axes)

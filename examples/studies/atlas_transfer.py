@@ -143,7 +143,7 @@ def narrow_supercells() -> Entry:
         off[n**3] = float(100 * np.abs(law - true).max() / np.abs(true).max())
     figure, axes = panels(4.8, 3.4)
     axes.loglog(list(off), list(off.values()), "o-")
-    axes.set(xlabel="atoms of the supercell", ylabel="moduli off finite strains [%]")
+    axes.set(xlabel="atoms of the supercell", ylabel="error of the moduli [%]")
     least, middle, most = min(off), REPEATS[2] ** 3, max(off)
     numbers = {"worst": off[least], "half": off[middle], "good": off[most]}
     numbers |= {"least": least, "middle": middle, "most": most}

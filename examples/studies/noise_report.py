@@ -161,14 +161,9 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
         lower, upper = sure[factor].band(model, values, 0.9)
         middle = values(model)
         ax.errorbar(
-            classes.r + 0.15 * (number - 1),
-            middle,
-            (upper - lower) / 2,
-            fmt="o",
-            capsize=3,
-            color=f"C{number}",
-            label=f"loads × {factor:g}",
-        )
+            classes.r + 0.15 * (number - 1), middle, (upper - lower) / 2,
+            fmt="o", capsize=3, color=f"C{number}", label=f"loads × {factor:g}",
+        )  # fmt: skip
     ax.set(xlabel="bond length r [Å] (points moved apart by 0.15 Å)", ylabel="K / m  [Å⁻⁴]")
     ax.legend(frameon=False, title="time smoothing, 90 % band")
     ax.set_title("The smaller the loads, the less sure the influence function")
@@ -201,6 +196,7 @@ def draw_disk(path: Path, model: Model, sure: Uncertainty, disk: Samples) -> Non
     )
     axes[1].plot(x, 1000 * (along(model) - truth), color="C0", label="model − molecular data")
     axes[1].set(ylabel="error of u₁ [mÅ]", xlabel="x₁ [Å] on the axis of the disk")
-    axes[1].legend(frameon=False)
-    figure.suptitle("A disk the fit never saw, and what noise leaves unsure")
+    axes[1].legend(frameon=False, loc="upper left")
+    share = 100 * np.mean((lower <= truth) & (truth <= upper))
+    headline(figure, f"On an unseen disk {share:.0f} % of the errors lie in the band by noise")
     save_figure(figure, path)

@@ -54,7 +54,7 @@ def prediction(path: Path, field: Mapping[str, Any], length: str, load: str) -> 
         for ax, title in zip(row, ("truth", "network", "difference")):
             ax.set_title(f"{title}, {name}₁")
     outer(grid, f"x₁ [{length}]", f"x₂ [{length}]")
-    headline(figure, f"On an unseen disk displacement is off by {off[0]}, the load by {off[1]}")
+    headline(figure, f"On an unseen disk displacement errs by {off[0]}, the load by {off[1]}")
     save_figure(figure, path)
 
 
@@ -176,7 +176,7 @@ def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
     y = samples.x + samples.u[most]
     stretched.plot(*samples.x.T, ".", color="0.8", markersize=1.5)
     stretched.plot(*y.T, ".", color="C0", markersize=2)
-    stretched.set(aspect="equal", title="Its nodes at rest (grey)\nand pulled most")
+    stretched.set(aspect="equal", title="Its nodes unloaded (grey)\nand pulled most")
     for ax in (sheet, stretched):
         ax.set(xlabel="x₁", ylabel="x₂")
     for number, (a, b) in enumerate(PROTOCOLS, 1):

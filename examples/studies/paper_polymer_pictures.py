@@ -124,12 +124,11 @@ def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> Non
     """Figure 7."""
     figure, ax = panels(8, 3.8)
     for color, (De, found) in enumerate(channels.items()):
-        ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}, exact model")
-        open_marks = {"markersize": 4, "fillstyle": "none", "label": "learned"}
-        ax.plot(found["t"], found["centre"]["learned"], f"C{color}o", **open_marks)
+        ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}")
+        ax.plot(found["t"], found["centre"]["learned"], f"C{color}o", ms=4, fillstyle="none")
     ax.plot(found["t"], found["newton"], "k--", label="Newtonian")
     ax.set(xlabel="time t / t₀", ylabel="velocity in the middle u / U")
-    ax.legend(frameon=False, fontsize=9, ncols=2)
+    ax.legend(frameon=False, fontsize=9, title="lines: exact model\ncircles: learned")
     ax.set_title("The learned fluid follows the exact model at each Deborah number")
     save_figure(figure, path)
 
@@ -144,7 +143,7 @@ def draw_forces(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
             ax.plot(costs[name]["t"], np.array(costs[name]["force"])[:, i], style)
             ax.lines[-1].set_label(name.replace("law", "model"))
         ax.set(title=f"height {height:g} of the channel", xlabel="time t / t₀")
-    figure.axes[0].set_ylabel("force ∂σ_xy/∂y")
+    figure.axes[0].set_ylabel("force along the channel")
     figure.axes[0].legend(frameon=False, fontsize=9)
     headline(figure, "Exact, learned and coupled fluids push alike")
     save_figure(figure, path)

@@ -331,12 +331,10 @@ def draw_kernels(path: Path, cold: wp.Model, kernels: Mapping[str, Any]) -> None
     """
     figure, (both, noises) = panels(10.5, 3.8, count=2, sharey=True)
     zero = curve(cold)
-    names = {
-        "shared 1": "300 K, shared seed", "iota 1": "300 K, ι = 0.01",
-        "iota 0.25": "loads × 1/4", "iota 0.1": "loads × 1/10",
-    }  # fmt: skip
-    lines = [(both, zero, "0 K"), *((both, kernels[k], names[k]) for k in ("shared 1", "iota 1"))]
-    lines += [(noises, kernels[k], names[k]) for k in ("iota 1", "iota 0.25", "iota 0.1")]
+    names = {"shared 1": "300 K, shared seed", "iota 1": "300 K, smoothed"}
+    sizes = {"iota 1": "loads × 1", "iota 0.25": "loads × 1/4", "iota 0.1": "loads × 1/10"}
+    lines = [(both, zero, "0 K"), *((both, kernels[k], said) for k, said in names.items())]
+    lines += [(noises, kernels[k], said) for k, said in sizes.items()]
     most = 1.3 * max(np.abs(line["K at bonds"]).max() for _, line, _ in lines)
     for number, (ax, line, label) in enumerate(lines):
         color, marker = f"C{number % 5}", "os^"[number % 3]
@@ -344,7 +342,7 @@ def draw_kernels(path: Path, cold: wp.Model, kernels: Mapping[str, Any]) -> None
         ax.plot(line["bonds"], line["K at bonds"], marker, color=color, markersize=5, label=label)
     for ax, title in ((both, "at 0 and 300 K"), (noises, "at 300 K, by the size of the loads")):
         ax.axhline(0, color="grey", linewidth=0.8)
-        ax.set(xlabel="r [Å]", ylabel="K / m [Å⁻⁴]", title=title, ylim=(-most, most))
+        ax.set(xlabel="bond length r [Å]", ylabel="K / m [Å⁻⁴]", title=title, ylim=(-most, most))
         ax.legend(frameon=False, ncols=3, loc="upper center", bbox_to_anchor=(0.5, -0.15))
     headline(figure, "Heat leaves the influence function as it is; smaller loads teach another")
     save_figure(figure, path)

@@ -86,7 +86,7 @@ def picture(table: dict[str, Any], path: Path) -> None:
     """Errors over strain; the other linear models are as the LPS to the eye."""
     shown = "LPS", "third order on an LPS", "third order on a crystal model", "finite-strain model"
     figure, axes = panels(9.5, 4, count=2, sharey=True)
-    for ax, (role, title) in zip(axes, (("val", "patches"), ("test", "disks"))):
+    for ax, (role, title) in zip(axes, (("val", "loads, periodic sheet"), ("test", "disks"))):
         for name in shown:
             values = [table[name]["E_u"][key] for key in (role, f"{role}_4", f"{role}_6")]
             ax.plot([2, 4, 6], values, "o-", label=name)

@@ -42,7 +42,7 @@ def frames(uneven, seeds):
 @pytest.mark.filterwarnings("ignore:stretch")  # the second sheet is pulled farther
 def test_a_thickness_is_told_from_the_material():
     train, test, other = frames(0.4, (0, 1)), frames(0.4, (2,)), frames(-0.4, (3, 4))
-    with pytest.warns(UserWarning, match="is the sheet uneven"):
+    with pytest.warns(UserWarning, match="is the sheet heterogeneous"):
         even = fit_displacement(train, MATRIX, most_steps=6)
     fit = fit_displacement(train, MATRIX, thickness=2, most_steps=6)
     as_even = hyperelastic_errors(even.material, test)["E_u"]

@@ -64,7 +64,7 @@ input
   --trust  accept a calculator that can run code from the file of --config
   --thickness T  thickness of a sheet [Å] (default: outermost nuclei and a van der Waals radius
     beyond)
-  --hold STRAIN+ =[]  strains that are not relaxed, of xx yy zz yz xz xy, or all
+  --hold STRAIN+ =[]  strains not relaxed, of xx yy zz yz xz xy, or all (default: none)
   --symmetry NAME =auto  point group of the crystal; auto asks spglib
 model
   --from @source phonons|loads =phonons  learn from force constants, or from supercells under waves
@@ -151,8 +151,8 @@ output
 a body with an outline, in place of DATA.h5
   --body MESH  mesh of the body, as of Gmsh (default: none)
   --units LENGTH STRESS  units of the mesh, the numbers and the answer (default: those of the model)
-  --hold PART=ux,uy+ =[]  displacement of a part of the boundary; - leaves one component free
-  --pull PART=tx,ty+ =[]  force per area on a part of the boundary
+  --hold PART=ux,uy+ =[]  displacement of a part in --units; - leaves one free (default: none)
+  --pull PART=tx,ty+ =[]  force per area on a part of the boundary, in --units (default: none)
   --spacing H  distance of the nodes inside (default: the coarsest that works)
   --overlap L  width that elements and nodes share (default: two horizons, four for a crystal)""",
     "predict": f"""\

@@ -280,9 +280,10 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
         axes.fill_between(stretches, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
         columns += [middle, low, high]
         names += [f"P {name}", f"low {name}", f"high {name}"]
-    axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]")
-    axes.set_title("Stress of the identified sheet, with its 90 % band")
-    axes.legend(frameon=False, title="tension along")
+    ends = [middle[-1] for middle, _, _ in curves.values()]
+    said = f"Directions differ by {100 * (max(ends) / min(ends) - 1):.1f} % in stress"
+    axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]", title=said)
+    axes.legend(frameon=False, title="tension along\n(90 % bands)")
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=110)
     with whole_file(folder / "curves.png") as path:

@@ -685,8 +685,8 @@ def warn_of_interpolation(solid: HyperelasticSolid) -> None:
     if stiffest > INTERPOLATES:
         warnings.warn(
             f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "
-            "interpolate the collar, whatever the material; is the sheet uneven (thickness=), or "
-            "were the frames smoothed?",
+            "interpolate the collar, whatever the material; is the sheet heterogeneous "
+            "(thickness=), or were the frames smoothed?",
             stacklevel=3,
         )
 

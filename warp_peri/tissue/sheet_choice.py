@@ -278,7 +278,7 @@ def _candidates(fibres: int, uneven: bool) -> Candidates:
         kinds[f"{fibres} directions of fibres"] = (matrix, *rose(fibres, (2.0, 4.0)))
     found = {name: (terms, 0) for name, terms in kinds.items()}
     if uneven:
-        found |= {f"{name}, uneven": (terms, UNEVEN) for name, terms in kinds.items()}
+        found |= {f"{name}, heterogeneous": (terms, UNEVEN) for name, terms in kinds.items()}
     return found
 
 
