@@ -68,6 +68,13 @@ def shared(samples="1", **phases):
     for it. `turns` counts who has come, and for each phase what is done and, of each thread's
     stretch, what has been taken; zeros at first.
 
+    One thread leads: it leaves the work in a box, by address, where helpers find it that stay in a
+    kernel between sweeps: to wake one takes a tenth of a small sweep. With no threads to share
+    among (turns[1] = 0) a call is such a stay. It ends when nothing comes for some 0.3 ms, or when
+    the box's bell rings. turns[2:4] is the address of the box, whose numbers are far apart:
+    number of the open sweep or 0, helpers inside, function and its data, whether somebody leads and
+    number of the last sweep, stays that are over, bell.
+
     `phases`: what is done with a piece, by the name of the pieces.
     """
     text = """
@@ -76,29 +83,75 @@ def shared(samples="1", **phases):
 #else
     const auto rest = [] {};
 #endif
-    const int threads = turns.data[1], me = __atomic_fetch_add(turns.data, 1, __ATOMIC_RELAXED);
-    int* done = turns.data + 2;
-    const auto share = [&](const auto& pieces, auto work) {
-        const int parts = 16;
-        const long long each = pieces.shape[0], count = each * SAMPLES, all = threads * parts;
-        for (int other = 0; other < threads; ++other) {
-            const int stretch = (me + other) % threads;
-            int* taken = done + 1 + stretch;
-            for (int n; (n = __atomic_fetch_add(taken, 1, __ATOMIC_RELAXED)) < parts;) {
-                const long long part = stretch * parts + n;
-                for (long long t = count * part / all; t < count * (part + 1) / all; ++t)
-                    work(t / each, pieces.data[t % each]);
-                __atomic_fetch_add(done, 1, __ATOMIC_RELEASE);
-            }
-        }
-        for (int n = 0; __atomic_load_n(done, __ATOMIC_ACQUIRE) < all; ++n)
-            if (n > 1000)
+    const int threads = turns.data[1];
+    long long* box = *(long long**)(turns.data + 2);
+    long long *inside = box + 8, *call = box + 16, *lead = box + 24;
+    if (threads == 0) {
+        const long long bell = __atomic_load_n(box + 40, __ATOMIC_RELAXED);
+        long long served = 0;
+        for (int n = 0; n < 1000 && bell == __atomic_load_n(box + 40, __ATOMIC_RELAXED); ++n) {
+            if (n > 100)
                 rest();
-        done += 1 + threads;
+            long long open = __atomic_load_n(box, __ATOMIC_RELAXED);
+            if (open == 0 || open == served)
+                continue;
+            __atomic_fetch_add(inside, 1, __ATOMIC_SEQ_CST);  // nothing closes from here on
+            if ((open = __atomic_load_n(box, __ATOMIC_SEQ_CST))) {
+                ((void (*)(void*))call[0])((void*)call[1]);
+                served = open;
+                n = 0;
+            }
+            __atomic_fetch_sub(inside, 1, __ATOMIC_SEQ_CST);
+        }
+        __atomic_fetch_add(box + 32, 1, __ATOMIC_RELEASE);
+        return;
+    }
+    auto all = [&](int me) {
+        if (me < 0)
+            me = 1 + __atomic_fetch_add(turns.data, 1, __ATOMIC_RELAXED);
+        int* done = turns.data + 4;
+        const auto share = [&](const auto& pieces, auto work) {
+            const int parts = 16;
+            const long long each = pieces.shape[0], count = each * SAMPLES, all = threads * parts;
+            for (int other = 0; other < threads; ++other) {
+                const int stretch = (me + other) % threads;
+                int* taken = done + 1 + stretch;
+                for (int n; (n = __atomic_fetch_add(taken, 1, __ATOMIC_RELAXED)) < parts;) {
+                    const long long part = stretch * parts + n;
+                    for (long long t = count * part / all; t < count * (part + 1) / all; ++t)
+                        work(t / each, pieces.data[t % each]);
+                    __atomic_fetch_add(done, 1, __ATOMIC_RELEASE);
+                }
+            }
+            for (int n = 0; __atomic_load_n(done, __ATOMIC_ACQUIRE) < all; ++n)
+                if (n > 1000)
+                    rest();
+            done += 1 + threads;
+        };
+        PHASES
     };
+    const auto joined = [](void* of) {
+        auto& work = *(decltype(all)*)of;
+        work(-1);
+    };
+    long long nobody = 0;
+    if (threads == 1 || !__atomic_compare_exchange_n(
+            lead, &nobody, 1, false, __ATOMIC_SEQ_CST, __ATOMIC_RELAXED)) {
+        all(0);
+        return;
+    }
+    call[0] = (long long)(void (*)(void*))joined;
+    call[1] = (long long)&all;
+    __atomic_store_n(box, ++lead[1], __ATOMIC_SEQ_CST);
+    all(0);
+    __atomic_store_n(box, 0, __ATOMIC_SEQ_CST);
+    for (int n = 0; __atomic_load_n(inside, __ATOMIC_SEQ_CST); ++n)
+        if (n > 1000)
+            rest();
+    __atomic_store_n(lead, 0, __ATOMIC_RELEASE);
 """
     each = (f"share({of}, [&](int s, auto piece) {{{work}}});" for of, work in phases.items())
-    return text.replace("SAMPLES", samples) + "\n".join(each)
+    return text.replace("SAMPLES", samples).replace("PHASES", "\n".join(each))
 
 
 @cache

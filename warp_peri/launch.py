@@ -45,13 +45,27 @@ def _start() -> None:
 _start()
 _count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 _asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
-_helpers = 0
+_helpers = _stays = 0
+_box = np.zeros(48, np.int64)
+"""Where a sweep leaves its work for helpers that stay in a kernel, see kernels/bonds.py."""
+OVER, BELL = 32, 40
+"""Numbers in the box: stays that are over; what ends the others."""
 
 
 def _without_helpers() -> None:
     """Forget the helpers: a process that forks from this one has none of its threads."""
-    global _asked, _helpers
-    _asked, _helpers = SimpleQueue(), 0
+    global _asked, _helpers, _stays
+    _asked, _helpers, _stays = SimpleQueue(), 0, 0
+    _box[:] = 0
+
+
+def _helped(count: int) -> SimpleQueue[Callable[[], None]]:
+    """The queue that so many helpers or more wait on."""
+    global _helpers
+    for _ in range(count - _helpers):
+        Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
+        _helpers += 1
+    return _asked
 
 
 if hasattr(os, "register_at_fork"):
@@ -71,7 +85,6 @@ class _Asked:
         self._work, self._begun, self._over = work, Lock(), Lock()
         self._failure: BaseException | None = None
         self._over.acquire()
-        _asked.put(self)
 
     def __call__(self) -> None:
         if self._begun.acquire(blocking=False):
@@ -106,18 +119,16 @@ def threads() -> int:
 
 def at_once(jobs: Sequence[Callable[[], None]]) -> None:
     """Run jobs that touch different memory, on as many threads as there are, this one included."""
-    global _helpers
     waiting = iter(jobs)  # a list's iterator gives each job once, whoever asks
 
     def work() -> None:
         for job in waiting:
             job()
 
-    count = min(_count, len(jobs)) - 1
-    for _ in range(count - _helpers):
-        Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
-        _helpers += 1
-    asked = [_Asked(work) for _ in range(count)]
+    asked = [_Asked(work) for _ in range(min(_count, len(jobs)) - 1)]
+    _box[BELL] += 1  # nobody stays where others wait
+    for one in asked:
+        _helped(len(asked)).put(one)
     try:
         work()
     finally:
@@ -219,10 +230,10 @@ def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any
 
 
 class Shared:
-    """A kernel that shares its work out among the threads that call it, packed once.
+    """A kernel that shares its work out among threads, packed once.
 
-    Its first argument counts what has been taken and done, see kernels/bonds.py. A job is one
-    call of Python and of the kernel, whatever the phases.
+    Its first argument counts what has been taken and done, see kernels/bonds.py. A helper that
+    comes stays in the kernel for a while, and serves other sweeps too.
 
     Args:
         kernel, inputs, outputs: without the first argument.
@@ -233,11 +244,16 @@ class Shared:
     def __init__(
         self, kernel: Any, inputs: Sequence[Any], outputs: Sequence[Any], phases: int, work: int
     ) -> None:
-        count = max(1, min(_count, work // SLICE))
-        self._turns = np.zeros(2 + phases * (1 + count), np.int32)
+        self._helpers = max(1, min(_count, work // SLICE)) - 1
+        self._turns = np.zeros(4 + phases * (2 + self._helpers), np.int32)
+        self._turns[2:4] = np.array([_box.ctypes.data]).view(np.int32)
+        stay = ints(self._turns[:4].copy())
+        self._turns[1] = 1 + self._helpers
         self._held = [ints(self._turns), *inputs, *outputs]  # of which the launch knows addresses
         self._launch = recorded(kernel, 1, self._held[: 1 + len(inputs)], outputs)
-        self._jobs = count * [self._launch.launch]
+        if self._helpers:
+            self._held.append(stay)
+            self._stay = recorded(kernel, 1, [stay, *inputs], outputs)
 
     def give(self, place: int, value: Any) -> None:
         """Another array or struct, the first of the inputs being number 0, outputs after them.
@@ -248,9 +264,12 @@ class Shared:
 
     def __call__(self) -> None:
         """Launch, and wait for all."""
-        self._turns[:] = 0
-        self._turns[1] = len(self._jobs)
-        at_once(self._jobs)
+        global _stays
+        self._turns[0], self._turns[4:] = 0, 0
+        for _ in range(self._helpers + int(_box[OVER]) - _stays):
+            _stays += 1
+            _helped(self._helpers).put(self._stay.launch)
+        self._launch.launch()
 
 
 @contextmanager
