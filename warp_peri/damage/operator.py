@@ -179,17 +179,23 @@ def corrections(
     excess: float | np.ndarray,
 ) -> sp.csr_array:
     """What (C26) adds to L, of nodes near those that lack bonds; as bond_matrix."""
-    node, gradient = mean_gradients(body, share, neighbour)
-    xi, lack, each = body.xi, neighbour[node] < 0, np.broadcast_to(stiffness, neighbour.shape)
-    along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
-    squares = np.einsum("nb,bp,bq->npq", lack * each[node], along, along, optimize=True)
-    blocks = sp.bsr_array((squares, np.arange(len(node)), np.arange(len(node) + 1)))
+    node, d = np.flatnonzero((neighbour < 0).any(axis=1)), body.dimension
+    each, there = np.broadcast_to(stiffness, neighbour.shape)[node], neighbour[node] >= 0
+    spans, *made = mean_gradients(body.xi, there, each, share, SPANNED)
+    node, (slopes, squares, lacked) = node[spans], (one[spans] for one in made)
+    width, size = len(node), d * d
+    row, bond = np.nonzero(slopes.reshape(d * width, -1))
+    value, own = slopes.reshape(d * width, -1)[row, bond], node[row // d]
+    columns = np.concatenate([neighbour[own, bond], own])
+    entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
+    by_node = sp.csr_array(sp.coo_array(entries, shape=(d * width, len(neighbour))))
+    gradient = sp.csr_array(sp.kron(by_node, sp.eye_array(d)))  # rows by node, j and i
+    blocks = sp.bsr_array((squares, np.arange(width), np.arange(width + 1)))
     total = gradient.T @ (sp.csr_array(blocks) @ gradient)
     if np.any(excess):
-        size, width = along.shape[1], len(node)
-        felt = ((lack * share) @ along).ravel()
         rows = np.repeat(np.arange(width), size), np.arange(size * width)
-        more = sp.csr_array((felt, rows), shape=(width, size * width)) @ gradient
+        felt = sp.csr_array((lacked.ravel(), rows), shape=(width, size * width))
+        more = felt @ gradient
         of_nodes = sp.diags_array(np.broadcast_to(excess, len(neighbour))[node])
         crossed = more.T @ (of_nodes @ dilatations(body, share, neighbour, node))
         total = total + crossed + crossed.T + more.T @ (of_nodes @ more)
@@ -197,28 +203,32 @@ def corrections(
 
 
 def mean_gradients(
-    body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
-) -> tuple[np.ndarray, sp.csr_array]:
-    """∂u_i/∂x_j by the bonds that are left, of nodes that lack some: their numbers [n], and it.
+    xi: np.ndarray, there: np.ndarray, stiffness: np.ndarray, share: np.ndarray, least: float
+) -> tuple[np.ndarray, ...]:
+    """(C26) of nodes by which bonds of a ball they have, [n, B], for those whose bonds span space.
 
-    It is the matrix [d² n, d N], rows by node, j and i; least squares with the weights |w| (C26).
-    Nodes whose bonds do not span the space are left out: what they lack stays without force.
+    Node by node, so that the bits are the same however many there are.
+
+    Args:
+        xi: of the ball, shape [B, d].
+        there: which bonds each node has, shape [n, B].
+        stiffness, share: as of SplitBonds; the stiffness may be by node too.
+        least: eigenvalue of a node's shape tensor, over a whole ball's, from which its bonds do.
+
+    Returns which nodes they are [n]; by bond, of u_j − u_i, ∂u_i/∂x_j by least squares with the
+    weights |a| [n, d, B]; what the bonds that a node lacks make of it, by j and i: stress
+    [n, d², d²] and dilatation [n, d²]. All but the first are zero where bonds do not span space.
     """
-    d, xi, pull = body.dimension, body.xi, np.abs(weights)
-    whole = np.linalg.eigvalsh((pull * xi.T) @ xi)[0]
-    node = np.flatnonzero((neighbour < 0).any(axis=1))
-    there = neighbour[node] >= 0
-    shape = np.einsum("nb,bi,bj->nij", there * pull, xi, xi, optimize=True)
-    spans = np.linalg.eigvalsh(shape)[:, 0] > SPANNED * whole
-    node, there = node[spans], there[spans]
-    by_bond = np.einsum("nb,bi,nij->njb", there * pull, xi, np.linalg.inv(shape[spans]))
-    flat = by_bond.reshape(d * len(node), len(xi))
-    row, bond = np.nonzero(flat)
-    value, own = flat[row, bond], node[row // d]
-    columns = np.concatenate([neighbour[own, bond], own])
-    entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
-    slopes = sp.csr_array(sp.coo_array(entries, shape=(d * len(node), len(neighbour))))
-    return node, sp.csr_array(sp.kron(slopes, sp.eye_array(d)))
+    along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
+    weight = np.abs(share)
+    pull = ((there * weight)[:, :, None] * xi).swapaxes(1, 2)
+    shape, whole = pull @ xi, (weight * xi.T) @ xi
+    spans = np.linalg.eigvalsh(shape)[:, 0] > least * np.linalg.eigvalsh(whole)[0]
+    shape[~spans] = np.eye(len(whole))
+    lack = ~there & spans[:, None]
+    slopes = spans[:, None, None] * (np.linalg.inv(shape) @ pull)
+    squares = ((lack * stiffness)[:, None] * along.T) @ along
+    return spans, slopes, squares, ((lack * share)[:, None] @ along)[:, 0]
 
 
 def dilatations(

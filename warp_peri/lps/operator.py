@@ -519,7 +519,9 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid, *, taped: bool = Fals
         Lu = u.new_empty(*u.shape[:-2], len(bonds.rows), bonds.dimension)
         bonds.force(u.detach().contiguous(), values, Lu)
         return Lu
-    numbers = [torch.as_tensor(value, dtype=u.dtype, device=u.device).reshape(-1) for value in values]
+    numbers = [
+        torch.as_tensor(value, dtype=u.dtype, device=u.device).reshape(-1) for value in values
+    ]
     if bonds.bond_based and not torch.equal(*numbers[:2]):
         raise InputError(
             f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
