@@ -126,7 +126,7 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
             job()
 
     asked = [_Asked(work) for _ in range(min(_count, len(jobs)) - 1)]
-    _box[BELL] += 1  # nobody stays where others wait
+    _box[BELL] += len(asked)  # nobody stays where others wait
     for one in asked:
         _helped(len(asked)).put(one)
     try:
@@ -232,8 +232,8 @@ def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any
 class Shared:
     """A kernel that shares its work out among threads, packed once.
 
-    Its first argument counts what has been taken and done, see kernels/bonds.py. A helper that
-    comes stays in the kernel for a while, and serves other sweeps too.
+    Its first argument counts what has been taken and done, see kernels/bonds.py, where helpers stay
+    a while to serve what comes next.
 
     Args:
         kernel, inputs, outputs: without the first argument.

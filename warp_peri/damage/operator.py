@@ -132,16 +132,7 @@ def cut_matrix(
     *,
     corrected: bool = False,
 ) -> sp.csr_array:
-    """L of a cut body as a symmetric matrix [stress / length²], shape [d N, d N] (C4).
-
-    Args:
-        body: the body.
-        weights: w of the ball, shape [B].
-        neighbour: with broken bonds, shape [N, B].
-        mu: shear modulus, one or by bond [N, B], the same in both directions.
-        excess: λ − μ, one or by node [N].
-        corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
-    """
+    """bond_matrix of w of the ball [B], and of μ, one or by bond [N, B], and λ − μ."""
     d = body.dimension
     stiffness, share = d * (d + 2) * mu * weights / body.r**2, d * weights
     return bond_matrix(body, neighbour, stiffness, share, excess, corrected=corrected)
@@ -156,7 +147,15 @@ def bond_matrix(
     *,
     corrected: bool = False,
 ) -> sp.csr_array:
-    """L of a cut body as cut_matrix, of SplitBonds; the stiffness may be by bond [N, B]."""
+    """L of a cut body as a symmetric matrix [stress / length²], shape [d N, d N] (C4).
+
+    Args:
+        body: the body.
+        neighbour: with broken bonds, shape [N, B].
+        stiffness, share, excess: as of SplitBonds; the first by bond [N, B] too, the same in both
+            directions, the last by node [N] too.
+        corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
+    """
     stretch, place = stretch_matrix(body, neighbour)
     each = np.broadcast_to(stiffness, neighbour.shape)
     total = stretch.T @ (sp.diags_array(each.ravel()[place]) @ stretch)
@@ -205,19 +204,13 @@ def corrections(
 def mean_gradients(
     xi: np.ndarray, there: np.ndarray, stiffness: np.ndarray, share: np.ndarray, least: float
 ) -> tuple[np.ndarray, ...]:
-    """(C26) of nodes by which bonds of a ball they have, [n, B], for those whose bonds span space.
+    """(C26) of nodes that have some bonds of a ball, xi [B, d], by which, `there` [n, B], where
+    these span space: their shape tensor's eigenvalues are `least` of a whole ball's.
 
-    Node by node, so that the bits are the same however many there are.
-
-    Args:
-        xi: of the ball, shape [B, d].
-        there: which bonds each node has, shape [n, B].
-        stiffness, share: as of SplitBonds; the stiffness may be by node too.
-        least: eigenvalue of a node's shape tensor, over a whole ball's, from which its bonds do.
-
-    Returns which nodes they are [n]; by bond, of u_j − u_i, ∂u_i/∂x_j by least squares with the
-    weights |a| [n, d, B]; what the bonds that a node lacks make of it, by j and i: stress
-    [n, d², d²] and dilatation [n, d²]. All but the first are zero where bonds do not span space.
+    Returns where they do [n]; and, zero elsewhere, ∂u_i/∂x_j of each bond's u_j − u_i, least
+    squares with the weights |a| [n, d, B]; and what the bonds that are lacked make of it, by j and
+    i: stress [n, d², d²] and dilatation [n, d²]. Node by node, so that the bits are the same
+    however many there are. Stiffness and share as of SplitBonds, the first by node too.
     """
     along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
     weight = np.abs(share)
