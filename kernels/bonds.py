@@ -60,13 +60,18 @@ def unpacked(struct):
     return "".join(f"auto& {name} = of.{name};" for name in struct.vars)
 
 
+LINE = 16
+"""Numbers of a line of cache."""
+
+
 def shared(samples="1", **phases):
     """C++ of work on pieces of samples s, in phases, which all threads that call it share.
 
     Each thread has a stretch of its own, where the phase before has left in its cache what it
     reads; then it takes parts of the others'. Who comes late finds nothing left, and nobody waits
     for it. `turns` counts who has come, and for each phase what is done and, of each thread's
-    stretch, what has been taken; zeros at first.
+    stretch, what has been taken; zeros at first, LINE apart, for no two threads to write to one
+    line of cache.
 
     One thread leads: it leaves the work in a box, by address, where helpers find it that stay in a
     kernel between sweeps: to wake one takes a tenth of a small sweep. With no threads to share
@@ -109,24 +114,25 @@ def shared(samples="1", **phases):
     auto all = [&](int me) {
         if (me < 0)
             me = 1 + __atomic_fetch_add(turns.data, 1, __ATOMIC_RELAXED);
-        int* done = turns.data + 4;
+        int* done = turns.data + LINE;
         const auto share = [&](const auto& pieces, auto work) {
-            const int parts = 16;
+            const int parts = 32;
             const long long each = pieces.shape[0], count = each * SAMPLES, all = threads * parts;
             for (int other = 0; other < threads; ++other) {
                 const int stretch = (me + other) % threads;
-                int* taken = done + 1 + stretch;
-                for (int n; (n = __atomic_fetch_add(taken, 1, __ATOMIC_RELAXED)) < parts;) {
+                int *taken = done + LINE * (1 + stretch), own = 0;
+                for (int n; (n = __atomic_fetch_add(taken, 1, __ATOMIC_RELAXED)) < parts; ++own) {
                     const long long part = stretch * parts + n;
                     for (long long t = count * part / all; t < count * (part + 1) / all; ++t)
                         work(t / each, pieces.data[t % each]);
-                    __atomic_fetch_add(done, 1, __ATOMIC_RELEASE);
                 }
+                if (own)
+                    __atomic_fetch_add(done, own, __ATOMIC_RELEASE);
             }
             for (int n = 0; __atomic_load_n(done, __ATOMIC_ACQUIRE) < all; ++n)
                 if (n > 1000)
                     rest();
-            done += 1 + threads;
+            done += LINE * (1 + threads);
         };
         PHASES
     };
@@ -151,7 +157,8 @@ def shared(samples="1", **phases):
     __atomic_store_n(lead, 0, __ATOMIC_RELEASE);
 """
     each = (f"share({of}, [&](int s, auto piece) {{{work}}});" for of, work in phases.items())
-    return text.replace("SAMPLES", samples).replace("PHASES", "\n".join(each))
+    text = text.replace("SAMPLES", samples).replace("PHASES", "\n".join(each))
+    return text.replace("LINE", str(LINE))
 
 
 @cache

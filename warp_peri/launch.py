@@ -18,6 +18,8 @@ from warp_peri.errors import InputError
 
 DEVICE = "cpu"
 """Where arrays are made unless a device is named."""
+LINE = 16
+"""Counters of a sweep that threads share are so far apart, as in kernels/bonds.py."""
 SLICE = 2000
 """Least number of nodes a thread is worth starting for."""
 
@@ -245,7 +247,7 @@ class Shared:
         self, kernel: Any, inputs: Sequence[Any], outputs: Sequence[Any], phases: int, work: int
     ) -> None:
         self._helpers = max(1, min(_count, work // SLICE)) - 1
-        self._turns = np.zeros(4 + phases * (2 + self._helpers), np.int32)
+        self._turns = np.zeros(LINE * (1 + phases * (2 + self._helpers)), np.int32)
         self._turns[2:4] = np.array([_box.ctypes.data]).view(np.int32)
         stay = ints(self._turns[:4].copy())
         self._turns[1] = 1 + self._helpers
@@ -265,7 +267,7 @@ class Shared:
     def __call__(self) -> None:
         """Launch, and wait for all."""
         global _stays
-        self._turns[0], self._turns[4:] = 0, 0
+        self._turns[0], self._turns[LINE:] = 0, 0
         for _ in range(self._helpers + int(_box[OVER]) - _stays):
             _stays += 1
             _helped(self._helpers).put(self._stay.launch)
