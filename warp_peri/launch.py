@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import pairwise
 from queue import SimpleQueue
 from threading import Lock, Thread
@@ -47,27 +49,20 @@ def _start() -> None:
 _start()
 _count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 _asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
-_helpers = _stays = 0
-_box = np.zeros(48, np.int64)
+_helpers = _staying = 0
+_box = np.zeros(56, np.int64)
 """Where a sweep leaves its work for helpers that stay in a kernel, see kernels/bonds.py."""
-OVER, BELL = 32, 40
-"""Numbers in the box: stays that are over; what ends the others."""
+ASLEEP, BELL, BED = 32, 40, 48
+"""Places in the box: helpers that sleep, what ends their stays, and their semaphore."""
+_sleeps = sys.platform == "linux"
+_wake = ctypes.CDLL(None).sem_post if _sleeps else None
 
 
 def _without_helpers() -> None:
     """Forget the helpers: a process that forks from this one has none of its threads."""
-    global _asked, _helpers, _stays
-    _asked, _helpers, _stays = SimpleQueue(), 0, 0
+    global _asked, _helpers, _staying
+    _asked, _helpers, _staying = SimpleQueue(), 0, 0
     _box[:] = 0
-
-
-def _helped(count: int) -> SimpleQueue[Callable[[], None]]:
-    """The queue that so many helpers or more wait on."""
-    global _helpers
-    for _ in range(count - _helpers):
-        Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
-        _helpers += 1
-    return _asked
 
 
 if hasattr(os, "register_at_fork"):
@@ -78,6 +73,15 @@ def _help(asked: SimpleQueue[Callable[[], None]]) -> None:
     """What a thread does that helps: a queue wakes it in half the time that a pool takes."""
     while True:
         asked.get()()
+
+
+def _helped(count: int) -> SimpleQueue[Callable[[], None]]:
+    """The queue that so many helpers or more wait on."""
+    global _helpers
+    for _ in range(count - _helpers):
+        Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
+        _helpers += 1
+    return _asked
 
 
 class _Asked:
@@ -121,16 +125,22 @@ def threads() -> int:
 
 def at_once(jobs: Sequence[Callable[[], None]]) -> None:
     """Run jobs that touch different memory, on as many threads as there are, this one included."""
+    global _staying
     waiting = iter(jobs)  # a list's iterator gives each job once, whoever asks
 
     def work() -> None:
         for job in waiting:
             job()
 
-    asked = [_Asked(work) for _ in range(min(_count, len(jobs)) - 1)]
-    _box[BELL] += len(asked)  # nobody stays where others wait
+    count = min(_count, len(jobs)) - 1
+    _box[BELL] += count > 0  # nobody stays where others wait
+    asked = [_Asked(work) for _ in range(count)]
+    if asked:
+        _staying = 0
+        for _ in range(int(_box[ASLEEP])):
+            _wake(ctypes.c_void_p(_box[BED:].ctypes.data))  # type: ignore[misc]
     for one in asked:
-        _helped(len(asked)).put(one)
+        _helped(count).put(one)
     try:
         work()
     finally:
@@ -241,21 +251,27 @@ class Shared:
         kernel, inputs, outputs: without the first argument.
         phases: how many.
         work: of all of them, that of a node being 1.
+        stay: the kernel in which they stay.
     """
 
     def __init__(
-        self, kernel: Any, inputs: Sequence[Any], outputs: Sequence[Any], phases: int, work: int
+        self,
+        kernel: Any,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        phases: int,
+        work: int,
+        stay: Any,
     ) -> None:
         self._helpers = max(1, min(_count, work // SLICE)) - 1
         self._turns = np.zeros(LINE * (1 + phases * (2 + self._helpers)), np.int32)
-        self._turns[2:4] = np.array([_box.ctypes.data]).view(np.int32)
-        stay = ints(self._turns[:4].copy())
         self._turns[1] = 1 + self._helpers
+        self._turns[2:4] = np.array([_box.ctypes.data]).view(np.int32)
         self._held = [ints(self._turns), *inputs, *outputs]  # of which the launch knows addresses
         self._launch = recorded(kernel, 1, self._held[: 1 + len(inputs)], outputs)
         if self._helpers:
-            self._held.append(stay)
-            self._stay = recorded(kernel, 1, [stay, *inputs], outputs)
+            box = wp.array(_box, dtype=wp.int64, device=DEVICE, copy=False)
+            self._stay = recorded(stay, 1, [box], ())
 
     def give(self, place: int, value: Any) -> None:
         """Another array or struct, the first of the inputs being number 0, outputs after them.
@@ -264,13 +280,17 @@ class Shared:
         """
         self._launch.set_param_at_index(place + 1, value)
 
+    def _come(self, bell: int) -> None:
+        if bell == _box[BELL]:
+            self._stay.launch()
+
     def __call__(self) -> None:
         """Launch, and wait for all."""
-        global _stays
+        global _staying
         self._turns[0], self._turns[LINE:] = 0, 0
-        for _ in range(self._helpers + int(_box[OVER]) - _stays):
-            _stays += 1
-            _helped(self._helpers).put(self._stay.launch)
+        for _ in range(self._helpers - _staying):
+            _staying += _sleeps
+            _helped(self._helpers).put(partial(self._come, int(_box[BELL])))
         self._launch.launch()
 
 

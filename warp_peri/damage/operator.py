@@ -15,6 +15,7 @@ import warp as wp
 
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
+from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.launch import Shared, filled, floats, ints, threads, zeros
 from warp_peri.lps.model import Model, stiffnesses
@@ -353,7 +354,7 @@ class CutOperator:
         phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
         how = self.excess, criterion, self._tension_only, self._planes, self._theta, self._lost
         of = filled(self._kernels.Cut, *phases, *self._at, *self._nodes, *how, *fields)
-        return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept))
+        return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept), stay)
 
     def sweep_early(self, own: np.ndarray) -> None:
         """Sweep first all pieces that feel `own` nodes alone, [N] bool."""
