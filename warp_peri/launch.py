@@ -270,7 +270,7 @@ class Shared:
         self._held = [ints(self._turns), *inputs, *outputs]  # of which the launch knows addresses
         self._launch = recorded(kernel, 1, self._held[: 1 + len(inputs)], outputs)
         if self._helpers:
-            box = wp.array(_box, dtype=wp.int64, device=DEVICE, copy=False)
+            box: wp.array[Any] = wp.array(_box, dtype=wp.int64, device=DEVICE, copy=False)
             self._stay = recorded(stay, 1, [box], ())
 
     def give(self, place: int, value: Any) -> None:
