@@ -6,11 +6,13 @@
         --model runs/boron_nitride/model/model.json --true 0.2572 0.2849
 
 Prints E_u [%] by set of laws of sheets, of local elasticity with the moduli that are true, and with
-those of each law's long waves. The scenes are of tools/make_scenes.py. Biquadratic elements half a
-spacing wide; loads and displacements of the collar go to points between the nodes by ten-point
-interpolation.
+those of each law's long waves; where the file has the same loads reversed, also the part of even
+order, which no linear law follows. The scenes are of tools/make_scenes.py. Biquadratic elements
+half a spacing wide; loads and displacements of the collar go to points between the nodes by
+ten-point interpolation.
 """
 
+import dataclasses
 import json
 import sys
 from collections.abc import Callable
@@ -123,22 +125,53 @@ def moduli_of(material: Any, spacing: float) -> np.ndarray:
 
 
 def errors_by_law(
-    materials: dict[str, Any], sets: dict[str, Samples], true: np.ndarray
+    materials: dict[str, Any],
+    sets: dict[str, Samples],
+    true: np.ndarray,
+    backs: dict[str, Samples] | None = None,
 ) -> dict[str, dict[str, float]]:
-    """E_u by law and set: each law, local elasticity with its moduli, and with the true ones."""
+    """E_u by law and set: each law, local elasticity with its moduli, and with the true ones.
+
+    Of sets with the same loads the other way round, `backs`, also the part of even order.
+    """
     found: dict[str, dict[str, float]] = {}
     for name, samples in sets.items():
+        tried = [("", samples, np.ones(len(samples)))]
+        if backs and name in backs:
+            tried.append((", of even order", *even_part(samples, backs[name])))
+        for end, given, share in tried:
 
-        def local(label: str, C: np.ndarray, name: str = name, samples: Samples = samples) -> None:
-            label = f"local elasticity, {label}"
-            found.setdefault(label, {})[name] = float(errors_of_local(samples, C).mean())
+            def put(label: str, errors: Any, end: str = end, name: str = name, by: Any = share):
+                found.setdefault(label + end, {})[name] = float(np.mean(by * errors))
 
-        for label, material in materials.items():
-            allowed = {"allow_uncertified": True} if isinstance(material, wp.Model) else {}
-            found.setdefault(label, {})[name] = wp.evaluate(material, samples, **allowed)["E_u"]
-            local(f"moduli of {label}", moduli_of(material, samples.spacing))
-        local("true moduli", true)
+            for label, material in materials.items():
+                allowed = {"allow_uncertified": True} if isinstance(material, wp.Model) else {}
+                put(label, wp.evaluate(material, given, **allowed)["E_u_samples"])
+                C = moduli_of(material, samples.spacing)
+                put(f"local elasticity, moduli of {label}", errors_of_local(given, C))
+            put("local elasticity, true moduli", errors_of_local(given, true))
     return found
+
+
+def even_part(samples: Samples, back: Samples) -> tuple[Samples, np.ndarray]:
+    """Sum of the answers to loads and to their reverse, and by load its size over theirs, [S].
+
+    A linear law has no such part but what it continues of the collar's: the errors of both its
+    answers are together no less than what it misses of this one.
+
+    Args:
+        samples: answers of a nonlinear solid.
+        back: answers to the same loads the other way round, of any size.
+    """
+    ratio = -np.sum(samples.b * samples.b, axis=(1, 2)) / np.sum(samples.b * back.b, axis=(1, 2))
+    other = ratio[:, None, None] * back.u
+    both = samples.b + ratio[:, None, None] * back.b
+    even = dataclasses.replace(samples, u=samples.u + other, b=both)
+    sizes = [
+        np.linalg.norm(u[:, samples.interior].reshape(len(u), -1), axis=1)
+        for u in (even.u, samples.u, other)
+    ]
+    return even, sizes[0] / (sizes[1] + sizes[2])
 
 
 def study(given: Any) -> str:
@@ -154,7 +187,10 @@ def study(given: Any) -> str:
     if true is None:  # of the file, or of graphene at rest, of which the scenes are
         truth = data.provenance.get("truth") or wp.load(GRAPHENE).provenance["truth"]
         true = truth["lambda"], truth["mu"]
-    found = errors_by_law(materials, {name: data[name] for name in some}, plane_isotropic(*true))
+    ways = {name: "_reversed_".join(name.rsplit("_", 1)) for name in some}
+    backs = {name: data[back] for name, back in ways.items() if back in data}
+    sets = {name: data[name] for name in some}
+    found = errors_by_law(materials, sets, plane_isotropic(*true), backs)
     if given.json:
         return json.dumps(found)
     cells = [[law, *(f"{100 * e:.2f}" for e in row.values())] for law, row in found.items()]

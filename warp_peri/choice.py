@@ -289,16 +289,18 @@ def choose_model(
     kind = "short waves" if short else "long waves"
     at = "" if scene.strain is None else f" at |H| = {100 * scene.strain:.2g} %"
     what = f"δ = {row['horizon']:.4g} Å, M = {row['degree']} ({row['kind']})"
-    suffice = ""
+    suffice = local = ""
     if way.answer == "elements":
         what = f"{row['label'].split(',')[0]} with known constants"
         suffice = "Local elements suffice: "
     elif way.answer != "linear" or row["method"] == "rest":
         what = str(row["label"])
+    if not suffice and (elements := [each for each in good if each.answer == "elements"]):
+        local = f" Local elements suffice too: {table['rows'][min(elements).number]['label']}."
     reason = (
         f"{suffice}h = {row['spacing']:g} Å, {what} by {way.method} is the cheapest of {len(good)} "
         f"measured ways within {100 * tolerance:g} % on {kind}{at}: {100 * way.error:.2g} %, about "
-        f"{way.seconds:.2g} s for {way.nodes:.0f} nodes."
+        f"{way.seconds:.2g} s for {way.nodes:.0f} nodes.{local}"
     )
     return Choice(
         row["spacing"], row["horizon"], row["degree"], way.method, way.error, way.seconds, reason,

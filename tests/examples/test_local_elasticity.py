@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from examples.local_elasticity import errors_by_law, errors_of_local, local_solver, moduli_of
+from examples.local_elasticity import (
+    errors_by_law,
+    errors_of_local,
+    even_part,
+    local_solver,
+    moduli_of,
+)
 from examples.studies.speed_accuracy import SECONDS_OF, beside
 from warp_peri.choice import shipped_table
 from warp_peri.core.elastic import from_voigt
@@ -56,6 +62,23 @@ def test_laws_are_told_with_their_own_moduli():
     assert found["local elasticity, true moduli"]["long"] > 0.02
     with pytest.raises(wp.InputError, match="expected a law of sheets that is linear"):
         moduli_of(object(), 5.0)
+
+
+def test_what_no_linear_law_follows():
+    """Answers a u + a² v to a load and −c a u + c² a² v to its reverse, c times as large."""
+    linear = waves(12.0)
+    inside, bent = linear.interior, np.zeros_like(linear.u)
+    bent[:, inside] = 0.01 * np.random.default_rng(0).normal(size=bent[:, inside].shape)
+    answer = wp.Samples(linear.points, linear.u + bent, linear.b)
+    back = wp.Samples(linear.points, -0.5 * linear.u + 0.25 * bent, -0.5 * linear.b)
+    even, share = even_part(answer, back)
+    assert np.abs(even.b).max() < 1e-15
+    np.testing.assert_allclose(even.u, 1.5 * bent, atol=1e-15)
+    found = errors_by_law({}, {"one": answer}, C, {"one": back})
+    least = found["local elasticity, true moduli, of even order"]["one"]
+    assert least == pytest.approx(share[0], rel=1e-6)  # nothing of it is in the collar
+    both = [errors_of_local(each, C)[0] for each in (answer, back)]
+    assert least <= max(both) * 1.01
 
 
 def test_rows_measured_later_have_the_seconds_of_the_table():
