@@ -2,6 +2,7 @@
 
     python examples/local_elasticity.py                 on scenes that no fit saw
     python examples/local_elasticity.py --data data/graphene_0K.h5 --model M.json N.json
+    python examples/local_elasticity.py --waves --model M.json N.json
     python examples/local_elasticity.py --data runs/boron_nitride/bn.h5 \\
         --model runs/boron_nitride/model/model.json --true 0.2572 0.2849
 
@@ -9,7 +10,8 @@ Prints E_u [%] by set of laws of sheets, of local elasticity with the moduli tha
 those of each law's long waves; where the file has the same loads reversed, also the part of even
 order, which no linear law follows. The scenes are of tools/make_scenes.py. Biquadratic elements
 half a spacing wide; loads and displacements of the collar go to points between the nodes by
-ten-point interpolation.
+ten-point interpolation. With --waves it is by the length of a wave in graphene, in nodes 5 Å apart,
+against the force constants of the atoms, the mean over directions.
 """
 
 import dataclasses
@@ -26,11 +28,13 @@ import numpy as np
 from scipy.ndimage import binary_erosion, convolve1d
 
 import warp_peri as wp
+from examples.crystals import local
 from examples.prose import table
 from examples.studies.fem_rival import elastic_solver
+from tools import graphene_phonons
 from tools.options import Options
 from warp_peri import InputError, Points, Samples
-from warp_peri.core.elastic import plane_isotropic, voigt
+from warp_peri.core.elastic import from_voigt, plane_isotropic, voigt
 from warp_peri.dressed import DressedSolid
 from warp_peri.errors import exit_status
 from warp_peri.micromodulus import Crystal, tensors_of
@@ -43,6 +47,9 @@ USUAL = ("train", "val", "test", "1", "3")
 """Ends of the names of the sets that are taken where none is asked for."""
 FINER = 4
 """Points of elements, which are two of them wide, in a spacing."""
+SPACING, DIRECTIONS = 5.0, 24
+LENGTHS = (20, 10, 6, 5, 4, 3.5, 3, 2.5, 2)
+"""Of waves, in spacings."""
 BETWEEN = np.zeros(19)
 BETWEEN[::2] = np.array([35, -405, 2268, -8820, 39690, 39690, -8820, 2268, -405, 35]) / 2**16
 BETWEEN[9] = 1.0
@@ -174,9 +181,35 @@ def even_part(samples: Samples, back: Samples) -> tuple[Samples, np.ndarray]:
     return even, sizes[0] / (sizes[1] + sizes[2])
 
 
+def errors_by_wave(materials: dict[str, Any], true: np.ndarray) -> dict[str, list[float]]:
+    """E_u by law and length of the wave, in spacings as in LENGTHS, mean over loads."""
+    atoms = graphene_phonons.force_constants()
+    turn = np.linspace(0, np.pi, DIRECTIONS, endpoint=False)
+    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {}
+    for label, material in materials.items():
+        law = getattr(material, "linear", material)
+        laws[label] = (tensors_of(law, SPACING) if isinstance(law, wp.Model) else law).symbol
+    laws["local elasticity, true moduli"] = local(from_voigt(true))
+    found: dict[str, list[float]] = {label: [] for label in laws}
+    for length in LENGTHS:
+        k = 2 * np.pi / (SPACING * length) * along
+        u = np.linalg.inv(atoms.effective(k))  # under a load along each axis
+        for label, D in laws.items():
+            off = np.linalg.norm(np.linalg.inv(D(k)) - u, axis=1) / np.linalg.norm(u, axis=1)
+            found[label].append(float(off.mean()))
+    return found
+
+
 def study(given: Any) -> str:
     """The table for the files that were asked for."""
-    data, materials = wp.load(given.data), {m.stem: wp.load(m) for m in given.model}
+    materials = {m.stem: wp.load(m) for m in given.model}
+    if given.waves:
+        truth = wp.load(GRAPHENE).provenance["truth"]
+        waves = errors_by_wave(materials, plane_isotropic(truth["lambda"], truth["mu"]))
+        rows = [[law, *(f"{100 * e:.2f}" for e in row)] for law, row in waves.items()]
+        return table(["length / nodes", *(f"{length:g}" for length in LENGTHS)], rows)
+    data = wp.load(given.data)
     some = given.sets or sorted(
         (n for n in data if n.rsplit("_")[-1] in USUAL),
         key=lambda n: USUAL.index(n.rsplit("_")[-1]),
@@ -201,6 +234,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__, json=True)
     parser.add("--model", type=Path, nargs="+", default=[MODEL], metavar="FILE", help="laws")
     parser.add("--data", type=Path, default=SCENES, metavar="FILE", help="samples of a sheet")
+    parser.add("--waves", action="store_true", help="by the length of a wave")
     parser.add("--sets", nargs="+", metavar="NAME", help="of the file")
     parser.add(
         "--true", type=float, nargs=2, metavar=("LAMBDA", "MU"), help="by default the file's"
