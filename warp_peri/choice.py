@@ -253,12 +253,10 @@ def choose_model(
     shorter ones to those on the short waves; a transfer has at least the error that it agrees with
     home to at the scene's shortest wave. Costs are the measured ones: of factorisations grown with
     the power 1.5 of the unknowns, of all else in proportion to them, of conjugate gradients from a
-    large domain, where the horizon hardly matters. Of two that cost the same the more accurate is
-    taken; a nonlinear solid, whose solves are made of linear ones, only where no linear one keeps
-    the tolerance.
+    large domain. Of two that cost the same the more accurate is taken; a nonlinear solid only where
+    no linear one keeps the tolerance.
 
-    Raises InputError for a wave shorter than any that was measured, or a tolerance that is no
-    number above zero or that nothing in the table keeps.
+    Raises InputError for a wave shorter than any measured, or a tolerance that nothing keeps.
     """
     if not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, got {tolerance!r:.60}")
