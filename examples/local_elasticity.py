@@ -170,9 +170,10 @@ def even_part(samples: Samples, back: Samples) -> tuple[Samples, np.ndarray]:
         samples: answers of a nonlinear solid.
         back: answers to the same loads the other way round, of any size.
     """
-    ratio = -np.sum(samples.b * samples.b, axis=(1, 2)) / np.sum(samples.b * back.b, axis=(1, 2))
+    b, reverse = samples.loads, back.loads
+    ratio = -np.sum(b * b, axis=(1, 2)) / np.sum(b * reverse, axis=(1, 2))
     other = ratio[:, None, None] * back.u
-    both = samples.b + ratio[:, None, None] * back.b
+    both = b + ratio[:, None, None] * reverse
     even = dataclasses.replace(samples, u=samples.u + other, b=both)
     sizes = [
         np.linalg.norm(u[:, samples.interior].reshape(len(u), -1), axis=1)

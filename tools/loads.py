@@ -128,7 +128,7 @@ class MixedLoad:
 class Reversed:
     """A load the other way round: what answers have of even order cancels between the two."""
 
-    load: "MixedLoad | RandomRim"
+    load: "Load"
 
     @property
     def load_id(self) -> str:
