@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from examples.figures import headline, name_lines, panels, save_figure, ticks
+from examples.figures import headline, name_lines, note, panels, save_figure, ticks
 
 COUNTS = (1000, 10_000, 100_000)
 """Dumbbells of an ensemble, as printed."""
@@ -127,8 +127,9 @@ def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> Non
         ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}")
         ax.plot(found["t"], found["centre"]["learned"], f"C{color}o", ms=4, fillstyle="none")
     ax.plot(found["t"], found["newton"], "k--", label="Newtonian")
-    ax.set(xlabel="time t / t₀", ylabel="velocity in the middle u / U")
-    ax.legend(frameon=False, fontsize=9, title="lines: exact model\ncircles: learned")
+    ax.set(xlabel="time t / t₀ (lines: exact model, circles: learned)")
+    ax.set_ylabel("velocity in the middle u / U")
+    name_lines(ax)
     ax.set_title("The learned fluid follows the exact model at each Deborah number")
     save_figure(figure, path)
 
@@ -151,15 +152,20 @@ def draw_forces(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
 
 def draw_costs(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
     """Error against the time of a whole run."""
-    figure, ax = panels(7, 3.6)
-    for color, (name, run) in enumerate(costs.items()):
+    figure, ax = panels(8.5, 3.6)
+    for name, run in costs.items():
         if run["error"] > 0:
-            ax.loglog(run["seconds"], run["error"], f"C{color}o", label=name)
-            if run["learned"]:
-                whole = run["seconds"] + run["learned"]
-                ax.plot(whole, run["error"], f"C{color}o", fillstyle="none")
-    ax.axvline(costs["exact law"]["seconds"], color="k", linestyle=":", label="exact model")
-    ax.set(xlabel="processor seconds (open: with learning)", ylabel="error of velocity [%]")
-    ax.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+            learned, at = run["learned"], (run["seconds"], run["error"])
+            ax.loglog(*at, "C0o" if learned else "C1o")
+            note(ax, name, at, (0, 7), "C0" if learned else "C1")
+            if learned:
+                ax.plot([at[0], at[0] + learned], [at[1]] * 2, "C0:o", fillstyle="none")
+    exact = costs["exact law"]["seconds"]
+    ax.axvline(exact, color="k", linestyle=":")
+    ax.margins(y=0.15)
+    ax.set(xlim=(exact / 3, 5e3 * exact), ylabel="error of velocity [%]")
+    middle = {"xycoords": ax.get_xaxis_transform(), "rotation": 90, "ha": "right", "va": "center"}
+    note(ax, "exact model", (exact, 0.5), (-5, 0), "k", **middle)
+    ax.set_xlabel("processor seconds of a run (open: with learning)")
     headline(figure, "A model from 10⁵ dumbbells runs in a second, as many coupled in minutes")
     save_figure(figure, path)
