@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import LogLocator
 
 from examples.figures import headline, name_lines, panels, save_figure
 from examples.prose import fill, rows_of
@@ -142,6 +143,9 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
     axes[1].semilogy(degrees, ours, "^-", color="C2", label="validation, shared seed")
     for ax in axes:
         ax.set_xticks(degrees)
+        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ax.yaxis.set_major_formatter("{x:g}")
+        ax.yaxis.set_minor_formatter("")
         name_lines(ax)
     headline(figure, "At 300 K noise sets the errors; against quiet data degrees help")
     save_figure(figure, path)
