@@ -52,14 +52,12 @@ def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
     """Figure 5, above: stress over time."""
     figure, axes = panels(10, 3.2, count=2)
     for ax, De in zip(axes, sorted({De for De, *_ in plates})):
-        run = plates[De, LAWS[1], 10_000]
-        coupled = plates[De, "coupled", 10_000]
-        shown = (
-            ("coupled, 10⁴ dumbbells", coupled, "stress", "C7"),
-            ("learned, kinematics known", run, "stress", "C1"),
-            ("exact model", run, "exact", "k:"),
-        )
-        for label, one, key, style in shown:
+        for label, name, key, style in (
+            ("coupled, 10⁴ dumbbells", "coupled", "stress", "C7"),
+            ("learned, kinematics known", LAWS[1], "stress", "C1"),
+            ("exact model", LAWS[1], "exact", "k:"),
+        ):
+            one = plates[De, name, 10_000]
             drawn = ax.plot(one["t"], np.array(one[key]), style, linewidth=1)
             drawn[0].set_label(label)
         ax.set(title=f"Deborah number {De:g}", xlabel="time t / t₀")

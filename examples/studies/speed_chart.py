@@ -103,15 +103,10 @@ def training_chart(rows: list[Row], file: Path) -> None:
     """Error on the disks against what a law cost: seconds of atoms, and of its fit."""
     atoms = next(row for row in rows if row["kind"] == "atoms")
     figure, ax = panels(9, 5.5)
-    some = [row for row in rows if row.get("fit_seconds", 0) > 0]
-    some = [
-        row
-        for row in some
-        if row["kind"] not in ("predict", "λ, μ, α only") or "at 1 %" in row["label"]
-    ]
-    best: dict[str, Row] = {}
-    for row in sorted(some, key=lambda row: row["disks_error"]):
-        best.setdefault(row["label"].split(", ")[0], row)
+    many, best = ("predict", "λ, μ, α only"), dict[str, Row]()
+    for row in sorted(rows, key=lambda row: row["disks_error"]):
+        if row.get("fit_seconds", 0) > 0 and (row["kind"] not in many or "at 1 %" in row["label"]):
+            best.setdefault(row["label"].split(", ")[0], row)
     for name, row in best.items():
         both = 2 if row["kind"] == "designed" else 1  # each both ways
         loads = atoms["waves_setup"] + both * row["loads"] * atoms["waves_solve"]
