@@ -2,15 +2,19 @@
 
     python examples/local_elasticity.py                 on scenes that no fit saw
     python examples/local_elasticity.py --data data/graphene_0K.h5 --model M.json N.json
+    python examples/local_elasticity.py --waves --model M.json N.json
     python examples/local_elasticity.py --data runs/boron_nitride/bn.h5 \\
         --model runs/boron_nitride/model/model.json --true 0.2572 0.2849
 
 Prints E_u [%] by set of laws of sheets, of local elasticity with the moduli that are true, and with
-those of each law's long waves. The scenes are of tools/make_scenes.py. Biquadratic elements half a
-spacing wide; loads and displacements of the collar go to points between the nodes by ten-point
-interpolation.
+those of each law's long waves; where the file has the same loads reversed, also the part of even
+order, which no linear law follows. The scenes are of tools/make_scenes.py. Biquadratic elements
+half a spacing wide; loads and displacements of the collar go to points between the nodes by
+ten-point interpolation. With --waves it is by the length of a wave in graphene, in nodes 5 Å apart,
+against the force constants of the atoms, the mean over directions.
 """
 
+import dataclasses
 import json
 import sys
 from collections.abc import Callable
@@ -24,11 +28,13 @@ import numpy as np
 from scipy.ndimage import binary_erosion, convolve1d
 
 import warp_peri as wp
+from examples.crystals import local
 from examples.prose import table
 from examples.studies.fem_rival import elastic_solver
+from tools import graphene_phonons
 from tools.options import Options
 from warp_peri import InputError, Points, Samples
-from warp_peri.core.elastic import plane_isotropic, voigt
+from warp_peri.core.elastic import from_voigt, plane_isotropic, voigt
 from warp_peri.dressed import DressedSolid
 from warp_peri.errors import exit_status
 from warp_peri.micromodulus import Crystal, tensors_of
@@ -41,6 +47,9 @@ USUAL = ("train", "val", "test", "1", "3")
 """Ends of the names of the sets that are taken where none is asked for."""
 FINER = 4
 """Points of elements, which are two of them wide, in a spacing."""
+SPACING, DIRECTIONS = 5.0, 24
+LENGTHS = (20, 10, 6, 5, 4, 3.5, 3, 2.5, 2)
+"""Of waves, in spacings."""
 BETWEEN = np.zeros(19)
 BETWEEN[::2] = np.array([35, -405, 2268, -8820, 39690, 39690, -8820, 2268, -405, 35]) / 2**16
 BETWEEN[9] = 1.0
@@ -123,27 +132,85 @@ def moduli_of(material: Any, spacing: float) -> np.ndarray:
 
 
 def errors_by_law(
-    materials: dict[str, Any], sets: dict[str, Samples], true: np.ndarray
+    materials: dict[str, Any],
+    sets: dict[str, Samples],
+    true: np.ndarray,
+    backs: dict[str, Samples] | None = None,
 ) -> dict[str, dict[str, float]]:
-    """E_u by law and set: each law, local elasticity with its moduli, and with the true ones."""
+    """E_u by law and set: each law, local elasticity with its moduli, and with the true ones.
+
+    Of sets with the same loads the other way round, `backs`, also the part of even order.
+    """
     found: dict[str, dict[str, float]] = {}
     for name, samples in sets.items():
+        tried = [("", samples, np.ones(len(samples)))]
+        if backs and name in backs:
+            tried.append((", of even order", *even_part(samples, backs[name])))
+        for end, given, share in tried:
 
-        def local(label: str, C: np.ndarray, name: str = name, samples: Samples = samples) -> None:
-            label = f"local elasticity, {label}"
-            found.setdefault(label, {})[name] = float(errors_of_local(samples, C).mean())
+            def put(label: str, errors: Any, end: str = end, name: str = name, by: Any = share):
+                found.setdefault(label + end, {})[name] = float(np.mean(by * errors))
 
-        for label, material in materials.items():
-            allowed = {"allow_uncertified": True} if isinstance(material, wp.Model) else {}
-            found.setdefault(label, {})[name] = wp.evaluate(material, samples, **allowed)["E_u"]
-            local(f"moduli of {label}", moduli_of(material, samples.spacing))
-        local("true moduli", true)
+            for label, material in materials.items():
+                allowed = {"allow_uncertified": True} if isinstance(material, wp.Model) else {}
+                put(label, wp.evaluate(material, given, **allowed)["E_u_samples"])
+                C = moduli_of(material, samples.spacing)
+                put(f"local elasticity, moduli of {label}", errors_of_local(given, C))
+            put("local elasticity, true moduli", errors_of_local(given, true))
+    return found
+
+
+def even_part(samples: Samples, back: Samples) -> tuple[Samples, np.ndarray]:
+    """Sum of the answers to loads and to their reverse, and by load its size over theirs, [S].
+
+    A linear law has no such part but what it continues of the collar's: the errors of both its
+    answers are together no less than what it misses of this one.
+
+    Args:
+        samples: answers of a nonlinear solid.
+        back: answers to the same loads the other way round, of any size.
+    """
+    b, reverse = samples.loads, back.loads
+    ratio = -np.sum(b * b, axis=(1, 2)) / np.sum(b * reverse, axis=(1, 2))
+    other = ratio[:, None, None] * back.u
+    both = b + ratio[:, None, None] * reverse
+    even = dataclasses.replace(samples, u=samples.u + other, b=both)
+    sizes = [
+        np.linalg.norm(u[:, samples.interior].reshape(len(u), -1), axis=1)
+        for u in (even.u, samples.u, other)
+    ]
+    return even, sizes[0] / (sizes[1] + sizes[2])
+
+
+def errors_by_wave(materials: dict[str, Any], true: np.ndarray) -> dict[str, list[float]]:
+    """E_u by law and length of the wave, in spacings as in LENGTHS, mean over loads."""
+    atoms = graphene_phonons.force_constants()
+    turn = np.linspace(0, np.pi, DIRECTIONS, endpoint=False)
+    along = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    laws: dict[str, Callable[[np.ndarray], np.ndarray]] = {}
+    for label, material in materials.items():
+        law = getattr(material, "linear", material)
+        laws[label] = (tensors_of(law, SPACING) if isinstance(law, wp.Model) else law).symbol
+    laws["local elasticity, true moduli"] = local(from_voigt(true))
+    found: dict[str, list[float]] = {label: [] for label in laws}
+    for length in LENGTHS:
+        k = 2 * np.pi / (SPACING * length) * along
+        u = np.linalg.inv(atoms.effective(k))  # under a load along each axis
+        for label, D in laws.items():
+            off = np.linalg.norm(np.linalg.inv(D(k)) - u, axis=1) / np.linalg.norm(u, axis=1)
+            found[label].append(float(off.mean()))
     return found
 
 
 def study(given: Any) -> str:
     """The table for the files that were asked for."""
-    data, materials = wp.load(given.data), {m.stem: wp.load(m) for m in given.model}
+    materials = {m.stem: wp.load(m) for m in given.model}
+    if given.waves:
+        truth = wp.load(GRAPHENE).provenance["truth"]
+        waves = errors_by_wave(materials, plane_isotropic(truth["lambda"], truth["mu"]))
+        rows = [[law, *(f"{100 * e:.2f}" for e in row)] for law, row in waves.items()]
+        return table(["length / nodes", *(f"{length:g}" for length in LENGTHS)], rows)
+    data = wp.load(given.data)
     some = given.sets or sorted(
         (n for n in data if n.rsplit("_")[-1] in USUAL),
         key=lambda n: USUAL.index(n.rsplit("_")[-1]),
@@ -154,7 +221,10 @@ def study(given: Any) -> str:
     if true is None:  # of the file, or of graphene at rest, of which the scenes are
         truth = data.provenance.get("truth") or wp.load(GRAPHENE).provenance["truth"]
         true = truth["lambda"], truth["mu"]
-    found = errors_by_law(materials, {name: data[name] for name in some}, plane_isotropic(*true))
+    ways = {name: "_reversed_".join(name.rsplit("_", 1)) for name in some}
+    backs = {name: data[back] for name, back in ways.items() if back in data}
+    sets = {name: data[name] for name in some}
+    found = errors_by_law(materials, sets, plane_isotropic(*true), backs)
     if given.json:
         return json.dumps(found)
     cells = [[law, *(f"{100 * e:.2f}" for e in row.values())] for law, row in found.items()]
@@ -165,6 +235,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__, json=True)
     parser.add("--model", type=Path, nargs="+", default=[MODEL], metavar="FILE", help="laws")
     parser.add("--data", type=Path, default=SCENES, metavar="FILE", help="samples of a sheet")
+    parser.add("--waves", action="store_true", help="by the length of a wave")
     parser.add("--sets", nargs="+", metavar="NAME", help="of the file")
     parser.add(
         "--true", type=float, nargs=2, metavar=("LAMBDA", "MU"), help="by default the file's"

@@ -34,7 +34,7 @@ def least(functions: Sequence[Callable[[], Any]]) -> list[float]:
     while len(times) < ROUNDS and time.perf_counter() - begin < SECONDS:
         times.append([])
         for function in functions:
-            time.sleep(0.005)  # until the threads of the one before stop spinning
+            time.sleep(0.02)  # until the threads of the one before stop spinning
             function()
             start = clock()
             function()

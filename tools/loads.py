@@ -126,16 +126,16 @@ class MixedLoad:
 
 @dataclass(frozen=True)
 class Reversed:
-    """A MixedLoad the other way round: what answers have of even order cancels between the two."""
+    """A load the other way round: what answers have of even order cancels between the two."""
 
-    load: MixedLoad
+    load: "Load"
 
     @property
     def load_id(self) -> str:
         return f"{self.load.load_id} reversed"
 
     def shape(self, positions: np.ndarray, box: Box) -> np.ndarray:
-        """At positions [Å] of a sheet of periods `box` [Å]; shapes [A, 2]."""
+        """At positions [Å] of a body of periods `box` [Å]; shapes [A, 2]."""
         return -self.load.shape(positions, box)
 
 

@@ -2,6 +2,7 @@
 
     python tools/make_scenes.py
     python tools/make_scenes.py --seed 4747 --strains .014 .02    # loads of your own
+    python tools/make_scenes.py --seed 4747 --strains .02 --both-ways    # and each load reversed
 
 Sums of many waves on the sheet and random loads round the disk, at bond strains from 1 to 10 %, on
 the nodes of the data set, on other shapes of the interior, and on nodes turned against the crystal.
@@ -19,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 
 from tools import make_graphene as base
-from tools.loads import Load, MixedLoad, RandomRim
+from tools.loads import Load, MixedLoad, RandomRim, Reversed
 from tools.make_strained import SPACING, _solve_missing, strained_file
 from tools.options import Options
 from tools.samples import Piece, Sample, read_sample
@@ -101,10 +102,14 @@ def make_scenes(
     sheet: Sequence[Load] = SHEET,
     disk: Sequence[Load] = DISK,
     strains: Sequence[float] = STRAINS,
+    both_ways: bool = False,
     jobs: int = -1,
     progress: bool = True,
 ) -> Path:
-    """Write the sets, named `<shape>_<percent>`; finished samples stay beside the file."""
+    """Write the sets, named `<shape>_<percent>`; finished samples stay beside the file.
+
+    With `both_ways` also `<shape>_reversed_<percent>`, of the same loads the other way round.
+    """
     cache = path.with_suffix(".cache")
     with locked(path), locked(cache):
         cache.mkdir(parents=True, exist_ok=True)
@@ -113,6 +118,11 @@ def make_scenes(
             "sheet": (bodies[0], sheet),
             "disk": (bodies[1], disk),
         }
+        if both_ways:
+            groups |= {
+                f"{name}_reversed": (body, [Reversed(load) for load in loads])
+                for name, (body, loads) in groups.items()
+            }
         _solve_missing(groups.values(), strains, cache, jobs, progress)
         sets: dict[str, Samples] = {}
         for strain in strains:
@@ -122,6 +132,8 @@ def make_scenes(
                 percent = f"{100 * strain:g}"
                 nodes = base.point_set(body, loads, samples, spacing=SPACING)
                 sets[f"{name}_{percent}"] = nodes
+                if name.endswith("_reversed"):
+                    continue
                 other = "rectangle" if body.cells else "L"
                 sets[f"{other}_{percent}"] = shape(nodes, other)
                 if not body.cells:
@@ -139,6 +151,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add(
         "--strains", type=float, nargs="+", default=STRAINS, help="largest of bonds, growing"
     )
+    parser.add("--both-ways", action="store_true", help="also each load the other way round")
     parser.add("--jobs", type=int, default=-1, help="processes; -1: one for each core")
     parser.add("--quiet", action="store_true", help="no progress bar")
     given = parser.parse_args(arguments)
@@ -151,8 +164,8 @@ def main(arguments: list[str] | None = None) -> int:
             sheet = [MixedLoad(given.seed + n, shortest) for n, shortest in enumerate(WAVES)]
             disk = [RandomRim(given.seed + n) for n in range(len(DISK))]
             out = given.out or OUT.with_stem(f"{OUT.stem}_{given.seed}")
-        how = {"strains": given.strains, "jobs": given.jobs, "progress": not given.quiet}
-        print(make_scenes(out, sheet=sheet, disk=disk, **how))
+        how = {"strains": given.strains, "both_ways": given.both_ways, "jobs": given.jobs}
+        print(make_scenes(out, sheet=sheet, disk=disk, progress=not given.quiet, **how))
 
     return exit_status(work, "finished samples are kept", name="make_scenes")
 

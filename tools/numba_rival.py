@@ -96,10 +96,9 @@ def influence_loop(t: Tables, dtype: Any) -> Callable[[], np.ndarray]:
     """K·W of every class, computed at every call."""
     import numba
 
-    degree, parts = len(t.D) - 1, numba.get_num_threads()
-    jit = numba.njit(parallel=True)
+    degree = len(t.D) - 1
     lam, mu, horizon = dtype(t.lam), dtype(t.mu), dtype(t.horizon)
-    loops = Loops(jit, numba.prange, dtype, True, 1, lam, mu, horizon, parts)
+    loops = Loops(numba.njit(), range, dtype, True, 1, lam, mu, horizon, 1)
     influence = _influence(loops)
     r, weight, D = (np.asarray(v, dtype) for v in (t.r, t.weight, t.D))
     binomial, kw = comb(degree, np.arange(degree + 1)).astype(dtype), np.empty(len(r), dtype)

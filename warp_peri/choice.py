@@ -253,12 +253,10 @@ def choose_model(
     shorter ones to those on the short waves; a transfer has at least the error that it agrees with
     home to at the scene's shortest wave. Costs are the measured ones: of factorisations grown with
     the power 1.5 of the unknowns, of all else in proportion to them, of conjugate gradients from a
-    large domain, where the horizon hardly matters. Of two that cost the same the more accurate is
-    taken; a nonlinear solid, whose solves are made of linear ones, only where no linear one keeps
-    the tolerance.
+    large domain. Of two that cost the same the more accurate is taken; a nonlinear solid only where
+    no linear one keeps the tolerance.
 
-    Raises InputError for a wave shorter than any that was measured, or a tolerance that is no
-    number above zero or that nothing in the table keeps.
+    Raises InputError for a wave shorter than any measured, or a tolerance that nothing keeps.
     """
     if not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, got {tolerance!r:.60}")
@@ -289,16 +287,18 @@ def choose_model(
     kind = "short waves" if short else "long waves"
     at = "" if scene.strain is None else f" at |H| = {100 * scene.strain:.2g} %"
     what = f"δ = {row['horizon']:.4g} Å, M = {row['degree']} ({row['kind']})"
-    suffice = ""
+    suffice = local = ""
     if way.answer == "elements":
         what = f"{row['label'].split(',')[0]} with known constants"
         suffice = "Local elements suffice: "
     elif way.answer != "linear" or row["method"] == "rest":
         what = str(row["label"])
+    if not suffice and (elements := [each for each in good if each.answer == "elements"]):
+        local = f" Local elements suffice too: {table['rows'][min(elements).number]['label']}."
     reason = (
         f"{suffice}h = {row['spacing']:g} Å, {what} by {way.method} is the cheapest of {len(good)} "
         f"measured ways within {100 * tolerance:g} % on {kind}{at}: {100 * way.error:.2g} %, about "
-        f"{way.seconds:.2g} s for {way.nodes:.0f} nodes."
+        f"{way.seconds:.2g} s for {way.nodes:.0f} nodes.{local}"
     )
     return Choice(
         row["spacing"], row["horizon"], row["degree"], way.method, way.error, way.seconds, reason,

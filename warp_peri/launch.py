@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import ctypes
 import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import pairwise
 from queue import SimpleQueue
 from threading import Lock, Thread
@@ -18,6 +20,8 @@ from warp_peri.errors import InputError
 
 DEVICE = "cpu"
 """Where arrays are made unless a device is named."""
+LINE = 16
+"""Counters of a sweep that threads share are so far apart, as in kernels/bonds.py."""
 SLICE = 2000
 """Least number of nodes a thread is worth starting for."""
 
@@ -45,13 +49,20 @@ def _start() -> None:
 _start()
 _count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 _asked: SimpleQueue[Callable[[], None]] = SimpleQueue()
-_helpers = 0
+_helpers = _staying = 0
+_box = np.zeros(56, np.int64)
+"""Where a sweep leaves its work for helpers that stay in a kernel, see kernels/bonds.py."""
+ASLEEP, BELL, BED = 32, 40, 48
+"""Places in the box: helpers that sleep, what ends their stays, and their semaphore."""
+_sleeps = sys.platform == "linux"
+_wake = ctypes.CDLL(None).sem_post if _sleeps else None
 
 
 def _without_helpers() -> None:
     """Forget the helpers: a process that forks from this one has none of its threads."""
-    global _asked, _helpers
-    _asked, _helpers = SimpleQueue(), 0
+    global _asked, _helpers, _staying
+    _asked, _helpers, _staying = SimpleQueue(), 0, 0
+    _box[:] = 0
 
 
 if hasattr(os, "register_at_fork"):
@@ -64,6 +75,15 @@ def _help(asked: SimpleQueue[Callable[[], None]]) -> None:
         asked.get()()
 
 
+def _helped(count: int) -> SimpleQueue[Callable[[], None]]:
+    """The queue that so many helpers or more wait on."""
+    global _helpers
+    for _ in range(count - _helpers):
+        Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
+        _helpers += 1
+    return _asked
+
+
 class _Asked:
     """Work that a helper is asked for, and that is taken back if none has begun it."""
 
@@ -71,7 +91,6 @@ class _Asked:
         self._work, self._begun, self._over = work, Lock(), Lock()
         self._failure: BaseException | None = None
         self._over.acquire()
-        _asked.put(self)
 
     def __call__(self) -> None:
         if self._begun.acquire(blocking=False):
@@ -106,7 +125,7 @@ def threads() -> int:
 
 def at_once(jobs: Sequence[Callable[[], None]]) -> None:
     """Run jobs that touch different memory, on as many threads as there are, this one included."""
-    global _helpers
+    global _staying
     waiting = iter(jobs)  # a list's iterator gives each job once, whoever asks
 
     def work() -> None:
@@ -114,10 +133,14 @@ def at_once(jobs: Sequence[Callable[[], None]]) -> None:
             job()
 
     count = min(_count, len(jobs)) - 1
-    for _ in range(count - _helpers):
-        Thread(target=_help, args=(_asked,), daemon=True, name="warp_peri").start()
-        _helpers += 1
+    _box[BELL] += count > 0  # nobody stays where others wait
     asked = [_Asked(work) for _ in range(count)]
+    if asked:
+        _staying = 0
+        for _ in range(int(_box[ASLEEP])):
+            _wake(ctypes.c_void_p(_box[BED:].ctypes.data))  # type: ignore[misc]
+    for one in asked:
+        _helped(count).put(one)
     try:
         work()
     finally:
@@ -219,25 +242,36 @@ def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any
 
 
 class Shared:
-    """A kernel that shares its work out among the threads that call it, packed once.
+    """A kernel that shares its work out among threads, packed once.
 
-    Its first argument counts what has been taken and done, see kernels/bonds.py. A job is one
-    call of Python and of the kernel, whatever the phases.
+    Its first argument counts what has been taken and done, see kernels/bonds.py, where helpers stay
+    a while to serve what comes next.
 
     Args:
         kernel, inputs, outputs: without the first argument.
         phases: how many.
         work: of all of them, that of a node being 1.
+        stay: the kernel in which they stay.
     """
 
     def __init__(
-        self, kernel: Any, inputs: Sequence[Any], outputs: Sequence[Any], phases: int, work: int
+        self,
+        kernel: Any,
+        inputs: Sequence[Any],
+        outputs: Sequence[Any],
+        phases: int,
+        work: int,
+        stay: Any,
     ) -> None:
-        count = max(1, min(_count, work // SLICE))
-        self._turns = np.zeros(2 + phases * (1 + count), np.int32)
+        self._helpers = max(1, min(_count, work // SLICE)) - 1
+        self._turns = np.zeros(LINE * (1 + phases * (2 + self._helpers)), np.int32)
+        self._turns[1] = 1 + self._helpers
+        self._turns[2:4] = np.array([_box.ctypes.data]).view(np.int32)
         self._held = [ints(self._turns), *inputs, *outputs]  # of which the launch knows addresses
         self._launch = recorded(kernel, 1, self._held[: 1 + len(inputs)], outputs)
-        self._jobs = count * [self._launch.launch]
+        if self._helpers:
+            box: wp.array[Any] = wp.array(_box, dtype=wp.int64, device=DEVICE, copy=False)
+            self._stay = recorded(stay, 1, [box], ())
 
     def give(self, place: int, value: Any) -> None:
         """Another array or struct, the first of the inputs being number 0, outputs after them.
@@ -246,11 +280,18 @@ class Shared:
         """
         self._launch.set_param_at_index(place + 1, value)
 
+    def _come(self, bell: int) -> None:
+        if bell == _box[BELL]:
+            self._stay.launch()
+
     def __call__(self) -> None:
         """Launch, and wait for all."""
-        self._turns[:] = 0
-        self._turns[1] = len(self._jobs)
-        at_once(self._jobs)
+        global _staying
+        self._turns[0], self._turns[LINE:] = 0, 0
+        for _ in range(self._helpers - _staying):
+            _staying += _sleeps
+            _helped(self._helpers).put(partial(self._come, int(_box[BELL])))
+        self._launch.launch()
 
 
 @contextmanager

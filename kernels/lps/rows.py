@@ -242,8 +242,11 @@ def _swept(of, native, to_numbers, to_vectors):
     θ of u, (6), and L u, (9); or τ of hd, (43), and ∂/∂u, (44).
     """
     scalar, vec, BondArrays, Law = of.scalar, of.vec, of.BondArrays, structs(of.scalar, 2).Law
-    phases = {"laid": LAID_OUT.replace("divisor", "divisor.data[0]"), "needed": to_numbers}
-    body = native(shared("planes.shape[0]", **phases, asked=to_vectors))
+    phases = {"laid": LAID_OUT.replace("divisor", "divisor.data[0]")}
+    for name, work in (("needed", to_numbers), ("asked", to_vectors)):
+        half = work.replace("LANES", "LANES / 2")
+        phases[name] = f"if (piece.c[2] > LANES / 2) {{{work}}} else {{{half}}}"
+    body = native(shared("planes.shape[0]", **phases))
 
     @wp.func_native(body)
     def share(

@@ -107,7 +107,7 @@ def test_any_number_of_threads_has_the_same_bits():
             lost = operator.sweep(given, links, force, energy, breaking=True)
         finally:
             set_threads(before)
-        assert len(next(iter(operator._recorded.values()))[-1]._jobs) == count
+        assert next(iter(operator._recorded.values()))[-1]._turns[1] == count
         found.append([lost, *(array.numpy() for array in (force, energy, links))])
     assert len(found[0][0]) > 1000
     for others in found[1:]:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from examples import train_graphene
+from tests.examples.test_paper_rows import held, rows
 from tests.package.test_pages import BLOCKS, TEXT
 from tests.package.test_shell_pages import run_as_typed
 from warp_peri import LPS, Bernstein, fit, save
@@ -45,6 +46,8 @@ def test_main_job_leaves_its_results(main_run):
     assert set(numbers["certificate"]) == {
         "symbol_min", "symbol_bound", "gamma_min", "inf_sup_min", "gamma_minus_2phi_min",
     }  # fmt: skip
+    told = rows("you_2021", "The metric", "| linear solid | E_res |")[0][0]
+    held([100 * numbers["E_res"]["train"]], [told])
     assert [stage["name"] for stage in numbers["stages"]] == ["1 Adam", "3 constrained"]
     moduli = [numbers["moduli"][name] for name in ("C12", "C44")]
     assert numbers["held"] == pytest.approx([numbers["lambda"], numbers["mu"]], rel=1e-9)

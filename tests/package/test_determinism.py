@@ -101,6 +101,29 @@ def test_a_process_that_forks_after_threads_have_run_has_threads_of_its_own(monk
     assert os.waitpid(child, 0)[1] == 0
 
 
+@pytest.mark.usefixtures("_threads")
+def test_sweeps_of_several_threads_at_once_share_helpers_and_none_takes_another_field(monkeypatch):
+    monkeypatch.setattr("warp_peri.launch.SLICE", 10)
+    set_threads(3)
+    points = lattice(20, 2.5)
+    operator = LPSOperator(kernel("positive", 2.5), points)
+    fields = [noise(points, seed=n) for n in range(3)]
+    expected, wrong = [operator(u) for u in fields], []
+
+    def sweeps(n):
+        for _ in range(100):
+            if not np.array_equal(operator(fields[n]), expected[n]):
+                wrong.append(n)
+            at_once([list, list])  # helpers leave and come again
+
+    users = [threading.Thread(target=sweeps, args=(n,)) for n in range(3)]
+    for user in users:
+        user.start()
+    for user in users:
+        user.join()
+    assert not wrong
+
+
 def test_every_job_is_done_once_and_a_failure_of_a_helper_is_told():
     before = threads()
     set_threads(3)

@@ -17,7 +17,7 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warp_peri.damage.lattice_body import LatticeBody, cracked
-from warp_peri.damage.operator import CutOperator, unit_bond_energy, unit_toughness
+from warp_peri.damage.operator import CutOperator, mean_gradients, unit_bond_energy, unit_toughness
 from warp_peri.damage.solid import (
     BrittleCrystal,
     BrittleSolid,
@@ -99,13 +99,14 @@ class SurfaceCorrection:
     Args:
         operator: of the body.
         links: which bonds are unbroken, as the operator has it.
+
+    Attributes:
+        nodes: that lack bonds.
+        near: these and the ends of their bonds, where forces change.
     """
 
     def __init__(self, operator: CutOperator, links: wp.array[Any]) -> None:
-        self._operator, self.links, xi = operator, links, operator.body.xi
-        self._along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)
-        self._pull = np.abs(operator.bonded.share)
-        self._least = SPREAD * np.linalg.eigvalsh((self._pull * xi.T) @ xi)[0]
+        self._operator, self.links = operator, links
         self.nodes = np.zeros(0, int)
         self._kept: list[np.ndarray] = []
         self.lose(np.flatnonzero(~operator.kept(links).all(axis=1)))
@@ -113,21 +114,12 @@ class SurfaceCorrection:
     def lose(self, nodes: np.ndarray) -> None:
         """These nodes lack bonds, or more of them."""
         stiffness, share, _ = self._operator.bonded
-        body, d = self._operator.body, self._operator.body.dimension
+        body = self._operator.body
         there = self._operator.kept(self.links, nodes[:, None], np.arange(len(share)))
-        xi, along = body.xi, self._along
-        # node by node, so that the bits are the same however many there are
-        pull = ((there * self._pull)[:, :, None] * xi).swapaxes(1, 2)
-        shape = pull @ xi
-        spans = np.linalg.eigvalsh(shape)[:, 0] > self._least
-        shape[~spans] = np.eye(d)
-        lack = ~there & spans[:, None]
         made = (
             np.where(there, body.neighbour[nodes], nodes[:, None]),
-            (there * share)[:, :, None] * xi,
-            spans[:, None, None] * (np.linalg.inv(shape) @ pull),
-            ((lack * stiffness)[:, None] * along.T) @ along,
-            ((lack * share)[:, None] @ along)[:, 0],
+            (there * share)[:, :, None] * body.xi,
+            *mean_gradients(body.xi, there, stiffness, share, SPREAD)[1:],
         )
         stay = ~np.isin(self.nodes, nodes)
         every = np.append(self.nodes[stay], nodes)
@@ -135,9 +127,15 @@ class SurfaceCorrection:
         before = [one[stay] for one in self._kept] or [one[:0] for one in made]
         self.nodes = every[order]
         self._kept = [np.concatenate(pair)[order] for pair in zip(before, made)]
+        ends = np.append(self._kept[0].ravel(), self.nodes)
+        number = np.zeros(len(body.x), int)
+        number[ends] = 1
+        self.near = np.flatnonzero(number)
+        number[self.near] = np.arange(len(self.near))
+        self._place = number[ends]
 
     def __call__(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Force density of all nodes [N, d], energy density of `nodes`, at a displacement."""
+        """Force density of the nodes `near` and energy density of `nodes`, at a displacement."""
         far, felt, by_bond, squares, lacked = self._kept
         excess, d = self._operator.bonded.excess, u.shape[1]
         apart = u[far] - u[self.nodes, None]
@@ -148,10 +146,9 @@ class SurfaceCorrection:
         stress = (stress + excess * (theta + more)[:, None] * lacked).reshape(-1, d, d)
         pulls = by_bond.swapaxes(1, 2) @ stress
         pulls += (excess * more)[:, None, None] * felt
-        force = np.zeros_like(u)
-        np.subtract.at(force, far, pulls)
-        force[self.nodes] += pulls.sum(axis=1)
-        return force, energy
+        each = np.append(-pulls.reshape(-1, d), pulls.sum(axis=1), axis=0)
+        sums = [np.bincount(self._place, part, len(self.near)) for part in each.T]
+        return np.stack(sums, axis=1), energy
 
 
 class BreakingBody:
@@ -295,13 +292,18 @@ class BreakingBody:
         if lost is not None:
             correction.lose(lost)
         more, stored = correction(u.numpy())
-        nodes, all_forces, energies = correction.nodes, force.numpy(), energy.numpy()
-        plain = all_forces.copy(), energies[nodes]  # to have the same bits wherever nothing breaks
-        all_forces += more
+        nodes, near, forces, energies = (
+            correction.nodes,
+            correction.near,
+            force.numpy(),
+            energy.numpy(),
+        )
+        plain = forces[near], energies[nodes]  # to have the same bits wherever nothing breaks
+        forces[near] += more
         energies[nodes] += stored
 
         def less() -> None:
-            all_forces[:], energies[nodes] = plain
+            forces[near], energies[nodes] = plain
 
         return less
 

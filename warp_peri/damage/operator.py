@@ -15,6 +15,7 @@ import warp as wp
 
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.errors import InputError
+from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.launch import Shared, filled, floats, ints, threads, zeros
 from warp_peri.lps.model import Model, stiffnesses
@@ -132,16 +133,7 @@ def cut_matrix(
     *,
     corrected: bool = False,
 ) -> sp.csr_array:
-    """L of a cut body as a symmetric matrix [stress / length²], shape [d N, d N] (C4).
-
-    Args:
-        body: the body.
-        weights: w of the ball, shape [B].
-        neighbour: with broken bonds, shape [N, B].
-        mu: shear modulus, one or by bond [N, B], the same in both directions.
-        excess: λ − μ, one or by node [N].
-        corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
-    """
+    """bond_matrix of w of the ball [B], and of μ, one or by bond [N, B], and λ − μ."""
     d = body.dimension
     stiffness, share = d * (d + 2) * mu * weights / body.r**2, d * weights
     return bond_matrix(body, neighbour, stiffness, share, excess, corrected=corrected)
@@ -156,7 +148,15 @@ def bond_matrix(
     *,
     corrected: bool = False,
 ) -> sp.csr_array:
-    """L of a cut body as cut_matrix, of SplitBonds; the stiffness may be by bond [N, B]."""
+    """L of a cut body as a symmetric matrix [stress / length²], shape [d N, d N] (C4).
+
+    Args:
+        body: the body.
+        neighbour: with broken bonds, shape [N, B].
+        stiffness, share, excess: as of SplitBonds; the first by bond [N, B] too, the same in both
+            directions, the last by node [N] too.
+        corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
+    """
     stretch, place = stretch_matrix(body, neighbour)
     each = np.broadcast_to(stiffness, neighbour.shape)
     total = stretch.T @ (sp.diags_array(each.ravel()[place]) @ stretch)
@@ -179,17 +179,23 @@ def corrections(
     excess: float | np.ndarray,
 ) -> sp.csr_array:
     """What (C26) adds to L, of nodes near those that lack bonds; as bond_matrix."""
-    node, gradient = mean_gradients(body, share, neighbour)
-    xi, lack, each = body.xi, neighbour[node] < 0, np.broadcast_to(stiffness, neighbour.shape)
-    along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
-    squares = np.einsum("nb,bp,bq->npq", lack * each[node], along, along, optimize=True)
-    blocks = sp.bsr_array((squares, np.arange(len(node)), np.arange(len(node) + 1)))
+    node, d = np.flatnonzero((neighbour < 0).any(axis=1)), body.dimension
+    each, there = np.broadcast_to(stiffness, neighbour.shape)[node], neighbour[node] >= 0
+    spans, *made = mean_gradients(body.xi, there, each, share, SPANNED)
+    node, (slopes, squares, lacked) = node[spans], (one[spans] for one in made)
+    width, size = len(node), d * d
+    row, bond = np.nonzero(slopes.reshape(d * width, -1))
+    value, own = slopes.reshape(d * width, -1)[row, bond], node[row // d]
+    columns = np.concatenate([neighbour[own, bond], own])
+    entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
+    by_node = sp.csr_array(sp.coo_array(entries, shape=(d * width, len(neighbour))))
+    gradient = sp.csr_array(sp.kron(by_node, sp.eye_array(d)))  # rows by node, j and i
+    blocks = sp.bsr_array((squares, np.arange(width), np.arange(width + 1)))
     total = gradient.T @ (sp.csr_array(blocks) @ gradient)
     if np.any(excess):
-        size, width = along.shape[1], len(node)
-        felt = ((lack * share) @ along).ravel()
         rows = np.repeat(np.arange(width), size), np.arange(size * width)
-        more = sp.csr_array((felt, rows), shape=(width, size * width)) @ gradient
+        felt = sp.csr_array((lacked.ravel(), rows), shape=(width, size * width))
+        more = felt @ gradient
         of_nodes = sp.diags_array(np.broadcast_to(excess, len(neighbour))[node])
         crossed = more.T @ (of_nodes @ dilatations(body, share, neighbour, node))
         total = total + crossed + crossed.T + more.T @ (of_nodes @ more)
@@ -197,28 +203,26 @@ def corrections(
 
 
 def mean_gradients(
-    body: LatticeBody, weights: np.ndarray, neighbour: np.ndarray
-) -> tuple[np.ndarray, sp.csr_array]:
-    """∂u_i/∂x_j by the bonds that are left, of nodes that lack some: their numbers [n], and it.
+    xi: np.ndarray, there: np.ndarray, stiffness: np.ndarray, share: np.ndarray, least: float
+) -> tuple[np.ndarray, ...]:
+    """(C26) of nodes that have some bonds of a ball, xi [B, d], by which, `there` [n, B], where
+    these span space: their shape tensor's eigenvalues are `least` of a whole ball's.
 
-    It is the matrix [d² n, d N], rows by node, j and i; least squares with the weights |w| (C26).
-    Nodes whose bonds do not span the space are left out: what they lack stays without force.
+    Returns where they do [n]; and, zero elsewhere, ∂u_i/∂x_j of each bond's u_j − u_i, least
+    squares with the weights |a| [n, d, B]; and what the bonds that are lacked make of it, by j and
+    i: stress [n, d², d²] and dilatation [n, d²]. Node by node, so that the bits are the same
+    however many there are. Stiffness and share as of SplitBonds, the first by node too.
     """
-    d, xi, pull = body.dimension, body.xi, np.abs(weights)
-    whole = np.linalg.eigvalsh((pull * xi.T) @ xi)[0]
-    node = np.flatnonzero((neighbour < 0).any(axis=1))
-    there = neighbour[node] >= 0
-    shape = np.einsum("nb,bi,bj->nij", there * pull, xi, xi, optimize=True)
-    spans = np.linalg.eigvalsh(shape)[:, 0] > SPANNED * whole
-    node, there = node[spans], there[spans]
-    by_bond = np.einsum("nb,bi,nij->njb", there * pull, xi, np.linalg.inv(shape[spans]))
-    flat = by_bond.reshape(d * len(node), len(xi))
-    row, bond = np.nonzero(flat)
-    value, own = flat[row, bond], node[row // d]
-    columns = np.concatenate([neighbour[own, bond], own])
-    entries = np.concatenate([value, -value]), (np.tile(row, 2), columns)
-    slopes = sp.csr_array(sp.coo_array(entries, shape=(d * len(node), len(neighbour))))
-    return node, sp.csr_array(sp.kron(slopes, sp.eye_array(d)))
+    along = np.einsum("bj,bi->bji", xi, xi).reshape(len(xi), -1)  # e = along · gradient
+    weight = np.abs(share)
+    pull = ((there * weight)[:, :, None] * xi).swapaxes(1, 2)
+    shape, whole = pull @ xi, (weight * xi.T) @ xi
+    spans = np.linalg.eigvalsh(shape)[:, 0] > least * np.linalg.eigvalsh(whole)[0]
+    shape[~spans] = np.eye(len(whole))
+    lack = ~there & spans[:, None]
+    slopes = spans[:, None, None] * (np.linalg.inv(shape) @ pull)
+    squares = ((lack * stiffness)[:, None] * along.T) @ along
+    return spans, slopes, squares, ((lack * share)[:, None] @ along)[:, 0]
 
 
 def dilatations(
@@ -350,7 +354,7 @@ class CutOperator:
         phases: Any = [wp.array(of, dtype=wp.vec2i, device="cpu") for of in (laid, dilated, swept)]
         how = self.excess, criterion, self._tension_only, self._planes, self._theta, self._lost
         of = filled(self._kernels.Cut, *phases, *self._at, *self._nodes, *how, *fields)
-        return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept))
+        return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept), stay)
 
     def sweep_early(self, own: np.ndarray) -> None:
         """Sweep first all pieces that feel `own` nodes alone, [N] bool."""

@@ -200,12 +200,17 @@ class Bonds:
         for prepared in self._prepared:
             prepared.forget()
 
-    def force(self, u: wp.array[Any], numbers: Sequence[np.ndarray]) -> wp.array[Any]:
-        """L u [S, I] of u [S, N] and λ, μ, α, D and so on, on a lattice laid out in rows."""
-        fits = len(u), tuple(len(D) - 1 for D in numbers[3:]), threads()
+    def force(self, u: Any, values: Sequence[Any], Lu: Any) -> None:
+        """L u of tensors [..., N, d] and [..., I, d], and λ, μ, α, D and so on, on a lattice laid
+        out in rows."""
+        numbers = [
+            one.detach().numpy().reshape(-1) if hasattr(one, "detach") else np.ravel(one)
+            for one in values
+        ]
+        samples = u.numel() // (self.nodes * self.dimension)
+        fits = samples, tuple(len(D) - 1 for D in numbers[3:]), threads()
         with lent(self._prepared, fits, lambda: Prepared(self, fits)) as prepared:
-            Lu: wp.array[Any] = prepared(u, numbers)
-        return Lu
+            prepared(u.data_ptr(), numbers, Lu.data_ptr())
 
 
 @dataclass(frozen=True)
@@ -403,8 +408,8 @@ class Prepared:
         bonds: of the lattice.
         fits: samples, degrees of one influence function or two, and threads.
 
-    Call it with u, shape [S, N] of vectors, and λ, μ, α, D and so on as arrays; returns L u.
-    K and the weighted volume are computed anew where α or a coefficient has changed.
+    Call it with the addresses of u, [S, N] vectors, and of memory for L u, [S, I], and λ, μ, α, D
+    and so on. K and the weighted volume are computed anew where α or a coefficient has changed.
     """
 
     def __init__(self, bonds: Bonds, fits: tuple[int, tuple[int, ...], int]) -> None:
@@ -415,7 +420,7 @@ class Prepared:
         tables: list[wp.array[Any]] = []
         self._volumes: list[Any] = []
         self._held: list[Any] = [arrays, tables]  # of which the launches know addresses
-        self._bonds, sweeps = bonds, lps.sweeps(bonds.scalar, bonds.dimension)
+        sweeps = lps.sweeps(bonds.scalar, bonds.dimension)
         for degree, D in zip(degrees, coefficients):
             tables += (kw := bonds.zeros(len(bonds.r))), (m := bonds.zeros(1))
             given = (*influence_inputs(bonds, degree), alpha, D)
@@ -428,21 +433,21 @@ class Prepared:
         forward = Forward(bonds.laid_out, bonds.arrays, samples)  # type: ignore[arg-type]
         self.size, self._launch = forward.size, forward.launch
         self._launch.give(6, filled(law, *tables[:2], *tables[-2:], lam, mu))
+        sizes = bonds.nodes, len(bonds.rows)
+        self._ends = [empty(samples, size, dtype=bonds.vec).__ctype__() for size in sizes]
+        for place, end in zip((7, 10), self._ends):
+            self._launch.give(place, end)
 
-    def __call__(self, u: wp.array[Any], numbers: Sequence[np.ndarray]) -> wp.array[Any]:
-        bonds = self._bonds
+    def __call__(self, u: int, numbers: Sequence[np.ndarray], Lu: int) -> None:
         for kept, value in zip(self._numbers, numbers, strict=True):
             kept[:] = value
-        key = b"".join(value.tobytes() for value in numbers[2:])
+        key = b"".join(kept.tobytes() for kept in self._numbers[2:])
         if key != self._key:
             for launch in self._volumes:
                 launch.launch()
             self._key = key
-        Lu = empty(len(u), len(bonds.rows), dtype=bonds.vec)
-        self._launch.give(7, u)
-        self._launch.give(10, Lu)
+        self._ends[0].data, self._ends[1].data = u, Lu
         self._launch()
-        return Lu
 
     def forget(self) -> None:
         """Compute K the next time."""

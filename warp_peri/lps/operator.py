@@ -510,24 +510,27 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid, *, taped: bool = Fals
     derivative to λ is zero: (42) is a function of μ.
     """
     check_field(bonds, u)
-    refuse_tangents(u, *solid.values())
-    numbers = [
-        torch.as_tensor(value, dtype=u.dtype, device=u.device).reshape(-1)
-        for value in solid.values()
-    ]
-    if bonds.bond_based and not torch.equal(*numbers[:2]):
+    values = list(solid.values())
+    refuse_tangents(u, *values)
+    if bonds.bond_based and float(solid.lam) != float(solid.mu):
         raise InputError(
             f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
         )
+    learned = torch.is_grad_enabled() and any(
+        one.requires_grad for one in (u, *values) if isinstance(one, torch.Tensor)
+    )
+    if bonds.laid_out is not None and not learned:  # torch takes longer than a small sweep
+        Lu = u.new_empty(*u.shape[:-2], len(bonds.rows), bonds.dimension)
+        bonds.force(u.detach().contiguous(), values, Lu)
+        return Lu
+    numbers = [
+        torch.as_tensor(value, dtype=u.dtype, device=u.device).reshape(-1) for value in values
+    ]
     inputs = (u.reshape(-1, bonds.nodes, bonds.dimension), *numbers)
-    if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in inputs):
+    if learned:
         Lu = _force(bonds, taped, *inputs)
-    else:  # autograd's own bookkeeping takes longer than a sweep over a thousand nodes
-        if bonds.laid_out is not None:
-            field: Any = wp.from_torch(inputs[0].detach().contiguous(), dtype=bonds.vec)
-            made = bonds.force(field, [number.detach().numpy() for number in numbers])
-        else:
-            made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
+    else:
+        made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
         Lu = wp.to_torch(made, requires_grad=False)
     return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.lps.rows import BYTES, rows
 from warp_peri.launch import DEVICE, Shared, ints, launch_slices, threads, zeros
@@ -140,7 +141,7 @@ class Rows:
         phases = [self.none if of is None else of for of in pieces]
         given = (*phases, divisor, self.offset, arrays, law, values)
         work = sum(map(len, phases)) * len(planes) * self.kernels.lanes // FASTER
-        return Shared(kernel, given, (planes, numbers, vectors), len(phases), work)
+        return Shared(kernel, given, (planes, numbers, vectors), len(phases), work, stay)
 
     def launch(self, kernel: Any, inputs: tuple[Any, ...], output: wp.array[Any]) -> None:
         """A kernel whose inputs begin with pieces, on all of them and all samples of the output."""
