@@ -122,11 +122,10 @@ def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> Non
     """Figure 7."""
     figure, ax = panels(8, 3.8)
     for color, (De, found) in enumerate(channels.items()):
-        ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}")
+        ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}, exact")
         ax.plot(found["t"], found["centre"]["learned"], f"C{color}o", ms=4, fillstyle="none")
     ax.plot(found["t"], found["newton"], "k--", label="Newtonian")
-    ax.set(xlabel="time t / t₀ (lines: exact model, circles: learned)")
-    ax.set_ylabel("velocity in the middle u / U")
+    ax.set(xlabel="time t / t₀ (circles: learned)", ylabel="velocity in the middle u / U")
     name_lines(ax)
     ax.set_title("The learned fluid follows the exact model at each Deborah number")
     save_figure(figure, path)
