@@ -181,13 +181,14 @@ def draw(path: Path, rows: list[dict[str, Any]]) -> None:
             some = [(row["loads"], row["E_u"][1]) for row in known if row["kind"] == kind]
             counts = sorted({n for n, _ in some})
             middle = [np.median([error for n, error in some if n == count]) for count in counts]
-            ax.loglog(counts, middle, "o-", label=label)
+            (line,) = ax.loglog(counts, middle, "o-")
+            up = -13 if kind == "designed" else 5
+            note(ax, label, (counts[0], middle[0]), (3, up), line.get_color())
         every = next(row for row in known if row["kind"] == "all")
         ax.axhline(every["E_u"][1], color="0.4", ls="--", lw=0.8)
         note(ax, f"all {every['loads']} waves", (35, every["E_u"][1]), (0, -11), ha="right")
         ax.set(xlabel="loads to learn from", title=title)
         ax.set_xticks(RANDOM, [*map(str, RANDOM)])
-        ax.legend(frameon=False)
     axes[0].set_ylabel("error on unseen disks [%]")
     headline(figure, "A few designed loads teach what all waves do")
     save_figure(figure, path, dpi=150, bbox_inches=None)
