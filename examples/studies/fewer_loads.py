@@ -173,7 +173,7 @@ def main_job() -> dict[str, dict[str, float]]:
 
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     """Median error on the disks against the number of loads, for both laws."""
-    figure, axes = panels(8.4, 3.6, count=2, sharey=True)
+    figure, axes = panels(8.4, 3.6, count=2, sharey=True, subplot_kw={"ymargin": 0.1})
     kinds = {"random": "at random", "picked": "best of the pool", "designed": "designed"}
     for ax, (law, title) in zip(axes, {"LPS": "LPS", "tensors": "crystal model"}.items()):
         known = [row for row in rows if row["law"] == law and "E_u" in row]
