@@ -90,12 +90,15 @@ if __name__ == "__main__":
     damage = motion.details.damage.reshape(3 * (count,))
     figure, axes = panels(9.5, 3.2, count=3)
     cuts = damage[:, count // 2], damage[:, :, count // 2]
-    for ax, cut, names in zip(axes, cuts, ("xz", "xy")):
+    titles = "The crack's plane, y = 0", "Pulled beyond the lines"
+    for ax, cut, names, title in zip(axes, cuts, ("xz", "xy"), titles):
         edges = 2 * (-count / 2, count / 2)
         image = ax.imshow(cut.T, extent=edges, origin="lower", vmin=0, vmax=0.5)
-        ax.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]")
-    axes[0].set_title("The crack's plane, y = 0")
-    axes[1].set_title("Across it, z = 0")
+        ax.set(xlabel=f"{names[0]} [mm]", ylabel=f"{names[1]} [mm]", title=title)
+    x, y = np.meshgrid((-8, 0, 8), (-count / 2, count / 2))
+    axes[1].quiver(x, y, 0 * y, y, color="C1", scale=2.5, scale_units="y", width=0.03)
+    axes[1].hlines(y - 2 * np.sign(y), y[0, 0], y[1, 0], color="C1")
+    axes[1].set_ylim(-0.75 * count, 0.75 * count)
     figure.colorbar(image, ax=axes[1], label="share of broken bonds")
     axes[2].plot(motion.time, stress)
     axes[2].set(xlabel="time [µs]", ylabel="stress over Griffith's", title="The block unloads")

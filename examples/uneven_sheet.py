@@ -97,20 +97,20 @@ def within(found: np.ndarray, true: np.ndarray, spread: np.ndarray) -> float:
 
 
 def picture(at: np.ndarray, found: MapFit, true: dict[str, np.ndarray], path: Path) -> None:
-    """Truth, map and error of each modulus, over that of the even sheet."""
+    """Truth, map and error of each modulus, over graphene's."""
     figure, axes = panels(10, 5.6, count=3, rows=2)
     for row, (part, name) in zip(axes, {"bulk": "bulk modulus", "shear": "shear modulus"}.items()):
         map_, off = found.maps[part], found.maps[part] - true[part]
         both = np.append(true[part], map_)
-        field(row[0], at, true[part], most=(both.min(), both.max()))
-        field(row[1], at, map_, "over that outside", (both.min(), both.max()))
-        field(row[2], at, off, most=(-np.abs(off).max(), np.abs(off).max()), cmap="RdBu")
+        for ax, value in zip(row, (true[part], map_)):
+            field(ax, at, value, "over graphene's", (both.min(), both.max()))
+        most = np.abs(off).max()
+        field(row[2], at, off, "over graphene's", (-most, most), cmap="RdBu")
         alike = f"error; correlation {correlation(map_, true[part]):.2f}"
         for ax, title in zip(row, (f"{name}, true", f"{name}, learned", alike)):
             ax.set_title(title)
     outer(axes, "x [Å]", "y [Å]")
     headline(figure, "Loads alone show the disc: in shear, where it is softer, and hardly in bulk")
-    path.parent.mkdir(parents=True, exist_ok=True)
     save_figure(figure, path, dpi=110)
 
 

@@ -11,9 +11,9 @@ from scipy.sparse.linalg import spsolve
 from tqdm import tqdm
 
 import warp_peri as wp
-from examples.figures import curves, panels, ticks
+from examples.figures import curves, name_lines, panels, ticks
 from examples.prose import rows_of
-from examples.studies.atlas_entry import Entry, entry, square_lattice
+from examples.studies.atlas_entry import Entry, as_read, entry, square_lattice
 from examples.studies.atlas_kernels import unconstrained
 from warp_peri import Dataset, Model, Points, Samples
 from warp_peri.launch import ints
@@ -96,23 +96,20 @@ def lame_parameters(data: Dataset) -> Entry:
         lambda: Model(-MU, MU, 1.0, np.ones(1), HORIZON),
         f"certificate: {wp.certify(soft, spacing=train.spacing).statement}",
     )
-    figure, (left, middle, right) = panels(11, 4, count=3)
-    small = {"fontsize": "small"}
+    figure, (left, middle, right) = panels(13, 4, count=3)
     for name in symbols:
         said = name.replace("'direct'", "of solvability").replace("'paper'", "of the source")
-        left.plot(BULK, symbols[name], "o-", label=said, markersize=3)
+        left.loglog(BULK, symbols[name], "o-", label=said, markersize=3)
         middle.loglog(BULK, conditions[name], "o-", markersize=3)
-    left.set(xlabel="(λ + μ)/μ", ylabel="least stiffness of a wave over μ", xscale="log")
-    left.set_yscale("symlog", linthresh=1e-6)
-    left.axhline(0, color="0.6", linewidth=0.8)
-    left.legend(frameon=False, loc=(0.54, 0.12), handlelength=0.8, **small)
+    left.set(xlabel="(λ + μ)/μ", ylabel="least stiffness of a wave over μ, where positive")
+    name_lines(left)
     middle.set(xlabel="(λ + μ)/μ", ylabel="condition of the operator, 12 × 12 nodes")
     rows = {
-        f"λ/μ = {ratio:g}, order {order:.2f}": row
+        as_read(f"λ/μ = {ratio:.0e}, order {order:.2f}"): row
         for (ratio, row), order in zip(errors.items(), orders)
     }
     axes = {"xlabel": "spacing (side π), δ = 3h", "ylabel": "relative error against elasticity"}
-    curves(right, "loglog", SPACINGS, rows, "o-", legend=small, **axes)
+    curves(right, "loglog", SPACINGS, rows, "o-", **axes)
     ticks(right, SPACINGS, [f"π/{round(np.pi / h)}" for h in SPACINGS])
     values = {"bulk": BULK, "symbol_min": symbols, "condition": conditions, "orders": orders}
     return entry("lame", numbers, seen, figure, values)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import LogLocator
 
 from examples.figures import headline, name_lines, panels, save_figure
 from examples.prose import fill, rows_of
@@ -130,18 +131,19 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
     known = [M for M in degrees if M in PRINTED_TABLE_3]
     names = (("E_res_train", "E_res_val"), ("E_u_train", "E_u_val"))
     for ax, pair, first, of in zip(axes, names, (1, 2), ("load", "displacement")):
-        for number, name in enumerate(pair):
-            said = "training", "validation"
+        for number, (name, said) in enumerate(zip(pair, ("training", "validation"))):
             color = f"C{number}"
             ours = [100 * row[name] for row in rows]
             printed = [PRINTED_TABLE_3[M][first + 2 * number] for M in known]
-            ax.semilogy(degrees, ours, "o-", color=color, label=f"{said[number]}, here")
-            ax.semilogy(known, printed, "s--", color=color, label=f"{said[number]}, printed")
+            ax.semilogy(degrees, ours, "o-", color=color, label=f"{said}, here")
+            ax.semilogy(known, printed, "s--", color=color, label=f"{said}, printed")
         ax.set(xlabel="degree of the influence function", ylabel=f"error of the {of} [%]")
     ours = [100 * row["E_u_val_shared"] for row in rows]
     axes[1].semilogy(degrees, ours, "^-", color="C2", label="validation, shared seed")
     for ax in axes:
         ax.set_xticks(degrees)
+        ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        ax.yaxis.set(major_formatter="{x:g}", minor_formatter="")
         name_lines(ax)
     headline(figure, "At 300 K noise sets the errors; against quiet data degrees help")
     save_figure(figure, path)

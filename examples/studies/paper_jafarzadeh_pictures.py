@@ -167,24 +167,27 @@ def leaflet(path: Path, sets: Mapping[str, Samples]) -> None:
     sheet.plot(half * np.array([-1, 1, 1, -1, -1]), half * np.array([-1, -1, 1, 1, -1]), color="k")
     along = np.linspace(-0.5, 0.5, 5)
     for sign in (-1, 1):
-        for x, y in ((np.full(5, sign * TINES_AT), along), (along, np.full(5, sign * TINES_AT))):
-            sheet.plot(x, y, "o", color="C3", markersize=100 * TINE)
+        place = np.stack([np.full(5, sign * TINES_AT), along])
+        for tines, pull in ((place, (sign, 0)), (place[::-1], (0, sign))):
+            sheet.plot(*tines, "o", color="C3", markersize=100 * TINE)
+            sheet.quiver(*tines, *np.outer(pull, np.ones(5)), color="C3", scale=6, width=0.008)
     sheet.plot(*samples.x.T, ".", color="0.7", markersize=1.5)
     sheet.plot(*samples.x[samples.interior].T, ".", color="C0", markersize=3)
-    sheet.set(aspect="equal", title="Tines (red), nodes seen\n(grey), equations (blue)")
+    sheet.set(title="Tines that pull (red), nodes seen\n(grey), equations (blue)")
     most = int(np.argmax(np.abs(samples.u).max(axis=(1, 2))))
     y = samples.x + samples.u[most]
     stretched.plot(*samples.x.T, ".", color="0.8", markersize=1.5)
     stretched.plot(*y.T, ".", color="C0", markersize=2)
-    stretched.set(aspect="equal", title="Its nodes unloaded (grey)\nand pulled most")
+    stretched.set(title="Its nodes unloaded (grey)\nand pulled most")
     for ax in (sheet, stretched):
-        ax.set(xlabel="x₁", ylabel="x₂")
+        ax.set(xlabel=f"x₁ (side of the sheet: {SIDE})", ylabel="x₂", aspect="equal")
+        ax.set(xlim=(-1.3, 1.3), ylim=(-1.3, 1.3))
     for number, (a, b) in enumerate(PROTOCOLS, 1):
         ratios.plot([0, a], [0, b], color="0.8", linewidth=0.8)
         note(ratios, f"{number}", (a, b))
         ratios.plot(a, b, "o", color="C0")
     ratios.set(aspect="equal", xlim=(0, 1.15), ylim=(0, 1.15), title="Seven protocols of pulling")
-    ratios.set(xlabel="pull along x₁", ylabel="pull along x₂")
+    ratios.set(xlabel="pull along x₁ over the largest", ylabel="pull along x₂ over the largest")
     headline(figure, "A square of leaflet is pulled by its tines in seven proportions")
     save_figure(figure, path)
 

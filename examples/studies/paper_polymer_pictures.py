@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from examples.figures import headline, name_lines, panels, save_figure, ticks
+from examples.figures import headline, name_lines, note, panels, save_figure, ticks
 
 COUNTS = (1000, 10_000, 100_000)
 """Dumbbells of an ensemble, as printed."""
@@ -52,14 +52,12 @@ def draw_stress(path: Path, plates: Mapping[tuple[Any, ...], Mapping[str, Any]])
     """Figure 5, above: stress over time."""
     figure, axes = panels(10, 3.2, count=2)
     for ax, De in zip(axes, sorted({De for De, *_ in plates})):
-        run = plates[De, LAWS[1], 10_000]
-        coupled = plates[De, "coupled", 10_000]
-        shown = (
-            ("coupled, 10⁴ dumbbells", coupled, "stress", "C7"),
-            ("learned, kinematics known", run, "stress", "C1"),
-            ("exact model", run, "exact", "k:"),
-        )
-        for label, one, key, style in shown:
+        for label, name, key, style in (
+            ("coupled, 10⁴ dumbbells", "coupled", "stress", "C7"),
+            ("learned, kinematics known", LAWS[1], "stress", "C1"),
+            ("exact model", LAWS[1], "exact", "k:"),
+        ):
+            one = plates[De, name, 10_000]
             drawn = ax.plot(one["t"], np.array(one[key]), style, linewidth=1)
             drawn[0].set_label(label)
         ax.set(title=f"Deborah number {De:g}", xlabel="time t / t₀")
@@ -124,11 +122,11 @@ def draw_channel(path: Path, channels: Mapping[float, Mapping[str, Any]]) -> Non
     """Figure 7."""
     figure, ax = panels(8, 3.8)
     for color, (De, found) in enumerate(channels.items()):
-        ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}")
+        ax.plot(found["t"], found["centre"]["law"], f"C{color}", label=f"De = {De:g}, exact")
         ax.plot(found["t"], found["centre"]["learned"], f"C{color}o", ms=4, fillstyle="none")
     ax.plot(found["t"], found["newton"], "k--", label="Newtonian")
-    ax.set(xlabel="time t / t₀", ylabel="velocity in the middle u / U")
-    ax.legend(frameon=False, fontsize=9, title="lines: exact model\ncircles: learned")
+    ax.set(xlabel="time t / t₀ (circles: learned)", ylabel="velocity in the middle u / U")
+    name_lines(ax)
     ax.set_title("The learned fluid follows the exact model at each Deborah number")
     save_figure(figure, path)
 
@@ -151,15 +149,19 @@ def draw_forces(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
 
 def draw_costs(path: Path, costs: Mapping[str, Mapping[str, Any]]) -> None:
     """Error against the time of a whole run."""
-    figure, ax = panels(7, 3.6)
-    for color, (name, run) in enumerate(costs.items()):
+    figure, ax = panels(8.5, 3.6)
+    for name, run in costs.items():
         if run["error"] > 0:
-            ax.loglog(run["seconds"], run["error"], f"C{color}o", label=name)
-            if run["learned"]:
-                whole = run["seconds"] + run["learned"]
-                ax.plot(whole, run["error"], f"C{color}o", fillstyle="none")
-    ax.axvline(costs["exact law"]["seconds"], color="k", linestyle=":", label="exact model")
-    ax.set(xlabel="processor seconds (open: with learning)", ylabel="error of velocity [%]")
-    ax.legend(frameon=False, loc="center left", bbox_to_anchor=(1, 0.5))
+            learned, at = run["learned"], (run["seconds"], run["error"])
+            ax.loglog(*at, "C0o" if learned else "C1o")
+            note(ax, name, at, (0, 7), "C0" if learned else "C1")
+            if learned:
+                ax.plot([at[0], at[0] + learned], [at[1]] * 2, "C0:o", fillstyle="none")
+    exact = costs["exact law"]["seconds"]
+    ax.axvline(exact, color="k", linestyle=":")
+    ax.margins(y=0.15)
+    ax.set(xlim=(exact / 8, 2e4 * exact), ylabel="error of velocity [%]")
+    note(ax, "exact model", (exact, run["error"]), (-5, -20), "k", ha="right")
+    ax.set_xlabel("processor seconds of a run (open: with learning)")
     headline(figure, "A model from 10⁵ dumbbells runs in a second, as many coupled in minutes")
     save_figure(figure, path)

@@ -74,7 +74,7 @@ def draw_front(
 
 def chart(rows: list[Row], file: Path) -> None:
     """Error against time, for one load and for a hundred, the Pareto fronts drawn and labelled."""
-    figure, axes = panels(8, 8, count=2, rows=2)
+    figure, axes = panels(11, 8, count=2, rows=2)
     for ax, (title, (name, seconds)) in zip(axes.flat, PANELS.items()):
         timed = [(1e3 * s, row) for row in rows if (s := seconds(row)) is not None]
         exact = {row["kind"]: x for x, row in timed if row["kind"] == "atoms"}
@@ -84,7 +84,7 @@ def chart(rows: list[Row], file: Path) -> None:
             if row["kind"] != "atoms"
         ]
         draw_front(ax, found, exact)
-        ax.set(xlabel="milliseconds", title=title)
+        ax.set(xlabel="time [ms] (h and δ in Å)", title=title)
     for ax in axes[:, 0]:
         ax.set_ylabel("error of displacement [%]")
     figure.suptitle("Third order is the most accurate on disks, prediction on short waves")
@@ -103,15 +103,10 @@ def training_chart(rows: list[Row], file: Path) -> None:
     """Error on the disks against what a law cost: seconds of atoms, and of its fit."""
     atoms = next(row for row in rows if row["kind"] == "atoms")
     figure, ax = panels(9, 5.5)
-    some = [row for row in rows if row.get("fit_seconds", 0) > 0]
-    some = [
-        row
-        for row in some
-        if row["kind"] not in ("predict", "λ, μ, α only") or "at 1 %" in row["label"]
-    ]
-    best: dict[str, Row] = {}
-    for row in sorted(some, key=lambda row: row["disks_error"]):
-        best.setdefault(row["label"].split(", ")[0], row)
+    many, best = ("predict", "λ, μ, α only"), dict[str, Row]()
+    for row in sorted(rows, key=lambda row: row["disks_error"]):
+        if row.get("fit_seconds", 0) > 0 and (row["kind"] not in many or "at 1 %" in row["label"]):
+            best.setdefault(row["label"].split(", ")[0], row)
     for name, row in best.items():
         both = 2 if row["kind"] == "designed" else 1  # each both ways
         loads = atoms["waves_setup"] + both * row["loads"] * atoms["waves_solve"]

@@ -99,7 +99,7 @@ def picture(table: dict[str, Any], path: Path) -> None:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = Options(__doc__)
+    parser = Options(__doc__, json=True)
     add_files(parser, ROOT / "runs" / "which_law")
     given = parser.parse_args(arguments)
     wp.launch.set_threads(1)
