@@ -156,8 +156,9 @@ def test_of_bond_based_forces(kind):
         assert error(gradients[n].numpy(), expected[n].numpy()) < 1e-11
     assert gradients[1] == 0
     assert error(gradients[2].numpy(), (expected[1] + expected[2]).numpy()) < 1e-11
-    with pytest.raises(InputError, match=r"lambda, mu: expected equal values \(bond-based\)"):
-        lps_force(bonds, given[0], Solid(0.1, 0.7, 1.3, [1.0]))
+    for field in (given[0], given[0].detach()):
+        with pytest.raises(InputError, match=r"lambda, mu: expected equal values \(bond-based\)"):
+            lps_force(bonds, field, Solid(0.1, 0.7, 1.3, [1.0]))
 
 
 def test_bond_based_forces_need_half_the_collar():

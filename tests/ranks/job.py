@@ -304,7 +304,9 @@ def holed(by="rows", **options):
     given = wp.Dirichlet(points, b[mine], fields(x)[1][mine])
     law = replace(dressed(), spacing=H)
     solution = wp.solve(
-        law, given, solver=wp.Krylov(tolerance=1e-10), broken=crack, **{
+        law, given, **{
+            "solver": wp.Krylov(tolerance=1e-10),
+            "broken": crack,
             "edges": lambda at: np.linalg.norm(at - hole, axis=1) > 2.4 * H,
             "maps": {law.parts.names[0]: soft[mine], law.parts.names[1]: soft[mine] ** 2,
                      law.parts.names[2]: soft[mine]},
@@ -405,7 +407,7 @@ def rest(folder):
                         wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: wp.move(replace(dressed(), spacing=H), wp.Dirichlet(sheet, *fields(sheet.x)),
                         **SWING, steps=1, edges=True),
-        lambda: holed(solver=None, maps={"bulk": np.ones(3)}),
+        lambda: holed(maps={"bulk": np.ones(3)}),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found

@@ -60,8 +60,6 @@ class RowOperator:
     Raises InputError for a law without a proof, and interior nodes near the edge of the box.
     """
 
-    method = "multigrid"
-
     def __init__(self, law: StencilMaterial, piece: Subdomain, petsc: bool = False) -> None:
         if piece.tiles is None:
             raise InputError("points: expected a lattice in tiles for a body at rest on ranks")
@@ -88,6 +86,8 @@ class RowOperator:
             stencil.reach,
             lambda torus: scale * torus_symbol(torus, stencil.steps, tensors),
         )
+
+    method = "multigrid"
 
     @cached_property
     def _near(self) -> tuple[Convolution, Between, Any]:
@@ -256,6 +256,10 @@ class Felt:
         field = self.halo.felt(u)
         return field if self.asked else self._rest
 
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on this rank's interior, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
 
 class RowDressed(Felt):
     """L of a dressed solid that ends, varies or is broken, on a lattice in parts, and its inverse.
@@ -265,8 +269,8 @@ class RowDressed(Felt):
     Args:
         solid: of the lattice's spacing.
         piece: the nodes of this rank, some of some rank held.
-        edges, maps, broken, grains: as of the solid's `on`; maps and numbers of grains of this
-            rank's nodes, pairs by their numbers in the whole body, whichever rank names them.
+        uneven: edges, maps, broken, grains of the solid's `on`; maps and numbers of grains of this
+            rank's nodes, pairs by numbers of the whole body, whichever rank names them.
 
     Raises InputError as `on` does, and for axes that are not those of the coordinates.
     """
@@ -274,27 +278,20 @@ class RowDressed(Felt):
     method = "cg"
     proven = "one answer; L = Gᵗ K G ⪰ 0 whatever is uneven, missing or broken"
 
-    def __init__(
-        self,
-        solid: Any,
-        piece: Subdomain,
-        *,
-        edges: Any = False,
-        maps: Any = None,
-        broken: Any = None,
-        grains: Any = None,
-    ) -> None:
-        comm, count = piece.comm, len(piece.x)
+    def __init__(self, solid: Any, piece: Subdomain, uneven: dict[str, Any]) -> None:
+        comm, grains, edges = piece.comm, uneven.get("grains"), uneven.get("edges", False)
         laws, number = grains if isinstance(grains, tuple) and len(grains) == 2 else ((), grains)
-        nodal = dict(maps or {}) | ({} if grains is None else {GRAINS: number})
+        nodal = dict(uneven.get("maps") or {}) | ({} if grains is None else {GRAINS: number})
         with agreed(comm):
-            nodal = {name: checked(name, nodal[name], float, (count,)) for name in sorted(nodal)}
-            torn = checked("broken", () if broken is None else broken, float).reshape(-1, 2)
+            size = (len(piece.x),)
+            nodal = {name: checked(name, nodal[name], float, size) for name in sorted(nodal)}
+            torn = uneven.get("broken")
+            torn = checked("broken", () if torn is None else torn, float).reshape(-1, 2)
             if not np.isin(torn, np.arange(piece.count)).all():
                 raise InputError("broken: expected pairs of numbers of nodes of the whole body")
-        said = list(nodal), len(laws), bool(edges), not piece.interior.all()
-        told = comm.allgather(said)
-        if any(one[:3] != said[:3] for one in told) or not any(one[3] for one in told):
+        said = list(nodal), len(laws), bool(edges)
+        told = comm.allgather((said, not piece.interior.all()))
+        if any(one != said for one, _ in told) or not any(held for _, held in told):
             raise InputError("solve: expected maps and grains by rank alike, and some nodes held")
         torn = np.concatenate(comm.allgather(torn)).astype(int)
         reach = 2 * (np.abs(solid.steps).max(initial=1) + solid.parts.stencils.shape[1] // 2) + 1
@@ -332,15 +329,13 @@ class RowDressed(Felt):
         lost, most = np.max(self.points.comm.allgather(sizes), axis=0)
         if lost > LOST * most:
             raise InputError("b: expected no load on nodes that nothing belongs to")
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+        return super().load(b)
 
     def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
         """L⁻¹ of a load there, both [i, d]; InputError for a body that falls apart."""
-        product, inner = among(self, self.points), self.points.inner
-        try:
-            return definite(product, lambda r: r / self._diagonal, right, tolerance, inner=inner)
-        except InputError as error:
-            raise InputError(f"the body falls apart, or nearly: {error}") from None
+        product, where = among(self, self.points), " of a body that falls apart, or nearly,"
+        how: dict[str, Any] = {"inner": self.points.inner, "where": where}
+        return definite(product, lambda r: r / self._diagonal, right, tolerance, **how)
 
 
 TOUCH = 2.0 * np.sqrt(NEIGHBOURS / np.pi)
@@ -365,8 +360,6 @@ class ScatteredOperator:
 
     Raises InputError as ThroughLattice does.
     """
-
-    method = "multigrid"
 
     def __init__(
         self,
@@ -395,6 +388,8 @@ class ScatteredOperator:
             A = self.through.problem.stiffness
             self._diagonal = A.diagonal().reshape(-1, 2)
         self._long = _Coarse(piece, carrier, self.model, petsc)
+
+    method = "multigrid"
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """A u at this rank's interior nodes, shape [i, 2], of u [n, 2]."""

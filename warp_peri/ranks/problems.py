@@ -84,8 +84,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     numbers = options.pop("parameters", None)
     known = signature(getattr(material, "on", _asked)).parameters
     uneven = {name: options.pop(name) for name in UNEVEN & options.keys() & known.keys()}
-    uneven = {name: given for name, given in uneven.items() if given is not None}
-    uneven = {} if uneven == {"edges": False} else uneven
+    is_uneven = any(given is not None and given is not False for given in uneven.values())
     (asked,) = taken(options, "solve", _asked)
     piece, path = problem.points, _asked(**asked)
     with agreed(piece.comm):
@@ -100,19 +99,16 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             raise InputError("solve: expected no checkpoint of tensors")
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
-        kind = getattr(solver, "preconditioner", None)
-        if uneven and (learns or kind is not None or piece.carrier):
-            raise InputError(
-                "solve: expected a lattice, and neither tensors nor a preconditioner, of a dressed "
-                f"solid with {', '.join(sorted(uneven))} on ranks"
-            )
-        petsc = _by_petsc(kind)
+        petsc = _by_petsc(kind := getattr(solver, "preconditioner", None))
+        if is_uneven and (learns or kind or piece.carrier):
+            raise InputError("solve: expected a lattice, and neither tensors nor a preconditioner, "
+                             f"with {', '.join(sorted(uneven))} on ranks")  # fmt: skip
         given = {n: np.asarray(plain(n, v.detach() if is_tensor(v) else v)).tolist()
                  for n, v in (numbers or {}).items()}  # fmt: skip
     if any(others != given for others in piece.comm.allgather(given)):
         raise InputError("parameters: expected the same on every rank")
-    if uneven:
-        return rest(RowDressed(material, piece, **uneven), b, u, solver, path)
+    if is_uneven:
+        return rest(RowDressed(material, piece, uneven), b, u, solver, path)
     operator = operator_on(material, piece, petsc)
     if not learns:
         return rest(operator, b, u, solver, path)
@@ -264,10 +260,6 @@ class RowNonlinear(Felt):
     def straight(self, u: np.ndarray) -> np.ndarray:
         """Its linear part at u, as above."""
         return self._pulled(self.placed.straight, u)
-
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """b on this rank's interior, which the operator equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
 
     def inverse(self, loads: int) -> Inverse:
         """As RowOperator.inverse, of the linear part."""
