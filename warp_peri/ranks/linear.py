@@ -286,7 +286,7 @@ class RowDressed(Felt):
             size = (len(piece.x),)
             nodal = {name: checked(name, nodal[name], float, size) for name in sorted(nodal)}
             torn = uneven.get("broken")
-            torn = checked("broken", () if torn is None else torn, float).reshape(-1, 2)
+            torn = checked("broken", np.zeros((0, 2)) if torn is None else torn, float, ("n", 2))
             if not np.isin(torn, np.arange(piece.count)).all():
                 raise InputError("broken: expected pairs of numbers of nodes of the whole body")
         said = list(nodal), len(laws), bool(edges)
