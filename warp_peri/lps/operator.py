@@ -512,7 +512,7 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid, *, taped: bool = Fals
     check_field(bonds, u)
     values = list(solid.values())
     refuse_tangents(u, *values)
-    if bonds.bond_based and float(solid.lam) != float(solid.mu):
+    if bonds.bond_based and torch.as_tensor(solid.lam != solid.mu).any():
         raise InputError(
             f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
         )
