@@ -9,11 +9,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 LARGEST = {
-    "lines of warp_peri": 55_224,
+    "lines of warp_peri": 55_343,
     "files of warp_peri": 200,
     "lines of kernels": 5_823,
     "lines of examples and tools": 31_678,
-    "lines of tests": 36_791,
+    "lines of tests": 36_841,
     "names of classes that stand twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,

@@ -24,6 +24,7 @@ import warp_peri as wp
 from tests.conformance.test_laws import dressed, finite
 from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
+from warp_peri.dressed import torn
 from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.prediction import Members
 from warp_peri.prediction.placed import ErrorSpectrum
@@ -287,6 +288,33 @@ def slopes(name):
     return dict(zip(("b", "u", *numbers), by))
 
 
+def holed(by="rows", **options):
+    """A dressed plate with a slot, a round hole, a crack and a soft corner where nothing is."""
+    grid = np.argwhere(np.ones((28, 24)))
+    slot = (abs(grid[:, 0] - 20) < 2) & (abs(grid[:, 1] - 8) < 2)
+    x = H * grid[~slot]
+    whole = wp.Points(x, x[:, 1] > 2 * H, H, axis=0.0)
+    points, x = partition(whole, by), H * grid[~slot]
+    mine = points.number if hasattr(points, "number") else slice(None)
+    hole = 5.3 * H, 9.2 * H
+    crack = torn(whole, [[(9.1 * H, 7.3 * H), (15.2 * H, 11.4 * H)]])
+    soft = np.where((x > 17.5 * H).all(axis=1), 0.0, 1 + 0.5 * np.sin(x[:, 0]))
+    b = np.where((x < 16 * H).any(axis=1, keepdims=True), fields(x)[0], 0.0)
+    b[np.linalg.norm(x - hole, axis=1) < 4 * H] = 0
+    given = wp.Dirichlet(points, b[mine], fields(x)[1][mine])
+    law = replace(dressed(), spacing=H)
+    solution = wp.solve(
+        law, given, **{
+            "solver": wp.Krylov(tolerance=1e-10),
+            "broken": crack,
+            "edges": lambda at: np.linalg.norm(at - hole, axis=1) > 2.4 * H,
+            "maps": {law.parts.names[0]: soft[mine], law.parts.names[1]: soft[mine] ** 2,
+                     law.parts.names[2]: soft[mine]},
+        } | options,
+    )  # fmt: skip
+    return gather(points, solution.u), solution.iterations[0]
+
+
 def by_newton(points, folder):
     """Where the fixed point has no time to get."""
     steps, fixed_point.MOST_STEPS = fixed_point.MOST_STEPS, 2
@@ -328,6 +356,10 @@ def rest(folder):
                           "solves": bent.iterations[0], "residual": bent.residual}  # fmt: skip
     stiff = wp.solve(replace(dressed(), spacing=H), wp.Dirichlet(sheet, *fields(sheet.x)))
     found["dressed"] = kept(folder, "dressed", sheet, stiff.u)
+    u, steps = holed("bisection" if comm.size == 3 else "rows")
+    found["holed"] = {"u": digest(u), "steps": steps}
+    if comm.rank == 0:
+        np.save(folder / f"holed_{comm.size}.npy", u)
     straight, tiny = (
         wp.solve(law, wp.Dirichlet(sheet, *(size * field for field in small(sheet.x)))).u / size
         for law, size in ((solid(2), 1.0), (nonlinear(), 1e-200))
@@ -373,6 +405,9 @@ def rest(folder):
         lambda: wp.solve(finite(), wp.Dirichlet(sheet, *fields(sheet.x))),
         lambda: wp.move(BrittleSolid(solid(2), 2.5, toughness=1.0),
                         wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
+        lambda: wp.move(replace(dressed(), spacing=H), wp.Dirichlet(sheet, *fields(sheet.x)),
+                        **SWING, steps=1, edges=True),
+        lambda: holed(maps={"bulk": np.ones(3)}),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found

@@ -29,6 +29,7 @@ from tests.ranks.job import (
     family,
     fields,
     halved,
+    holed,
     inside,
     nonlinear,
     proofs,
@@ -195,6 +196,18 @@ def test_a_dressed_solid_has_the_same_bits_and_those_of_one_process_nearly(jobs,
     assert np.abs(answer - alone).max() <= 1e-7 * np.abs(alone).max()
 
 
+def test_a_dressed_body_with_holes_a_crack_and_maps_has_the_same_bits(jobs, folder):
+    """And nearly those of one process, where elements go by rows."""
+    found = [job["holed"] for job in jobs.values()]
+    assert found == [found[0]] * len(jobs)
+    alone, steps = holed()
+    assert abs(found[0]["steps"] - steps) < 3
+    answer = np.load(folder / "holed_2.npy")
+    assert np.abs(answer - alone).max() <= 1e-9 * np.abs(alone).max()
+    whole, _ = holed(broken=None)
+    assert np.abs(whole - alone).max() > 1e-2 * np.abs(alone).max()
+
+
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("name", SLOPES)
 def test_gradients_through_a_solve_are_those_of_one_process(name, jobs, folder):
@@ -329,13 +342,15 @@ def test_a_solve_goes_on_with_another_number_of_ranks_to_the_same_answer(jobs):
 
 
 def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
-    one, edge, long, none, rows, edges, many = jobs[2]["refused"]
+    one, edge, long, none, rows, edges, moving, maps, many = jobs[2]["refused"]
     assert one.startswith("points: expected Points, got a piece")
     assert edge.startswith("points: expected all bonds of every interior node, got 768 of 2704")
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
     assert rows.endswith("with third-order constants on ranks, got FiniteSolid")
     assert "no pressure, on ranks" in edges
+    assert moving.endswith(", got edges")
+    assert maps.startswith("bulk: expected shape")
     assert many.startswith("ranks: expected at most 1 for 8 rows in blocks of 8, got 2")
 
 

@@ -47,6 +47,8 @@ def torn(points: Points, cracks: Sequence[ArrayLike], *, reach: float = 1.5) -> 
         cracks: polylines [length], shape [P, 2] each.
         reach: of what is parted, in spacings; 3 for a crystal's bonds.
     """
+    if not isinstance(points, Points):  # a piece of some lacks pairs that ranks share
+        raise InputError(f"points: expected Points, all of them, got {type(points).__name__}")
     body = lattice_body(points.x, points.spacing, max(2.0, reach) * points.spacing)
     return _parted(body, cracked(body, cracks), reach)
 
@@ -162,7 +164,7 @@ def cut_elements(
             raise InputError(f"edges: expected one bool a position, got {list(said.shape)}")
         share = said.reshape(len(part), -1)
         held = np.where(share.mean(axis=1, keepdims=True) < LEAST, 0.0, share)
-        gram[part] = (held @ square).reshape(len(part), 2**d, 2**d)
+        gram[part] = np.einsum("nf,fg->ng", held, square).reshape(len(part), 2**d, 2**d)
         gram[part[share.all(axis=1)]] = np.eye(2**d) / 2**d
     return gram
 
@@ -321,6 +323,8 @@ class DressedBody(OnPoints):
     """
 
     is_linear = is_symmetric = True
+    lists = False
+    """Whether elements go by lists: no sum then depends on the box a node lies in, as of ranks."""
 
     def __init__(
         self,
@@ -419,7 +423,8 @@ class DressedBody(OnPoints):
                     f"maps[{name!r}]: expected {count} numbers ≥ 0, one a node, got shape "
                     f"{list(values.shape)}, the smallest {values.min():g}"
                 )
-            found[part] = np.append(values, 0.0)[self._corner] @ base.middle
+            around = np.append(values, 0.0)[self._corner].T
+            found[part] = sum(share * one for share, one in zip(base.middle, around))
         return found
 
     def _sites(self, torn: np.ndarray) -> tuple[np.ndarray, dict[tuple[int, ...], np.ndarray]]:
@@ -582,8 +587,9 @@ class DressedBody(OnPoints):
     @cached_property
     def _sites_whole(self) -> np.ndarray:
         """Which sites go by rows, [N]: of elements, and of bonds of one kind in the plane."""
-        rows = self.model.base == "elements"
-        if not rows and len(self.axes) == 2:
+        elements = self.model.base == "elements"
+        rows = elements and not self.lists
+        if not elements and len(self.axes) == 2:
             own, *others = (bond_table(law.parts)[1] for law in self.laws)
             rows = all(np.allclose(own, other, rtol=ALIKE, atol=0) for other in others)
         return np.asarray(self._there.all(axis=1) & (self.share == 1) & rows)
@@ -618,13 +624,16 @@ class DressedBody(OnPoints):
             parts = [number] if len(self._tensors) > 1 else list(range(len(self.factors)))
             K = sum(self.part(a, self.factors[a], strains) for a in parts)
             G, Gt = self._dressing(tensors, ~plain), self._dressing(tensors, felt).T
-            tables, shares = self.phases(parts) if elements else (np.zeros((0, d, d)), np.zeros(0))
+            tables, shares = np.zeros((0, d, d)), np.zeros(0)
+            if elements and not self.lists:
+                tables, shares = self.phases(parts)
             factors = None
             if not elements and self._sites_whole.any():
                 live = (self.factors * self._sites_whole / h**2)[parts]
-                each = zip(self.laws, self.tensors(0))
                 factors = sum(
-                    bond_table(a.parts)[2][:, parts] @ (share * live) for a, (share, _) in each
+                    row[:, None] * (share * one)  # no product of matrices: its bits go by the box
+                    for law, (share, _) in zip(self.laws, self.tensors(0))
+                    for row, one in zip(bond_table(law.parts)[2][:, parts].T, live)
                 )
             rows = G, sp.csr_array(_picked(short, d) @ Gt)
             found.append(Chain(tensors, *rows, tables / h**2, shares, factors, sp.csr_array(K)))

@@ -9,6 +9,7 @@ long ones (R4).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
 from warp_peri.lps.model import Model
 from warp_peri.micromodulus.law import StencilMaterial, tensors_of
+from warp_peri.points.arrays import checked
 from warp_peri.points.interpolation import FINER, NEIGHBOURS
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
     from warp_peri.statics.linear import Inverse
 
 
+GRAINS, LOST = "grains", 1e-4
+"""Name of the numbers of grains beside maps; of a load, what may act on nodes without stiffness."""
 MOST = 32
 """Solids whose tensors, proofs and filters are remembered, by what their files would hold."""
 
@@ -82,6 +86,8 @@ class RowOperator:
             stencil.reach,
             lambda torus: scale * torus_symbol(torus, stencil.steps, tensors),
         )
+
+    method = "multigrid"
 
     @cached_property
     def _near(self) -> tuple[Convolution, Between, Any]:
@@ -214,6 +220,124 @@ def one_node(dimension: int, spacing: float, reach: float) -> tuple[np.ndarray, 
     return spacing * grid, np.asarray((grid == 0).all(axis=1))
 
 
+def among(operator: Callable[[np.ndarray], np.ndarray], piece: Subdomain) -> Any:
+    """An operator on fields of a piece as one of fields [i, d] of its interior."""
+
+    def product(v: np.ndarray) -> np.ndarray:
+        alone = np.zeros_like(piece.x)
+        alone[piece.interior] = v
+        return operator(alone)
+
+    return product
+
+
+class Felt:
+    """A law on all nodes that this rank feels, of which its own unknown ones are unknown.
+
+    Args:
+        piece: the nodes of this rank.
+        reach: how far a node feels [length].
+        place: makes the law on Points; what it keeps in files is made by one rank.
+    """
+
+    def __init__(self, piece: Subdomain, reach: float, place: Callable[[Points], Any]) -> None:
+        self.points, self.halo = piece, NodeHalo(piece, reach)
+        x, inside = self.halo.x, np.zeros(len(self.halo.x), bool)
+        inside[self.halo.own] = piece.interior
+        self.asked = bool(inside.any())
+        if not self.asked:  # the law needs an unknown node: one of a body of its own, at rest
+            x, inside = one_node(piece.dimension, piece.spacing, reach)
+        self._rest = np.zeros_like(x)
+        here = Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis)
+        self.placed = in_turn(piece.comm, lambda: place(here))
+
+    def around(self, u: np.ndarray) -> np.ndarray:
+        """u [n, d] on all nodes that this rank feels."""
+        field = self.halo.felt(u)
+        return field if self.asked else self._rest
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b on this rank's interior, which the operator equals in equilibrium."""
+        return np.asarray(b, dtype=float)[..., self.points.interior, :]
+
+
+class RowDressed(Felt):
+    """L of a dressed solid that ends, varies or is broken, on a lattice in parts, and its inverse.
+
+    A rank has all that decides which rows of its nodes are whole, and no sum depends on its box.
+
+    Args:
+        solid: of the lattice's spacing.
+        piece: the nodes of this rank, some of some rank held.
+        uneven: edges, maps, broken, grains of the solid's `on`; maps and numbers of grains of this
+            rank's nodes, pairs by numbers of the whole body, whichever rank names them.
+
+    Raises InputError as `on` does, and for axes that are not those of the coordinates.
+    """
+
+    method = "cg"
+    proven = "one answer; L = Gᵗ K G ⪰ 0 whatever is uneven, missing or broken"
+
+    def __init__(self, solid: Any, piece: Subdomain, uneven: dict[str, Any]) -> None:
+        comm, grains, edges = piece.comm, uneven.get("grains"), uneven.get("edges", False)
+        laws, number = grains if isinstance(grains, tuple) and len(grains) == 2 else ((), grains)
+        nodal = dict(uneven.get("maps") or {}) | ({} if grains is None else {GRAINS: number})
+        with agreed(comm):
+            size = (len(piece.x),)
+            nodal = {name: checked(name, nodal[name], float, size) for name in sorted(nodal)}
+            torn = uneven.get("broken")
+            torn = checked("broken", np.zeros((0, 2)) if torn is None else torn, float, ("n", 2))
+            if not np.isin(torn, np.arange(piece.count)).all():
+                raise InputError("broken: expected pairs of numbers of nodes of the whole body")
+        said = list(nodal), len(laws), bool(edges)
+        told = comm.allgather((said, not piece.interior.all()))
+        if any(one != said for one, _ in told) or not any(held for _, held in told):
+            raise InputError("solve: expected maps and grains by rank alike, and some nodes held")
+        torn = np.concatenate(comm.allgather(torn)).astype(int)
+        reach = 2 * (np.abs(solid.steps).max(initial=1) + solid.parts.stencils.shape[1] // 2) + 1
+        super().__init__(piece, reach * piece.spacing, lambda here: here)
+        here, known = self.placed, self.halo.number
+        own = {name: self.halo.around(values) for name, values in nodal.items()}
+        kinds = None if grains is None else (laws, own.pop(GRAINS))
+        torn = np.searchsorted(known, torn[np.isin(torn, known).all(axis=1)])
+
+        def place() -> Any:
+            if not self.asked:
+                return None
+            body = solid.on(here, edges=edges, maps=own, broken=torn, grains=kinds)
+            if not np.array_equal(body.axes, np.eye(piece.dimension)):
+                raise InputError("points: expected a lattice along the axes on ranks")
+            body.lists = True
+            body(self._rest)  # one compiles
+            return body
+
+        self.placed = in_turn(comm, place)
+        stiffness = self.placed.stiffness[self.halo.own] if self.asked else 0 * piece.x
+        free = piece.interior & stiffness.any(axis=1)
+        self.points, self._loose = replace(piece, interior=free), piece.interior & ~free
+        self._free, found = free[piece.interior], stiffness[free]
+        self._diagonal = np.where(found > 0, found, 1.0)
+
+    def __call__(self, u: np.ndarray) -> np.ndarray:
+        """L u at this rank's interior nodes that something belongs to, [i, d], of u [n, d]."""
+        around = self.around(u)
+        return np.asarray(self.placed(around)[self._free] if self.asked else around[:0])
+
+    def load(self, b: np.ndarray) -> np.ndarray:
+        """b there; InputError for a load where nothing is."""
+        sizes = [np.abs(part).max(initial=0.0) for part in (b[..., self._loose, :], b)]
+        lost, most = np.max(self.points.comm.allgather(sizes), axis=0)
+        if lost > LOST * most:
+            raise InputError("b: expected no load on nodes that nothing belongs to")
+        return super().load(b)
+
+    def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
+        """L⁻¹ of a load there, both [i, d]; InputError for a body that falls apart."""
+        product, where = among(self, self.points), " of a body that falls apart, or nearly,"
+        how: dict[str, Any] = {"inner": self.points.inner, "where": where}
+        return definite(product, lambda r: r / self._diagonal, right, tolerance, **how)
+
+
 TOUCH = 2.0 * np.sqrt(NEIGHBOURS / np.pi)
 """Mean spacings within which a place of the lattice finds the nodes that it is interpolated from,
 and more."""
@@ -265,6 +389,8 @@ class ScatteredOperator:
             self._diagonal = A.diagonal().reshape(-1, 2)
         self._long = _Coarse(piece, carrier, self.model, petsc)
 
+    method = "multigrid"
+
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """A u at this rank's interior nodes, shape [i, 2], of u [n, 2]."""
         field = self.halo.felt(u)
@@ -288,16 +414,11 @@ class ScatteredOperator:
 
     def inverted(self, right: np.ndarray, tolerance: float) -> tuple[np.ndarray, SolveRecord]:
         """v at this rank's interior nodes with A v = right, both [i, 2], zero on the collar."""
-        inside = self.points.interior
-
-        def product(v: np.ndarray) -> np.ndarray:
-            alone = np.zeros_like(self.points.x)
-            alone[inside] = v
-            return self(alone)
 
         def nearly_inverse(r: np.ndarray) -> np.ndarray:
             return r / self._diagonal + LONG_SHARE * self._long(r)
 
+        product = among(self, self.points)
         return definite(product, nearly_inverse, right, tolerance, inner=self.points.inner)
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import replace
 from functools import cached_property, partial
+from inspect import signature
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -33,10 +34,16 @@ from warp_peri.kernels.damage.sweeps import sweep
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
-from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.halo import NodeHalo
-from warp_peri.ranks.linear import RowOperator, ScatteredOperator, one_node, proven_at, tensors_at
+from warp_peri.ranks.linear import (
+    Felt,
+    RowDressed,
+    RowOperator,
+    ScatteredOperator,
+    proven_at,
+    tensors_at,
+)
 from warp_peri.ranks.petsc import petsc as loaded
 from warp_peri.ranks.processes import build, in_turn, total
 from warp_peri.statics.conjugate_gradients import SolveRecord, gmres, norm
@@ -56,6 +63,8 @@ if TYPE_CHECKING:
     from warp_peri.statics.linear import Inverse
 
 
+UNEVEN = {"edges", "maps", "broken", "grains"}
+"""Options of a dressed solid that ends, varies or is broken."""
 STAGE, ROUNDS = 1e-3, 20
 """Of a residual, after which a linear solve with a checkpoint writes it; passes of GMRES, each of
 which leaves some percent, on an adjoint."""
@@ -68,9 +77,14 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     goes on from there, on any number of ranks. Of tensors, or with `parameters`, u is
     differentiable: see OnRanks.
 
-    Raises InputError for other problems and laws, and as RowOperator and `definite` do.
+    A dressed solid takes `edges`, `maps`, `broken` and `grains` as RowDressed has them.
+
+    Raises InputError for other problems and laws, and as RowOperator, RowDressed and `definite` do.
     """
     numbers = options.pop("parameters", None)
+    known = signature(getattr(material, "on", _asked)).parameters
+    uneven = {name: options.pop(name) for name in UNEVEN & options.keys() & known.keys()}
+    is_uneven = any(given is not None and given is not False for given in uneven.values())
     (asked,) = taken(options, "solve", _asked)
     piece, path = problem.points, _asked(**asked)
     with agreed(piece.comm):
@@ -85,11 +99,16 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
             raise InputError("solve: expected no checkpoint of tensors")
         if getattr(solver, "eigenvalues", False):
             raise InputError("eigenvalues: not on ranks; one process knows them")
-        petsc = _by_petsc(getattr(solver, "preconditioner", None))
+        petsc = _by_petsc(kind := getattr(solver, "preconditioner", None))
+        if is_uneven and (learns or kind or piece.carrier):
+            raise InputError("solve: expected a lattice, and neither tensors nor a preconditioner, "
+                             f"with {', '.join(sorted(uneven))} on ranks")  # fmt: skip
         given = {n: np.asarray(plain(n, v.detach() if is_tensor(v) else v)).tolist()
                  for n, v in (numbers or {}).items()}  # fmt: skip
     if any(others != given for others in piece.comm.allgather(given)):
         raise InputError("parameters: expected the same on every rank")
+    if is_uneven:
+        return rest(RowDressed(material, piece, uneven), b, u, solver, path)
     operator = operator_on(material, piece, petsc)
     if not learns:
         return rest(operator, b, u, solver, path)
@@ -128,7 +147,7 @@ def rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Solver, path: Any 
         piece,
         operator,
         loads.reshape(*b.shape[:-2], -1, b.shape[-1]),
-        records[0].method if bends else "multigrid, PETSc" if petsc else "multigrid",
+        records[0].method if bends else operator.method + ", PETSc" * petsc,
         tuple(record.solves if bends else record.iterations for record in records),
         proven,
         details=tuple(records),
@@ -209,32 +228,6 @@ def operator_on(material: Any, piece: Subdomain, petsc: bool = False) -> Any:
     return RowNonlinear(material, piece)
 
 
-class Felt:
-    """A law on all nodes that this rank feels, of which its own unknown ones are unknown.
-
-    Args:
-        piece: the nodes of this rank.
-        reach: how far a node feels [length].
-        place: makes the law on Points; what it keeps in files is made by one rank.
-    """
-
-    def __init__(self, piece: Subdomain, reach: float, place: Callable[[Points], Any]) -> None:
-        self.points, self.halo = piece, NodeHalo(piece, reach)
-        x, inside = self.halo.x, np.zeros(len(self.halo.x), bool)
-        inside[self.halo.own] = piece.interior
-        self.asked = bool(inside.any())
-        if not self.asked:  # the law needs an unknown node: one of a body of its own, at rest
-            x, inside = one_node(piece.dimension, piece.spacing, reach)
-        self._rest = np.zeros_like(x)
-        here = Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis)
-        self.placed = in_turn(piece.comm, lambda: place(here))
-
-    def around(self, u: np.ndarray) -> np.ndarray:
-        """u [n, d] on all nodes that this rank feels."""
-        field = self.halo.felt(u)
-        return field if self.asked else self._rest
-
-
 class RowNonlinear(Felt):
     """L of a nonlinear solid on a lattice in tiles, and where it balances a load.
 
@@ -267,10 +260,6 @@ class RowNonlinear(Felt):
     def straight(self, u: np.ndarray) -> np.ndarray:
         """Its linear part at u, as above."""
         return self._pulled(self.placed.straight, u)
-
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """b on this rank's interior, which the operator equals in equilibrium."""
-        return np.asarray(b, dtype=float)[..., self.points.interior, :]
 
     def inverse(self, loads: int) -> Inverse:
         """As RowOperator.inverse, of the linear part."""
