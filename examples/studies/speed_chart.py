@@ -74,7 +74,7 @@ def draw_front(
 
 def chart(rows: list[Row], file: Path) -> None:
     """Error against time, for one load and for a hundred, the Pareto fronts drawn and labelled."""
-    figure, axes = panels(11, 8, count=2, rows=2)
+    figure, axes = panels(8, 13, count=1, rows=4)
     for ax, (title, (name, seconds)) in zip(axes.flat, PANELS.items()):
         timed = [(1e3 * s, row) for row in rows if (s := seconds(row)) is not None]
         exact = {row["kind"]: x for x, row in timed if row["kind"] == "atoms"}
@@ -85,7 +85,7 @@ def chart(rows: list[Row], file: Path) -> None:
         ]
         draw_front(ax, found, exact)
         ax.set(xlabel="time [ms] (h and δ in Å)", title=title)
-    for ax in axes[:, 0]:
+    for ax in axes.flat:
         ax.set_ylabel("error of displacement [%]")
     figure.suptitle("Third order is the most accurate on disks, prediction on short waves")
     save_figure(figure, file, dpi=88, bbox_inches=None)
