@@ -60,6 +60,8 @@ class RowOperator:
     Raises InputError for a law without a proof, and interior nodes near the edge of the box.
     """
 
+    method = "multigrid"
+
     def __init__(self, law: StencilMaterial, piece: Subdomain, petsc: bool = False) -> None:
         if piece.tiles is None:
             raise InputError("points: expected a lattice in tiles for a body at rest on ranks")
@@ -86,8 +88,6 @@ class RowOperator:
             stencil.reach,
             lambda torus: scale * torus_symbol(torus, stencil.steps, tensors),
         )
-
-    method = "multigrid"
 
     @cached_property
     def _near(self) -> tuple[Convolution, Between, Any]:
@@ -361,6 +361,8 @@ class ScatteredOperator:
     Raises InputError as ThroughLattice does.
     """
 
+    method = "multigrid"
+
     def __init__(
         self,
         model: Model,
@@ -388,8 +390,6 @@ class ScatteredOperator:
             A = self.through.problem.stiffness
             self._diagonal = A.diagonal().reshape(-1, 2)
         self._long = _Coarse(piece, carrier, self.model, petsc)
-
-    method = "multigrid"
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
         """A u at this rank's interior nodes, shape [i, 2], of u [n, 2]."""

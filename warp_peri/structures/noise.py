@@ -493,8 +493,8 @@ def by_strains(
     back, place = np.linalg.inv(G), tuple(np.transpose(kinds))
     pulled = np.linalg.det(G)[..., None, None] * back @ sigma.reshape(G.shape)
     S = (pulled @ back.swapaxes(-1, -2))[..., *place].transpose(2, 0, 1, 3)
-    means = [np.reshape(one["forces"], (-1, n, 3)).mean(axis=0) for one in told]
-    F = np.reshape(means, (*G.shape[:3], n, 3)).transpose(2, 0, 1, 3, 4)
+    pushes = [np.reshape(one["forces"], (-1, n, 3)).mean(axis=0) for one in told]
+    F = np.reshape(pushes, (*G.shape[:3], n, 3)).transpose(2, 0, 1, 3, 4)
     means = (S.sum(axis=0) / 2).reshape(len(e), -1)
     even = np.linalg.lstsq(np.column_stack([e**0, e**2]), means)[0]
     slope, error, gain = _slope((S[0] - S[1]) / 2, e, rough)
