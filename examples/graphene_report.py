@@ -97,13 +97,15 @@ def draw_disks(
 def draw_waves(
     path: Path, points: Samples, table: dict[str, Any], local: np.ndarray | None
 ) -> None:
-    """Errors of the training samples against their wave number, E_u of local elasticity beside."""
+    """Errors on the training samples against their wave number, local elasticity's beside."""
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    errors = {"E_res": table["E_res_samples"], "E_u": table["E_u_samples"]}
+    errors = {"load, model": table["E_res_samples"], "displacement, model": table["E_u_samples"]}
+    said = f"On the training loads displacement errs by {100 * np.mean(table['E_u_samples']):.1f} %"
     if local is not None:
-        errors["E_u, local elasticity"] = local
+        errors["displacement, local elasticity"] = local
+        said += f", by local elasticity {100 * np.mean(local):.1f} %"
     plots.errors_by_wave_number(points.arrays["wave_number"], errors, ax=ax)
-    ax.set_title("Errors of the training samples, and of local elasticity")
+    ax.set_title(said, fontsize="medium")
     save_figure(figure, path)
 
 
