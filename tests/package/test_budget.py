@@ -1,0 +1,207 @@
+"""How much code the library is: one table of budgets, whose sums only fall.
+
+A code line is a line of a Python file below warp_peri (kernels apart) that is neither blank nor
+begins with # nor belongs to an import statement or to a string that is a statement. Lines can be
+joined, so the tokens on them are counted too. `python -m tests.package.test_budget` prints all.
+"""
+
+import ast
+import io
+import tokenize
+from collections import Counter
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent.parent
+BUDGET = {
+    "code lines": 33_937,
+    "tokens": 413_381,
+    "lines of warp_peri": 55_343,
+    "lines of kernels": 5_823,
+    "lines of warp_peri, kernels, examples and tools": 92_846,
+    "lines of the longest file": 747,
+    "lines of the longest function": 97,
+    "parameters of one function": 13,
+    "characters of the longest string": 2_000,
+    "class names twice": 0,
+    "imports of warp_peri inside functions": 14,
+    "asserts in warp_peri": 0,
+}
+"""Largest allowed sums. Lower them in the commit that makes the library smaller."""
+ROOMS = {
+    "cli": 1316,
+    "core": 1582,
+    "damage": 2248,
+    "diffusion": 337,
+    "dressed": 1990,
+    "dynamics": 526,
+    "edges": 967,
+    "face": 1267,
+    "files": 431,
+    "flow": 1660,
+    "learning": 2516,
+    "lps": 1555,
+    "micromodulus": 1323,
+    "neural": 1073,
+    "points": 1797,
+    "prediction": 1169,
+    "ranks": 1474,
+    "regression": 918,
+    "sources": 1062,
+    "stability": 140,
+    "statics": 1471,
+    "structures": 1919,
+    "third_order": 1061,
+    "tissue": 2386,
+    "transfer": 675,
+    "verification": 1074,
+}
+"""Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
+COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)
+
+
+def files(*folders):
+    """Python files below these; kernels/, linked to from warp_peri, is a folder of its own."""
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            if folder == "kernels" or "kernels" not in path.relative_to(ROOT / folder).parts:
+                yield path
+
+
+def lines(*folders):
+    return sum(path.read_bytes().count(b"\n") for path in files(*folders))
+
+
+@cache
+def tree(path):
+    return ast.parse(path.read_bytes())
+
+
+def nodes(kind):
+    return (
+        node
+        for path in files("warp_peri")
+        for node in ast.walk(tree(path))
+        if isinstance(node, kind)
+    )
+
+
+def is_prose(node):
+    """Whether a statement is a string alone."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )
+
+
+def code_lines(path):
+    """Numbers of the code lines of one file."""
+    left_out = {
+        line
+        for node in ast.walk(tree(path))
+        if isinstance(node, ast.Import | ast.ImportFrom) or is_prose(node)
+        for line in range(node.lineno, node.end_lineno + 1)
+    }
+    written = (line.strip() for line in path.read_text(encoding="utf-8").split("\n"))
+    return {
+        number
+        for number, line in enumerate(written, 1)
+        if line and line[0] != "#" and number not in left_out
+    }
+
+
+def tokens(path):
+    """Number of names, numbers, strings and operators that start on code lines of one file."""
+    counted = code_lines(path)
+    stream = tokenize.generate_tokens(io.StringIO(path.read_text(encoding="utf-8")).readline)
+    return sum(token.type in COUNTED and token.start[0] in counted for token in stream)
+
+
+@cache
+def rooms():
+    """Code lines of each folder of warp_peri."""
+    found = Counter()
+    for path in files("warp_peri"):
+        parts = path.relative_to(ROOT / "warp_peri").parts
+        found["face" if len(parts) == 1 else parts[0]] += len(code_lines(path))
+    return found
+
+
+def is_library_import(node):
+    """Whether a node imports the library, by statement or by importlib."""
+    named = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+    if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
+        named = [one.value for one in node.args if isinstance(one, ast.Constant)]
+    if isinstance(node, ast.ImportFrom):
+        named = ["warp_peri" if node.level else str(node.module)]
+    return any(name.split(".")[0] == "warp_peri" for name in named)
+
+
+def late_imports(node, inside=False):
+    """How many imports of the library are inside functions of a tree."""
+    inner = inside or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+    below = sum(late_imports(child, inner) for child in ast.iter_child_nodes(node))
+    return below + (inside and is_library_import(node))
+
+
+def parameters(function):
+    given = function.args
+    return len(given.posonlyargs) + len(given.args) + len(given.kwonlyargs)
+
+
+@cache
+def sums():
+    functions = [*nodes(ast.FunctionDef | ast.AsyncFunctionDef)]
+    names = Counter(node.name for node in nodes(ast.ClassDef))
+    texts = (node.value for node in nodes(ast.Constant) if isinstance(node.value, str))
+    return {
+        "code lines": sum(rooms().values()),
+        "tokens": sum(tokens(path) for path in files("warp_peri")),
+        "lines of warp_peri": lines("warp_peri"),
+        "lines of kernels": lines("kernels"),
+        "lines of warp_peri, kernels, examples and tools": lines(
+            "warp_peri", "kernels", "examples", "tools"
+        ),
+        "lines of the longest file": max(
+            path.read_bytes().count(b"\n") for path in files("warp_peri")
+        ),
+        "lines of the longest function": max(f.end_lineno - f.lineno + 1 for f in functions),
+        "parameters of one function": max(map(parameters, functions)),
+        "characters of the longest string": max(map(len, texts)),
+        "class names twice": sum(count > 1 for count in names.values()),
+        "imports of warp_peri inside functions": sum(
+            late_imports(tree(path)) for path in files("warp_peri")
+        ),
+        "asserts in warp_peri": len([*nodes(ast.Assert)]),
+    }
+
+
+@pytest.mark.parametrize("what", BUDGET)
+def test_sum_stays_within_its_budget(what):
+    assert sums()[what] <= BUDGET[what]
+
+
+@pytest.mark.parametrize("room", sorted(rooms()))
+def test_room_stays_within_its_budget(room):
+    assert rooms()[room] <= ROOMS[room], "a new room needs a budget"
+
+
+def test_budgets_of_rooms_add_up_to_what_is_allowed():
+    assert not {*ROOMS} - {*rooms()}, "a room that left keeps no budget"
+    assert sum(ROOMS.values()) <= BUDGET["code lines"]
+
+
+def test_code_lines_are_counted_as_defined(tmp_path):
+    path = tmp_path / "one.py"
+    prose = '"""Prose.\n\nMore."""\n\nimport os\nfrom a import (\n    b,\n)\n\n# why\n'
+    path.write_text(prose + 'x = [\n    1,  # one\n]\ny = """two\n\nlines"""\n')
+    assert code_lines(path) == {11, 12, 13, 14, 16}
+    assert tokens(path) == 3 + 2 + 1 + 3
+
+
+if __name__ == "__main__":
+    for name, value in [*sums().items(), *sorted(rooms().items())]:
+        print(f"{value:>8,}  {name}")
