@@ -35,7 +35,6 @@ from tools import graphene_phonons
 from tools.options import Options
 from warp_peri import InputError, Points, Samples
 from warp_peri.core.elastic import from_voigt, plane_isotropic, voigt
-from warp_peri.dressed import DressedSolid
 from warp_peri.errors import exit_status
 from warp_peri.micromodulus import Crystal, tensors_of
 from warp_peri.points.lattice import lattice_steps
@@ -126,7 +125,7 @@ def moduli_of(material: Any, spacing: float) -> np.ndarray:
     """
     law = getattr(material, "linear", material)
     law = tensors_of(law, spacing) if isinstance(law, wp.Model) else law
-    if not isinstance(law, Crystal | DressedSolid) or law.dimension != 2:
+    if not isinstance(law, Crystal) or law.dimension != 2:
         raise InputError(f"model: expected a law of sheets that is linear, got {law!r:.80}")
     return voigt(law.tensor())
 
