@@ -20,7 +20,7 @@ BUDGET = {
     "tokens": 413_381,
     "lines of warp_peri": 55_343,
     "lines of kernels": 5_823,
-    "lines of warp_peri, kernels, examples and tools": 92_846,
+    "lines of warp_peri, kernels, examples and tools": 92_925,
     "lines of the longest file": 747,
     "lines of the longest function": 97,
     "parameters of one function": 13,
