@@ -26,7 +26,6 @@ def sweeps(scalar, dimension):
         surface_shape=_surface_shape(of),
         surface_dilatation=_surface_dilatation(of),
         force=_force(of),
-        bond_force=_bond_force(of),
     )
 
 
@@ -201,40 +200,3 @@ def _force(of):
         Lu[s, first + t] = total
 
     return force
-
-
-def _bond_force(of):
-    c2, xi_of, last = of.c2, of.xi_of, of.dimension
-    BondArrays, scalar, vec, bond_of = of.BondArrays, of.scalar, of.vec, of.bond_of
-    bond_class_of, volume_of, int_at = of.bond_class_of, of.volume_of, of.int_at
-    scalar_at, vecs_at = of.scalar_at, of.vecs_at
-
-    @wp.kernel
-    def bond_force(
-        first: wp.int32,
-        nodes: wp.array(dtype=wp.int32),
-        bonds: BondArrays,
-        kw: wp.array(dtype=scalar),
-        m: wp.array(dtype=scalar),
-        mu: wp.array(dtype=scalar),
-        u: wp.array2d(dtype=vec),
-        Lu: wp.array2d(dtype=vec),
-    ):
-        """(L u)_i = −(c2 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (42): λ = μ, no dilatation."""
-        s, t = wp.tid()
-        i = nodes[first + t]
-        deviatoric = -c2 * mu[0] / m[volume_of(bonds, i)]
-        total = vec()
-        begin = bonds.row[i]
-        skip = bonds.lattice * begin
-        for e in range(begin, bonds.row[i + 1]):
-            j = int_at(bonds.neighbour, e)
-            if j >= 0:
-                p = e - skip
-                bond = bond_of(bonds, p, i, j)
-                xi = xi_of(bond)
-                k = scalar_at(kw, bond_class_of(bonds, p)) * deviatoric
-                total += k * wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[last] * xi
-        Lu[s, first + t] = total
-
-    return bond_force

@@ -392,7 +392,7 @@ def test_what_is_changed_before_a_backward_pass_is_told():
 
 MODULES = {
     "LPS": {"lam", "mu", "alpha", "D"},
-    "LPS, bond-based": {"mu", "alpha", "D"},
+    "LPS, bond-based": {"lam", "mu", "alpha", "D"},
     "LPS, two functions": {"lam", "mu", "alpha", "D", "D_dilatation"},
     "LPS in space": {"lam", "mu", "alpha", "D"},
     "scattered": {"lam", "mu", "alpha", "D"},

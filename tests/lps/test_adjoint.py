@@ -146,18 +146,23 @@ def test_of_bond_based_forces(kind):
     bonds = Bonds(points, HORIZON, bond_based=True)
     u = noise(points)
     leaves = [u, 0.7, 0.7, 1.3, [1.0, 0.5, -0.2]]
-    given = [torch.tensor(leaf, dtype=torch.float64, requires_grad=True) for leaf in leaves]
+    given = [torch.tensor(leaf, dtype=torch.float64) for leaf in leaves]
+    for n in (0, 3, 4):
+        given[n].requires_grad_()
     Lu = lps_force(bonds, given[0], Solid(*given[1:]))
     whole = lps_force(Bonds(points, HORIZON), given[0], Solid(*given[1:]))
     torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
-    gradients = torch.autograd.grad((Lu**3).sum(), given)
-    expected = torch.autograd.grad((whole**3).sum(), given)
-    for n in (0, 3, 4):
-        assert error(gradients[n].numpy(), expected[n].numpy()) < 1e-11
-    assert gradients[1] == 0
-    assert error(gradients[2].numpy(), (expected[1] + expected[2]).numpy()) < 1e-11
+    of = [given[n] for n in (0, 3, 4)]
+    gradients = torch.autograd.grad((Lu**3).sum(), of)
+    expected = torch.autograd.grad((whole**3).sum(), of)
+    for gradient, one in zip(gradients, expected):
+        assert error(gradient.numpy(), one.numpy()) < 1e-11
+    asked = torch.tensor(0.7, requires_grad=True)
+    for pair in ((asked, 0.7), (0.7, asked)):
+        with pytest.raises(InputError, match="lambda, mu: expected equal values without a gr"):
+            lps_force(bonds, given[0], Solid(*pair, *leaves[3:]))
     for field in (given[0], given[0].detach()):
-        with pytest.raises(InputError, match=r"lambda, mu: expected equal values \(bond-based\)"):
+        with pytest.raises(InputError, match="lambda, mu: expected equal values without a gr"):
             lps_force(bonds, field, Solid(0.1, 0.7, 1.3, [1.0]))
 
 
@@ -270,9 +275,20 @@ def test_what_a_launch_refuses():
     for wrong in (field[:, :-1], field[:0], field[0], field.numpy()):
         with pytest.raises(InputError, match="u: expected a contiguous array of Warp of shape"):
             operator.launch(wrong, out)
-    alone = kernel("positive", HORIZON, lam=0.8).on(points)
-    with pytest.raises(InputError, match="expected equal values"):
+    near = lattice(5, HORIZON / 2)
+    alone = kernel("positive", HORIZON, lam=0.8).on(near)
+    field, _ = arrays_of(model, noise(near, 2))
+    with pytest.raises(InputError, match="expected equal values without a gradient"):
         alone.launch(field, out, Solid(*numbers))
+
+
+def test_a_launch_takes_other_numbers_than_equal_ones():
+    points = lattice(5, HORIZON)
+    model, equal = (kernel("positive", HORIZON, lam=lam) for lam in (LAM, 0.8))
+    field, numbers = arrays_of(model, noise(points, 2))
+    out = wp.zeros((2, 25), dtype=wp.vec2d)
+    equal.on(points).launch(field, out, Solid(*numbers))
+    assert np.array_equal(out.numpy(), model.on(points)(noise(points, 2)))
 
 
 def test_gradient_of_a_model_is_the_transposed_operator():

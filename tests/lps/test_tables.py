@@ -55,7 +55,7 @@ def test_is_the_force_to_rounding(kind, name):
 
 
 def test_is_the_force_without_a_dilatation():
-    points = cloud(5, HORIZON / 2)
+    points = cloud(5, HORIZON / 3)
     bond_based = kernel("sign-changing", HORIZON, lam=0.8, mu=0.8)
     operator = NodeOperator(bond_based, points, allow_uncertified=True)
     assert operator.bonds.bond_based

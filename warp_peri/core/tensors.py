@@ -402,8 +402,8 @@ class Module(torch.nn.Module):
     Attributes:
         operator: the material on the points.
         lam, mu, alpha, D, D_dilatation: parameters of a linear peridynamic solid [stress], [1],
-            [M + 1], as it is used on the points. A λ that is μ and a D_dilatation that is D stay
-            so, and are none of their own.
+            [M + 1], as it is used on the points. A D_dilatation that is D stays so, and is none of
+            its own.
         t3, tq2, q3: parameters of a third-order solid [stress]; its linear part is held.
         tensors: those of a crystal, or of a dressed solid that is even [stress/length²], [H, d, d].
         networks: of a neural operator, the material itself with its parameters.

@@ -39,7 +39,7 @@ def bond_force(
         model: one influence function.
         body, neighbour: nodes and their bonds, broken ones are −1.
         u: displacement, shape [S, N, d].
-        numbers: mu, alpha and D as tensors; and lam, where it is not mu.
+        numbers: lam, mu, alpha and D as tensors.
         pressure: more stress at nodes that resists a dilatation [stress], shape [S, N].
     """
     classes, d, mu = body.classes, body.dimension, numbers["mu"]
@@ -54,7 +54,7 @@ def bond_force(
     w, square = w[torch.from_numpy(classes.bond_class)[bond]], torch.from_numpy(body.r**2)[bond]
     e = linear(u.flatten(1), lambda x: (stretch @ x.T).T, lambda y: (stretch.T @ y.T).T)
     theta = torch.zeros(u.shape[:2], dtype=u.dtype).index_add(1, node, d * w * e)
-    stress = (numbers.get("lam", mu) - mu) * theta + pressure
+    stress = (numbers["lam"] - mu) * theta + pressure
     pull = d * (d + 2) * mu * w / square * e + d * w * stress[:, node]
     return linear(pull, lambda y: (stretch.T @ y.T).T, lambda x: (stretch @ x.T).T).view_as(u)
 
@@ -63,7 +63,7 @@ def pressed(cut: Any, b: Any, stress: np.ndarray, parameters: Mapping[str, Any])
     """b and cut_solid.crack_load of other numbers, [N, d], differentiable in all."""
     numbers = {name: as_tensor(name, value).double() for name, value in parameters.items()}
     numbers = {n: torch.tensor(v, dtype=torch.float64) for n, v in cut.learnable.items()} | numbers
-    lam, mu = numbers.get("lam", numbers["mu"]), numbers["mu"]
+    lam, mu = numbers["lam"], numbers["mu"]
     even, sigma = torch.eye(cut.body.dimension, dtype=torch.float64), torch.from_numpy(stress)
     strain = (sigma - lam / (len(even) * lam + 2 * mu) * sigma.trace() * even) / (2 * mu)
     u = (torch.from_numpy(cut.body.x) @ strain)[None]

@@ -190,7 +190,7 @@ class CutSolid(OnPoints):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α and D by name, no λ where it is μ; none of several materials, or corrected."""
+        """λ, μ, α and D by name; none of several materials, or corrected."""
         return self.model.learnable if self.one and not self.corrected else {}
 
     def at(self, numbers: Mapping[str, Any]) -> CutSolid:

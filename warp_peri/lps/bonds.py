@@ -78,7 +78,7 @@ class Bonds:
         points: a lattice, or scattered points (spacing 0). Bonds to nodes outside are broken, and
             the dilatation of nodes that had such bonds is corrected (theory, 40–41).
         horizon: δ [Å].
-        bond_based: λ = μ without a dilatation (theory, 42).
+        bond_based: λ = μ, of which no dilatation is seen: a collar of δ is enough.
         quadrature_degree: of the polynomials that the weights are exact for.
         precision: "float64" or "float32".
         device: where the arrays lie and the kernels run, as Warp names it: "cpu", "cuda:0". The
@@ -161,7 +161,7 @@ class Bonds:
         """A square lattice without broken bonds as rows of a rectangle, for the processor's sweeps
         that take many nodes at a time; None for what else there is.
         """
-        if not self.lattice or self.dimension != 2 or self.device != DEVICE or self.bond_based:
+        if not self.lattice or self.dimension != 2 or self.device != DEVICE:
             return None
         return rows_of(self.families, *self._places, self.scalar)
 
@@ -346,10 +346,6 @@ def evaluate(
     kw, m = influence(bonds, alpha, D, gradient=gradient)
     kd, md = kw, m
     Lu = _forces(bonds, samples, gradient=gradient)
-    if bonds.bond_based:
-        inputs = (bonds.rows, arrays, kw, m, mu, u)
-        _launch(gradient, kernels.bond_force, len(bonds.rows), inputs, Lu, samples)
-        return Evaluation(kw, m, kd, md, bonds.zeros(samples, bonds.nodes), Lu)
     if D_dilatation is not None:
         kd, md = influence(bonds, alpha, D_dilatation, gradient=gradient)
     if bonds.laid_out is not None and not gradient:
@@ -481,12 +477,11 @@ class Tabulated:
             self._make(alpha, coefficients)
             self._made_for = key
         theta = bonds.zeros(samples, bonds.nodes)
-        if not bonds.bond_based:
-            self._launch(self.kernels.dilatation, bonds.whole, (u,), theta)
-            if self._dilatational is not None:
-                kernel = lps.sweeps(bonds.scalar, bonds.dimension).surface_dilatation
-                inputs = (bonds.cut, bonds.arrays, *self._dilatational, u)
-                launch_slices(kernel, len(bonds.cut), inputs, (theta,), samples=samples)
+        self._launch(self.kernels.dilatation, bonds.whole, (u,), theta)
+        if self._dilatational is not None:
+            kernel = lps.sweeps(bonds.scalar, bonds.dimension).surface_dilatation
+            inputs = (bonds.cut, bonds.arrays, *self._dilatational, u)
+            launch_slices(kernel, len(bonds.cut), inputs, (theta,), samples=samples)
         Lu = empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)
         self._launch(self.kernels.force, bonds.rows, (lam, mu, u, theta), Lu)
         return Lu

@@ -215,17 +215,15 @@ class Model(Record, format="warp_peri.model"):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α, D and D_dilatation by name; neither λ nor D_dilatation where it is μ or D."""
+        """λ, μ, α, D and D_dilatation by name; no D_dilatation where it is D."""
         numbers = dict(vars(self.solid))
-        if self.bond_based:
-            del numbers["lam"]
         if np.array_equal(self.D, self.dilatation):
             del numbers["D_dilatation"]
         return numbers
 
     def having(self, numbers: Mapping[str, Any]) -> Model:
         """The same with other `learnable` numbers, of which nothing is proven."""
-        own = {"lam": numbers["mu"], "D_dilatation": numbers["D"]} | dict(numbers)
+        own = {"D_dilatation": numbers["D"]} | dict(numbers)
         return replace(self, **own, certified_on=(), certificate={})
 
     @property

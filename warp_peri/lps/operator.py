@@ -122,10 +122,9 @@ def _by_bonds(
     """τ, and ∂/∂u where an array is given, through the lists of neighbours."""
     kernels, links = adjoints(bonds.scalar, bonds.dimension), (bonds.arrays, bonds.reverse)
     inputs: tuple[Any, ...]
-    if not bonds.bond_based:
-        inputs = (bonds.full, *links, law.kd, law.md, law.lam, law.mu, scaled[1])
-        count, samples = len(bonds.full), len(tau)
-        launch_slices(kernels.dilatation_adjoint, count, inputs, (tau,), samples=samples)
+    inputs = (bonds.full, *links, law.kd, law.md, law.lam, law.mu, scaled[1])
+    count, samples = len(bonds.full), len(tau)
+    launch_slices(kernels.dilatation_adjoint, count, inputs, (tau,), samples=samples)
     if u_bar is not None:
         inputs = (*links, law.kw, law.kd, law.mu, scaled[0], tau)
         launch_slices(kernels.displacement_adjoint, bonds.nodes, inputs, (u_bar,), samples=len(tau))
@@ -313,7 +312,8 @@ class NodeOperator(OnPoints):
             spacing.
         device: where the kernels run, as for Bonds.
 
-    A model with λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough.
+    A model with λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough, but for
+    derivatives to λ and μ.
 
     Raises InputError for a point set that does not carry the horizon, or an uncertified spacing.
     """
@@ -341,13 +341,13 @@ class NodeOperator(OnPoints):
     @cached_property
     def bonds(self) -> Bonds:
         """The bonds of the nodes, on the device."""
-        bonds = Bonds(
-            self.nodes,
-            self.model.horizon,
-            bond_based=self.model.bond_based,
-            quadrature_degree=self.quadrature_degree,
-            device=self.device,
-        )
+        how: dict[str, Any] = {"quadrature_degree": self.quadrature_degree, "device": self.device}
+        try:
+            bonds = Bonds(self.nodes, self.model.horizon, **how)
+        except InputError:
+            if not self.model.bond_based:
+                raise
+            bonds = Bonds(self.nodes, self.model.horizon, bond_based=True, **how)
         check_volumes(bonds, self.model)
         return bonds
 
@@ -408,16 +408,17 @@ class NodeOperator(OnPoints):
         g = floats(np.ascontiguousarray(w)[None], bonds.vec)
         by = gradient(bonds, found, (field, *self._evaluated[0]), g)
         by_u: Any = by.u
-        slopes, known = dict(vars(by)), self.learnable
-        for name, other in (("lam", "mu"), ("D_dilatation", "D")):
-            if name not in known and slopes[name] is not None:  # one number is both
-                slopes[other] = slopes[other] + slopes[name]
+        slopes = dict(vars(by))
+        if "D_dilatation" not in self.learnable and by.D_dilatation is not None:
+            slopes["D"] = by.D + by.D_dilatation  # one function is both
         return by_u.numpy()[0], slopes
 
     @property
     def gathers(self) -> bool:
-        """Whether `felt` and `pulls` are had: without broken bonds, on the processor."""
-        return self.shape[0] == self.bonds.nodes and gathers(self.bonds)
+        """Whether `felt` and `pulls` are had: with dilatations, no broken bonds, on the
+        processor."""
+        own = not self.bonds.bond_based and self.shape[0] == self.bonds.nodes
+        return own and gathers(self.bonds)
 
     def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
         """L u of Warp arrays, on the tape that records, if one does.
@@ -452,8 +453,8 @@ class NodeOperator(OnPoints):
                     f"of {d} float64 each, got {type(array).__name__} of {list(np.shape(array))}"
                 )
         numbers = self._evaluated[0] if parameters is None else list(parameters.values())
-        if bonds.bond_based and numbers[0].numpy() != numbers[1].numpy():
-            raise InputError("lambda, mu: expected equal values (bond-based)")
+        asked = any(one.requires_grad for one in numbers[:2])
+        _check_bond_based(bonds, bool(numbers[0].numpy() == numbers[1].numpy()), asked)
         taped = recorded and not gathers(bonds)  # broken bonds: a tape of copies, inside
         of = [wp.clone(one, requires_grad=True) if taped else one for one in (u, *numbers)]
         with wp.Tape() if taped else nullcontext() as tape:
@@ -479,12 +480,12 @@ class NodeOperator(OnPoints):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α, D and D_dilatation by name; neither λ nor D_dilatation where it is μ or D."""
+        """λ, μ, α, D and D_dilatation by name; no D_dilatation where it is D."""
         return self.model.learnable
 
     def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:
         """The force of fields [S, N, d] with other numbers, differentiable once in all."""
-        return lps_force(self.bonds, u, Solid(**{"lam": numbers["mu"]} | numbers))
+        return lps_force(self.bonds, u, Solid(**numbers))
 
 
 def gathers(bonds: Bonds) -> bool:
@@ -503,22 +504,18 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid, *, taped: bool = Fals
     Args:
         bonds: of a point set with N nodes.
         u: displacement [Å], shape [N, d] or [S, N, d], in the precision of the bonds.
-        solid: numbers, arrays or tensors; λ = μ for bonds that are bond-based.
+        solid: numbers, arrays or tensors; λ = μ, of which neither asks for a gradient, for bonds
+            that are bond-based.
         taped: the gradient by Warp's tape run backwards, the reference of the gathering one.
 
-    Raises InputError for a u of another shape or type, or λ ≠ μ on bond-based bonds, whose
-    derivative to λ is zero: (42) is a function of μ.
+    Raises InputError for a u of another shape or type, or such λ and μ on bond-based bonds.
     """
     check_field(bonds, u)
     values = list(solid.values())
     refuse_tangents(u, *values)
-    if bonds.bond_based and torch.as_tensor(solid.lam != solid.mu).any():
-        raise InputError(
-            f"lambda, mu: expected equal values (bond-based), got {solid.lam}, {solid.mu}"
-        )
-    learned = torch.is_grad_enabled() and any(
-        one.requires_grad for one in (u, *values) if isinstance(one, torch.Tensor)
-    )
+    asked = [torch.is_grad_enabled() and getattr(one, "requires_grad", False) for one in values]
+    learned = any(asked) or (torch.is_grad_enabled() and u.requires_grad)
+    _check_bond_based(bonds, bool(solid.lam == solid.mu), any(asked[:2]))
     if bonds.laid_out is not None and not learned:  # torch takes longer than a small sweep
         Lu = u.new_empty(*u.shape[:-2], len(bonds.rows), bonds.dimension)
         bonds.force(u.detach().contiguous(), values, Lu)
@@ -533,6 +530,15 @@ def lps_force(bonds: Bonds, u: torch.Tensor, solid: Solid, *, taped: bool = Fals
         made = evaluate(bonds, *_arrays(bonds, inputs), dilatation=False).Lu
         Lu = wp.to_torch(made, requires_grad=False)
     return Lu.reshape(*u.shape[:-2], -1, bonds.dimension)
+
+
+def _check_bond_based(bonds: Bonds, equal: bool, asked: bool) -> None:
+    """Refuse bonds without dilatations for λ ≠ μ, and for a gradient to one of them."""
+    if bonds.bond_based and (asked or not equal):
+        raise InputError(
+            "lambda, mu: expected equal values without a gradient on a collar of one horizon, "
+            "which has no dilatations; a collar of two has them"
+        )
 
 
 def check_field(bonds: Bonds, u: torch.Tensor) -> None:

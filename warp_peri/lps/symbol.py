@@ -125,7 +125,8 @@ def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
     """A(n) [TPa/Å²] along the lattice's own axes, shape [d, d] and d times 2R + 1, n = 0 central.
 
     Differentiable in the values of the solid that are float64 tensors. R is the reach of a family
-    in steps, or twice it with a dilatation; λ = μ has none (theory, 42).
+    in steps, or twice it with a dilatation; λ = μ that are not differentiated have none (theory,
+    42).
     """
     solid = solid.map(lambda value: torch.as_tensor(value, dtype=torch.float64))
     lam, mu, alpha = (value.reshape(()) for value in (solid.lam, solid.mu, solid.alpha))
@@ -144,7 +145,7 @@ def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
     gamma = torch.zeros(d, d, size**d, dtype=r.dtype).index_add(2, place, bonds)
     middle, box = torch.tensor([size**d // 2]), d * (size,)
     gamma = gamma.index_add(2, middle, -bonds.sum(dim=2, keepdim=True)).reshape(d, d, *box)
-    if solid.bond_based:
+    if lam == mu and not (lam.requires_grad or mu.requires_grad):
         return gamma
     phi = torch.zeros(d, size**d, dtype=r.dtype).index_add(1, place, d * p * xi.T)
     phi = phi.reshape(d, 1, *box)

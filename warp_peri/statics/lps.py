@@ -74,7 +74,8 @@ class PlacedLPS(LPSOperator):
             made = PlacedLPS(
                 model, self.points, allow_uncertified=True, device=self.device, carrier=self.carrier
             )
-        made.__dict__["bonds"] = self.bonds
+        if model.bond_based or not self.bonds.bond_based:
+            made.__dict__["bonds"] = self.bonds
         if self.nodes.is_plain_lattice or self.nodes.box is not None:
             made.linear.check_definite()
         return made
@@ -167,15 +168,14 @@ class PlacedLPS(LPSOperator):
     def _own(self, solid: Solid) -> dict[str, Any]:
         """Numbers of a solid by name, without those that are others of its own here."""
         named = {name: value for name, value in vars(solid).items() if value is not None}
-        for name, other in (("lam", "mu"), ("D_dilatation", "D")):
-            if name in self.learnable or (given := named.pop(name, None)) is None:
-                continue
-            pair = [np.ravel(v.detach() if is_tensor(v) else v) for v in (given, named[other])]
-            lost = given is not named[other] and getattr(given, "requires_grad", False)
-            if lost or not np.array_equal(pair[0], pair[1]):
-                raise InputError(
-                    f"parameters: expected {other} itself for {name}, which it is in this solid"
-                )
+        if "D_dilatation" in self.learnable or (given := named.pop("D_dilatation", None)) is None:
+            return named
+        pair = [np.ravel(v.detach() if is_tensor(v) else v) for v in (given, named["D"])]
+        lost = given is not named["D"] and getattr(given, "requires_grad", False)
+        if lost or not np.array_equal(pair[0], pair[1]):
+            raise InputError(
+                "parameters: expected D itself for D_dilatation, which it is in this solid"
+            )
         return named
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
