@@ -96,21 +96,6 @@ def test_one_output_by_two_names_is_one(tmp_path):
         pass
 
 
-def test_half_written_files_of_a_killed_job_are_removed(tmp_path):
-    target, folder = tmp_path / "g.h5", tmp_path / "out"
-    folder.mkdir()
-    with whole_file(target) as part:
-        assert PART in part.name
-    parts = [tmp_path / f".g.h5{PART}abc.h5", folder / f".m.json{PART}abc.json"]
-    others = [tmp_path / f".h.h5{PART}abc.h5", folder / ".hidden", folder / "m.json"]
-    for path in parts + others:
-        path.write_text("half")
-    with locked(target), locked(folder):
-        pass
-    assert not any(path.exists() for path in parts)
-    assert all(path.exists() for path in others)
-
-
 SAVES = """
 import sys
 from warp_peri.files.atomic import whole_file
@@ -121,21 +106,41 @@ with whole_file(sys.argv[1]) as part:
 """
 
 
-@pytest.mark.parametrize("name", ["m.json", "a[b]*.h5"])
-def test_the_next_save_clears_what_killed_ones_left_and_harms_none_that_lives(tmp_path, name):
-    target, saves = tmp_path / name, []
-    for _ in range(3):
+@pytest.fixture
+def saver():
+    """Starts processes amid the save of a file; each with its half-written file."""
+    started = []
+
+    def save(target):
         process = subprocess.Popen(
             [sys.executable, "-c", SAVES, str(target)],
             cwd=ROOT, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
         )  # fmt: skip
-        saves.append((process, Path(process.stdout.readline().strip())))
+        started.append(process)
+        return process, Path(process.stdout.readline().strip())
+
+    yield save
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+NAMES = ["m.json", "a[b]*.h5", "run[1]", "x?", "[!a]*", f"a{PART}1"]
+"""With every character that a pattern has."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_next_save_clears_what_killed_ones_left_and_harms_none_that_lives(
+    saver, tmp_path, name
+):
+    target = tmp_path / name
+    saves = [saver(target) for _ in range(3)]
     saves[1][0].kill()
     saves[1][0].communicate()
     other = tmp_path / f".{name}x{PART}abc"
     other.write_text("of another file")
     parts = [part for _, part in saves]
-    assert all(part.exists() for part in parts)
+    assert all(part.exists() and part.name.startswith(f".{name}{PART}") for part in parts)
     write_text(target, "mine")
     assert [part.exists() for part in parts] == [True, False, True]
     for process, _ in (saves[0], saves[2]):
@@ -143,3 +148,49 @@ def test_the_next_save_clears_what_killed_ones_left_and_harms_none_that_lives(tm
         assert process.returncode == 0
         assert target.read_text() == "half"
     assert sorted(tmp_path.iterdir()) == sorted([other, target])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_job_clears_what_killed_ones_left_and_harms_none_that_lives(saver, tmp_path, name):
+    out = tmp_path / name
+    out.mkdir()
+    lives, dead = [], []
+    for target in (tmp_path / "run1", tmp_path / "xy", out / "m.json", out / name):
+        lives.append(saver(target))
+        dead.append(saver(target))
+        dead[-1][0].kill()
+        dead[-1][0].communicate()
+    with locked(out), locked(out / "m.json"):
+        assert [part.exists() for _, part in dead] == [True, True, False, False]
+        for process, part in lives:
+            assert part.exists()
+            process.communicate("\n")
+            assert process.returncode == 0
+    assert (tmp_path / "run1").read_text() == (out / name).read_text() == "half"
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_hidden_files_of_a_user_stay(tmp_path, name):
+    out = tmp_path / name
+    out.mkdir()
+    with whole_file(out / "m.json") as part:
+        twin = part.name  # the name of a half-written file, on another file
+    mine = [out / f".my{PART}1.txt", out / f".m.json{PART}abcdefgh.json", out / twin]
+    mine += [tmp_path / f".{name}{PART}abcdefgh", tmp_path / f".{name}{PART}12{Path(name).suffix}"]
+    mine += [out / f"{PART}1", out / f"seen{PART}1", out / ".hidden"]
+    for path in mine:
+        path.write_text("mine")
+    with locked(out):
+        write_text(out / "my", "x")
+        write_text(out / "m.json", "x")
+    write_text(out.with_name(name + "y"), "x")
+    assert {path.read_text() for path in mine} == {"mine"}
+
+
+def test_a_users_file_of_the_name_of_a_lock_stays(tmp_path):
+    beside = tmp_path / ".out.lock"
+    beside.write_text("mine")
+    refusal = pytest.raises(InputError, match=r"\.out\.lock: expected no file, or an empty one")
+    with refusal, locked(tmp_path / "out"):
+        pass
+    assert beside.read_text() == "mine"

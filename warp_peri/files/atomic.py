@@ -10,7 +10,7 @@ import stat
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -72,7 +72,7 @@ def _check_header(file: Any, entry: zipfile.ZipInfo) -> None:
 
 
 PART = ".part-"
-"""What the names of half-written files hold, between the name to be and something random."""
+"""What the names of half-written files hold, between the name to be and a number of the file."""
 
 
 def destination(path: str | os.PathLike[str]) -> Path:
@@ -143,16 +143,20 @@ def _begun(path: Path) -> tuple[int, Path]:
 
     The lock is the operating system's and ends with the process: what nobody holds nobody writes.
     """
-    while True:
-        handle, name = tempfile.mkstemp(path.suffix, f".{path.name}{PART}", path.parent)
-        if _held(handle) is not False and os.fstat(handle).st_nlink:
-            break
-        os.close(handle)  # another save found it before it was locked, and takes it away
-    with suppress(PermissionError):
-        for left in os.listdir(path.parent):
-            if left.startswith(f".{path.name}{PART}") and left != Path(name).name:
-                _remove_left(path.with_name(left))
-    return handle, Path(name)
+    handle, made = tempfile.mkstemp(path.suffix, f".{path.name}{PART}", path.parent)
+    _held(handle)
+    temporary = path.with_name(f".{path.name}{_mark(handle)}{path.suffix}")
+    os.replace(made, temporary)
+    _remove_left(path.parent, f".{path.name}{PART}")
+    return handle, temporary
+
+
+def _mark(handle: int) -> str:
+    """What the name of a half-written file holds: its own number on the disk.
+
+    No file of a user, and no copy, has that in its name.
+    """
+    return f"{PART}{os.fstat(handle).st_ino}"
 
 
 def _held(handle: int) -> bool | None:
@@ -166,15 +170,23 @@ def _held(handle: int) -> bool | None:
     return True
 
 
-def _remove_left(path: Path) -> None:
-    """Remove a half-written file that no process holds."""
+def _remove_left(folder: Path, start: str = ".") -> None:
+    """Remove the half-written files of a folder, of names that begin so, that no process holds."""
     try:
-        handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:  # finished meanwhile, or not a file of ours
+        names = os.listdir(folder)
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
         return
-    if stat.S_ISREG(os.fstat(handle).st_mode) and _held(handle):
-        path.unlink(missing_ok=True)
-    os.close(handle)
+    for name in names:
+        if not name.startswith(start) or PART not in name:
+            continue
+        path = folder / name
+        try:
+            handle = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK)
+        except OSError:  # finished meanwhile, or not a file of ours
+            continue
+        if f"{_mark(handle)}." in f"{name}." and _held(handle):
+            path.unlink(missing_ok=True)
+        os.close(handle)
 
 
 @contextmanager
@@ -184,12 +196,15 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
     The lock is the operating system's, on a hidden file beside `path`: it ends with the process,
     however that ends. Half-written files that a killed job left are removed.
 
-    Raises InputError when another job holds it, or where no file can be.
+    Raises InputError when another job holds it, or where no file can be; and where the hidden file
+    is a user's, with something in it.
     """
     path = Path(os.path.realpath(path))
     with _no_place(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_name(f".{path.name}.lock")
+    if beside.exists() and beside.stat().st_size:
+        raise InputError(f"{beside}: expected no file, or an empty one, got a file of another's")
     lock = FileLock(beside)
     try:
         lock.acquire(blocking=False)
@@ -198,8 +213,8 @@ def locked(path: str | os.PathLike[str]) -> Iterator[None]:
             beside.touch()  # filelock takes a place that has no room for its file as held
         raise InputError(f"{path}: another job is writing here") from None
     try:
-        for left in (*path.parent.glob(f".{path.name}{PART}*"), *path.glob(f".*{PART}*")):
-            left.unlink(missing_ok=True)
+        _remove_left(path.parent, f".{path.name}{PART}")
+        _remove_left(path)
         yield
     finally:
         beside.unlink(missing_ok=True)  # still held: who opened it before tries again
