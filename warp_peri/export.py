@@ -1,4 +1,4 @@
-"""Results for other tools: fields for ParaView, the influence function as a table, the matrix."""
+"""Results for other tools: fields for ParaView."""
 
 from __future__ import annotations
 
@@ -9,23 +9,16 @@ from xml.etree.ElementTree import Element, ElementTree, SubElement
 
 import h5py
 import numpy as np
-import scipy.sparse as sp
 
-from warp_peri.contract import offered
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import whole_file, write_text
+from warp_peri.files.atomic import whole_file
 from warp_peri.files.series import in_space, item, meshio_of, write_vtu
-from warp_peri.lps.matrices import matrices, node_fields
+from warp_peri.lps.matrices import node_fields
 from warp_peri.lps.model import Model
-from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
-from warp_peri.points.unit_names import symbols
 
 if TYPE_CHECKING:
     from warp_peri.edges.body import BodySolution
-
-KERNEL_ROWS = 400
-"""Distances that a kernel for many lattices is written at."""
 
 XDMF_CELLS = {"quad": "Quadrilateral", "hexahedron": "Hexahedron", "vertex": "Polyvertex"}
 AROUND = {
@@ -83,81 +76,6 @@ def write_fields(
         raise InputError(f"u: expected the samples of the set, {points.u.shape}, got {u.shape}")
     x = in_space(points.x)
     return writers[format](Path(folder), x, *_cells(points), _samples(model, points, u))
-
-
-def write_influence(path: str | os.PathLike[str], model: Model, spacing: float) -> Path:
-    """The influence function at the bond lengths of a lattice, as text with commas.
-
-    Columns: r [Å], bonds of that length in a family, K, K/m [Å⁻⁴] with m the weighted volume on
-    the lattice, K/m of the dilatation, quadrature weight W [Å²].
-    """
-    classes = bond_classes(spacing, model.horizon)
-    columns = [classes.r, classes.count]
-    K, Kd = model.influence(classes.r), model.influence_dilatation(classes.r)
-    for kernel in (K, Kd):
-        m = classes.count @ (kernel * classes.weight * classes.r**2)
-        columns.append(kernel / m)
-    columns.insert(2, K)
-    columns.append(classes.weight)
-    length, stress = symbols(model.units)
-    lines = [
-        f"# influence function, lattice of spacing {spacing:g} {length}, "
-        f"horizon {model.horizon:g} {length}, lambda = {model.lam:.17g}, "
-        f"mu = {model.mu:.17g} {stress}",
-        "# m = sum over the family of K r^2 W; only K/m enters the model",
-        f"r [{length}],bonds,K,K/m [1/{length}^4],K/m of the dilatation [1/{length}^4],"
-        f"W [{length}^2]",
-    ]
-    lines += [",".join(f"{value:.17g}" for value in row) for row in zip(*columns)]
-    write_text(path, "\n".join(lines) + "\n")
-    return Path(path)
-
-
-def write_kernel(path: str | os.PathLike[str], model: Model) -> Path:
-    """One influence function for many lattices (`one_kernel`), as text with commas.
-
-    Columns: r [Å], K, and its quadrature-free part r^α K. The head says for which h/δ it is meant,
-    and its error on lattices there that it was not fitted on.
-
-    Raises InputError for a model that is of one lattice.
-    """
-    record = model.provenance.get("many_lattices")
-    if not isinstance(record, dict):
-        raise InputError("model: expected one of one_kernel, which is fitted on many lattices")
-    ratios = record["h_over_horizon"]
-    length, stress = symbols(model.units)
-    lines = [
-        f"# one influence function for lattices of h/horizon from {ratios[0]:.3g} to "
-        f"{ratios[-1]:.3g}, horizon {model.horizon:g} {length}, lambda = {model.lam:.17g}, "
-        f"mu = {model.mu:.17g} {stress}",
-        f"# displacement against the model at {record['from_spacing']:g} {length}, waves longer "
-        f"than {record['waves_longer_than']:.3g} {length}; h/horizon: mean, largest error",
-    ]
-    rows = zip(ratios, record["mean_error"], record["largest_error"])
-    lines += [f"# {h:.3g}: {100 * mean:.2g} %, {100 * most:.2g} %" for h, mean, most in rows]
-    lines.append(f"r [{length}],K,r^alpha K")
-    r = model.horizon * np.arange(1, KERNEL_ROWS + 1) / KERNEL_ROWS
-    columns = (r, model.influence(r), r**model.alpha * model.influence(r))
-    lines += [",".join(f"{value:.17g}" for value in row) for row in zip(*columns)]
-    write_text(path, "\n".join(lines) + "\n")
-    return Path(path)
-
-
-def write_operator(path: str | os.PathLike[str], model: Any, points: PointsLike) -> Path:
-    """L [TPa/Å²] as a sparse matrix, shape [d I, d N], for scipy.sparse.load_npz.
-
-    Of a linear solid or a crystal. Component a of node i is number d i + a; rows are interior nodes
-    in their order.
-    """
-    model = carried(model, points)
-    if isinstance(model, Model):
-        L = matrices(model, points).operator(model.lam, model.mu)
-    else:
-        kinds = "the operator of a linear solid or of a crystal"
-        L = offered(model.on(points), "matrix", "write_operator", kinds)()
-    with whole_file(path) as temporary, open(temporary, "wb") as file:
-        sp.save_npz(file, L)
-    return Path(path)
 
 
 def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, float]:

@@ -114,7 +114,7 @@ def collect(source: Path, path: Path) -> None:
 
 
 def stress(source: Path) -> Canvas:
-    """σ₁₁, σ₂₂ and σ₁₂ on the deformed interior, from a .vtu file of `warp-peri export fields`.
+    """σ₁₁, σ₂₂ and σ₁₂ on the deformed interior, from a .vtu file of `warp-peri export`.
 
     A quadrilateral has the mean of its corners; it is drawn where all four are interior.
     """

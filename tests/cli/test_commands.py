@@ -26,7 +26,6 @@ from warp_peri.cli.main import _parser, main
 from warp_peri.lps.model import Model
 from warp_peri.micromodulus import fit_symbol
 from warp_peri.points.dataset import load_dataset, save_dataset
-from warp_peri.points.families import bond_classes
 
 ROOT = Path(__file__).parent.parent.parent
 HORIZON = 2.5
@@ -396,17 +395,6 @@ def test_no_shape_of_that_name(data, tmp_path, capsys):
     assert "expected gaussian, exponential, conical or a .csv file" in capsys.readouterr().err
 
 
-def test_the_table_that_was_exported_is_taken_again(trained, data, tmp_path, capsys):
-    K = tmp_path / "K.csv"
-    answer(capsys, "export", "influence", trained / "model.json", "--out", K)
-    words = ["train", data, "--out", tmp_path / "run", "--horizon", "2.5", "--influence", K]
-    answer(capsys, *words, "--loss", "residual")
-    models = [Model.load(folder / "model.json") for folder in (trained, tmp_path / "run")]
-    r = bond_classes(1.0, HORIZON).r
-    first, second = (model.influence(r) / np.abs(model.influence(r)).max() for model in models)
-    np.testing.assert_allclose(first, second, atol=1e-7)
-
-
 def test_zeta_is_kept(data, tmp_path, capsys):
     words = ["train", data, "--out", tmp_path, "--horizon", "2.5", "--degree", "3"]
     answer(capsys, *words, "--loss", "residual", "--zeta", "0.3")
@@ -419,13 +407,12 @@ def test_zeta_is_kept(data, tmp_path, capsys):
     [
         (["solve", "{model}", "{data}", "--out", "{data}"], "is read (data)"),
         (["solve", "{model}", "{data}", "--out", "{model}"], "is read (model)"),
-        (["export", "influence", "{model}", "--out", "{model}"], "is read (model)"),
-        (["export", "fields", "{model}", "--data", "{data}", "--out", "{data}"], "is read (data)"),
+        (["export", "{model}", "{data}", "--out", "{model}"], "is read (model)"),
+        (["export", "{model}", "{data}", "--out", "{data}"], "is read (data)"),
         (["train", "{data}", "--out", "{other}"], "expected a folder"),
         (["sweep", "{data}", "--val", "test", "--out", "{other}"], "expected a folder"),
         (["solve", "{model}", "{data}", "--out", "{folder}"], "expected a file"),
         (["sweep", "{data}", "--val", "test", "--out", "{new}", "--jobs", "0"], "jobs: expected"),
-        (["export", "influence", "{model}", "--out", "{new}", "--spacing", "0"], "spacing"),
     ],
 )
 def test_nothing_is_written_over_what_is_read(words, message, trained, data, tmp_path, capsys):
@@ -442,21 +429,13 @@ def test_nothing_is_written_over_what_is_read(words, message, trained, data, tmp
     assert {path: path.read_bytes() for path in before} == before
 
 
-def test_an_operator_is_exported_on_certified_lattices(data, tmp_path, capsys):
+def test_fields_are_exported_on_certified_lattices(data, tmp_path, capsys):
     model = tmp_path / "bare.json"
     dataclasses.replace(kernel("sign-changing", HORIZON), certified_on=()).save(model)
-    words = [
-        "export",
-        "operator",
-        str(model),
-        "--data",
-        str(data),
-        "--out",
-        str(tmp_path / "L.npz"),
-    ]
+    words = ["export", str(model), str(data), "--out", str(tmp_path / "fields")]
     assert main(words) == 2
     assert "certified on no spacing" in capsys.readouterr().err
-    assert not (tmp_path / "L.npz").exists()
+    assert not (tmp_path / "fields").exists()
     assert main([*words, "--allow-uncertified"]) == 0
     assert "warning: spacing" in capsys.readouterr().err
 

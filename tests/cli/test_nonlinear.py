@@ -52,7 +52,7 @@ def test_export_has_the_stress_of_the_energy(files, capsys):
     folder, _, points, _ = files
     out = folder / "fields"
     words = ("--data", folder / "d.h5", "--set", "test", "--format", "xdmf", "--out", out)
-    assert printed(capsys, "export", "fields", folder / "m.json", *words)["files"]
+    assert printed(capsys, "export", folder / "m.json", *words)["files"]
     with h5py.File(out / "samples.h5") as file:
         piola = file["sample_0000/piola"][:]
     assert piola.shape == (len(points.x), 9)
@@ -68,8 +68,8 @@ def test_a_finer_lattice_exports_what_it_solves(files, capsys):
     u = 0.02 * np.stack([np.sin(points.x[:, 1]), np.cos(2 * points.x[:, 0])], axis=1)
     fine = Dataset({"fine": Samples(points, u[None], 0 * u[None])}, 3.35, 2200.0)
     save_dataset(folder / "fine.h5", fine)
-    words = (folder / "m.json", "--data", folder / "fine.h5", "--set", "fine", "--format", "xdmf")
-    printed(capsys, "export", "fields", *words, "--out", folder / "fields")
+    words = (folder / "m.json", folder / "fine.h5", "--set", "fine", "--format", "xdmf")
+    printed(capsys, "export", *words, "--out", folder / "fields")
     with h5py.File(folder / "fields" / "samples.h5") as file:
         exported = file["sample_0000/displacement"][:, :2]
     solved = solve_nonlinear(model, points, 0 * u, u)

@@ -115,7 +115,7 @@ def test_crystals_feel_their_turn_on_cut_faces_and_a_direction_that_is_not_state
     law = learned(3)
     traction = atlas_bodies.turned_face(law)
     assert traction == pytest.approx((0.122 - 0.076) / 2, rel=1e-8)
-    assert traction == pytest.approx(law.surface_traction(), rel=1e-8)
+    assert traction == pytest.approx(law._surface_traction(), rel=1e-8)
     seen = atlas_bodies.refusals(learned(2))
     assert "not objective" in seen[0]
     assert "stands at 20°" in seen[1]

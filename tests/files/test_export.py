@@ -9,7 +9,6 @@ import h5py
 import meshio
 import numpy as np
 import pytest
-import scipy.sparse as sp
 
 from tests.micromodulus import crystals
 from tests.support.clouds import cloud, plain
@@ -18,13 +17,10 @@ from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.cli.main import main
-from warp_peri.export import write_fields, write_influence, write_operator
+from warp_peri.export import write_fields
 from warp_peri.lps.matrices import node_fields
-from warp_peri.lps.model import stiffnesses
 from warp_peri.points.dataset import save_dataset
-from warp_peri.points.families import bond_classes
 from warp_peri.stability.certificate import certify
-from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 
@@ -170,12 +166,9 @@ def test_a_crystal_from_the_shell(tmp_path, capsys):
     law.save(tmp_path / "m.json")
     save_dataset(tmp_path / "d.h5", Dataset({"test": points}, 3.35, 2200.0))
     m, d = str(tmp_path / "m.json"), str(tmp_path / "d.h5")
-    assert main(["export", "fields", m, "--data", d, "--out", str(tmp_path / "vtu")]) == 0
+    assert main(["export", m, d, "--out", str(tmp_path / "vtu")]) == 0
     data = meshio.read(tmp_path / "vtu" / "sample_0000.vtu").point_data
     np.testing.assert_allclose(data["displacement"][:, :2], points.u[0], atol=1e-7)
-    assert main(["export", "operator", m, "--data", d, "--out", str(tmp_path / "L.npz")]) == 0
-    force = (sp.load_npz(tmp_path / "L.npz") @ points.u[0].ravel()).reshape(-1, 2)
-    np.testing.assert_allclose(force, points.b[0][points.interior], atol=1e-12)
     capsys.readouterr()
     assert main(["info", m, "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["moduli"] == pytest.approx(law.moduli())
@@ -183,7 +176,6 @@ def test_a_crystal_from_the_shell(tmp_path, capsys):
     (proof,) = json.loads(capsys.readouterr().out).values()
     assert proof["holds"]
     assert proof["proven"] == law.certificate.proven
-    assert main(["export", "influence", m, "--out", str(tmp_path / "K.csv")]) == 2
 
 
 def waves_on(law, number):
@@ -208,27 +200,8 @@ def test_scattered_points_stand_alone(tmp_path):
     assert len(cells.data) == len(points.x)
 
 
-def test_the_table_holds_what_enters_the_model(model, tmp_path):
-    path = write_influence(tmp_path / "K.csv", model, 1.0)
-    r, bonds, K, over_m, over_m_dilatation, W = np.loadtxt(path, delimiter=",", skiprows=3).T
-    classes = bond_classes(1.0, HORIZON)
-    v, z, _ = stiffnesses(model, classes)
-    np.testing.assert_allclose(model.mu * over_m * W, v, rtol=1e-14)
-    np.testing.assert_allclose(model.mu * over_m_dilatation * W, z, rtol=1e-14)
-    np.testing.assert_array_equal(r, classes.r)
-    np.testing.assert_array_equal(bonds, classes.count)
-    np.testing.assert_allclose(K, model.influence(r), rtol=1e-14)
-
-
-def test_the_matrix_is_the_operator(model, points, tmp_path):
-    L = sp.load_npz(write_operator(tmp_path / "L.npz", model, points))
-    force = LPSOperator(model, points)(points.u)
-    fields = (L @ points.u.reshape(2, -1).T).T.reshape(force.shape)
-    np.testing.assert_allclose(fields, force, atol=1e-12 * np.abs(force).max())
-
-
 @pytest.mark.filterwarnings("ignore:transferred:UserWarning")
-def test_on_another_lattice_stress_and_matrix_are_by_the_kernel_that_is_solved_with(tmp_path):
+def test_on_another_lattice_stress_is_by_the_kernel_that_is_solved_with(tmp_path):
     home = kernel("positive", HORIZON)
     home = replace(home, certificate={"1": certify(home, spacing=1.0).figures()})
     points = lattice(6, HORIZON, spacing=0.8)
@@ -241,32 +214,23 @@ def test_on_another_lattice_stress_and_matrix_are_by_the_kernel_that_is_solved_w
     stress = symmetric(found["stress"][points.interior])[:, :2, :2]
     np.testing.assert_allclose(stress, wanted.stress[0], rtol=1e-12, atol=1e-16)
     np.testing.assert_allclose(found["energy"][points.interior], wanted.energy[0], rtol=1e-12)
-    L = sp.load_npz(write_operator(tmp_path / "L.npz", home, points))
-    force = there(u[0])
-    np.testing.assert_allclose((L @ u[0].ravel()).reshape(force.shape), force, atol=1e-12)
 
 
-def test_the_command(model, points, tmp_path, capsys):
+def test_the_command(model, points, tmp_path):
     model.save(tmp_path / "m.json")
     save_dataset(tmp_path / "d.h5", Dataset({"test": points}, 3.35, 2200.0))
     m, d = str(tmp_path / "m.json"), str(tmp_path / "d.h5")
-    assert main(["export", "fields", m, "--data", d, "--out", str(tmp_path / "vtu")]) == 0
+    assert main(["export", m, d, "--out", str(tmp_path / "vtu")]) == 0
     mesh = meshio.read(tmp_path / "vtu" / "sample_0001.vtu")
     u = solve(model, points, points.b, points.u)
     np.testing.assert_allclose(mesh.point_data["displacement"][:, :2], u[1], atol=1e-12)
-    again = ["export", "fields", m, "--data", d, "--format", "xdmf", "--out", str(tmp_path / "x")]
+    again = ["export", m, d, "--format", "xdmf", "--out", str(tmp_path / "x")]
     assert main(again) == 0
     with meshio.xdmf.TimeSeriesReader(tmp_path / "x" / "samples.xdmf") as reader:
         reader.read_points_cells()
         _, data, _ = reader.read_data(1)
     np.testing.assert_allclose(data["displacement"][:, :2], u[1], atol=1e-12)
-    assert main(["export", "influence", m, "--out", str(tmp_path / "K.csv")]) == 0
-    assert main(["export", "operator", m, "--data", d, "--out", str(tmp_path / "L.npz")]) == 0
-    for settings in ("vtu/export.toml", "K.export.toml", "L.export.toml"):
-        assert main(["export", "--config", str(tmp_path / settings)]) == 0
-    capsys.readouterr()
-    assert main(["export", "operator", m, "--out", str(tmp_path / "L.npz")]) == 2
-    assert "needs the nodes of a data file" in capsys.readouterr().err
+    assert main(["export", "--config", str(tmp_path / "vtu" / "export.toml")]) == 0
 
 
 def test_a_missing_extra_is_named(model, points, tmp_path, monkeypatch):

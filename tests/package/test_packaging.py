@@ -132,7 +132,7 @@ def test_the_installed_package_works(installed, tmp_path):
     assert "exactly one solution" in run([command, "certify", model], tmp_path)
     assert "E_u [%]" in run([command, "evaluate", model, data], tmp_path)
     run([command, "solve", model, data, "--out", "solved.h5"], tmp_path)
-    run([command, "export", "fields", model, "--data", data, "--out", "fields"], tmp_path)
+    run([command, "export", model, data, "--out", "fields"], tmp_path)
     assert len(list(tmp_path.glob("fields/*.vtu"))) == 8
 
 

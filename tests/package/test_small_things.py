@@ -191,14 +191,6 @@ def errors_of(words, capsys):
     return capsys.readouterr().err
 
 
-@pytest.mark.parametrize("horizon", ["0", "-5", "nan", "inf"])
-def test_a_horizon_that_is_no_length_is_named(horizon, result, tmp_path, capsys):
-    result.material.save(tmp_path / "model.json")
-    words = ["export", "kernel", tmp_path / "model.json", "--out", tmp_path / "K.csv"]
-    said = errors_of([*words, "--horizon", horizon], capsys)
-    assert f"horizon: expected a length > 0 Å, got {float(horizon)}" in said
-
-
 @pytest.mark.parametrize(
     ("horizon", "words"),
     [
@@ -221,7 +213,15 @@ def test_a_folder_that_takes_no_files_is_no_other_job(samples, result, tmp_path,
     for words in (
         ["train", tmp_path / "d.h5", "--out", "/proc/xx", "--horizon", HORIZON],
         ["train", tmp_path / "d.h5", "--out", "/proc/xx/y", "--horizon", HORIZON],
-        ["export", "influence", tmp_path / "model.json", "--out", "/proc/xx"],
+        [
+            "export",
+            tmp_path / "model.json",
+            tmp_path / "d.h5",
+            "--set",
+            "train",
+            "--out",
+            "/proc/xx",
+        ],
     ):
         said = errors_of(words, capsys)
         assert f"error: {words[words.index('--out') + 1]}: cannot be written (No such" in said

@@ -7,7 +7,6 @@ import pytest
 
 from tests.support.problems import kernel
 from warp_peri import InputError
-from warp_peri.export import write_kernel
 from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
 from warp_peri.transfer.lattice import dispersion, rings, wave_errors
@@ -48,17 +47,6 @@ def test_lattices_are_fitted_where_weights_jump():
     assert len(ratios) < 80
     assert min(ratios) < 0.11
     assert max(ratios) > 0.3
-
-
-def test_its_table_says_where_it_holds(many, tmp_path):
-    file = write_kernel(tmp_path / "K.csv", many)
-    text = file.read_text()
-    assert "h/horizon from 0.25 to 0.33" in text
-    assert "# 0.25: " in text
-    rows = np.loadtxt(file, delimiter=",", skiprows=text[: text.index("r [")].count("\n") + 1)
-    assert rows[:, 1] == pytest.approx(many.influence(rows[:, 0]))
-    with pytest.raises(InputError, match="expected one of one_kernel"):
-        write_kernel(tmp_path / "no.csv", HOME)
 
 
 def test_ratios_that_are_none():

@@ -181,22 +181,18 @@ input
 model
   --tolerance E =0.01  relative error of displacement to reach, as a fraction""",
     "export": f"""\
-Write a model for ParaView or another code.
-fields runs/first/model.json --data data/graphene_0K.h5 --out runs/first/fields
+Solve under the loads of a data file and write the fields for ParaView.
+runs/first/model.json data/graphene_0K.h5 --out runs/first/fields
 input
-  what fields|influence|kernel|operator  solved fields, the influence function on one lattice, one
-    function for many lattices, or the matrix of the operator
 {MODEL}
-  --data DATA.h5  data file with nodes and loads; fields and operator need it (default: none)
+{DATA}
 {LOADS}
 {AXIS}
 model
-  --spacing H  distance of the nodes for influence [Å] (default: that of the training data)
-  --horizon L  horizon δ for kernel [Å] (default: that of the model)
 {UNCERTIFIED}
 output
-  --out PATH !  folder for fields, .csv file for influence and kernel, .npz file for operator
-  --format vtu|xdmf =vtu  fields: a .vtu file for each sample, or one .xdmf file with samples as
+  --out FOLDER !  folder for the files
+  --format vtu|xdmf =vtu  a .vtu file for each sample, or one .xdmf file with samples as
     times""",
     "sweep": f"""\
 Choose horizon and degree by the errors on a validation set.

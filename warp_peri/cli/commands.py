@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import warnings
 from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Any
@@ -54,10 +53,7 @@ def check_output(given: argparse.Namespace) -> None:
         for path in read if isinstance(read, list) else [read]:
             if path.resolve() == out:
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = (
-        given.command in ("train", "learn", "dic", "sweep", "verify")
-        or getattr(given, "what", "") == "fields"
-    )
+    folder = given.command in ("train", "learn", "dic", "export", "sweep", "verify")
     if given.out.exists() and given.out.is_dir() != folder:
         wanted, there = ("folder", "file") if folder else ("file", "folder")
         raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
@@ -300,43 +296,19 @@ def _solver(name: str, material: Any) -> Any:
 
 
 def run_export(given: argparse.Namespace) -> Result:
-    """A model for other tools: fields for ParaView, a table of K, or the matrix of the operator."""
-    material, settings = load(given.model), given.out.with_suffix(".export.toml")
-    if given.what in ("influence", "kernel"):
-        model = linear_of(material)
-    if given.what == "influence":
-        if given.spacing is None and not model.trained_on:
-            raise InputError("spacing: the model names no training lattice; give --spacing")
-        spacing = model.trained_on[0] if given.spacing is None else given.spacing
-        if given.transfer and not given.allow_uncertified and model.certified_on:
-            at_home = model.is_certified_on(spacing)
-            model = model if at_home else warp_peri.transfers.on_lattice(model, spacing=spacing)
-        paths = [warp_peri.export.write_influence(given.out, model, spacing)]
-    elif given.what == "kernel":
-        horizon = model.horizon if given.horizon is None else given.horizon
-        many = warp_peri.transfers.one_kernel(model, horizon=horizon)
-        paths = [warp_peri.export.write_kernel(given.out, many)]
-    elif given.data is None:
-        raise InputError(f"data: '{given.what}' needs the nodes of a data file, --data DATA.h5")
-    else:
-        points = data_for(given, material)[given.set]
-        solid = warp_peri.export.is_linear_solid(material)  # other laws are of one lattice
+    """The solved fields of a set for ParaView."""
+    material = load(given.model)
+    points = data_for(given, material)[given.set]
+    asked: dict[str, bool] = {}
+    if warp_peri.export.is_linear_solid(material):  # other laws are of one lattice
         asked = {"transfer": given.transfer, "allow_uncertified": given.allow_uncertified}
-        asked = asked if solid else {}
-        if given.what == "operator":
-            if solid and material.linear is not material:
-                warnings.warn("operator: the matrix is that of the linear part", stacklevel=2)
-            operator = (material.linear if solid else material).on(points, **asked)
-            paths = [warp_peri.export.write_operator(given.out, operator.model, points)]
-        else:
-            settings = given.out / "export.toml"
-            operator = material.on(points, **asked)
-            solved = warp_peri.solve(operator, warp_peri.Dirichlet(points, points.loads, points.u))
-            with locked(given.out):
-                paths = warp_peri.export.write_fields(
-                    given.out, operator.model, points, solved.u, format=given.format
-                )
-    keep(given, settings)
+    operator = material.on(points, **asked)
+    solved = warp_peri.solve(operator, warp_peri.Dirichlet(points, points.loads, points.u))
+    with locked(given.out):
+        paths = warp_peri.export.write_fields(
+            given.out, operator.model, points, solved.u, format=given.format
+        )
+    keep(given, given.out / "export.toml")
     return {"files": [str(path) for path in paths]}
 
 

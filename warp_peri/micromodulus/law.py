@@ -483,7 +483,7 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
             "nu_range": poisson,
         }
 
-    def surface_traction(self) -> float:
+    def _surface_traction(self) -> float:
         """Largest traction per radian [stress] of a turned body where a face cuts bonds (T16).
 
         |[ij, kl] W_jk n_l| over faces n along the axes and turns W in coordinate planes. A law of
@@ -499,10 +499,10 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
 
     @property
     def uncut(self) -> str:
-        """Why no bonds may be cut, with the figure of `surface_traction`."""
+        """Why no bonds may be cut, with the figure of `_surface_traction`."""
         return (
             "a crystal model is not objective there (a turned face feels up to "
-            f"{self.surface_traction():.3g} {symbols(self.units)[1]} per radian); give a collar "
+            f"{self._surface_traction():.3g} {symbols(self.units)[1]} per radian); give a collar "
             f"{self.horizon:g} wide"
         )
 
