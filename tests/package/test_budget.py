@@ -16,30 +16,30 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 33_931,
-    "tokens": 413_345,
-    "lines of warp_peri": 55_343,
+    "code lines": 33_858,
+    "tokens": 412_635,
+    "lines of warp_peri": 55_250,
     "lines of kernels": 5_785,
-    "lines of warp_peri, kernels, examples and tools": 92_887,
+    "lines of warp_peri, kernels, examples and tools": 92_794,
     "lines of the longest file": 747,
     "lines of the longest function": 97,
     "parameters of one function": 13,
-    "characters of the longest string": 2_000,
+    "characters of the longest string": 1_810,
     "class names twice": 0,
     "imports of warp_peri inside functions": 14,
     "asserts in warp_peri": 0,
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "cli": 1316,
+    "cli": 1285,
     "core": 1582,
     "damage": 2248,
     "diffusion": 337,
     "dressed": 1990,
     "dynamics": 526,
     "edges": 967,
-    "face": 1267,
-    "files": 431,
+    "face": 1214,
+    "files": 439,
     "flow": 1660,
     "learning": 2516,
     "lps": 1549,
@@ -55,7 +55,7 @@ ROOMS = {
     "structures": 1919,
     "third_order": 1061,
     "tissue": 2386,
-    "transfer": 675,
+    "transfer": 678,
     "verification": 1074,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""

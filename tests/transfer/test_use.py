@@ -129,6 +129,17 @@ def test_uncertified_means_the_models_own_numbers(points):
     assert own.model is HOME
 
 
+@pytest.mark.filterwarnings("ignore:transferred:UserWarning")
+@pytest.mark.parametrize("spacing", [1.0, 0.8])
+def test_the_matrix_is_the_operator(spacing):
+    model = replace(kernel("positive", 2.5), certified_on=(1.0,))
+    op = model.on(lattice(5, 2.5, spacing=spacing))
+    u = np.random.default_rng(0).normal(size=op.points.x.shape)
+    force = op(u)
+    found = (op.matrix() @ u.ravel()).reshape(force.shape)
+    np.testing.assert_allclose(found, force, atol=1e-12 * np.abs(force).max())
+
+
 def test_the_horizon_that_the_collar_carries():
     for horizon in (1.6, 0.8 * np.sqrt(5), 2.4):
         points = lattice(4, horizon, spacing=0.8)

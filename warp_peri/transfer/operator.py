@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from warp_peri.core.tensors import linear
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE
+from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import Model
 from warp_peri.lps.operator import NodeOperator
 from warp_peri.points.arrays import plain
@@ -105,6 +106,11 @@ class LPSOperator(NodeOperator):
 
         force = super().force_with(through(self.carrier.T, u), numbers)
         return through(self.carrier.unknown.T, force)
+
+    def matrix(self) -> sp.csr_array:
+        """L as a sparse matrix of all nodes' displacements, shape [d I, d N], on a lattice."""
+        found = matrices(self.model, self.points, quadrature_degree=self.quadrature_degree)
+        return found.operator(self.model.lam, self.model.mu)
 
     def load_transpose(self, w: ArrayLike) -> np.ndarray:
         """`load` transposed, of w on the interior [..., I, d], on all nodes [..., N, d]."""
