@@ -10,11 +10,10 @@ sys.path.insert(0, str(ROOT))
 import numpy as np
 
 import warp_peri as wp
-from examples.cracks.energy_release import energy_release
 from examples.figures import headline, panels
 from tools.options import Options
 from warp_peri import Cracked
-from warp_peri.damage import BrittleSolid, Injected, box, contour_integral, penny
+from warp_peri.damage import BrittleSolid, Injected, box, contour_integral, energy_release, penny
 
 PICTURE = ROOT / "runs" / "penny_crack.png"
 UNITS = ("mm", "GPa")  # with µs, densities are in g/cm³

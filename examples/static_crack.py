@@ -13,10 +13,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 
 import warp_peri as wp
-from examples.cracks.energy_release import energy_release, tip_shift
 from examples.figures import panels
 from tools.options import Options
 from warp_peri import damage
+from warp_peri.damage import energy_release, tip_shift
 from warp_peri.errors import exit_status
 
 REDUCED = ("sigma", "epsilon/sigma^3")

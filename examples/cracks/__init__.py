@@ -1,1 +1,1 @@
-"""Cracks beside the library: theories of straight and kinked cracks, energy release, inclusions."""
+"""Cracks beside the library: theories of straight and kinked cracks, inclusions."""

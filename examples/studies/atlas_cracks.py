@@ -5,7 +5,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from examples.cracks.energy_release import energy_release, tip_shift
 from examples.figures import curves, name_lines, panels, ticks
 from examples.static_crack import edge_crack
 from examples.studies.atlas_entry import Entry, entry, words
@@ -15,9 +14,11 @@ from warp_peri.damage import (
     LatticeBody,
     apparent_toughness,
     box,
+    energy_release,
     lattice_body,
     positive_kernel,
     rectangle,
+    tip_shift,
 )
 from warp_peri.damage.motion import BreakingBody, check_step, step
 from warp_peri.damage.operator import bond_weights, cut_matrix, stiffness_across

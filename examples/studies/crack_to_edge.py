@@ -17,10 +17,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 import numpy as np
 
 import warp_peri as wp
-from examples.cracks.energy_release import energy_release, tip_shift
 from examples.static_crack import REDUCED
 from tools.options import Options
-from warp_peri.damage import Cracked, rectangle
+from warp_peri.damage import Cracked, energy_release, rectangle, tip_shift
 from warp_peri.errors import exit_status
 
 WIDE = 26

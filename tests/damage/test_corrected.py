@@ -11,7 +11,17 @@ from scipy.sparse.linalg import spsolve
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import difference, fitted_order, kernel
 from warp_peri import InputError, Krylov, Points, move, solve
-from warp_peri.damage import Cracked, box, lattice_body, operator, penny, point_force, rectangle
+from warp_peri.damage import (
+    Cracked,
+    box,
+    energy_release,
+    lattice_body,
+    operator,
+    penny,
+    point_force,
+    rectangle,
+    tip_shift,
+)
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.motion import SPREAD, BreakingBody
 from warp_peri.damage.operator import bond_weights, cut_matrix
@@ -19,7 +29,6 @@ from warp_peri.damage.solid import largest_stiffness
 from warp_peri.dynamics.verlet import inertia
 from warp_peri.launch import floats, zeros
 from warp_peri.verification import cracks
-from warp_peri.verification.cracks import energy_release, tip_shift
 from warp_peri.verification.motion import frequency
 from warp_peri.verification.statics import UnitScale
 

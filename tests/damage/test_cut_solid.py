@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from examples.cracks.energy_release import energy_release, tip_shift
 from examples.cracks.inclusions import Mixed
 from examples.static_crack import edge_crack, main, static_crack
 from tests.support.bodies import plate, random_breaking, solid
@@ -14,8 +13,10 @@ from warp_peri.damage import (
     apparent_toughness,
     box,
     contour_integral,
+    energy_release,
     lattice_body,
     rectangle,
+    tip_shift,
     westergaard,
 )
 from warp_peri.damage.cut_solid import CutSolid, domain_integral

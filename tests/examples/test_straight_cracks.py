@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from examples.cracks.energy_release import energy_release
 from examples.cracks.straight_cracks import CrackedRectangle
 from warp_peri import InputError, Model, Points
+from warp_peri.damage import energy_release
 from warp_peri.damage.lattice_body import rectangle
 from warp_peri.damage.problems import Cracked
 

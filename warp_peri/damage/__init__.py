@@ -10,6 +10,7 @@ from warp_peri.damage.lattice_body import (
     rectangle,
 )
 from warp_peri.damage.problems import Cracked, Injected
+from warp_peri.damage.release import energy_release, tip_shift
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.damage.softening import BondLaw, SoftSolid
 from warp_peri.damage.solid import (
@@ -33,11 +34,13 @@ __all__ = [
     "box",
     "continuum_stretch",
     "contour_integral",
+    "energy_release",
     "lattice_body",
     "opening_volume",
     "penny",
     "point_force",
     "positive_kernel",
     "rectangle",
+    "tip_shift",
     "westergaard",
 ]
