@@ -1,6 +1,6 @@
 # make graphene: everything from a fresh clone to the report of the main job.
 # make test:     the same set-up, then the test suite, a file of tests to a core at a time.
-# make verify:   known problems against their references; 1 where a row does not hold.
+# make verify:   known problems against their references; 1 where a row surprises.
 # make docs:     the pages in docs/ as a site, in site/, and how they read in numbers.
 PYTHON ?= python3
 VENV   ?= .venv
@@ -15,7 +15,7 @@ test: $(VENV)/.installed
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 verify: $(VENV)/.installed
-	OMP_NUM_THREADS=1 $(BIN)/warp-peri verify
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.known_problems
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .

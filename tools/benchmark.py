@@ -10,7 +10,6 @@
     python tools/benchmark.py broken [--quick] [--threads 1] --json
     python tools/benchmark.py ranks [--quick]
     python tools/benchmark.py gradient [--quick] [--long] [--json]
-    python tools/benchmark.py rows [--quick]
     python tools/benchmark.py choice [--quick] [--model MODEL.json] [--out TABLE.json]
 
 Every candidate computes the same force (and the same gradients to u, D and α), checked against the
@@ -63,7 +62,6 @@ from warp_peri.lps.rows import BLOCKS
 from warp_peri.methods import Solid
 from warp_peri.points.families import families_of
 from warp_peri.structures.calculators import LammpsError, lammps_class
-from warp_peri.verification import ROWS, measured
 
 HORIZON = 4.0
 """In spacings; 48 bonds a node on a lattice."""
@@ -440,16 +438,10 @@ def broken(*, quick: bool, threads: int = 2) -> None:
     print(json.dumps(found, indent=1))
 
 
-def rows(*, quick: bool) -> None:
-    """Seconds of the rows of the verification on one thread, one by one; quick: the fastest."""
-    for one in (one for one in ROWS if not one.why and (one.quick or not quick)):
-        print(f"{measured(one)['seconds']:8.2f} s  {one.name}", flush=True)
-
-
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
     kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
-    kinds += ["gradient", "varying", "broken", "rows"]
+    kinds += ["gradient", "varying", "broken"]
     parser.add("what", choices=kinds)
     parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
     parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
@@ -469,7 +461,6 @@ def main(arguments: list[str] | None = None) -> int:
         "dressed": benchmark_dressed.dressed,
         "varying": partial(benchmark_dressed.varying, sides=tuple(given.sides)),
         "broken": partial(broken, threads=given.threads),
-        "rows": rows,
         "ranks": benchmark_ranks.ranks,
         "gradient": partial(benchmark_gradient.gradient, long=given.long, as_json=given.json),
         "choice": partial(solver_choice.solver_choice, **files),

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from warp_peri import shapes as shapes
     from warp_peri import tissue as tissue
     from warp_peri import transfers as transfers
-    from warp_peri import verification as verification
     from warp_peri.core.tensors import Module
     from warp_peri.damage.problems import Cracked
     from warp_peri.dressed.law import Dressed
@@ -134,7 +133,6 @@ _MODULES = (
     "shapes",
     "tissue",
     "transfers",
-    "verification",
 )
 
 if not TYPE_CHECKING:  # a type checker would take any misspelt name for one of these

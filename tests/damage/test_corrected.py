@@ -8,6 +8,9 @@ import pytest
 import torch
 from scipy.sparse.linalg import spsolve
 
+from tests.known_problems import cracks
+from tests.known_problems.motion import frequency
+from tests.known_problems.statics import UnitScale
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import difference, fitted_order, kernel
 from warp_peri import InputError, Krylov, Points, move, solve
@@ -28,9 +31,6 @@ from warp_peri.damage.operator import bond_weights, cut_matrix
 from warp_peri.damage.solid import largest_stiffness
 from warp_peri.dynamics.verlet import inertia
 from warp_peri.launch import floats, zeros
-from warp_peri.verification import cracks
-from warp_peri.verification.motion import frequency
-from warp_peri.verification.statics import UnitScale
 
 
 def matrix(model, body, table, corrected=True):

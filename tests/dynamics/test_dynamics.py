@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.known_problems.statics import THIRD, UnitScale, material
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise, periodic
 from tests.support.solving import velocity_verlet
 from warp_peri import InputError
@@ -17,7 +18,6 @@ from warp_peri.problems import Dirichlet
 from warp_peri.proofs import critical_time_step
 from warp_peri.solving import move
 from warp_peri.transfer.operator import LPSOperator
-from warp_peri.verification.statics import THIRD, UnitScale, material
 
 DENSITY = 2147.0
 STABLE = ("1/r", "steep", "positive", "two functions")

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 33_858,
-    "tokens": 412_635,
-    "lines of warp_peri": 55_250,
+    "code lines": 32_815,
+    "tokens": 394_163,
+    "lines of warp_peri": 53_594,
     "lines of kernels": 5_785,
-    "lines of warp_peri, kernels, examples and tools": 92_794,
+    "lines of warp_peri, kernels, examples and tools": 91_178,
     "lines of the longest file": 747,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -31,14 +31,14 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "cli": 1285,
+    "cli": 1248,
     "core": 1582,
-    "damage": 2248,
+    "damage": 2317,
     "diffusion": 337,
     "dressed": 1990,
     "dynamics": 526,
     "edges": 967,
-    "face": 1214,
+    "face": 1213,
     "files": 439,
     "flow": 1660,
     "learning": 2516,
@@ -56,7 +56,6 @@ ROOMS = {
     "third_order": 1061,
     "tissue": 2386,
     "transfer": 678,
-    "verification": 1074,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -72,7 +72,6 @@ def package_files():
         Path(place) / name for place, _, names in walked for name in names if name.endswith(".py")
     ]
     files += [ROOT / "warp_peri/py.typed", ROOT / "warp_peri/speed_accuracy.json"]
-    files += sorted((ROOT / "warp_peri/verification").glob("rows.*"))
     return {str(file.relative_to(ROOT)) for file in files}
 
 

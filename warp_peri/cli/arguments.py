@@ -211,19 +211,6 @@ model
   --jobs N =-1  number of processes; -1 for all cores
 output
   --out FOLDER !  folder for sweep.json and the models""",
-    "verify": """\
-Solve known problems with every material and compare with their references.
---only "smooth field"
-input
-  model MODEL.json?  learned model of graphene for --atoms (default: that of `make graphene`)
-  --atoms  solve fresh loads by LAMMPS instead, next to local elasticity; needs a checkout
-  --seed N =0  seed of the fresh loads
-  --only NAME+ =[]  words of problems' names, or statics, cracks, motion; all without it
-  --scale  solve in mm and Å too, with moduli times 1e6 and 1e-6
-  --processes N =2  number of processes
-output
-  --out FOLDER  folder for a picture of each problem (default: none)
-  --page FILE.md  file for the table, as a page (default: none)""",
     "info": """\
 Say what a model, a data file or a mesh holds.
 runs/first/model.json

@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from collections.abc import Sequence
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -24,7 +23,7 @@ from warp_peri.cli.train import run_coarse_grain as run_coarse_grain
 from warp_peri.cli.train import run_sweep as run_sweep
 from warp_peri.cli.train import run_train as run_train
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import destination, finite, locked, plain, write_text
+from warp_peri.files.atomic import destination, finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, symbols
@@ -53,7 +52,7 @@ def check_output(given: argparse.Namespace) -> None:
         for path in read if isinstance(read, list) else [read]:
             if path.resolve() == out:
                 raise InputError(f"out: {given.out} is read ({name}); name another file")
-    folder = given.command in ("train", "learn", "dic", "export", "sweep", "verify")
+    folder = given.command in ("train", "learn", "dic", "export", "sweep")
     if given.out.exists() and given.out.is_dir() != folder:
         wanted, there = ("folder", "file") if folder else ("file", "folder")
         raise InputError(f"out: expected a {wanted}, {given.out} is a {there}")
@@ -248,31 +247,6 @@ def run_plan(given: argparse.Namespace) -> dict[str, Any]:
         raise InputError("plan: expected a data file, or --size and --shortest-wave")
     choice = warp_peri.choice.choose_model(tolerance=given.tolerance, scene=scene)
     return {"scene": dataclasses.asdict(scene), **dataclasses.asdict(choice)}
-
-
-def run_verify(given: argparse.Namespace) -> Result:
-    """Problems that everybody knows, posed to every material that can take them."""
-    verification = warp_peri.verification
-    if given.page is not None and given.page.is_dir():
-        raise InputError(f"page: expected a file, {given.page} is a folder")
-    if given.atoms:
-        if given.only or given.scale or given.page or given.out:
-            raise InputError("atoms: goes with a model, --seed and --json alone")
-        lines = verification.by_atoms(given.seed, given.model)
-        given.told = verification.table(lines)
-        return {"rows": lines}
-    if given.model is not None:
-        raise InputError("model: goes with --atoms; other rows bring their own materials")
-    with nullcontext() if given.page is None else locked(given.page):  # not after minutes
-        lines = verification.verified(
-            given.only, scaled=given.scale, out=given.out, processes=given.processes
-        )
-        if given.page is not None:
-            data = given.page.with_suffix(".csv")
-            write_text(given.page, verification.page(lines, data.name))
-            write_text(data, verification.as_csv(lines))
-    given.told = verification.by_material(lines) + "\n\n" + verification.table(lines)
-    return {"rows": lines}
 
 
 def linear_of(material: Any) -> Any:

@@ -54,8 +54,6 @@ def _run(words: Sequence[str] | None, known: dict[str, Any]) -> int:
             raise
     if given.command == "evaluate" and all("error" in table for table in result.values()):
         return 2
-    if given.command == "verify" and any(line["holds"] is False for line in result["rows"]):
-        return 1
     return 0
 
 

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.known_problems.statics import LEARNED, Outcome, UnitScale, material, plane, solid
 from warp_peri.damage.cut_solid import westergaard
 from warp_peri.damage.lattice_body import box, penny, point_force, rectangle
 from warp_peri.damage.operator import unit_toughness
@@ -18,7 +19,6 @@ from warp_peri.damage.slow_growth import apparent_toughness, cut_by_spacing, spe
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
 from warp_peri.statics.solution import Krylov
-from warp_peri.verification.statics import LEARNED, Outcome, UnitScale, material, plane, solid
 
 NU = {"LPS": 0.3, "bond-based": 1 / 3, LEARNED: 0.3}
 HALF = 13

@@ -11,20 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import brentq
 
-from warp_peri import launch
-from warp_peri.damage.lattice_body import box, rectangle
-from warp_peri.damage.problems import Cracked
-from warp_peri.damage.solid import BrittleSolid
-from warp_peri.dressed import DressedSolid
-from warp_peri.dynamics.verlet import critical_time_step, inertia
-from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, lps_stencil
-from warp_peri.points.points import Points
-from warp_peri.problems import Dirichlet
-from warp_peri.ranks import gather, partition
-from warp_peri.ranks.processes import own_mpiexec
-from warp_peri.solving import move
-from warp_peri.verification.statics import (
+from tests.known_problems.statics import (
     GRAPHENE,
     LEARNED,
     THIRD,
@@ -35,6 +22,18 @@ from warp_peri.verification.statics import (
     plane,
     solid,
 )
+from warp_peri import launch
+from warp_peri.damage.lattice_body import box, rectangle
+from warp_peri.damage.problems import Cracked
+from warp_peri.damage.solid import BrittleSolid
+from warp_peri.dynamics.verlet import critical_time_step, inertia
+from warp_peri.errors import InputError
+from warp_peri.lps.model import Model, lps_stencil
+from warp_peri.points.points import Points
+from warp_peri.problems import Dirichlet
+from warp_peri.ranks import gather, partition
+from warp_peri.ranks.processes import own_mpiexec
+from warp_peri.solving import move
 
 DENSITY = 1000.0
 """kg/m³."""
@@ -74,13 +73,12 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
 
 def bar(name: str, s: UnitScale, *, twist: bool = False) -> Outcome:
     """Frequency of a free bar over that of the theory, stretched along x, or twisted about z."""
-    h, dressed = s.length, name == "dressed elements"
-    thick, far = (9, 60) if dressed else (22, 88)
-    sides, nu = ((thick, thick, far), 0.25) if twist else ((60, 8), 1 / 3)
+    h = s.length
+    sides, nu = ((22, 22, 88), 0.25) if twist else ((60, 8), 1 / 3)
     C = THIRD if not twist else solid(1.0, nu)
     law, far = material(name, C, 1.0, s), max(sides)
-    law = law if dressed or not twist else replace(law, horizon=2 * h)
-    x = box([n + dressed for n in sides], 1.0)
+    law = replace(law, horizon=2 * h) if twist else law
+    x = box(list(sides), 1.0)
     if twist:
         shape = np.sin(np.pi * x[:, 2] / far)[:, None]
         u = 1e-6 * shape * np.stack([-x[:, 1], x[:, 0], 0 * x[:, 0]], axis=1)
@@ -106,10 +104,10 @@ def edge_wave(name: str, s: UnitScale, length: int) -> Outcome:
 
     Its ends are too far to be felt at the middle before it has swung; its length is in spacings.
     """
-    C, dressed = plane(1.0, 0.3 if name == "LPS" else 1 / 3).tensor, name == "dressed elements"
+    C = plane(1.0, 0.3 if name == "LPS" else 1 / 3).tensor
     law, ratio = material(name, C, 1.0, s), C[0, 1, 0, 1] / C[0, 0, 0, 0]
-    x = box([n * length // 5 + dressed for n in (16, 10)], 1.0)
-    x[:, 1] -= x[:, 1].max() + (not dressed) / 2
+    x = box([n * length // 5 for n in (16, 10)], 1.0)
+    x[:, 1] -= x[:, 1].max() + 1 / 2
 
     def equation(c: float) -> float:  # of the speed over that of shear waves
         return float((2 - c**2) ** 2 - 4 * np.sqrt((1 - c**2) * (1 - ratio * c**2)))
@@ -128,13 +126,11 @@ def swung(
     law: Any, x: np.ndarray, u: np.ndarray, omega: float, node: int, s: UnitScale, part: float = 1.1
 ) -> Outcome:
     """Frequency over ω at a node of a free body that begins at u, in a part of a period."""
-    h, axis, dressed = s.length, int(np.argmax(np.abs(u[node]))), isinstance(law, DressedSolid)
+    h, axis = s.length, int(np.argmax(np.abs(u[node])))
     points = Points(h * x, np.ones(len(x), bool), h, units=s.units)
-    body: Any = (
-        law.on(points, edges=True) if dressed else Cracked(points, corrected=True).waves(law)
-    )
+    body = Cracked(points, corrected=True).waves(law)
     heavy = inertia(DENSITY, s.units)
-    longest = (0.3 if dressed else 0.9) * float(2 * np.sqrt(heavy / body.stiffest_wave()))
+    longest = 0.9 * float(2 * np.sqrt(heavy / body.stiffest_wave()))
     count = int(2 * np.pi / omega / longest) + 1  # a period, which no last digit of it moves
     step, steps = 2 * np.pi / omega / count, int(part * count)
     problem = Dirichlet(body.points, None, h * u)
@@ -297,7 +293,7 @@ def threads(name: str, s: UnitScale, *, ranks: bool = False) -> Outcome:
 ON_A_RANK = """\
 import sys, numpy
 from warp_peri.ranks import is_first
-from warp_peri.verification.motion import UnitScale, torn
+from tests.known_problems.motion import UnitScale, torn
 u, damage = torn(sys.argv[1], UnitScale(sys.argv[2], float(sys.argv[3])))
 if is_first():
     numpy.savez(sys.argv[4], u=u, damage=damage)

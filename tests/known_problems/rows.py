@@ -1,33 +1,29 @@
-"""Rows of the verification: how they are read, measured and told; rows.toml says what they are."""
+"""Rows of the known problems, which rows.toml names: how they are measured and told."""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 import multiprocessing
-import subprocess
 import sys
 import time
 import tomllib
 import warnings
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, replace
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
+from tests.known_problems import cracks, motion, statics
+from tests.known_problems.statics import Outcome, UnitScale
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads
-from warp_peri.verification import cracks, motion, statics
-from warp_peri.verification.statics import Outcome, UnitScale
 
 Line = dict[str, Any]
 SAME = 1e-6
@@ -75,6 +71,11 @@ POSED = vars(statics) | vars(cracks) | vars(motion)
 """Functions that pose problems, by name."""
 
 
+def unposed(name: str, s: UnitScale) -> Outcome:
+    """Refuse a problem that no material of today takes."""
+    raise InputError(f"{name}: no material takes this problem")
+
+
 def _read() -> list[Row]:
     """Each problem with each material, posed or with the reason why not."""
     told, rows = tomllib.loads(Path(__file__).with_name("rows.toml").read_text("utf-8")), []
@@ -82,8 +83,8 @@ def _read() -> list[Row]:
         posed, why = one.pop("materials"), told["unposed"][one.pop("kind")]
         if (needed := one.pop("needs", "")) and find_spec(needed) is None:
             posed, why = [], why | dict.fromkeys(posed, f"{needed} is not installed")
-        why = told["besides"] | why
-        why, pose, how = why | one.pop("without", {}), POSED[one.pop("run")], one.pop("with", {})
+        why = told["besides"] | why | one.pop("without", {})
+        pose, how = POSED.get(one.pop("run", ""), unposed), one.pop("with", {})
         limits = one.pop("misses", {})
         for name in told["materials"]:
             said = {"material": name, "why": "" if name in posed else why[name]}
@@ -117,7 +118,7 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
         scaled: pose it in other units and with other moduli too.
         out: folder for a picture.
     """
-    told = ("name", "problem", "material", "reference", "source", "allowed", "least")
+    told = ("name", "problem", "material", "reference", "source", "allowed", "least", "misses")
     line: Line = {name: getattr(one, name) for name in told}
     line |= {"answer": None, "error": None, "order": None, "scaled": None, "seconds": 0.0}
     if one.why:
@@ -131,7 +132,7 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
     except InputError as refusal:
         return line | {"holds": False, "note": str(refusal)}
     values = found.value, *others
-    if not np.isfinite(values).all():  # which JSON has no word for
+    if not np.isfinite(values).all():
         return line | {"holds": False, "note": found.note or "its answer is no number"}
     error, *elsewhere = (abs(value - one.reference) / size for value in values)
     holds = max(error, *elsewhere, 0.0) <= one.allowed
@@ -158,93 +159,19 @@ def verified(
     Args:
         only: parts of names, as of `chosen`.
         scaled: as of `measured`.
-        out: folder for pictures, and for the lines as verification.json.
+        out: folder for pictures.
         processes: that share the rows.
-
-    A row whose process is killed does not hold; others go on, one at a time.
-
-    Raises InputError as `chosen`, and for less than one process.
     """
-    rows = chosen(only)
-    if processes < 1:
-        raise InputError(f"processes: expected at least 1, got {processes}")
+    rows, lines = chosen(only), list[Line]()
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
-    found: dict[str, Line] = {}
     spawn = multiprocessing.get_context("spawn")
-    others = multiprocessing.active_children()
-    while left := [one for one in rows if one.name not in found]:
-        with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
-            jobs = [pool.submit(_numbered, ROWS.index(one), scaled, out) for one in left]
-            try:
-                for done in as_completed(jobs):
-                    if isinstance(done.exception(), BrokenProcessPool):
-                        continue  # some process was killed, and rows that were done may follow
-                    line = done.result()
-                    found[line["name"]] = line
-                    told = f"{len(found)} of {len(rows)}  {line['name']}"
-                    print(f"\r\033[K{told}", end="", file=sys.stderr)
-            except BaseException:  # nobody waits for rows that take minutes
-                pool.shutdown(wait=False, cancel_futures=True)
-                for process in set(multiprocessing.active_children()) - set(others):
-                    process.terminate()
-                raise
-        lost = [one for one in left if one.name not in found]
-        if lost and processes == 1:  # the first of them was at work
-            note = {"holds": False, "note": "its process was killed before it had an answer"}
-            found[lost[0].name] = measured(replace(lost[0], why="unposed")) | note
-        processes = 1  # which of several was killed, nobody says
+    with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
+        numbers = [ROWS.index(one) for one in rows]
+        for line in pool.map(partial(_numbered, scaled=scaled, out=out), numbers):
+            lines.append(line)
+            print(f"\r\033[K{len(lines)} of {len(rows)}  {line['name']}", end="", file=sys.stderr)
     print("\r\033[K", end="", file=sys.stderr, flush=True)
-    lines = [found[one.name] for one in rows]
-    if out is not None:
-        (out / "verification.json").write_text(json.dumps({"rows": lines}, indent=1))
-    return lines
-
-
-CHECKOUT = Path(__file__).parents[2]
-"""Of which tools and examples are a part, where this is one."""
-FRESH = {"sheet_2": "sheet of atoms", "disk_2": "disk of atoms", "L_2": "L of a disk of atoms"}
-"""Sets of tools/make_scenes.py at bond strains up to 2 %."""
-
-
-def by_atoms(seed: int, model: Path | None = None) -> list[Line]:
-    """Lines of a learned law of graphene on loads that LAMMPS solves now; six a set (E_u).
-
-    Allowed is what local elasticity with the true moduli is off by.
-
-    Args:
-        seed: of the loads.
-        model: its file; by default what the first command of the checkout learned.
-
-    Raises InputError outside a checkout, without the model, and for what its programs refuse.
-    """
-    model = model or CHECKOUT / "runs" / "graphene_0K" / "model.json"
-    programs = CHECKOUT / "tools" / "make_scenes.py", CHECKOUT / "examples" / "local_elasticity.py"
-    for needed in (*programs, model):
-        if not needed.is_file():
-            raise InputError(
-                f"atoms: expected a checkout and a model of its first command, got no {needed}"
-            )
-    if seed < 0:
-        raise InputError(f"seed: expected a number of at least 0, got {seed}")
-    with TemporaryDirectory() as folder:
-        data = f"{folder}/atoms.h5"
-        make = ["--seed", str(seed), "--strains", "0.02", "--quiet", "--out", data]
-        told = ["--data", data, "--model", str(model), "--json", "--sets", *FRESH]
-        for program, words in zip(programs, (make, told)):
-            job = [sys.executable, str(program), *words]
-            done = subprocess.run(job, cwd=CHECKOUT, capture_output=True, text=True)
-            if done.returncode:
-                raise InputError(f"atoms: {program.name}: {done.stderr.strip()[-300:]}")
-    law, own, true = json.loads(done.stdout.splitlines()[-1]).values()
-    lines = []
-    for name, problem in FRESH.items():
-        line: Line = dict.fromkeys(COLUMNS) | {"problem": problem, "material": model.stem}
-        line |= {"name": f"{problem}: {model.stem}", "reference": 0.0, "seconds": 0.0}
-        line |= {"answer": law[name], "error": law[name], "allowed": true[name]}
-        line["source"] = f"LAMMPS, loads of seed {seed}; allowed: local elasticity, true moduli"
-        note = f"local elasticity with the moduli of the model is off by {100 * own[name]:.2g} %"
-        lines.append(line | {"holds": law[name] <= true[name], "note": note})
     return lines
 
 
@@ -253,31 +180,21 @@ def numbered(lines: Sequence[Line]) -> dict[str, int]:
     return {source: n for n, source in enumerate(dict.fromkeys(o["source"] for o in lines), 1)}
 
 
-def table(lines: Sequence[Line], sources: dict[str, int] | None = None) -> str:
-    """Rows as Markdown, and why one does not hold beside it; with notes and sources where no
-    numbers of sources are given."""
+def table(lines: Sequence[Line], sources: dict[str, int]) -> str:
+    """Rows as Markdown, and why one does not hold beside it; sources by their numbers."""
     names = "problem", "material", "reference", "answer", "error", "allowed", "order", "s", "holds"
     words = [f"| {' | '.join((*names, 'why'))} |", "|" + "---|" * 10]
-    posed = [line for line in lines if line["holds"] is not None]
-    numbers = sources or numbered(posed)
-    for line in posed:
+    for line in (line for line in lines if line["holds"] is not None):
         answer = "–" if line["answer"] is None else f"{line['answer']:.5g}"
         order = "" if line["order"] is None else f"{line['order']:.1f}"
         order += "" if line["least"] is None else f" (≥ {line['least']:g})"
-        told = f"{line['reference']:.5g} [{numbers[line['source']]}]"
+        told = f"{line['reference']:.5g} [{sources[line['source']]}]"
         cells = [line["problem"], line["material"], told, answer]
         cells += [_percent(line, name, " %") for name in ("error", "allowed")]
         holds = ("yes", "") if line["holds"] else ("**does not hold**", line["note"])
         cells += [order, f"{line['seconds']:.1f}", *holds]
         words.append(f"| {' | '.join(cells)} |")
-    if sources is not None:
-        return "\n".join(words)
-    words += ["", "References:", "", listed(numbers)]
-    by_note = dict[str, list[str]]()
-    for line in (line for line in lines if line["note"] and line["holds"] is not False):
-        by_note.setdefault(line["note"], []).append(line["name"])
-    notes = [f"- {note}: {'; '.join(names)}." for note, names in by_note.items()]
-    return "\n".join(words + (["", "Notes:", "", *notes] if notes else []))
+    return "\n".join(words)
 
 
 def listed(sources: dict[str, int]) -> str:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from warp_peri.core.elastic import voigt
-from warp_peri.dressed import DressedSolid
+from examples.exact import compliances, plate_with_hole, roots
 from warp_peri.edges.body import BodySolution
 from warp_peri.edges.bulk import MARGIN
 from warp_peri.edges.rim import Moduli
 from warp_peri.lps.model import Model
+from warp_peri.micromodulus.law import tensors_of
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.mesh import make_mesh, make_tetrahedra
 from warp_peri.points.points import Points
@@ -22,7 +22,8 @@ from warp_peri.points.unit_names import LENGTHS, Units
 from warp_peri.problems import Body, Dirichlet
 from warp_peri.solving import solve
 from warp_peri.statics.solution import Coupling, Direct, Krylov, Newton
-from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.material import ThirdOrderCrystal
+from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 FREE = np.nan
@@ -71,10 +72,6 @@ class Outcome:
     note: str = ""
 
 
-APART = 1e-8
-"""Two roots of an isotropic plate coincide; its shear compliance is moved by this share."""
-
-
 def mapped(
     s: UnitScale, *patches: tuple[Sequence[int], Place, Sequence[str]], split: bool = False
 ) -> Any:
@@ -117,57 +114,6 @@ def mapped(
     return make(corner * s.length, cell, named, middle)
 
 
-def plate_with_hole(
-    x: np.ndarray, radius: float, tension: float, moduli: Moduli
-) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement [length] and stress outside a free hole about the origin.
-
-    S. G. Lekhnitskii's (1968) for a plate of cubic symmetry along the axes; Kirsch's (1898) where
-    it is isotropic. Tension acts along the first axis, far away.
-
-    `x`: positions [length], shape [n, 2], at the hole's edge or outside; `radius`: of the hole
-    [length]; `tension`: far from the hole [stress]; `moduli`: of the plate.
-
-    Returns: u, shape [n, 2], and σ, shape [n, 2, 2].
-    """
-    (a11, a12, _), s = compliances(moduli), roots(moduli)
-    u = tension * x * (a11, a12)
-    stress = np.zeros((len(x), 2, 2))
-    stress[:, 0, 0] = tension
-    amplitude = -0.5j * tension * radius / (s[0] - s[1]) * np.array([1, -1])
-    for root, size in zip(s, amplitude):
-        z = x[:, 0] + root * x[:, 1]
-        bend = np.sqrt(z**2 - radius**2 * (1 + root**2))
-        zeta = (z + bend) / (radius * (1 - 1j * root))
-        other = (z - bend) / (radius * (1 - 1j * root))
-        flip = np.abs(other) > np.abs(zeta)
-        zeta, bend = np.where(flip, other, zeta), np.where(flip, -bend, bend)
-        potential, slope = size / zeta, -size / (zeta * bend)
-        for a, factor in enumerate((a11 * root**2 + a12, a12 * root + a11 / root)):
-            u[:, a] += 2 * (factor * potential).real
-        stress[:, 0, 0] += 2 * (root**2 * slope).real
-        stress[:, 1, 1] += 2 * slope.real
-        stress[:, 0, 1] -= 2 * (root * slope).real
-    stress[:, 1, 0] = stress[:, 0, 1]
-    return u, stress
-
-
-def roots(moduli: Moduli) -> np.ndarray:
-    """Lekhnitskii's two complex parameters of a plate of cubic symmetry, above the real axis."""
-    a11, a12, a66 = compliances(moduli)
-    middle = a12 + a66 / 2
-    if abs(middle / a11 - 1) < APART:
-        middle = a11 * (1 + APART)
-    s = np.sqrt(np.roots([a11, 2 * middle, a11]).astype(complex))
-    return np.asarray(np.where(s.imag > 0, s, -s))
-
-
-def compliances(moduli: Moduli) -> tuple[float, float, float]:
-    """a11, a12 and a66 [1/stress] of a plate of cubic symmetry along the axes."""
-    det = moduli.C11**2 - moduli.C12**2
-    return moduli.C11 / det, -moduli.C12 / det, 1 / moduli.C44
-
-
 def plane(E: float, nu: float, *, strain: bool = False) -> Moduli:
     """Isotropic moduli [MPa] in plane stress, or in plane strain."""
     mu = E / 2 / (1 + nu)
@@ -201,8 +147,8 @@ CUBIC = Moduli.square(C11=170.0, C12=122.0, C44=76.0)
 def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
     """A material by its name, of moduli [MPa] and for nodes h metres apart.
 
-    LPS and bond-based have the influence function 1/r on 28 bonds, dressed ones an identity for
-    G; third order and the sheet energy are linear at small strain only.
+    LPS and bond-based have the influence function 1/r on 28 bonds; third order and the sheet
+    energy are linear at small strain only.
     """
     C, h, d = s.stiffness * C, s.length * h, len(C)
     lam, mu = C[0, 0, 1, 1], C[0, 1, 0, 1]
@@ -213,10 +159,6 @@ def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
             return np.asarray(np.einsum("ijkl,nj,nl->nik", C, k, k))
 
         return fit_symbol(local, h, reach * h, symmetry=symmetry, tensor=C, units=s.units)
-    if name.startswith("dressed"):
-        base, symmetry = name.split()[1], {2: "4mm", 3: "m-3m"}[d]
-        nothing = np.eye(d), np.zeros((1, d, d, d))
-        return DressedSolid(h, base, voigt(C), *nothing, s.units, symmetry).certified()
     if name == LEARNED:
         how: dict[str, Any] = {"alpha": 1.0, "horizon": 4 * h, "certified_on": (h,)}
         lam, mu = s.stiffness * GRAPHENE.C12, s.stiffness * GRAPHENE.C44
@@ -227,7 +169,10 @@ def material(name: str, C: np.ndarray, h: float, s: UnitScale) -> Any:
         c = np.array([mu, mu, mu, mu, mu / 2, lam / 2])
         return HyperelasticSolid(terms, c, h, units=s.units)
     plain = Model(lam, mu, 1.0, np.ones(1), 3 * h, certified_on=(h,), units=s.units, dimension=d)
-    return NonlinearModel(plain, -lam, -mu, mu, None) if name == "third order" else plain
+    if name == "third order":
+        own = Smoothing(2 * h, 0.2), "energy", 3 * h
+        return ThirdOrderCrystal(tensors_of(plain, h), -lam, -mu, mu, *own)
+    return plain
 
 
 def posed(
@@ -457,35 +402,6 @@ def half_plane(name: str, s: UnitScale) -> Outcome:
     return Outcome(near(found, (0, 0), s)[1][0, 0] / told, power, **seen(found, s, 0))
 
 
-def cut_hole(name: str, s: UnitScale) -> Outcome:
-    """A hole in a lattice, its elements cut or its bonds missing: error of the displacement.
-
-    The finest lattice has 40 spacings to the radius.
-    """
-    moduli, errors, counts = plane(1.0, 1 / 3), list[float](), (100, 141, 200)
-    for n in counts:
-        points = sheet(n, s)
-
-        def inside(x: np.ndarray) -> np.ndarray:
-            return np.asarray(np.hypot(*x.T) > 0.2 * s.length)
-
-        def exact(x: np.ndarray) -> np.ndarray:
-            far = np.maximum(1, 0.2 / np.maximum(np.hypot(*x.T), 1e-9))[:, None]
-            return plate_with_hole(x * far, 0.2, 1e-6, moduli)[0]
-
-        if whole := name == "dressed bonds":
-            kept = inside(points.x)
-            points = replace(points, x=points.x[kept], interior=points.interior[kept])
-        law = material(name, moduli.tensor, 1 / n, s).on(points, edges=whole or inside)
-        on = replace(points, interior=points.interior & inside(points.x))
-        right = exact(points.x / s.length)
-        u = solve(law, Dirichlet(points, 0 * right, s.length * right)).u / s.length
-        wrong, size = (np.linalg.norm(v[on.interior]) for v in (u - right, right))
-        errors.append(float(wrong / size))
-    told = {"x": on.x[on.interior] / s.length, "shown": u[on.interior, 0], "label": "u_x [m]"}
-    return Outcome(errors[-1], -order(counts, errors), **told)
-
-
 def cook(name: str, s: UnitScale, nu: float, strain: bool = False) -> Outcome:
     """v at the middle of the right end of a tapered plate, of a unit force on it."""
 
@@ -599,77 +515,3 @@ def thick_plate(name: str, s: UnitScale) -> Outcome:
     law = material(name, solid(210e3, 0.3), 0.05, s)
     found = posed(law, mesh, s, rollers(3) | {"skin": skin}, {"top": lambda x, n: -n})
     return Outcome(near(found, (2, 0, 0.3), s)[1][1, 1], **seen(found, s))
-
-
-def inclusion(name: str, s: UnitScale, stiffer: float) -> Outcome:
-    """Of a disc of other moduli in a sheet that is stretched; as of_two."""
-    exact, _ = disc(plane(1.0, 1 / 3), stiffer)
-    return of_two(name, s, stiffer, lambda x: DISC - np.hypot(*x.T), exact)
-
-
-def bimaterial(name: str, s: UnitScale, stiffer: float) -> Outcome:
-    """Of two half-planes that meet at 30° to rows of nodes, stretched and sheared; as of_two."""
-    n, C, H = np.array([-0.5, np.sqrt(0.75)]), THIRD, uniform(np.eye(2)).T
-    acoustic, pull = np.einsum("ijkl,j,l->ik", C, n, n), np.einsum("ijkl,kl,j->i", C, H, n)
-    jump = np.linalg.solve(acoustic, (1 / stiffer - 1) * pull)  # of ∂u/∂n, by equal tractions
-
-    def exact(x: np.ndarray) -> np.ndarray:
-        return np.asarray(x @ H.T + np.maximum(x @ n, 0.0)[:, None] * jump)
-
-    return of_two(name, s, stiffer, lambda x: x @ n, exact)
-
-
-def of_two(name: str, s: UnitScale, stiffer: float, depth: Place, exact: Place) -> Outcome:
-    """ε_xx in the stiffer of two materials, over the exact one, and the order of the displacement.
-
-    Cells where they meet have what they hold of both in series; the finest are 1/160 of a side.
-    `depth` is how deep in the stiffer one places are [m].
-    """
-    errors, counts = list[float](), (80, 113, 160)
-    for n in counts:
-        points = sheet(n, s)
-        x, fine = points.x / s.length, (np.arange(16) + 0.5) / 16 - 0.5
-        deep = [depth(x + np.array(step) / n) for step in itertools.product(fine, fine)]
-        soft = 1 / (1 + (1 / stiffer - 1) * np.mean(np.array(deep) > 0, axis=0))
-        law = material(name, THIRD, 1 / n, s)
-        body = law.on(points, edges=True, maps={part: soft for part in law.parts.names})
-        right = exact(x)
-        u = solve(body, Dirichlet(points, 0 * right, s.length * right)).u / s.length
-        wrong, size = (np.linalg.norm(v[points.interior]) for v in (u - right, right))
-        errors.append(float(wrong / size))
-    within = (depth(x) > 1.5 / n) & points.interior
-    places = np.column_stack([x[within], np.ones(within.sum())])
-    found, told = (np.linalg.lstsq(places, v[within], rcond=None)[0][0, 0] for v in (u, right))
-    shown: dict[str, Any] = {"x": x, "shown": (u - right)[:, 0], "label": "error of u_x [m]"}
-    return Outcome(float(found / told), -order(counts, errors), **shown)
-
-
-DISC = 0.25
-"""Radius of the inclusion [m]."""
-
-
-def disc(moduli: Moduli, stiffer: float) -> tuple[Place, float]:
-    """Displacement about a disc `stiffer` times as stiff under ε = 1e-6 far away; ε_xx in it.
-
-    N. I. Muskhelishvili's potentials, of 2μ u = κ φ − z φ'* − ψ*, φ = a z + b/z outside.
-    """
-    mu, lam = moduli.C44, moduli.C12
-    k = (lam + 3 * mu) / (lam + mu)
-    S = 1e-6 * 4 * mu * (lam + mu) / (lam + 2 * mu)
-    g, R2 = stiffer, DISC**2
-    inner = S / 4 * (k + 1) / (2 + (k - 1) / g)  # φ = c z inside
-    dev = -S / 2 * (k + 1) / (k + 1 / g)  # ψ = d z inside
-    b = -(S / 2 + dev) * R2
-    e = 2 * (inner - S / 4) * R2
-
-    def exact(x: np.ndarray) -> np.ndarray:
-        z = x[:, 0] + 1j * x[:, 1]
-        far = np.where(np.abs(z) < DISC, 1.0, z)
-        phi, slope = S / 4 * z - b / far, S / 4 + b / far**2
-        psi = -S / 2 * z + e / far - b * R2 / far**3
-        out = (k * phi - z * slope.conj() - psi.conj()) / (2 * mu)
-        within = (k * inner * z - z * inner - dev * z.conj()) / (2 * mu * g)
-        u = np.where(np.abs(z) < DISC, within, out)
-        return np.stack([u.real, u.imag], axis=1)
-
-    return exact, float(((k - 1) * inner - dev) / (2 * mu * g))

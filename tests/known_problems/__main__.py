@@ -1,0 +1,38 @@
+"""Solve known problems with every material and compare with their references.
+
+    make verify                                      # all rows
+    python -m tests.known_problems NAFEMS Cook       # some, by parts of their names
+    python -m tests.known_problems --scale           # in mm and in Å too, other moduli
+
+Ends with 1 where a row does not hold that rows.toml expects to, or the other way round.
+"""
+
+import sys
+from pathlib import Path
+
+from tests.known_problems.rows import as_csv, by_material, listed, numbered, page, table, verified
+from tools.options import Options
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import write_text
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = Options(__doc__)
+    parser.add("only", nargs="*", help="parts of problems' names, or statics, cracks, motion")
+    parser.add("--scale", action="store_true", help="in mm and Å too, moduli × 1e6 and × 1e-6")
+    parser.add("--processes", type=int, default=2, help="number of processes")
+    parser.add("--out", type=Path, help="folder for a picture of each problem")
+    parser.add("--page", type=Path, help="file for the page; all rows as data go beside it")
+    given = parser.parse_args(arguments)
+    lines = verified(given.only, scaled=given.scale, out=given.out, processes=given.processes)
+    if given.page is not None:
+        data = given.page.with_suffix(".csv")
+        write_text(given.page, page(lines, data.name))
+        write_text(data, as_csv(lines))
+    sources = numbered(lines)
+    print("\n\n".join([by_material(lines), table(lines, sources), listed(sources)]))
+    return int(any(line["holds"] is bool(line["misses"]) for line in lines))
+
+
+if __name__ == "__main__":
+    sys.exit(exit_status(main))
