@@ -107,6 +107,19 @@ def test_the_parts_of_the_proof_bound_what_they_claim(name, lam):
     assert worst > 1e-3
 
 
+@pytest.mark.parametrize(("height", "positive"), [(1.0, False), (3.0, True)])
+def test_a_function_that_bends_down_within_a_cell_is_seen_to(height, positive):
+    """height − 2 x² on |x| ≤ 1, whose affine part at the middle is positive everywhere."""
+
+    def affine(x):
+        return height - 2 * x[:, :, None] ** 2, -4 * x.T[:, :, None, None]
+
+    def every(x, half):
+        return np.ones(len(x), bool)
+
+    assert proof._positive(affine, np.zeros((1, 1)), 1.0, 2.0, 0.0, every, 1000)[0] == positive
+
+
 @pytest.mark.parametrize("name", ["1/r", "steep", "positive", "two functions"])
 def test_the_ball_around_zero_is_sound(name):
     weight = laplacian_stencil(1.0, 2, 2)
