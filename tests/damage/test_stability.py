@@ -65,6 +65,17 @@ def test_the_energy_of_a_node_lies_between_its_bounds(lam, sides):
         assert (energy <= high * squares * (1 + 1e-12)).all()
 
 
+@pytest.mark.parametrize("sides", [(8, 8), (4, 4, 4)])
+@pytest.mark.parametrize("lam", [-0.6, 0.3, 100.0])
+def test_no_body_is_stiffer_than_its_bound(lam, sides):
+    body, random = plate(*sides), np.random.default_rng(1)
+    model = solid(lam, dimension=len(sides)).model
+    bound, w = largest_stiffness(model, body.classes), bond_weights(model, body.classes)
+    for share in (0.0, 0.5):
+        L = cut_matrix(body, w, random_breaking(body, random, share), 1.0, lam - 1.0)
+        assert 0 < np.linalg.eigvalsh(L.toarray())[-1] <= bound
+
+
 def test_a_sign_changing_model_refuses_to_break_with_the_figure():
     model, classes = kernel("sign-changing", 4.0), bond_classes(1.0, 4.0)
     assert (bond_weights(model, classes) < 0).any()

@@ -7,6 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.support.problems import lattice
+from warp_peri.learning.uncertainty import Resampled
 from warp_peri.methods import resample_loads
 from warp_peri.micromodulus.waves import fit_symbol
 
@@ -111,6 +112,14 @@ def covered(seeds, kind="crystal", **options):
         low, high = resample_loads(samples, law, **options).band(middle, quantities)
         inside.append((low <= true) & (true <= high))
     return float(np.mean(inside))
+
+
+def test_a_band_leaves_half_of_the_rest_on_each_side():
+    """Of loads that give 0, 1 and 2, by a table of Student's distribution: 2.132 for 4 at 95 %."""
+    found = Resampled([0.0, 1.0, 2.0], loads=5, spread=1.0, knows="")
+    low, high = found.band(1.0, float)
+    assert (high - low) / 2 == pytest.approx(2.132 * np.sqrt(2 / 3), rel=1e-4)
+    assert (high + low) / 2 == pytest.approx(1)
 
 
 @pytest.mark.slow

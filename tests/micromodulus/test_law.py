@@ -40,6 +40,12 @@ def test_groups_hold_their_inversion(name, d, order):
     assert np.abs(group + np.eye(d)).max(axis=(1, 2)).min() < 1e-12
 
 
+def test_degrees_turn_the_first_axis_of_a_crystal_towards_the_second():
+    for d in (2, 3):
+        turned = checked_orientation(30.0, d) @ np.eye(d)[0]
+        np.testing.assert_allclose(turned[:2], [np.sqrt(0.75), 0.5], rtol=1e-15)
+
+
 def test_a_turned_crystal_shares_less_with_its_nodes():
     turn = np.deg2rad(20)
     R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])

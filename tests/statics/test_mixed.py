@@ -158,14 +158,23 @@ def test_a_pressurised_crack_opens_as_sneddons():
     assert abs(numbers[1]["opening"] - 1) < abs(numbers[0]["opening"] - 1)
 
 
-def test_the_load_of_a_crack_undoes_it():
-    body, model = plate(16, 16), solid(0.4).model
-    neighbour = cracked(body, [[(-3, 0.5), (4, 2.2)]])
-    stress = np.array([[0.3, 0.1], [0.1, -0.2]])
-    edge = np.abs(body.x).max(axis=1) > 7
+@pytest.mark.parametrize(
+    ("sides", "crack"),
+    [
+        ((16, 16), [(-3, 0.5), (4, 2.2)]),
+        ((6, 6, 6), [(-1, -0.1, -1), (1, -0.1, -1), (1, 0.3, 1), (-1, 0.3, 1)]),
+    ],
+)
+def test_the_load_of_a_crack_undoes_it(sides, crack):
+    d = len(sides)
+    body, model = plate(*sides), solid(0.4, dimension=d).model
+    neighbour = cracked(body, [crack])
+    stress = np.array([[0.3, 0.1, 0.0], [0.1, -0.2, 0.2], [0.0, 0.2, 0.4]])[:d, :d]
+    edge = np.abs(body.x).max(axis=1) > sides[0] / 2 - 1
     load = crack_load(CutSolid(model, body, edge, neighbour=neighbour), stress)
+    assert np.abs(load).max() > 1e-3
     assert np.abs(load.sum(axis=0)).max() < 1e-13
-    strain = (stress - 0.4 / 2.8 * 0.1 * np.eye(2)) / 2
+    strain = (stress - 0.4 / (2 + d * 0.4) * np.trace(stress) * np.eye(d)) / 2
     w = bond_weights(model, body.classes)
     forces = [
         cut_matrix(body, w, table, 1.0, -0.6) @ (body.x @ strain).ravel()

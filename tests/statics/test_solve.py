@@ -36,6 +36,15 @@ def test_a_manufactured_solution_is_recovered_whatever_the_collar(name, angle):
     np.testing.assert_allclose(solve(model, points, load[1], collar[1]), points.u[1], atol=1e-11)
 
 
+def test_the_residual_is_that_of_the_worst_load():
+    model = kernel("1/r", HORIZON, lam=-0.2)
+    points = manufactured(model, lattice(ell(), HORIZON), 2)
+    solution = at_rest(model, Dirichlet(points.points, points.b, points.u))
+    spoiled = solution.u.copy()
+    spoiled[1, np.flatnonzero(points.interior)[0]] += np.abs(points.u).max()
+    assert replace(solution, u=spoiled, measured=None).residual > 1e-3
+
+
 @pytest.mark.parametrize("name", SOLVABLE)
 @pytest.mark.parametrize("side", [11, 12])  # twice the reach of 6 spacings but one, and all of it
 def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
