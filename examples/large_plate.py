@@ -1,5 +1,4 @@
-"""A plate of graphene at rest, spread over ranks: an L with a hole, or a square, a disk, a cube;
-or a square of scattered nodes (--shape cloud, under mpiexec).
+"""A plate of graphene at rest, spread over ranks: an L with a hole, or a square, a disk, a cube.
 
     mpiexec -n 2 python examples/large_plate.py --sides 128 250 500
 
@@ -23,19 +22,15 @@ import warp_peri as wp
 from examples.figures import save_figure
 from tools.options import Options
 from warp_peri.errors import exit_status
-from warp_peri.ranks import is_first, lattice, partition
+from warp_peri.ranks import is_first, lattice
 
-SHAPES = ("L", "square", "disk", "cube", "cloud")
+SHAPES = ("L", "square", "disk", "cube")
 SPACING = 5.0
-"""Of nodes [Å]; of a cloud in the mean."""
-RIM, SHIFT = 14, 0.35
-"""Of a cloud: nodes of the collar, and the most that a node lies off the lattice [spacings]."""
+"""Of nodes [Å]."""
 
 
 def plate(shape: str, n: int, law, block):
     """n nodes along each side, with the collar that the law asks for."""
-    if shape == "cloud":
-        return cloud(n)
     h, collar = law.spacing, int(np.abs(law.steps).max())
 
     def interior(x: np.ndarray) -> np.ndarray:
@@ -48,17 +43,6 @@ def plate(shape: str, n: int, law, block):
         return inside
 
     return lattice((n + 2 * collar,) * law.dimension, h, interior, block=block)
-
-
-def cloud(n: int):
-    """n scattered nodes along each side of a square, and a collar."""
-    at = np.argwhere(np.ones((n + 2 * RIM,) * 2)) - (n - 1) / 2 - RIM
-    inside = (np.abs(at) < n / 2).all(axis=1)
-    shifts = np.random.default_rng(0).uniform(-SHIFT, SHIFT, at.shape)
-    points = partition(wp.Points(SPACING * (at + shifts), inside, 0.0))
-    if not hasattr(points, "comm"):
-        raise wp.InputError("shape: expected mpiexec for a cloud")
-    return points
 
 
 def given(x: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray]:
@@ -85,7 +69,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add("--block", type=int, nargs="+", help="nodes of a tile along the first axes")
     parser.add("--tolerance", type=float, default=1e-10, help="of the residual")
     parser.add("--ratio", type=float, help="λ/μ, instead of the learned one")
-    parser.add("--preconditioner", choices=("multigrid", "petsc"), default="multigrid")
     args = parser.parse_args(argv)
     model = wp.load(ROOT / "tools" / "solve_model.json")
     lam = model.lam if args.ratio is None else args.ratio * model.mu
@@ -98,14 +81,13 @@ def main(argv: list[str] | None = None) -> int:
     law = wp.micromodulus.tensors_of(model, SPACING)
     of_sizes = "iterations", "residual", "bits", "seconds", "processor", "memory"
     numbers: dict = {name: {} for name in of_sizes}
-    solver = wp.Krylov(args.preconditioner, tolerance=args.tolerance)
+    solver = wp.Krylov("multigrid", tolerance=args.tolerance)
     alone = wp.Krylov(tolerance=args.tolerance)
     for n in args.sides:
         points = plate(args.shape, n, law, args.block and tuple(args.block))
         b, u = given(points.x, n * law.spacing)
         begin, busy = time.perf_counter(), time.process_time()
-        solid = model if args.shape == "cloud" else law
-        solution = wp.solve(solid, wp.Dirichlet(points, b, u), solver=solver)
+        solution = wp.solve(law, wp.Dirichlet(points, b, u), solver=solver)
         numbers["seconds"][n] = round(time.perf_counter() - begin, 2)
         busy = max(points.comm.allgather(time.process_time() - busy))
         numbers["processor"][n] = round(busy, 2)
@@ -117,7 +99,7 @@ def main(argv: list[str] | None = None) -> int:
             first = points, b, u, solution.u
         numbers["bits"][n] = hashlib.sha256(points.gather(solution.u).tobytes()).hexdigest()[:12]
     points, b, u, found = first
-    asked = {"cube": (law, None), "cloud": (model, None)}.get(args.shape, (model, alone))
+    asked = (law, None) if args.shape == "cube" else (model, alone)
     numbers["difference"] = difference(points, b, u, found, *asked)
     numbers["ranks"] = points.comm.size
     owner = points.gather(np.full(len(points.x), points.comm.rank))

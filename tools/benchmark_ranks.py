@@ -39,8 +39,8 @@ def run(count: int, script: str, *words: str) -> dict:
 def ranks(*, quick: bool) -> None:
     """Print the tables."""
     sides = ["64", "128"] if quick else ["128", "250", "500"]
-    for shape in ("L",) if quick else ("L", "disk", "square", "cube", "cloud"):
-        few = {"L": [*sides, "1000"], "cube": ["32", "64"], "cloud": ["32", "64"]}
+    for shape in ("L",) if quick else ("L", "disk", "square", "cube"):
+        few = {"L": [*sides, "1000"], "cube": ["32", "64"]}
         those = few.get(shape, sides)
         those = sides if quick else those
         print(f"\n{shape}, residual 1e-8: ranks, iterations of {' '.join(those)}, MB of a rank")

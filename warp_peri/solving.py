@@ -35,7 +35,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
     True
     """
     solved = offered(problem, "solved", "solve", PROBLEMS)
-    if not hasattr(problem, "learns"):
+    if _on_ranks(problem) or not hasattr(problem, "learns"):
         refuse_learning(problem, options, "solve")
     if _on_ranks(problem):
         return told(lambda: problem.points.solve(material, problem, solver, options))

@@ -21,17 +21,13 @@ import numpy as np
 import torch
 
 import warp_peri as wp
-from tests.conformance.test_laws import dressed, finite
 from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
-from warp_peri.dressed import torn
-from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.prediction import Members
 from warp_peri.prediction.placed import ErrorSpectrum
 from warp_peri.proofs import uniqueness
 from warp_peri.ranks import gather, lattice, partition, together
 from warp_peri.ranks.processes import total, world
-from warp_peri.statics import equilibria as fixed_point
 from warp_peri.third_order.material import NonlinearModel
 
 H = 0.5
@@ -68,25 +64,20 @@ def nonlinear():
 
 def family(rich):
     """Members that say otherwise by a percent or two, and a record."""
-    linear = getattr(rich, "linear", rich)
-    others = []
-    for share in (1.01, 1.02, 0.98):
-        scaled = replace(linear, lam=linear.lam * share, mu=linear.mu * share)
-        others.append(scaled if rich is linear else replace(rich, linear=scaled))
+    others = [replace(rich, lam=rich.lam * s, mu=rich.mu * s) for s in (1.01, 1.02, 0.98)]
     record = ErrorSpectrum(H * np.array([2.0, 8.0, 32.0]), np.array([0.3, 0.1, 0.01]), 4 * H)
     second, *halves = others
     return Members(rich, second, tuple(halves), record, strain=0.001)
 
 
-ASKED = {"best": (nonlinear(), None), "screened": (nonlinear(), 0.3), "linear": (solid(2), None)}
+ASKED = {"screened": (solid(2), 0.3), "linear": (solid(2), None)}
 """Rich members and tolerances of answers."""
 
 
 def halved(rich):
     """The same family with a member on every second node."""
     few = replace(solid(2), horizon=5 * H, certified_on=(2 * H,))
-    coarse = replace(rich, linear=few) if isinstance(rich, NonlinearModel) else few
-    return replace(family(rich), coarse=coarse)
+    return replace(family(rich), coarse=few)
 
 
 def proven():
@@ -95,7 +86,7 @@ def proven():
     return replace(solid(2), certificate={f"{H:g}": figures})
 
 
-LOOSE = {"coarse": (nonlinear, 0.3), "from coarse": (nonlinear, None), "bound": (proven, 0.3)}
+LOOSE = {"bound": (proven, 0.3)}
 """The same on every second node, or from there."""
 
 
@@ -110,11 +101,6 @@ def inside(x):
     if x.shape[1] == 3:
         return (away**2).sum(axis=1) < 8**2
     return (np.abs(away) < 20).all(axis=1) & ~((away > 4).all(axis=1))
-
-
-def rim(x):
-    """What of it the first of two ranks has."""
-    return inside(x) & (x[:, 0] < 15 * H)
 
 
 TILE = {2: (32, 16), 3: (24, 8)}
@@ -164,32 +150,16 @@ def from_file(comm, folder):
 def going_on(points, folder, share):
     """Solves that go on from what is kept, to a share of the digits that a fresh one has."""
     found = {}
-    for law, digits in ((solid(2), 10), (nonlinear(), 8)):
-        name, tolerance = type(law).__name__, 10.0 ** (-digits / share)
-        bends = hasattr(law, "proven_strain")
-        solver = (wp.Newton if bends else wp.Krylov)(tolerance=tolerance)
-        problem = wp.Dirichlet(points, *small(points.x))
-        solution = wp.solve(law, problem, solver=solver, checkpoint=folder / f"{name}.h5")
-        u, fresh = points.gather(solution.u), wp.solve(law, problem, solver=solver)
-        far = np.abs(u - points.gather(fresh.u)).max() / np.abs(u).max()
-        found[name] = {"far": far, "residual": solution.residual, "tolerance": tolerance,
-                       "took": [solution.iterations[0], fresh.iterations[0]]}  # fmt: skip
-    other, path = wp.Dirichlet(points, *fields(points.x)), folder / "Model.h5"
+    law, tolerance, path = solid(2), 10.0 ** (-10 / share), folder / "Model.h5"
+    solver, problem = wp.Krylov(tolerance=tolerance), wp.Dirichlet(points, *small(points.x))
+    solution = wp.solve(law, problem, solver=solver, checkpoint=path)
+    u, fresh = points.gather(solution.u), wp.solve(law, problem, solver=solver)
+    far = np.abs(u - points.gather(fresh.u)).max() / np.abs(u).max()
+    found["Model"] = {"far": far, "residual": solution.residual, "tolerance": tolerance,
+                      "took": [solution.iterations[0], fresh.iterations[0]]}  # fmt: skip
+    other = wp.Dirichlet(points, *fields(points.x))
     found["other"] = told_by(lambda: wp.solve(solid(2), other, checkpoint=path))
     return found
-
-
-def scattered():
-    """Nodes that are no lattice, and a disk of them unknown."""
-    grid = np.argwhere(np.ones((36, 36))) - 17.5
-    x = grid + np.random.default_rng(0).uniform(-0.3, 0.3, grid.shape)
-    return wp.Points(x, np.hypot(*x.T) < 5, 0.0)
-
-
-def carried():
-    """A solid that is certified on the lattice that carries these."""
-    h = fitting_spacing(mean_spacing(scattered()))
-    return wp.Model(0.9, 0.4, 1.0, np.ones(1), horizon=2.5 * h, certified_on=(h,))
 
 
 def told_by(wrong):
@@ -212,10 +182,9 @@ def unfit(checkpoint):
         "missing": (law, away.max(axis=1) > H / 2, *near),
         "slot": (law, ~((away[:, 0] < H / 2) & (away[:, 1] < 2)), *near),
         "hole": (turned, (away**2).sum(axis=1) > (4 * H) ** 2, *near),
-        "of third order": (nonlinear(), away.max(axis=1) > H / 2, *near),
         "doubled": (law, np.append(np.arange(len(x)), 400), *near),
         "load": (law, whole, np.where(inside(x)[:, None], np.nan, near[0]), near[1]),
-        "displacement": (nonlinear(), whole, near[0], wild),
+        "displacement": (law, whole, near[0], wild),
         "masked": (turned, whole, np.ma.array(near[0], mask=True), near[1]),
         "complex": (law, whole, near[0], 1j * near[1]),
         "uncertified": (replace(law, D=np.array([1.0, -3.0, 3.0]), certified_on=()), whole, *near),
@@ -259,74 +228,6 @@ def waves(points, folder):
 SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
 
 
-SLOPES = {
-    "LPS": (solid(2), inside, fields, {"lam": 0.91, "mu": 0.41, "alpha": 1.02, "D": [1, 0.6, 0.2]}),
-    "rim": (solid(2), rim, fields, {"mu": 0.41}),
-    "third order": (nonlinear(), inside, small, {"t3": -3.1, "tq2": -2.1, "q3": 0.52}),
-    "scattered": (carried(), None, fields, {"mu": 0.41, "alpha": 1.02}),
-}
-"""Laws, unknown nodes and fields; numbers beside their own."""
-
-
-def slopes(name):
-    """Gradients to b, u [S, N, d] and numbers of a number of bodies at rest, on all nodes."""
-    law, unknown, given, numbers = SLOPES[name]
-    x = H * np.argwhere(np.ones((52, 52)))
-    whole = scattered() if unknown is None else wp.Points(x, unknown(x), H, axis=0.0)
-    points = partition(whole)
-    solver = (wp.Newton if "third" in name else wp.Krylov)(tolerance=1e-13)
-    solver = solver if points is not whole or unknown is not None else None
-    count = 1 if "third" in name else 2
-    b, u = (np.stack([field, 0.5 * field[:, ::-1]][:count]) for field in given(points.x))
-    leaves = [torch.tensor(v, dtype=torch.float64, requires_grad=True)
-              for v in (b, u, *numbers.values())]  # fmt: skip
-    extra = {"parameters": dict(zip(numbers, leaves[2:]))}
-    found = wp.solve(law, wp.Dirichlet(points, *leaves[:2]), solver=solver, **extra).u
-    seed = torch.from_numpy(np.sin(points.x))
-    by = [one.numpy() for one in torch.autograd.grad(((found + seed) * found).sum(), leaves)]
-    by[:2] = (gather(points, np.ascontiguousarray(np.moveaxis(one, 0, 1))) for one in by[:2])
-    return dict(zip(("b", "u", *numbers), by))
-
-
-def holed(by="rows", **options):
-    """A dressed plate with a slot, a round hole, a crack and a soft corner where nothing is."""
-    grid = np.argwhere(np.ones((28, 24)))
-    slot = (abs(grid[:, 0] - 20) < 2) & (abs(grid[:, 1] - 8) < 2)
-    x = H * grid[~slot]
-    whole = wp.Points(x, x[:, 1] > 2 * H, H, axis=0.0)
-    points, x = partition(whole, by), H * grid[~slot]
-    mine = points.number if hasattr(points, "number") else slice(None)
-    hole = 5.3 * H, 9.2 * H
-    crack = torn(whole, [[(9.1 * H, 7.3 * H), (15.2 * H, 11.4 * H)]])
-    soft = np.where((x > 17.5 * H).all(axis=1), 0.0, 1 + 0.5 * np.sin(x[:, 0]))
-    b = np.where((x < 16 * H).any(axis=1, keepdims=True), fields(x)[0], 0.0)
-    b[np.linalg.norm(x - hole, axis=1) < 4 * H] = 0
-    given = wp.Dirichlet(points, b[mine], fields(x)[1][mine])
-    law = replace(dressed(), spacing=H)
-    solution = wp.solve(
-        law, given, **{
-            "solver": wp.Krylov(tolerance=1e-10),
-            "broken": crack,
-            "edges": lambda at: np.linalg.norm(at - hole, axis=1) > 2.4 * H,
-            "maps": {law.parts.names[0]: soft[mine], law.parts.names[1]: soft[mine] ** 2,
-                     law.parts.names[2]: soft[mine]},
-        } | options,
-    )  # fmt: skip
-    return gather(points, solution.u), solution.iterations[0]
-
-
-def by_newton(points, folder):
-    """Where the fixed point has no time to get."""
-    steps, fixed_point.MOST_STEPS = fixed_point.MOST_STEPS, 2
-    try:
-        problem = wp.Dirichlet(points, *small(points.x))
-        solution = wp.solve(nonlinear(), problem, solver=wp.Newton(tolerance=1e-5))
-    finally:
-        fixed_point.MOST_STEPS = steps
-    return {"u": kept(folder, "newton", points, solution.u), "method": solution.method,
-            "residual": solution.residual, "solves": solution.iterations[0]}  # fmt: skip
-
-
 def said(folder, name, points, answer):
     """What an answer says of itself; its field and map are written down."""
     u = kept(folder, name, points, np.concatenate([answer.u, answer.map()[:, None]], axis=1))
@@ -351,24 +252,6 @@ def rest(folder):
                        "iterations": solution.iterations[0], "residual": solution.residual,
                        "waves": waves(points, folder)}  # fmt: skip
     sheet = lattice((52, 52), H, inside, axis=0.0)
-    bent = wp.solve(nonlinear(), wp.Dirichlet(sheet, *small(sheet.x)))
-    found["nonlinear"] = {"u": kept(folder, "nonlinear", sheet, bent.u),
-                          "solves": bent.iterations[0], "residual": bent.residual}  # fmt: skip
-    stiff = wp.solve(replace(dressed(), spacing=H), wp.Dirichlet(sheet, *fields(sheet.x)))
-    found["dressed"] = kept(folder, "dressed", sheet, stiff.u)
-    u, steps = holed("bisection" if comm.size == 3 else "rows")
-    found["holed"] = {"u": digest(u), "steps": steps}
-    if comm.rank == 0:
-        np.save(folder / f"holed_{comm.size}.npy", u)
-    straight, tiny = (
-        wp.solve(law, wp.Dirichlet(sheet, *(size * field for field in small(sheet.x)))).u / size
-        for law, size in ((solid(2), 1.0), (nonlinear(), 1e-200))
-    )
-    found["tiny"] = np.abs(tiny - straight).max(initial=0.0) / np.abs(straight).max(initial=1e-3)
-    edge = lattice((52, 52), H, rim, axis=0.0)
-    bent = wp.solve(nonlinear(), wp.Dirichlet(edge, *small(edge.x)))
-    found["rim"] = {"u": digest(edge.gather(bent.u)), "solves": bent.iterations[0]}
-    found["none"] = comm.allgather(bool(edge.interior.any())).count(False)
     plate = lattice((62, 62), H, wide, block=TILE[2], axis=0.0)
     loose = {name: (law(), tolerance) for name, (law, tolerance) in LOOSE.items()}
     for name, (rich, tolerance) in (ASKED | loose).items():
@@ -376,24 +259,11 @@ def rest(folder):
         answer = wp.predict(known(rich), wp.Dirichlet(on, *small(on.x)), tolerance)
         bound = answer.guarantee if name == "bound" else None
         found[name] = said(folder, name, on, answer) | {"bound": bound and vars(bound)}
-    cloud = partition(scattered())
-    b, u = fields(cloud.x)
-    solution = wp.solve(carried(), wp.Dirichlet(cloud, b, u), solver=wp.Krylov(tolerance=1e-10))
-    found["scattered"] = {"u": kept(folder, "scattered", cloud, solution.u),
-                          "iterations": solution.iterations[0],
-                          "residual": solution.residual}  # fmt: skip
-    told = wp.predict(family(carried()), wp.Dirichlet(cloud, b, u), None)
-    found["told"] = said(folder, "told", cloud, told)
-    found["newton"] = by_newton(sheet, folder)
     found["file"] = from_file(comm, folder)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["grid"] = points.tiles.grid
     found["unfit"] = unfit(folder / "unfit.h5")
     kept(folder, "transferred", SimpleNamespace(comm=comm, gather=np.asarray), transferred())
-    for name in SLOPES:
-        by = slopes(name)
-        if comm.rank == 0:
-            np.savez(folder / f"slopes_{name}_{comm.size}.npz", **by)
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
     found["refused"] = [told_by(wrong) for wrong in (
         lambda: solid(3).on(points)(u),
@@ -402,12 +272,12 @@ def rest(folder):
             solid(2), wp.Dirichlet(sheet, *fields(sheet.x)), **SWING | {"step": 1.0}, steps=1
         ),
         lambda: lattice((52, 52), H, lambda x: x[:, 0] < 0),
-        lambda: wp.solve(finite(), wp.Dirichlet(sheet, *fields(sheet.x))),
+        lambda: wp.solve(nonlinear(), wp.Dirichlet(sheet, *fields(sheet.x))),
+        lambda: wp.solve(solid(2), wp.Dirichlet(sheet, *map(torch.tensor, fields(sheet.x))),
+                         parameters={"mu": torch.tensor(0.4, requires_grad=True)}),
+        lambda: partition(wp.Points(0.9 * sheet.x, sheet.interior, 0.0)),
         lambda: wp.move(BrittleSolid(solid(2), 2.5, toughness=1.0),
                         wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
-        lambda: wp.move(replace(dressed(), spacing=H), wp.Dirichlet(sheet, *fields(sheet.x)),
-                        **SWING, steps=1, edges=True),
-        lambda: holed(maps={"bulk": np.ones(3)}),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found
@@ -451,17 +321,6 @@ def crack(folder, by="rows", steps="60", pause="0"):
     }
 
 
-def ringing(by="rows"):
-    """A wave in a notched plate whose bonds stay, its missing bonds made up for."""
-    x = rectangle(40.0, 20.0, 1.0)
-    points = partition(wp.Points(x, x[:, 1] < 9, 1.0), by)
-    u = 1e-3 * np.sin(points.x[:, ::-1] / 3)
-    plate = Cracked(points, u=u, cracks=[[(-20.5, 0.0), (-5.0, 0.0)]], corrected=True)
-    law = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5)
-    motion = wp.move(law, plate, density=2200.0, step=0.004, steps=40, every=10)
-    return {"u": digest(gather(points, motion.u)), "drift": motion.drift}
-
-
 def corrected(by="rows"):
     """A notched plate that breaks, its missing bonds made up for."""
     x = rectangle(40.0, 20.0, 1.0)
@@ -501,7 +360,6 @@ if __name__ == "__main__":
     folder, by, steps, pause, *more = sys.argv[1:]
     found = {"crack": crack(Path(folder), by, steps, pause)}
     if pause == "0":
-        found["ringing"] = ringing(by)
         found["corrected"] = corrected(by)
         metis = by == "bisection" and find_spec("pymetis")
         found["block"] = block("metis" if metis else by)

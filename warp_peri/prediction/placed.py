@@ -453,8 +453,6 @@ def _told(
 
 def _gradient(operator: Any, points: Any, u: np.ndarray) -> float:
     """Root mean square of |H|; of a linear operator the largest strain between neighbours."""
-    if hasattr(operator, "mean_gradient"):
-        return float(operator.mean_gradient(u))
     if not hasattr(operator, "straight"):
         piece = hasattr(points, "comm")
         return float(points.largest_strain(u) if piece else largest_strain(points, u))

@@ -218,10 +218,6 @@ def _from(box: tuple[slice, ...], own: tuple[slice, ...], margin: int) -> tuple[
     return tuple(slice(part.start + s, part.stop + s) for part, s in zip(box, shifts))
 
 
-NEAREST = 4.0
-"""Mean spacings of scattered points within which a node has its nearest neighbours."""
-
-
 class NodeHalo:
     """Nodes of other ranks in the boxes around a piece.
 
@@ -323,21 +319,10 @@ class NodeHalo:
             request.wait()
         return here
 
-    def joined(self, values: np.ndarray, by: np.ufunc) -> np.ndarray:
-        """Of values [m, ...] that ranks have of the same node the largest, or the sum, at the own
-        nodes, [n, ...]."""
-        found = values.copy()
-        requests = [self.comm.isend(values[places], dest=r) for r, places in self._take]
-        for r, places in self._give:
-            found[places] = by(found[places], self.comm.recv(source=r))
-        for request in requests:
-            request.wait()
-        return np.asarray(found[self.own])
-
 
 def strain_on_ranks(piece: Subdomain, u: np.ndarray) -> float:
     """As points.strain.largest_strain, of u [n, d] of a piece, over all ranks."""
-    halo = NodeHalo(piece, DIAGONAL * piece.spacing or NEAREST * piece.carrier)
+    halo = NodeHalo(piece, DIAGONAL * piece.spacing)
     field = halo.felt(u)
     here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
     return float(max(piece.comm.allgather(largest_strain(here, field, halo.own))))

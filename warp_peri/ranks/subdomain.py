@@ -12,7 +12,6 @@ import numpy as np
 from warp_peri.errors import InputError, optional
 from warp_peri.files.checkpoint import agreed
 from warp_peri.launch import ranks_started
-from warp_peri.points.interpolation import fitting_spacing, mean_spacing
 from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
@@ -29,9 +28,6 @@ TILES, LONGEST, TILED = 4, {2: 256, 3: 48}, {2: 768, 3: 64}
 from which there are tiles, not slabs: the filter reaches 32 and 12 nodes beyond a tile."""
 FEW = 50_000
 """Nodes of a level of multigrid that every rank can have, to which tiles are halved if they can."""
-WIDE = 4
-"""Spacings of the lattice that carries scattered points to one of the coarse lattice, whose rows go
-to the ranks."""
 READ = 100_000
 """Nodes that are read from a file at a time: between those of a tile lie those of others."""
 _OF_A_WHOLE = ("box", "outside", "is_plain_lattice")
@@ -51,8 +47,6 @@ class Subdomain:
         grid: lattice steps from the corner of the whole body, shape [n, d].
         tiles: of a box in tiles; None of other parts.
         units, axis: as of Points.
-        carrier: of scattered points the spacing of the lattice that carries them.
-        at: of scattered points, in spacings of the coarse lattice of `tiles`, [n, d].
     """
 
     comm: Comm
@@ -65,8 +59,6 @@ class Subdomain:
     tiles: Tiles | None
     units: Units = USUAL
     axis: Any = None
-    carrier: float = 0.0
-    at: np.ndarray | None = None
 
     @property
     def own(self) -> slice:
@@ -241,11 +233,9 @@ def partition(points: Points, by: str = "rows") -> Any:
     """This rank's piece of points that every rank has; the points themselves without mpiexec.
 
     Args:
-        points: a lattice along the axes, or scattered points in the plane, without a box, the same
-            on every rank.
+        points: a lattice along the axes, without a box, the same on every rank.
         by: "rows" of the lattice, "bisection" of boxes at the middle of their longest side, or
             "metis", which cuts as few neighbours apart as it can (G. Karypis and V. Kumar, 1998).
-            Scattered points go by rows of a coarse lattice.
 
     Raises InputError for other points, for more ranks than there are rows in blocks, or nodes, and
     for "metis" without pymetis.
@@ -255,8 +245,6 @@ def partition(points: Points, by: str = "rows") -> Any:
     comm = world()
     if by not in ("rows", "bisection", "metis"):
         raise InputError(f"by: expected rows, bisection or metis, got {by!r}")
-    if points.spacing == 0:
-        return _scattered(comm, points, by)
     if not points.is_plain_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
     place = (points.x - points.x.min(axis=0)) / points.spacing
@@ -267,8 +255,10 @@ def partition(points: Points, by: str = "rows") -> Any:
         raise InputError(f"points: expected each node once, got {twice} duplicates")
     tiles = None
     if by == "rows":
-        tiles = _slabs(comm, grid.max(axis=0) + 1)
-        own = _owned(comm, tiles, grid)
+        shape = tuple((grid.max(axis=0) + 1).tolist())
+        tiles = cut(comm, shape, _slab(shape[0]))
+        (rows,) = tiles.own(comm.rank)
+        own = np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
     elif by == "metis":
         own = np.flatnonzero(comm.bcast(_by_metis(grid, comm.size)) == comm.rank)
     else:
@@ -279,41 +269,15 @@ def partition(points: Points, by: str = "rows") -> Any:
     return Subdomain(comm, *parts, own, len(grid), grid[own], tiles, points.units, points.axis)
 
 
-def _scattered(comm: Comm, points: Points, by: str) -> Subdomain:
-    """This rank's piece of scattered points, by rows of cells of a coarse lattice."""
-    if by != "rows" or points.box is not None or points.outside is not None:
-        raise InputError("points: expected scattered points without a box, by rows, on ranks")
-    if points.dimension == 3:
-        raise InputError("points: expected scattered points in the plane on ranks, got space")
-    carrier = fitting_spacing(mean_spacing(points))
-    at = (points.x - points.x.min(axis=0)) / (WIDE * carrier)
-    cell = np.floor(at).astype(np.int32)
-    tiles = _slabs(comm, cell.max(axis=0) + 2)
-    own = _owned(comm, tiles, cell)
-    parts = points.x[own], points.interior[own], 0.0, own, len(at), cell[own], tiles
-    return Subdomain(comm, *parts, points.units, points.axis, carrier, at[own])
-
-
 def gather(points: Any, values: np.ndarray) -> np.ndarray:
     """Values on all nodes, on every rank: of a piece gathered, of Points as they are."""
     return values if isinstance(points, Points) else np.asarray(points.gather(values))
-
-
-def _slabs(comm: Comm, shape: np.ndarray) -> Tiles:
-    """A box of this shape in slabs of rows."""
-    return cut(comm, tuple(shape.tolist()), _slab(int(shape[0])))
 
 
 def _slab(rows: int) -> tuple[int]:
     """Rows of a slab of a box with so many, a power of two."""
     wanted = 1 << int(np.log2(max(rows / SLABS, 1)))
     return (min(max(wanted, SMALLEST), LARGEST),)
-
-
-def _owned(comm: Comm, tiles: Tiles, grid: np.ndarray) -> np.ndarray:
-    """Which of the nodes at these places are this rank's, of slabs of rows."""
-    (rows,) = tiles.own(comm.rank)
-    return np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
 
 
 def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:

@@ -158,24 +158,23 @@ SHORTEST, DESCENT = 2.0**-8, 1e-4
 Residual = Callable[[np.ndarray], np.ndarray]
 
 
-def newton(residual: Residual, start: np.ndarray, tolerance: float, inner: Inner) -> np.ndarray:
+def newton(residual: Residual, start: np.ndarray, tolerance: float) -> np.ndarray:
     """Where a preconditioned residual vanishes, as far as it comes.
 
     Args:
         residual: of a field, near the identity times what is missing.
         start: a field.
         tolerance: of the residual's norm.
-        inner: how fields are measured, over all ranks.
     """
     v, r = start, residual(start)
-    size = inner.norm(r)
+    size = HERE.norm(r)
     for _ in range(MOST):
         if not tolerance < size < np.inf:
             break
-        step, share = gmres(partial(_slope, residual, v, r, inner), -r, inner), 1.0
+        step, share = gmres(partial(_slope, residual, v, r), -r), 1.0
         while share >= SHORTEST:
             there = residual(v + share * step)
-            new = inner.norm(there)
+            new = HERE.norm(there)
             if new <= (1 - DESCENT * share) * size:
                 break
             share /= 2
@@ -185,25 +184,23 @@ def newton(residual: Residual, start: np.ndarray, tolerance: float, inner: Inner
     return v
 
 
-def _slope(
-    residual: Residual, v: np.ndarray, r: np.ndarray, inner: Inner, p: np.ndarray
-) -> np.ndarray:
+def _slope(residual: Residual, v: np.ndarray, r: np.ndarray, p: np.ndarray) -> np.ndarray:
     """The derivative along p at v, where the residual is r."""
-    t = APART * (inner.norm(v) or 1.0) / inner.norm(p)
+    t = APART * (HERE.norm(v) or 1.0) / HERE.norm(p)
     return np.asarray((residual(v + t * p) - r) / t)
 
 
-def gmres(product: Residual, right: np.ndarray, inner: Inner) -> np.ndarray:
+def gmres(product: Residual, right: np.ndarray) -> np.ndarray:
     """p with product(p) = right to FORCED (Y. Saad and M. H. Schultz, 1986)."""
-    size = inner.norm(right)
+    size = HERE.norm(right)
     basis, H = [right / size], np.zeros((VECTORS + 1, VECTORS))
     weights: Any = np.zeros(0)
     for n in range(VECTORS):
         w = product(basis[n])
         for k, q in enumerate(basis):
-            H[k, n] = inner.dot(q, w)
+            H[k, n] = HERE.dot(q, w)
             w = w - H[k, n] * q
-        H[n + 1, n] = inner.norm(w)
+        H[n + 1, n] = HERE.norm(w)
         first = np.append(size, np.zeros(n + 1))
         weights = np.linalg.lstsq(H[: n + 2, : n + 1], first, rcond=None)[0]
         left = np.linalg.norm(first - H[: n + 2, : n + 1] @ weights)

@@ -20,7 +20,7 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.statics.conjugate_gradients import HERE, Inner, newton, norm
+from warp_peri.statics.conjugate_gradients import HERE, newton, norm
 from warp_peri.statics.linear import Inverse
 
 NOTHING = 1e-12
@@ -114,8 +114,6 @@ class Equilibria:
         inverse: of the solid at rest, of a load on the interior.
         inside: unknown nodes, shape [N] bool.
         clipped: gives the force with gradients clipped to a proven strain, where one is.
-        inner: how fields on the interior are measured, over all ranks.
-        kept: a checkpoint, which may begin the search, and sees each better field.
     """
 
     def __init__(
@@ -125,13 +123,9 @@ class Equilibria:
         inverse: Inverse,
         inside: np.ndarray,
         clipped: Callable[[], Force] | None = None,
-        *,
-        inner: Inner = HERE,
-        kept: Any = None,
     ) -> None:
         self.force, self.straight, self.inverse = force, straight, inverse
         self.inside, self._clipped = inside, clipped
-        self.inner, self.kept = inner, kept
 
     def solve(
         self, load: np.ndarray, given: np.ndarray, tolerance: float
@@ -143,13 +137,12 @@ class Equilibria:
         record = NonlinearRecord()
         field = np.where(self.inside[:, None], 0.0, given)
         right = load - self.straight(field)
-        scale = norm(right, self.inner)
+        scale = norm(right)
         if scale == 0:
             record.residual = 0.0
             return field, record
-        start = None if self.kept is None else self.kept.start()
-        begin = self.inverse(right, ROUGH) if start is None else start[self.inside]
-        record.solves += start is None
+        begin = self.inverse(right, ROUGH)
+        record.solves += 1
         inner = self._found(load, field, begin, scale, tolerance, record)
         if not record.residual <= tolerance:
             inner = self._in_parts(load, field, inner, scale, tolerance, record)
@@ -193,10 +186,7 @@ class Equilibria:
         def left(force: Force, inner: np.ndarray) -> np.ndarray:
             field[self.inside] = inner
             with np.errstate(all="ignore"):  # of a step that ran away
-                rest = np.asarray((load - force(field)) / scale)
-            if self.kept is not None:
-                self.kept.seen(field, self.inner.norm(rest))
-            return rest
+                return np.asarray((load - force(field)) / scale)
 
         def correction(residual: np.ndarray, to: float) -> np.ndarray:
             record.solves += 1
@@ -207,7 +197,7 @@ class Equilibria:
 
         return balanced(
             partial(left, self.force), correction, begin, tolerance, record,
-            clipped=clipped, inner=self.inner, mixes=mixes,
+            clipped=clipped, mixes=mixes,
         )  # fmt: skip
 
     def _in_parts(
@@ -220,7 +210,7 @@ class Equilibria:
         record: NonlinearRecord,
     ) -> np.ndarray:
         """The interior by a load that grows in equal parts, each begun where the last leads to."""
-        residual, self.kept = record.residual, None  # of the whole load alone
+        residual = record.residual
         for parts in PARTS:
             inner = self.inverse((load - self.straight(field)) / parts, ROUGH)
             for part in range(1, parts + 1):
@@ -246,7 +236,6 @@ def balanced(
     record: NonlinearRecord,
     *,
     clipped: Callable[[], Callable[[np.ndarray], np.ndarray] | None] = lambda: None,
-    inner: Inner = HERE,
     mixes: bool = True,
 ) -> np.ndarray:
     """The field whose residual vanishes, as far as it comes; the record tells how far, and how.
@@ -258,23 +247,22 @@ def balanced(
         tolerance: of the residual's norm.
         record: takes method and residual.
         clipped: gives the residual with clipped gradients, or None.
-        inner: how fields are measured, over all ranks.
         mixes: False begins with Newton's method.
     """
     v, size = start, np.inf
     if mixes:
         rough = partial(correction, to=ROUGH)
-        v, size = anderson(left, rough, start, tolerance, inner=inner)
+        v, size = anderson(left, rough, start, tolerance)
         if size > tolerance and (small := clipped()) is not None:
             record.method = "clipped"
-            v, _ = anderson(small, rough, start, tolerance, inner=inner)
-            size = inner.norm(left(v))
+            v, _ = anderson(small, rough, start, tolerance)
+            size = HERE.norm(left(v))
     if not size <= tolerance:
         record.method = "newton"
         exact = partial(correction, to=LINEAR_SHARE * tolerance)
-        goal = NEWTON_SHARE * tolerance * inner.norm(v)
-        v = newton(lambda w: exact(left(w)), v, goal, inner)
-        size = inner.norm(left(v))
+        goal = NEWTON_SHARE * tolerance * HERE.norm(v)
+        v = newton(lambda w: exact(left(w)), v, goal)
+        size = HERE.norm(left(v))
     record.residual = float(size)
     return v
 
@@ -284,8 +272,6 @@ def anderson(
     correction: Callable[[np.ndarray], np.ndarray],
     start: np.ndarray,
     tolerance: float,
-    *,
-    inner: Inner = HERE,
 ) -> tuple[np.ndarray, float]:
     """u ← u + correction(left(u)), accelerated by mixing the last steps (D. G. Anderson, 1965).
 
@@ -294,7 +280,6 @@ def anderson(
         correction: the step that answers a residual.
         start: a field.
         tolerance: of the residual's norm.
-        inner: how fields are measured, over all ranks.
 
     Returns:
         The field of the smallest residual, and that residual's norm.
@@ -305,7 +290,7 @@ def anderson(
     waited = 0
     for _ in range(MOST_STEPS):
         residual = left(u)
-        size = inner.norm(residual)
+        size = HERE.norm(residual)
         waited = 0 if size < best[1] else waited + 1
         if size < best[1]:
             best = (u, size)
@@ -318,19 +303,14 @@ def anderson(
         if len(steps) > 1:
             by_step = np.stack([earlier - steps[-1] for earlier in steps[:-1]], axis=-1)
             by_field = np.stack([earlier - fields[-1] for earlier in fields[:-1]], axis=-1)
-            u = u + (by_step + by_field) @ _mixture(by_step, steps[-1], inner)
+            u = u + (by_step + by_field) @ _mixture(by_step, steps[-1])
     return best
 
 
-def _mixture(differences: np.ndarray, step: np.ndarray, inner: Inner) -> np.ndarray:
+def _mixture(differences: np.ndarray, step: np.ndarray) -> np.ndarray:
     """How much of differences [..., k] comes closest to minus a step, shape [k]."""
-    if inner is HERE:
-        flat = differences.reshape(-1, differences.shape[-1])
-        return np.asarray(np.linalg.lstsq(flat, -step.ravel(), rcond=1e-12)[0])
-    columns = np.moveaxis(differences, -1, 0)
-    gram = [[inner.dot(a, c) for c in columns] for a in columns]
-    beside = [-inner.dot(a, step) for a in columns]
-    return np.asarray(np.linalg.lstsq(np.array(gram), np.array(beside), rcond=1e-12)[0])
+    flat = differences.reshape(-1, differences.shape[-1])
+    return np.asarray(np.linalg.lstsq(flat, -step.ravel(), rcond=1e-12)[0])
 
 
 def solve_each(

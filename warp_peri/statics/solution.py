@@ -25,8 +25,6 @@ TOLERANCE = 1e-8
 """Of iterative solves: true residual over right-hand side."""
 PRECONDITIONERS = ("multigrid", "sine", "strip")
 """Of conjugate gradients on lattices, by name."""
-PETSC = "petsc"
-"""On ranks alone: multigrid whose coarse problem PETSc solves."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +56,7 @@ class Krylov:
 
     Attributes:
         preconditioner: "sine" for boxes of nodes, "multigrid" for any nodes, "strip" where λ ≫ μ;
-            None chooses. On ranks "multigrid", or "petsc" for a coarse problem by PETSc
-            (docs/archive/ranks.md).
+            None chooses. On ranks "multigrid".
         tolerance: true residual over right-hand side.
 
     Raises InputError for another preconditioner, or a tolerance outside (0, 1).
@@ -72,12 +69,9 @@ class Krylov:
     tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
-        if self.preconditioner not in (None, *PRECONDITIONERS, PETSC):
+        if self.preconditioner not in (None, *PRECONDITIONERS):
             known = ", ".join(PRECONDITIONERS)
-            raise InputError(
-                f"preconditioner: expected {known}, or {PETSC} on ranks, got "
-                f"{self.preconditioner!r}"
-            )
+            raise InputError(f"preconditioner: expected {known}, got {self.preconditioner!r}")
         check_tolerance(self.tolerance)
 
 
