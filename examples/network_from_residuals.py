@@ -1,7 +1,7 @@
 """A law as two small networks, trained in plain torch: residuals in the loss, then answers too.
 
-Fields and loads come from a solid at finite strain. The loss is the residual of the equation; at
-last also the error of what `solve` answers, whose gradient one transposed solve gives.
+Fields and loads come from a crystal with third-order constants. The loss is the residual of the
+equation; at last also the error of what `solve` answers, whose gradient one transposed solve gives.
 
 python examples/network_from_residuals.py           numbers, and a picture
 python examples/network_from_residuals.py --json    errors on loads never seen, seconds
@@ -18,15 +18,21 @@ import numpy as np
 import torch
 
 import warp_peri as wp
+from examples.crystals import local
 from examples.figures import curves, note, panels, shown
-from warp_peri.dressed import FiniteSolid
+from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.errors import exit_status
+from warp_peri.methods import Smoothing
+from warp_peri.micromodulus import fit_symbol
 from warp_peri.neural import NeuralOperator
+from warp_peri.third_order.material import ThirdOrderCrystal
 
 SIDE, HORIZON, STRAIN = 8, 3.0, 0.03
 FROM = 100
 """Steps before which a network may be no solid that rests."""
-TRUTH = FiniteSolid(1.0, 0.4, 0.6, -0.02, 0.0, 0.0, -1.0, -3.0, 0.0)
+C = from_voigt(plane_isotropic(0.4, 0.6))
+LINEAR = fit_symbol(local(C), 1.0, 2.0, symmetry="isotropic", tensor=C)
+TRUTH = ThirdOrderCrystal(LINEAR, -1.0, -3.0, 0.0, Smoothing(2.0, 0.2), "energy", 2.0)
 X = np.argwhere(np.ones(2 * [SIDE + 4 * int(HORIZON)])) - (SIDE + 4 * HORIZON - 1) / 2
 POINTS = wp.Points(X, np.abs(X).max(axis=1) < SIDE / 2, 1.0, axis=0.0)
 INSIDE = torch.from_numpy(POINTS.interior)

@@ -5,8 +5,6 @@
     python tools/benchmark.py launch [--quick]
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
     python tools/benchmark.py crystals [--quick]
-    python tools/benchmark.py dressed [--quick]
-    python tools/benchmark.py varying [--quick] [--sides 32 64] --json
     python tools/benchmark.py broken [--quick] [--threads 1] --json
     python tools/benchmark.py ranks [--quick]
     python tools/benchmark.py gradient [--quick] [--long] [--json]
@@ -40,7 +38,6 @@ import warp as wp
 from tools import (
     benchmark_crystals,
     benchmark_damage,
-    benchmark_dressed,
     benchmark_gradient,
     benchmark_ranks,
     launch_costs,
@@ -440,13 +437,12 @@ def broken(*, quick: bool, threads: int = 2) -> None:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    kinds = ["operator", "roofline", "launch", "solve", "crystals", "dressed", "ranks", "choice"]
-    kinds += ["gradient", "varying", "broken"]
+    kinds = ["operator", "roofline", "launch", "solve", "crystals", "ranks", "choice"]
+    kinds += ["gradient", "broken"]
     parser.add("what", choices=kinds)
     parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
     parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
-    parser.add("--sides", type=int, nargs="+", default=[], help="varying: elements along an edge")
-    parser.add("--json", action="store_true", help="gradient, varying, broken: print JSON")
+    parser.add("--json", action="store_true", help="gradient, broken: print JSON")
     parser.add("--long", action="store_true", help="gradient: motions of 100 000 steps too")
     parser.add("--model", type=Path, help="of solve and choice (default: learned)")
     parser.add("--out", type=Path, help="solve, choice: write the table as JSON")
@@ -458,8 +454,6 @@ def main(arguments: list[str] | None = None) -> int:
         "launch": partial(launches, threads=given.threads),
         "solve": partial(solve_study.solve_study, **files),
         "crystals": benchmark_crystals.crystals,
-        "dressed": benchmark_dressed.dressed,
-        "varying": partial(benchmark_dressed.varying, sides=tuple(given.sides)),
         "broken": partial(broken, threads=given.threads),
         "ranks": benchmark_ranks.ranks,
         "gradient": partial(benchmark_gradient.gradient, long=given.long, as_json=given.json),

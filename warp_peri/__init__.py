@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from warp_peri import choice as choice
     from warp_peri import damage as damage
     from warp_peri import diffusion as diffusion
-    from warp_peri import dressed as dressed
     from warp_peri import export as export
     from warp_peri import flow as flow
     from warp_peri import launch as launch
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from warp_peri import transfers as transfers
     from warp_peri.core.tensors import Module
     from warp_peri.damage.problems import Cracked
-    from warp_peri.dressed.law import Dressed
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
     from warp_peri.learning.diagnosis import diagnose
@@ -63,7 +61,6 @@ __all__ = [
     "Dataset",
     "Direct",
     "Dirichlet",
-    "Dressed",
     "InputError",
     "Krylov",
     "LPS",
@@ -93,7 +90,6 @@ __all__ = [
 _NAMES = {
     "core.tensors": ("Module",),
     "damage.problems": ("Cracked",),
-    "dressed.law": ("Dressed",),
     "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
     "learning.diagnosis": ("diagnose",),
@@ -120,7 +116,6 @@ _MODULES = (
     "choice",
     "damage",
     "diffusion",
-    "dressed",
     "export",
     "flow",
     "launch",

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from warp_peri.contract import linear_part
-from warp_peri.dressed.law import DressedSolid, transferred
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
 from warp_peri.points.arrays import LARGEST, check_positive, is_number, is_positive
@@ -24,8 +23,6 @@ from warp_peri.transfer.cache import on_lattice
 
 LU_POWER = 1.5
 """Cost of a sparse factorisation in two dimensions grows with this power of the unknowns."""
-WAVES = (1.0, 1.5, 2.5, 5.0)
-"""Wavelengths that a dressed solid is compared on, over the scene's shortest."""
 SPACINGS, RATIO = 8, 2**0.25
 """Lattices that a model is tried on, each so much finer than the one before."""
 LEFT = 0.01
@@ -242,12 +239,11 @@ def choose_model(
         table: of examples/studies/speed_accuracy.py; that of the project when None.
         model: pick spacing and horizon from transfers of this linear solid instead, or of a
             material's linear part: the coarsest lattice, and on it the fewest bonds, that answer
-            waves as long as the scene's shortest within the tolerance, against the model at home;
-            of a dressed solid the coarsest to which its G is carried so. Costs are those of the
-            table's solvers.
+            waves as long as the scene's shortest within the tolerance, against the model at home.
+            Costs are those of the table's solvers.
 
     The table holds models learned on a lattice, transfers of some of them from 2.5 to 10 Å,
-    third-order, crystal and dressed models, `predict`, and elements for those who know the
+    third-order and crystal models, `predict`, and elements for those who know the
     constants (`kind` of a row, which the reason names). Loads at least as long as `long_wave` of
     the table are held to the errors on the disks, at the scene's strain where both know it,
     shorter ones to those on the short waves; a transfer has at least the error that it agrees with
@@ -261,10 +257,6 @@ def choose_model(
     if not is_positive(tolerance):
         raise InputError(f"tolerance: expected a fraction > 0, got {tolerance!r:.60}")
     table = shipped_table() if table is None else table
-    if hasattr(model, "layered"):  # a base between two convolutions
-        if model.dimension != 2:
-            raise InputError("choose_model: expected a sheet, got a dressed solid in space")
-        return _of_dressed(model, tolerance, scene, table)
     if model is not None:
         return _of_transfers(linear_part(model, "choose_model"), tolerance, scene, table)
     if scene.shortest_wave < table["short_wave"]:
@@ -337,34 +329,6 @@ def _of_transfers(model: Model, tolerance: float, scene: Scene, table: dict[str,
             spacing, transferred.horizon, transferred.degree, method, reached, seconds, words
         )
     raise reason
-
-
-def _of_dressed(law: DressedSolid, tolerance: float, scene: Scene, table: dict[str, Any]) -> Choice:
-    """The coarsest nodes on which a dressed solid answers the scene's waves as at home."""
-    wave, reached = scene.shortest_wave, math.inf
-    angle = np.linspace(0, np.pi, 24, endpoint=False)
-    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    k = np.concatenate([2 * np.pi / (wave * longer) * along for longer in WAVES])
-    home = law.symbol(k)
-    for number in range(SPACINGS):
-        spacing = float(f"{wave / 3 / RATIO**number:.2g}")
-        there = transferred(law, spacing)
-        off = np.linalg.solve(there.symbol(k), home) - np.eye(2)
-        reached = float(np.linalg.norm(off, 2, axis=(1, 2)).max())
-        if reached > tolerance:
-            continue
-        nodes, method, seconds = _way(spacing, scene, table)
-        words = (
-            f"a base of {law.base} under a G of {2 * len(law.steps)} neighbours on {spacing:g} "
-            f"{symbols(law.units)[0]}: the coarsest of {number + 1} lattices within "
-            f"{100 * tolerance:g} % of the model on its own lattice at waves ≥ {wave:g} "
-            f"({100 * reached:.2g} %), about {seconds:.2g} s for {nodes:.0f} nodes."
-        )
-        return Choice(spacing, there.horizon, 0, method, reached, seconds, words)
-    raise InputError(
-        f"tolerance: no lattice down to {spacing:g} {symbols(law.units)[0]} answers waves of "
-        f"{wave:g} within {100 * tolerance:g} %; the last is {100 * reached:.2g} % off"
-    )
 
 
 def _way(spacing: float, scene: Scene, table: dict[str, Any]) -> tuple[float, str, float]:

@@ -176,10 +176,6 @@ class OnPoints(Remade):
         """`rest` of tensors, differentiable in both and in numbers: core.tensors.at_rest."""
         return _torch().at_rest(self, b, u, solver, parameters)
 
-    def number_slopes(self, names: list[str], u: Any, w: Any) -> dict[str, Any]:
-        """Derivatives of Σ w · force(u) to some of `learnable`, of fields [K, N, d] and weights."""
-        return _torch().by_numbers(self, names, u, w)  # type: ignore[no-any-return]
-
     @property
     def held(self) -> np.ndarray:
         """Which components of fields a solve is given, of a shape that broadcasts to [N, d]."""
@@ -195,10 +191,6 @@ class OnPoints(Remade):
     def load_transpose(self, w: Any) -> np.ndarray:
         """`load` transposed, of w on the interior [..., I, d], on all nodes [..., N, d]."""
         return self.on_all(w)
-
-    def balanced(self, g: Any) -> np.ndarray:
-        """Of a load on all nodes [..., N, d] what a solve takes."""
-        return np.asarray(g)
 
     def check(self, u: Any, real: bool = True) -> None:
         """Raise InputError for what is no real fields on the nodes."""

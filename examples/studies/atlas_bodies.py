@@ -2,7 +2,6 @@
 
 import re
 import warnings
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,11 +10,10 @@ from tqdm import tqdm
 
 import warp_peri as wp
 from examples.exact import plate_with_hole
-from examples.figures import curves, name_lines, note, panels, ticks
+from examples.figures import curves, name_lines, panels, ticks
 from examples.studies.atlas_entry import Entry, entry, square_lattice, words
 from tools.crystals import force_constants
 from warp_peri import Dataset, Points
-from warp_peri.dressed import DressedSolid, FiniteSolid
 from warp_peri.edges.body import long_wave, solve_body
 from warp_peri.methods import Coupling
 from warp_peri.micromodulus import Crystal, from_phonons, plane_strain, transferred
@@ -29,12 +27,6 @@ COUPLED = (20.0, 40.0)
 LAYER = 1.5
 """Nodes this close to a hole count as its edge, in spacings."""
 SIDES = (9, 13, 17, 25, 33)
-STYLES = {"learned bonds, cut": "C3o-", "elements, dressed": "C0o-", "bonds, dressed": "C1o-"}
-SIDE = 8
-"""Unknown nodes a side of a strained sheet."""
-HOLES = (0.25, 0.5, 1, 2, 4, 8)
-HOLE_SIDE = 48
-"""Radii over the spacing, and spacings a side of the plate."""
 STRESS = 0.01
 """At the outermost nodes of a bent sheet [TPa]."""
 ANGLES = (0.0, 5.0, 10.0, 15.0, 20.0, 30.0, 45.0)
@@ -151,9 +143,9 @@ def bent(points: Points, elastic: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return u, b
 
 
-def cut_bonds(law: DressedSolid, points: Points) -> sp.csr_array:
-    """The even law's own bonds, those that leave the sheet left out."""
-    steps, C = law.crystal.steps, law.crystal.tensors
+def cut_bonds(law: Crystal, points: Points) -> sp.csr_array:
+    """The crystal's bonds, those that leave the sheet left out."""
+    steps, C = law.steps, law.tensors
     side = round(len(points.x) ** 0.5)
     number = np.pad(np.arange(side**2).reshape(side, side), np.abs(steps).max(), constant_values=-1)
     reach = np.abs(steps).max()
@@ -174,31 +166,24 @@ def cut_bonds(law: DressedSolid, points: Points) -> sp.csr_array:
 
 
 def cut_at_edges(data: Dataset) -> Entry:
-    """Errors of bent free sheets against their size: bonds cut, and dressed."""
-    law = wp.fit(data["train"], wp.Dressed("elements", 8)).material
-    on_bonds = wp.fit(data["train"], wp.Dressed("bonds", 12)).material
-    table: dict[str, list[float]] = {name: [] for name in STYLES}
+    """Errors of bent free sheets whose bonds are cut, against their size."""
+    law = wp.fit(data["train"], wp.Micromodulus(12.5)).material
+    errors = []
     for side in SIDES:
         points = sheet(side, law.spacing)
-        u, b = bent(points, law.elastic)
-        answers = {}
-        for name, one in (("elements, dressed", law), ("bonds, dressed", on_bonds)):
-            body = one.on(points, edges=True)
-            answers[name] = wp.solve(body, wp.Dirichlet(points, b, 0 * b)).u
+        u, b = bent(points, law.elastic_tensor())
         rigid = _rigid(points.x)
         stiff = cut_bonds(law, points).toarray() + rigid @ rigid.T
-        answers["learned bonds, cut"] = np.linalg.solve(stiff, b.ravel()).reshape(-1, 2)
-        for name, answer in answers.items():
-            wrong, whole = (
-                np.linalg.norm(v - rigid @ (rigid.T @ v)) for v in ((answer - u).ravel(), u.ravel())
-            )
-            table[name].append(float(100 * wrong / whole))
+        answer = np.linalg.solve(stiff, b.ravel())
+        wrong, whole = (
+            np.linalg.norm(v - rigid @ (rigid.T @ v)) for v in (answer - u.ravel(), u.ravel())
+        )
+        errors.append(float(100 * wrong / whole))
     figure, ax = panels()
-    axes = {"xlabel": "nodes a side", "ylabel": "error of displacement [%]"}
-    curves(ax, "loglog", SIDES, table, *STYLES.values(), **axes)
+    table, axes = {"learned bonds, cut": errors}, {"ylabel": "error of displacement [%]"}
+    curves(ax, "loglog", SIDES, table, "C3o-", xlabel="nodes a side", **axes)
     ticks(ax, SIDES)
-    numbers = dict(zip(("cut", "dressed", "plain"), (values[1] for values in table.values())))
-    numbers |= {"side": SIDES[1], "bonds": law.crystal.bonds}
+    numbers = {"cut": errors[1], "side": SIDES[1], "bonds": law.bonds}
     return entry("edges", numbers, (lambda: law.on(points),), figure, table)
 
 
@@ -207,86 +192,6 @@ def _rigid(x: np.ndarray) -> np.ndarray:
     turn = np.stack([-x[:, 1], x[:, 0]], axis=1)
     shifts = [np.tile(e, len(x)) for e in np.eye(2)]
     return np.linalg.qr(np.stack([*shifts, turn.ravel()], axis=1))[0]
-
-
-def pulled_plate(x: np.ndarray, R: float, lam: float, mu: float) -> np.ndarray:
-    """u over the stress of an infinite plate with a round hole, pulled along the first axis."""
-    z = x[:, 0] + 1j * x[:, 1]
-    z = np.where(np.abs(z) < 0.2 * R, 0.2 * R, z)  # of no meaning inside the hole
-    slope = 0.25 * (1 - 2 * R**2 / z**2)
-    psi = -0.5 * (z + R**2 / z - R**4 / z**3)
-    k = (lam + 3 * mu) / (lam + mu)
-    u = (k * 0.25 * (z + 2 * R**2 / z) - z * slope.conj() - psi.conj()) / (2 * mu)
-    return np.stack([u.real, u.imag], axis=1)
-
-
-def small_holes(data: Dataset) -> Entry:
-    """Errors of what a hole adds against its size, cut elements integrated and left as stairs."""
-    law = wp.fit(data["train"], wp.Dressed("elements", 8)).material
-    h, middle = law.spacing, np.array([0.37, 0.21])  # of the hole: nowhere in particular
-    most = HOLE_SIDE // 2
-    line = h * np.arange(-most, most + 1)
-    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    lam, mu = law.elastic[0, 1], law.elastic[2, 2]
-    table: dict[str, list[float]] = {"fitted elements": [], "stairs": []}
-    for radius in HOLES:
-        R, at = radius * h, x - middle * h
-        outside = np.linalg.norm(at, axis=1) > R
-        points = Points(x, np.abs(x).max(axis=1) < (most - 2.5) * h, h)
-        exact, even = (pulled_plate(at, r, lam, mu) for r in (R, 0.0))
-        for name in table:
-
-            def inside(y: np.ndarray, stairs: bool = name == "stairs", R: float = R) -> np.ndarray:
-                place = (np.floor(y / h) + 0.5) * h if stairs else y
-                return np.asarray(np.linalg.norm(place - middle * h, axis=1) > R)
-
-            body = law.on(points, edges=inside)
-            u = wp.solve(body, wp.Dirichlet(points, 0 * x, exact)).u
-            seen = outside & points.interior
-            wrong, added = (np.linalg.norm(v[seen]) for v in (u - exact, exact - even))
-            table[name].append(float(100 * wrong / added))
-    figure, ax = panels()
-    axes = {"xlabel": "radius of the hole / spacing", "ylabel": "error of what the hole adds [%]"}
-    curves(ax, "loglog", HOLES, table, "o-", **axes)
-    ticks(ax, HOLES)
-    fitted, stairs = table.values()
-    numbers = {"small": fitted[0], "two": fitted[HOLES.index(2)], "stairs": stairs[HOLES.index(2)],
-               "large": fitted[-1], "least": HOLES[0], "most": HOLES[-1]}  # fmt: skip
-    seen = (lambda: law.on(points, edges=lambda y: y[:, :1] > 0),)
-    return entry("small-holes", numbers, seen, figure, table)
-
-
-def stretched_beyond(law: FiniteSolid | None = None) -> Entry:
-    """The least eigenvalue of a strained sheet's tangent against |H|, and what is proven."""
-    law = law or FiniteSolid(5.0, -0.197, 0.722, -0.120, 0.034, 0.047, -0.44, -7.32, 1.11)
-    points = square_lattice(SIDE, 1.5 * law.spacing, law.spacing)
-    points = replace(points, axis=0.0)
-    body, inside = law.on(points), np.repeat(points.interior, 2)
-    x = points.x - points.x[points.interior].mean(axis=0)
-    k = 2 * np.pi / (6 * law.spacing)
-    ways = {
-        "stretched both ways": x,
-        "stretched one way": x * [1, 0],
-        "sheared": x[:, ::-1] * [1, 0],
-        "a wave of six spacings": np.stack([np.sin(k * x[:, 0]), 0 * x[:, 0]], axis=1) / k,
-    }
-    sizes = np.linspace(0, 0.16, 33)
-    table: dict[str, list[float]] = {}
-    for name, u in ways.items():
-        u = u / body.largest_gradient(u)
-        least = [np.linalg.eigvalsh(body.tangent(s * u).toarray()[:, inside])[0] for s in sizes]
-        table[name] = [float(value / least[0]) for value in least]
-    first = min(float(np.interp(0, -np.array(c), sizes)) for c in table.values() if min(c) < 0)
-    beyond = (first + 0.01) * ways["stretched both ways"] / 2**0.5
-    figure, ax = panels()
-    axes = {"xlabel": "largest strain |H| [%]", "ylabel": "least eigenvalue / that unstrained"}
-    curves(ax, "plot", 100 * sizes, table, ylim=(-1, 1.5), **axes)
-    ax.axvspan(0, 100 * law.strain, color="C2", alpha=0.2, lw=0)
-    note(ax, "proven", (0, -1), color="C2")
-    ax.axhline(0, color="k", lw=0.8)
-    numbers = {"proven": 100 * law.strain, "first": 100 * first}
-    seen = (lambda: body.rest(0 * beyond, beyond),)
-    return entry("stretched", numbers, seen, figure, table | numbers)
 
 
 def crystals() -> Entry:

@@ -224,17 +224,6 @@ def sheet_with_a_crack(ax: Axes) -> None:
     ax.plot([-1, -0.4, 0.1], [-0.13, -0.1, -0.13], color=FORCE, linewidth=1.4)
 
 
-def sheet_of_grains(ax: Axes) -> None:
-    for corner, colour, angle in ((-1, "#cfe2f3", 15), (0, "#f6dfc8", 60)):
-        ax.add_patch(Rectangle((corner, -0.6), 1, 1.2, color=colour, linewidth=0))
-        step = 0.24 * np.array([np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))])
-        across = np.array([-step[1], step[0]])
-        i, j = np.meshgrid(np.arange(-6, 7), np.arange(-6, 7))
-        x = i.reshape(-1, 1) * step + j.reshape(-1, 1) * across + [corner + 0.5, 0]
-        x = x[(np.abs(x - [corner + 0.5, 0]) < [0.46, 0.55]).all(axis=1)]
-        ax.scatter(x[:, 0], x[:, 1], s=5, color=NODE if corner else FORCE, linewidths=0)
-
-
 def softening_stress(ax: Axes) -> None:
     strain = np.linspace(0, 1, 50)
     ax.plot(2 * strain - 1, 1.25 * strain - 0.6, color="0.6", linewidth=0.9, linestyle="--")
@@ -267,9 +256,7 @@ def family_in_a_circle(ax: Axes) -> None:
 QUESTIONS = (
     ("Does it stretch by more\nthan 10 %?", stretched_sheet, "sheet energy model",
      "tissue.Dictionary"),
-    ("Will bonds break?", sheet_with_a_crack, "dressed model, bonds", 'Dressed("bonds")'),
-    ("Does stiffness vary, or are\nthere grains?", sheet_of_grains, "dressed model, elements",
-     'Dressed("elements")'),
+    ("Will bonds break?", sheet_with_a_crack, "LPS, positive kernel", "damage.BrittleSolid"),
     ("Do strains exceed 1 %?", softening_stress, "third-order model",
      "ThirdOrder(Micromodulus(…))"),
     ("Is it anisotropic, in space,\nor are phonons the data?", bonds_with_matrices,
@@ -280,14 +267,15 @@ QUESTIONS = (
 
 
 def which_model(path: Path) -> None:
-    figure = plt.figure(figsize=(7.2, 5.6))
-    whole = figure.add_axes((0, 0, 1, 1))
-    whole.set(xlim=(0, 7.2), ylim=(0, 5.6))
-    whole.axis("off")
     height = 0.92
+    tall = height * len(QUESTIONS) + 0.08
+    figure = plt.figure(figsize=(7.2, tall))
+    whole = figure.add_axes((0, 0, 1, 1))
+    whole.set(xlim=(0, 7.2), ylim=(0, tall))
+    whole.axis("off")
     for number, (question, thumbnail, name, code) in enumerate(QUESTIONS):
         last = number == len(QUESTIONS) - 1
-        y = 5.6 - height * (number + 0.5) - 0.04
+        y = tall - height * (number + 0.5) - 0.04
         box = {"facecolor": "#eef3f8" if not last else "#f2f2f2", "edgecolor": NODE, "pad": 5}
         whole.text(1.15, y, question, ha="center", va="center", bbox=box)
         arrow = {"arrowstyle": "-|>", "color": "0.25", "linewidth": 1.0}
@@ -296,7 +284,7 @@ def which_model(path: Path) -> None:
             whole.text(2.6, y + 0.07, "yes", ha="center", va="bottom", color=GOOD)
             whole.annotate("", (1.15, y - 0.67), (1.15, y - 0.27), arrowprops=arrow)
             whole.text(1.22, y - 0.46, "no", ha="left", va="center", color=FORCE)
-        ax = figure.add_axes((3.1 / 7.2, (y - 0.4) / 5.6, 1.3 / 7.2, 0.8 / 5.6))
+        ax = figure.add_axes((3.1 / 7.2, (y - 0.4) / tall, 1.3 / 7.2, 0.8 / tall))
         thumbnail(ax)
         ax.set(xlim=(-1.3, 1.3), ylim=(-0.8, 0.8), aspect="equal")
         ax.axis("off")

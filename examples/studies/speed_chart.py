@@ -92,7 +92,7 @@ def chart(rows: list[Row], file: Path) -> None:
 
 
 BESIDE = {
-    "neural operator": (-140, -4), "crystal model": (-40, 26), "dressed elements": (-40, 12),
+    "neural operator": (-140, -4), "crystal model": (-40, 26),
     "LPS with two influence functions": (8, 1), "LPS": (8, -3),
     "LPS from two designed loads": (-6, -24),
 }  # fmt: skip

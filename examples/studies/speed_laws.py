@@ -1,4 +1,4 @@
-"""The chart's laws beside the linear solid: third order, tensors, dressed, predict, a network."""
+"""The chart's laws beside the linear solid: third order, tensors, predict, a network."""
 
 import time
 import warnings
@@ -256,7 +256,6 @@ def laws() -> dict[str, tuple[str, Any, float]]:
         ),
         "crystal model, 20 bonds": ("crystal model", wp.Micromodulus(12.5), 12.5),
         "crystal model, 28 bonds": ("crystal model", wp.Micromodulus(15.0), 15.0),
-        "dressed elements, G: 8 neighbours": ("dressed model", wp.Dressed(), 7.1),
     }
 
 

@@ -21,7 +21,6 @@ from examples.nonlinear import add_files, errors, strained_file
 from examples.train_graphene import SMOOTHING_RADIUS, make_data
 from tools.benchmark_crystals import least
 from tools.options import Options
-from warp_peri.dressed import FiniteStrain
 from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum, Smoothing
 
@@ -41,13 +40,10 @@ def laws(truth: dict[str, float]) -> dict[str, Any]:
         "LPS": wp.LPS(20.0, wp.Bernstein(10), wp.methods.Optimum(moduli=None)),
         "LPS with two influence functions": two,
         "crystal model, 20 bonds": wp.Micromodulus(12.5, "isotropic", moduli=C),
-        "dressed bonds, G: 12 neighbours": wp.Dressed("bonds", 12, moduli=C),
-        "dressed elements, G: 8 neighbours": wp.Dressed("elements", 8, moduli=C),
         "third order on an LPS": wp.ThirdOrder(two),
         "third order on a crystal model": wp.ThirdOrder(
             wp.Micromodulus(15.0, moduli=C), ENERGY, "energy"
         ),
-        "finite-strain model": FiniteStrain(C),
     }
 
 
@@ -84,7 +80,7 @@ def proven(material: Any) -> str:
 
 def picture(table: dict[str, Any], path: Path) -> None:
     """Errors over strain; the other linear models are as the LPS to the eye."""
-    shown = "LPS", "third order on an LPS", "third order on a crystal model", "finite-strain model"
+    shown = "LPS", "third order on an LPS", "third order on a crystal model"
     figure, axes = panels(9.5, 4, count=2, sharey=True)
     for ax, (role, title) in zip(axes, (("val", "loads, periodic sheet"), ("test", "disks"))):
         for name in shown:

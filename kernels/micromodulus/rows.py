@@ -4,8 +4,7 @@ A field is laid out in planes: component a of sample s at place q of a box of P 
 planes[s, a P + q]. Bond p leads from place q to q + offset[p], and its other half to q − offset[p];
 both go through C(ξ)(2 u(x) − u(x + ξ) − u(x − ξ)) together. A piece is (first place, count):
 count ≤ LANES nodes that follow one another. Each place is written by one piece, and every sum runs
-over the bonds in their order, so that slices on threads change no bit. `dressed` asks for u less
-that (Dr5).
+over the bonds in their order, so that slices on threads change no bit.
 For the processor only: the loops over lanes are C++, which Warp's compiler turns into vectors.
 """
 
@@ -40,7 +39,7 @@ FORCE = """
     REAL* out = force.data + size_t(s) * force.shape[1] + base;
     for (int a = 0; a < DIM; ++a)
         for (int l = 0; l < count; ++l)
-            out[a * places + l] = dressed ? own[a][l] / REAL(2) - f[a][l] : f[a][l];
+            out[a * places + l] = f[a][l];
 """
 SUMS = {
     2: """for (int l = 0; l < LANES; ++l) {
@@ -66,7 +65,6 @@ def rows(scalar, dimension):
     def piecewise(
         s: wp.int32,
         piece: wp.vec2i,
-        dressed: wp.int32,
         offset: wp.array(dtype=wp.int32),
         tensors: wp.array2d(dtype=scalar),
         planes: wp.array2d(dtype=scalar),
@@ -77,13 +75,12 @@ def rows(scalar, dimension):
     def pulled(
         first: wp.int32,
         pieces: wp.array(dtype=wp.vec2i),
-        dressed: wp.int32,
         offset: wp.array(dtype=wp.int32),
         tensors: wp.array2d(dtype=scalar),
         planes: wp.array2d(dtype=scalar),
         force: wp.array2d(dtype=scalar),
     ):
         s, t = wp.tid()
-        piecewise(s, pieces[first + t], dressed, offset, tensors, planes, force)
+        piecewise(s, pieces[first + t], offset, tensors, planes, force)
 
     return SimpleNamespace(pulled=pulled, lanes=lanes)

@@ -15,16 +15,7 @@ from tests.conformance.test_laws import OTHER, near
 from tests.support.bodies import random_breaking
 from tests.support.problems import difference, noise
 from warp_peri import launch
-from warp_peri.core.elastic import from_voigt, turned, voigt
-from warp_peri.damage import (
-    BondLaw,
-    BrittleCrystal,
-    BrittleSolid,
-    Cracked,
-    CrystalBonds,
-    SoftSolid,
-    box,
-)
+from warp_peri.damage import BondLaw, BrittleSolid, Cracked, SoftSolid, box
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.points.unit_names import factors
 
@@ -39,18 +30,7 @@ def linear(d, lam):
     return wp.Model(lam, 0.8, 1.0, [1.0], horizon=2.0, dimension=d)
 
 
-def crystal(d):
-    """One that is turned, in space a cubic one."""
-    elastic = np.array([[3.1, 0.7, 0.1], [0.7, 2.4, 0.2], [0.1, 0.2, 0.9]])
-    if d == 3:
-        cubic = np.diag([2.6] * 3 + [0.9] * 3)
-        cubic[:3, :3] += 0.6 * (1 - np.eye(3))
-        elastic = voigt(turned(from_voigt(cubic), turn(3, 0.3)))
-    return BrittleCrystal(CrystalBonds(elastic, 3.0), 2.0, np.eye(d), 0.01 * np.arange(2.0, 2 + d))
-
-
 SOLIDS = {
-    "brittle, a crystal": crystal,
     "brittle": lambda d: BrittleSolid(linear(d, 0.3), 2.0, toughness=0.01),
     "brittle, by stretch": lambda d: BrittleSolid(linear(d, 0.8), 2.0, critical_stretch=0.05),
     "brittle, by energy": lambda d: BrittleSolid(linear(d, 2.0), 2.0, critical_energy=1e-3),

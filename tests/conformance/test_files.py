@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from warp_peri.core.record import HOMES, content_hash
+from warp_peri.core.record import HOMES, LEFT, content_hash
 
 FOLDER = Path(__file__).parent.parent / "frozen"
 FILES = sorted(path.stem for path in FOLDER.glob("*.json") if path.stem != "record")
@@ -38,6 +38,14 @@ def material(request, tmp_path):
 def test_every_format_is_among_them():
     formats = {json.loads((FOLDER / f"{name}.json").read_text())["format"] for name in FILES}
     assert formats == {*HOMES}
+
+
+@pytest.mark.parametrize("name", LEFT)
+def test_what_left_the_library_is_refused_by_name_and_last_commit(name, tmp_path):
+    head = {"format": name} if "." in name else {"format": "warp_peri.model", "kind": name}
+    (tmp_path / "old.json").write_text(json.dumps(head))
+    with pytest.raises(wp.InputError, match=f"old.json: {name}: left .* {LEFT[name]} is the last"):
+        wp.load(tmp_path / "old.json")
 
 
 def places(content, path=()):

@@ -12,7 +12,7 @@ import warp
 from torch.autograd import forward_ad, functional, gradgradcheck
 
 import warp_peri as wp
-from tests.conformance.test_laws import LAWS, difference, dressed, network
+from tests.conformance.test_laws import LAWS, difference, network
 from tests.points.test_interpolation import cloud
 from tests.support import cubes
 from tests.support.problems import kernel, lattice, noise
@@ -24,14 +24,7 @@ from warp_peri.micromodulus import tensors_of
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 KINKED = ("neural operator",)
 """Of which a step of differences is short."""
-NONLINEAR = ("third order", "finite", "neural", "hyperelastic")
-
-
-def varied():
-    """A sheet with maps, a broken bond, and edges."""
-    points = wp.Points(lattice(4, 1.0).x, lattice(4, 1.0).interior, 1.0, axis=0.0)
-    maps = {name: 1 + 0.1 * np.cos(points.x[:, 0]) for name in dressed().parts.names}
-    return dressed().on(points, edges=True, maps=maps, broken=[[27, 28]])
+NONLINEAR = ("third order", "neural", "hyperelastic")
 
 
 def scattered(**options):
@@ -85,7 +78,6 @@ OPERATORS = {
 } | {
     "crystal, periodic": lambda: LAWS["crystal"].material().on(LAWS["crystal"].sheet()),
     "crystal, third order": lambda: crystal("energy").on(lattice(4, 3.0)),
-    "dressed, varied": varied,
     "neural operator, frozen": frozen,
     "scattered": scattered,
     "scattered, own weights": lambda: scattered(allow_uncertified=True),
@@ -111,7 +103,6 @@ def test_the_operators_are_what_they_are_called(made):
     assert len(made("LPS, broken bonds").bonds.cut) > 0
     assert made("scattered").carrier is not None
     assert made("scattered, own weights").carrier is None
-    assert not made("dressed, varied")._even
     assert not made("coupled").is_symmetric
 
 
@@ -330,7 +321,7 @@ def test_workers_of_a_loader_have_the_forces_of_this_process(made):
         assert not learns
 
 
-@pytest.mark.parametrize("name", ["LPS", "crystal", "dressed, varied", "third order, energy"])
+@pytest.mark.parametrize("name", ["LPS", "crystal", "third order, energy"])
 def test_torch_compile_leaves_a_force_as_it_is(name, made):
     op = made(name)
     check_compiled(lambda u: op(2 * u).square().sum(), torch.from_numpy(field(op)))
@@ -400,19 +391,14 @@ MODULES = {
     "crystal, third order": {"t3", "tq2", "q3"},
     "crystal": {"tensors"},
     "hyperelastic": {"coefficients"},
-    "dressed, finite strain": {"lam", "mu", "t3", "tq2", "q3"},
     "conductor": {"kappa", "alpha", "D"},
-    "dressed, varied": {"bulk", "shear", "tetragonal"},
     "cut": {"lam", "mu", "alpha", "D"},
     "coupled": {"lam", "mu", "alpha", "D", "coupling"}
     | {f"conductor_{name}" for name in ("alpha", "D", "kappa")},
 }
 
 
-LEARNING = [pytest.param(name, marks=[pytest.mark.slow] * ("varied" in name)) for name in MODULES]
-
-
-@pytest.mark.parametrize("name", LEARNING)
+@pytest.mark.parametrize("name", MODULES)
 def test_a_module_learns_the_numbers_of_its_material(name, made):
     op = made(name)
     module = wp.Module(op, op.points)
@@ -437,7 +423,7 @@ def test_a_module_learns_the_numbers_of_its_material(name, made):
         assert np.abs(gradient.numpy().ravel() - slope).max() <= 1e-6 * scale
 
 
-@pytest.mark.parametrize("name", [*MODULES, "neural operator", "dressed"])
+@pytest.mark.parametrize("name", [*MODULES, "neural operator"])
 def test_a_module_is_saved_and_copied(name, made, tmp_path):
     op = copy.deepcopy(made(name))
     module = wp.Module(op, op.points)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -163,30 +162,6 @@ def springs():
     return Springs(1.0, 3.0, [0.1, 0.2, 0.3]).certified()
 
 
-def dressed():
-    """Square elements of a crystal with four axes, under a G that is no number times one."""
-    steps, C = [[0, 1], [1, 0], [1, 1], [1, -1]], [[0.6, 0.1, 0], [0.1, 0.6, 0], [0, 0, 0.2]]
-    along, across = np.diag([0.02, -0.05]), np.array([[0.01, -0.02], [-0.02, 0.01]])
-    g = [np.flip(along), along, across, across * [[1, -1], [-1, 1]]]
-    return wp.dressed.DressedSolid(1.0, "elements", C, steps, [g], symmetry="4mm").certified()
-
-
-def dressed_bonds():
-    """Bonds of two influence functions under a G of eight neighbours."""
-    C = [[1.25, -0.2, 0], [-0.2, 1.25, 0], [0, 0, 0.725]]
-    return replace(dressed(), base="bonds", elastic=C, dilatation=0.15).certified()
-
-
-def finite():
-    """The same elements under a G and an F of numbers, with third-order constants."""
-    return wp.dressed.FiniteSolid(1.0, -0.2, 0.72, -0.05, 0.02, 0.04, *CONSTANTS)
-
-
-def of_finite(material, H):
-    constants = {name: getattr(material, name) for name in ("t3", "tq2", "q3")}
-    return of_third_order(SimpleNamespace(linear=material, **constants), H)
-
-
 def plain(side, angle=0.0):
     return replace(lattice(side, 3.0, angle=angle), axis=np.rad2deg(angle))
 
@@ -240,15 +215,6 @@ LAWS = {
     "third order, energy": Law(third_order(None), **CUBIC),
     "crystal": Law(tensors, plain, of_tensors, sheet=plain_cell, single=single_tensors),
     "own": Law(springs, plain, of_tensors, sheet=plain_cell, single=single_tensors),
-    "dressed": Law(
-        dressed, plain, of_tensors, sheet=plain_cell, single=single_tensors, horizon=18**0.5
-    ),
-    "dressed, bonds": Law(
-        dressed_bonds, plain, of_tensors, sheet=plain_cell, single=single_tensors, horizon=32**0.5
-    ),
-    "dressed, finite strain": Law(
-        finite, crystal, of_finite, sheet=cell, stress_turns=True, force_turns=True, horizon=18**0.5
-    ),
     "neural operator": Law(
         network,
         plain,

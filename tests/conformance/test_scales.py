@@ -102,7 +102,7 @@ def test_a_force_a_solve_and_a_motion(law, scale):
     near(np.asarray(again.v), np.asarray(moved.v) * length / slower, 1e-6)
 
 
-NONLINEAR = ("third order, energy", "dressed, finite strain", "neural operator")
+NONLINEAR = ("third order, energy", "neural operator")
 
 
 @pytest.mark.parametrize("name", NONLINEAR)
@@ -163,7 +163,6 @@ FITS = {
     "LPS": wp.LPS(3.0, wp.Bernstein(1)),
     "LPS, two functions": wp.LPS(3.0, wp.Bernstein(1, two_functions=True)),
     "tensors": wp.Micromodulus(2.0, "4mm", moduli=None),
-    "dressed": wp.Dressed(symmetry="4mm"),
     "third order": wp.ThirdOrder(wp.LPS(3.0, wp.Bernstein(1))),
 }
 

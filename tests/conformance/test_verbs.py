@@ -115,7 +115,7 @@ def test_a_body_refuses_what_it_does_not_take():
 
 
 @pytest.mark.parametrize("density", [0.0, -3.0, np.nan])
-@pytest.mark.parametrize("name", ["LPS", "third order, energy", "dressed"])
+@pytest.mark.parametrize("name", ["LPS", "third order, energy", "crystal"])
 def test_a_motion_is_of_what_has_a_mass(name, density):
     material, points = LAWS[name].material(), LAWS[name].points(4)
     how = {"density": density, "step": 1e-6, "steps": 2}

@@ -24,7 +24,7 @@ DOCS = Path(__file__).parent.parent.parent / "docs"
 NAMES = (
     "sign-changing", "spacing", "exponent", "horizon", "degree", "lame", "scattered", "transfer",
     "surfaces", "bodies", "crystals", "supercell", "time-step", "energy", "dispersion", "strain",
-    "larger-strains", "float32", "ranks", "compression", "edges", "small-holes", "stretched",
+    "larger-strains", "float32", "ranks", "compression", "edges",
     "uneven", "noisy-strains", "predictions", "noise-of-its-own", "stretched-and-turned", "broken",
     "cracks-in-space", "stretch", "edge-tips", "long-steps",
 )  # fmt: skip

@@ -22,11 +22,11 @@ def made():
 
 
 FORCED_LONG = ("hyperelastic", "LPS in space", "scattered")
-SOLVED_LONG = ("dressed, finite strain", "scattered", "LPS in space", "third order, filtered",
+SOLVED_LONG = ("scattered", "LPS in space", "third order, filtered",
                "neural operator", "coupled", "crystal, third order", "scattered, own weights",
                "third order, energy", "hyperelastic", "LPS, two functions", "LPS, bond-based",
                "neural operator, frozen")  # fmt: skip
-MOVED = ("LPS", "dressed, varied")
+MOVED = ("LPS",)
 LONG = [
     *(("force", name) for name in FORCED_LONG),
     *(("solve", name) for name in SOLVED_LONG),

@@ -6,12 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tests.dressed.solids import solid
 from tests.support.problems import kernel, lattice
 from warp_peri import Dataset, Dirichlet, InputError, Samples, save
 from warp_peri.choice import Scene, choose_model, shipped_table
 from warp_peri.cli.main import main
-from warp_peri.dressed import transferred
 from warp_peri.transfers import on_lattice
 
 
@@ -43,24 +41,6 @@ TABLE = {
     ],
 }
 SMALL = Scene((100.0, 100.0), 50.0)
-
-
-def test_a_dressed_solid_is_carried_to_the_coarsest_nodes():
-    law = solid(2, "elements", size=0.01)
-    scene = Scene((60.0, 40.0), 12.0)
-    choices = [choose_model(tolerance=t, scene=scene, model=law) for t in (0.2, 0.01)]
-    assert choices[0].spacing > choices[1].spacing > 0.5
-    for choice, tolerance in zip(choices, (0.2, 0.01)):
-        assert choice.error <= tolerance
-        assert f"on {choice.spacing:g} Å: the coarsest of" in choice.reason
-        there = transferred(law, choice.spacing)
-        k = 2 * np.pi / 12.0 * np.array([[1.0, 0.0], [0.5**0.5, 0.5**0.5]])
-        off = np.linalg.solve(there.symbol(k), law.symbol(k)) - np.eye(2)
-        assert np.abs(off).max() <= tolerance
-    with pytest.raises(InputError, match="no lattice down to"):
-        choose_model(tolerance=1e-9, scene=scene, model=law)
-    with pytest.raises(InputError, match="got a dressed solid in space"):
-        choose_model(tolerance=0.1, scene=scene, model=solid(3))
 
 
 def test_the_cheapest_within_the_tolerance_is_chosen():

@@ -76,17 +76,9 @@ def peridynamic():
     return truth, wp.LPS(HORIZON, wp.Bernstein(1)), constants
 
 
-def dressed():
-    """A dressed solid, whose moduli are given."""
-    law = wp.Dressed(symmetry="4mm", moduli=np.array([[1, 0.3, 0], [0.3, 1, 0], [0, 0, 0.5]]))
-    clean = answered(waved(30, np.random.default_rng(1)), TRUTH)
-    return wp.fit(clean, law).material, law, lambda _: []
-
-
 KINDS = {  # truth, law, and its constants
     "crystal": lambda: (TRUTH, LAW, lambda solid: list(solid.moduli().values())),
     "LPS": peridynamic,
-    "dressed": dressed,
 }
 
 
@@ -135,7 +127,6 @@ def test_bands_hold_the_truth_on_a_few_sets():
         *((kind, 20, {"leave_one_out": True}) for kind in KINDS),
         ("crystal", 60, {"draws": 40}),
         ("LPS", 20, {"draws": 40}),
-        ("dressed", 60, {"draws": 40}),
     ],
 )
 def test_bands_of_90_percent_hold_the_truth_of_so_many_sets(kind, sets, options):

@@ -21,7 +21,7 @@ TEXT = {"README": (ROOT / "README.md").read_text(encoding="utf-8")} | {
     page.relative_to(DOCS).as_posix().removesuffix(".md"): page.read_text(encoding="utf-8")
     for page in sorted(DOCS.rglob("*.md"))
 }
-"""Each page by its path below docs/, without suffix, as "how-to/dressed"."""
+"""Each page by its path below docs/, without suffix, as "how-to/cracks"."""
 BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
 BLOCKS = {
     name: found

@@ -66,9 +66,9 @@ def test_equations_that_are_cited_exist(equations):
 
 def test_a_citation_leads_to_its_equation(equations):
     where = equations.where()
-    html = '<p>(<a href="../../theory/">theory</a>), N6 and 48a–48c, best; (theory, Dr3)</p>'
-    seen = equations.on_page_content(html, SimpleNamespace(url="how-to/dressed/"))
-    for tag in ("N6", "48a", "48c", "Dr3"):
+    html = '<p>(<a href="../../theory/">theory</a>), N6 and 48a–48c, best; (theory, Di3)</p>'
+    seen = equations.on_page_content(html, SimpleNamespace(url="how-to/cracks/"))
+    for tag in ("N6", "48a", "48c", "Di3"):
         assert f'<a href="../../{where[tag]}#eq-{tag}">{tag}</a>' in seen
     page = SimpleNamespace(url=where["3a"])
     html = r'<p>As (3a), (N22–N23), (9, 12)</p><div class="arithmatex">\[x \tag{3a}\]</div>'

@@ -32,7 +32,6 @@ NOT_HERE = {
 }
 UNTRIED = {
     "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
-    "grains": "grains of copper by LAMMPS, minutes; what it calls is tested in tests/dressed",
     "structures": "seventeen crystals; tests/structures runs two of them by the same call",
     "predict": "150 scenes; what it calls is tested in tests/prediction",
     "which_law": "a table of times; its laws are those of tests/conformance",

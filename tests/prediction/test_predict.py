@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.dressed.solids import solid as dressed
 from tests.micromodulus.crystals import lattice as plain_lattice
 from tests.micromodulus.crystals import learned
-from tests.micromodulus.test_learning import waves
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main
@@ -296,20 +294,6 @@ def test_a_family_is_learned_and_calibrated_by_one_call(tmp_path):
     ratios = [answer.error / far(answer.u, u, points) for answer, u in zip(answers, held.u)]
     assert 0.5 < np.median(ratios) < 3
     assert answers[0].guarantee.contraction == 0
-
-
-def test_a_family_of_dressed_solids_has_fewer_neighbours_and_is_read_again(tmp_path):
-    known = dressed(2, "bonds", 2.0, 0.02)
-    points = plain_lattice(2, 10, 6, known.spacing)
-    rich = wp.Dressed("bonds", 8, known.symmetry, moduli=known.elastic)
-    fit = wp.fit(waves(known, points, 8), Family(rich))
-    assert len(fit.material.second.steps) < len(fit.material.rich.steps)
-    wp.save(tmp_path / "family.json", fit.material)
-    held = waves(known, points, 4, seed=5)
-    given = wp.Dirichlet(points, held.b, held.u)
-    answers = wp.predict(wp.load(tmp_path / "family.json"), given, None)
-    ratios = [answer.error / far(answer.u, u, points) for answer, u in zip(answers, held.u)]
-    assert 0.5 < np.median(ratios) < 3
 
 
 def test_shares_find_the_wavelength():

@@ -28,7 +28,7 @@ from warp_peri.core.groups import group_of_structure
 from warp_peri.structures.calculators import LammpsError, lammps_calculator, potential_file
 from warp_peri.structures.learn import load_campaign
 from warp_peri.structures.phonons import born_charges, force_constants
-from warp_peri.structures.rest import at_rest, cleavage_energy
+from warp_peri.structures.rest import at_rest
 
 TERSOFF = "SiC_1989.tersoff"
 
@@ -697,33 +697,3 @@ def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monk
     main([*line, "--calculator", "here:Mine(sigma=1.5)"])
     main([*line, "--calc", "here:Mine(sigma=0.5)"])
     assert [law.parameters["sigma"] for law in seen] == [2.5, 1.5, 0.5]
-
-
-def test_faces_cost_the_bonds_that_they_cut():
-    """Stillinger and Weber's silicon: 2.1678 eV a bond, and no face finds a better rest."""
-    cell, sw = ase.build.bulk("Si", a=5.43095, cubic=True), lammps_calculator("sw", ["Si"], "Si.sw")
-    bonds = {(1, 1, 1): 4 / 3**0.5, (1, 1, 0): 4 / 2**0.5, (1, 0, 0): 4.0, (2, 1, 1): 8 / 6**0.5}
-    for plane, per_area in bonds.items():
-        expected = 2.1678 * per_area / 5.43095**2 * 0.1602176634
-        for order in (plane, plane[::-1]):
-            assert cleavage_energy(cell, sw, order) == pytest.approx(expected, rel=1e-3)
-
-
-def test_faces_of_sheets_are_edges_over_their_thickness():
-    cell = ase.build.graphene(a=2.529676, vacuum=10.0)
-    cell.pbc = True
-    tersoff = lammps_calculator("tersoff", ["C"], TERSOFF)
-    found = {
-        (plane, relaxed): cleavage_energy(cell, tersoff, plane, thickness=3.35, relaxed=relaxed)
-        for plane in ((1, 0, 0), (1, 1, 0))
-        for relaxed in (False, True)
-    }
-    assert found[(1, 0, 0), False] < found[(1, 1, 0), False]  # zigzag edges cost less
-    for plane in ((1, 0, 0), (1, 1, 0)):
-        assert 0.9 * found[plane, False] < found[plane, True] < found[plane, False]
-    turned = cleavage_energy(cell, tersoff, (1, -1, 0), thickness=3.35)
-    assert turned == pytest.approx(found[(1, 0, 0), True], rel=1e-6)
-    with pytest.raises(wp.InputError, match="plane: expected three whole numbers"):
-        cleavage_energy(cell, tersoff, (0, 0, 0))
-    with pytest.raises(wp.InputError, match="stands on the sheet"):
-        cleavage_energy(cell, tersoff, (1, 0, 1), thickness=3.35)

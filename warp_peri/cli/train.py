@@ -44,7 +44,6 @@ CUBIC = ("t3", "tq2", "q3")
 KINDS = {
     "lps": "linear peridynamic solid (LPS)",
     "tensors": "crystal model",
-    "dressed": "dressed model",
     "third-order": "LPS with third-order constants",
 }
 HELD_OUT = ("test", "val")
@@ -194,9 +193,6 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
         kernel = warp_peri.Bernstein(degree, two_functions=True)
         linear = warp_peri.LPS(horizon, kernel, methods.Optimum(moduli="isotropic"), normalise=True)
         law = warp_peri.ThirdOrder(linear, methods.Smoothing(2 * samples.spacing))
-    elif given.law == "dressed":  # with the group and the long waves that the data have
-        found = warp_peri.fit(samples, law).material
-        law = warp_peri.Dressed(symmetry=found.symmetry, moduli=found.elastic_tensor())
     with locked(given.out):
         fit = warp_peri.fit(samples, law, progress=not given.json)
         run = Run(fit, *evaluated(fit.material, data.sets), None, {})
@@ -224,9 +220,7 @@ def _kept(given: argparse.Namespace, run: Run, metrics: Result, data: Dataset) -
 def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[str]:
     """What was learned, how good it is in one number, and the next command."""
     path, solved, samples = given.out / "model.json", metrics["E_u"], data[given.set]
-    kind = KINDS[given.law]
-    if given.law != "dressed":  # which has neighbours, not a horizon
-        kind += f", horizon {given.horizon:g} {symbols(data.units)[0]}"
+    kind = f"{KINDS[given.law]}, horizon {given.horizon:g} {symbols(data.units)[0]}"
     others = [
         name
         for name, points in data.sets.items()

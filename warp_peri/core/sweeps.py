@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -22,75 +21,13 @@ FFT_BONDS = {2: 75, 3: 120}
 `tools/benchmark.py crystals` on an idle machine crossed."""
 
 
-class Product(Protocol):
-    """L of planes of a field [S, d, *wide] at the unknown places of the box, zero elsewhere."""
-
-    def __call__(self, planes: np.ndarray) -> np.ndarray: ...
-
-
 def entries(tensors: np.ndarray) -> np.ndarray:
     """The upper triangles of symmetric matrices, row by row, shape [H, d (d + 1)/2]."""
     upper = np.triu_indices(tensors.shape[-1])
     return np.ascontiguousarray(tensors[(slice(None), *upper)])
 
 
-class PlaneRows:
-    """Planes of a box that go row by row, piece by piece.
-
-    Args:
-        wide: places of the box along its axes.
-        dtype: float64 or float32.
-    """
-
-    def __init__(self, wide: Sequence[int], dtype: Any) -> None:
-        self.wide, self.dtype, d = tuple(wide), np.dtype(dtype), len(wide)
-        self.scalar, self.places = SCALARS[self.dtype], int(np.prod(wide))
-        self.kernels = rows(self.scalar, d)
-        self.strides = np.array([int(np.prod(wide[a + 1 :])) for a in range(d)])
-        self._buffers: dict[tuple[int, int], np.ndarray] = {}
-
-    def table(self, steps: np.ndarray, tensors: np.ndarray) -> tuple[Any, Any]:
-        """Offsets and tensors of half a family, as the kernel takes them."""
-        return ints(steps @ self.strides), self.floats(entries(tensors))
-
-    def launch(
-        self, kernel: Any, pieces: Any, inputs: tuple[Any, ...], given: np.ndarray, out: np.ndarray
-    ) -> None:
-        """Pieces of fields [S, n] by a kernel, to others."""
-        if len(pieces):
-            launch_slices(
-                kernel,
-                len(pieces),
-                (pieces, *inputs, floats(given, self.scalar)),
-                (floats(out, self.scalar),),
-                samples=len(given),
-                weight=self.kernels.lanes // FASTER,
-            )
-
-    def buffer(self, number: int, count: int, size: int) -> np.ndarray:
-        """[S, size] with room behind for the last piece's lanes, kept between calls."""
-        key = number, count
-        if key not in self._buffers:
-            self._buffers[key] = np.zeros(count * size + self.kernels.lanes, self.dtype)
-        return self._buffers[key][: count * size].reshape(count, size)
-
-    def pieces(self, asked: np.ndarray) -> Any:
-        """Of places that are asked for, bool."""
-        return wp.array(
-            row_pieces(asked.ravel(), self.kernels.lanes), dtype=wp.vec2i, device=DEVICE
-        )
-
-    def floats(self, values: np.ndarray, spare: bool = False) -> Any:
-        """Numbers as kernels take them, with room for lanes that read beyond."""
-        if not spare:
-            return floats(values.astype(self.dtype), self.scalar)
-        room = np.zeros(values.size + self.kernels.lanes, self.dtype)
-        laid = room[: values.size].reshape(values.shape)
-        laid[:] = values
-        return floats(laid, self.scalar)
-
-
-class ByRows(PlaneRows):
+class ByRows:
     """Half families by rows; the bits are the same on any number of threads.
 
     Args:
@@ -102,22 +39,34 @@ class ByRows(PlaneRows):
     def __init__(
         self, nodes: Grid, steps: np.ndarray, tensors: np.ndarray, dtype: Any = np.float64
     ) -> None:
-        super().__init__(nodes.wide, dtype)
         self.nodes, self.core = nodes, (slice(None), slice(None), *nodes.core)
-        self.offset, self.tensors = self.table(steps, tensors)
+        self.dtype, self.scalar = np.dtype(dtype), SCALARS[np.dtype(dtype)]
+        self.kernels = rows(self.scalar, nodes.dimension)
+        strides = np.array([int(np.prod(nodes.wide[a + 1 :])) for a in range(nodes.dimension)])
+        self.offset = ints(steps @ strides)
+        self.tensors = floats(entries(tensors).astype(self.dtype), self.scalar)
         mask = np.zeros(nodes.wide, bool)
         mask[nodes.core] = nodes.unknown
-        self.asked = self.pieces(mask)
+        pieces = row_pieces(mask.ravel(), self.kernels.lanes)
+        self.asked: Any = wp.array(pieces, dtype=wp.vec2i, device=DEVICE)
 
     def __call__(self, planes: np.ndarray) -> np.ndarray:
         """L u at the unknown nodes of planes [S, d, *wide]; planes [S, d, *shape], else zero."""
-        nodes, d = self.nodes, self.nodes.dimension
-        room = np.zeros(len(planes) * d * self.places + self.kernels.lanes, self.dtype)
-        laid = room[: -self.kernels.lanes].reshape(len(planes), -1)
-        laid[:] = planes.reshape(len(planes), -1)
+        nodes, count, lanes = self.nodes, len(planes), self.kernels.lanes
+        room = np.zeros(planes.size + lanes, self.dtype)  # for lanes that read beyond
+        laid = room[:-lanes].reshape(count, -1)
+        laid[:] = planes.reshape(count, -1)
         out = np.zeros_like(laid)
-        self.launch(self.kernels.pulled, self.asked, (0, self.offset, self.tensors), laid, out)
-        force = out.reshape(len(planes), d, *nodes.wide)
+        if len(self.asked):
+            launch_slices(
+                self.kernels.pulled,
+                len(self.asked),
+                (self.asked, self.offset, self.tensors, floats(laid, self.scalar)),
+                (floats(out, self.scalar),),
+                samples=count,
+                weight=lanes // FASTER,
+            )
+        force = out.reshape(planes.shape)
         return force[self.core] if nodes.periodic else force
 
 

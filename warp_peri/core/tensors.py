@@ -333,20 +333,17 @@ def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
 def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[np.ndarray, ...]:
     """L′⁻ᵗ g on the interior [..., I, d], and what that makes of b and of u, [..., N, d].
 
-    L′ is taken at the answer u, and of what is linear anywhere. An operator may have a way of its
-    own to L′⁻ᵗ, as `transposed`.
+    L′ is taken at the answer u, and of what is linear anywhere.
     """
     one, inside = operator.shape, operator.points.interior
     axis = -len(one)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # g is no displacement
         if operator.is_symmetric:
-            load = operator.balanced(g)
-            w = np.compress(inside, _rest(operator, load, np.zeros_like(g), solver).u, axis)
+            w = np.compress(inside, _rest(operator, g, np.zeros_like(g), solver).u, axis)
         else:
             inner = np.compress(inside, g, axis)
-            solve = getattr(operator, "transposed", partial(_transposed, operator))
-            w = solve(u.reshape(-1, *one), inner).reshape(inner.shape)
+            w = _transposed(operator, u.reshape(-1, *one), inner).reshape(inner.shape)
     pushed = (g - operator.product_transpose(u, w)) * operator.held
     return w, operator.load_transpose(w), pushed
 
@@ -405,7 +402,7 @@ class Module(torch.nn.Module):
             [M + 1], as it is used on the points. A D_dilatation that is D stays so, and is none of
             its own.
         t3, tq2, q3: parameters of a third-order solid [stress]; its linear part is held.
-        tensors: those of a crystal, or of a dressed solid that is even [stress/length²], [H, d, d].
+        tensors: those of a crystal [stress/length²], [H, d, d].
         networks: of a neural operator, the material itself with its parameters.
 
     Other materials have no parameters and give the gradient in u alone. Parameters are float64;

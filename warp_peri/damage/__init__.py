@@ -13,20 +13,12 @@ from warp_peri.damage.problems import Cracked, Injected
 from warp_peri.damage.release import energy_release, tip_shift
 from warp_peri.damage.slow_growth import apparent_toughness
 from warp_peri.damage.softening import BondLaw, SoftSolid
-from warp_peri.damage.solid import (
-    BrittleCrystal,
-    BrittleSolid,
-    CrystalBonds,
-    continuum_stretch,
-    positive_kernel,
-)
+from warp_peri.damage.solid import BrittleSolid, continuum_stretch, positive_kernel
 
 __all__ = [
     "BondLaw",
-    "BrittleCrystal",
     "BrittleSolid",
     "Cracked",
-    "CrystalBonds",
     "Injected",
     "LatticeBody",
     "SoftSolid",

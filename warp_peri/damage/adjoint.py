@@ -1,8 +1,7 @@
-"""Cut, softening and breaking bodies in torch: derivatives along the path that was taken."""
+"""Cut and softening bodies in torch: derivatives along the path that was taken."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -10,10 +9,8 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 import torch
-import warp as wp
 from scipy.sparse.linalg import splu
 
-from warp_peri.core import tensors
 from warp_peri.core.tensors import as_tensor, differentiable_once, linear, refuse_tangents
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import stretch_matrix
@@ -21,7 +18,6 @@ from warp_peri.damage.softening import BondLaw
 from warp_peri.dynamics.adjoint import in_motion as in_motion
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.launch import zeros
 from warp_peri.lps.model import Model, bernstein_basis
 
 
@@ -169,59 +165,3 @@ class _Softened(torch.autograd.Function):
 
 
 _softened: Callable[..., torch.Tensor] = _Softened.apply
-
-
-class Breakings:
-    """Which bonds of a brittle body break in which of its steps, from a state on, and its motion
-    backwards (theory, C10)."""
-
-    def __init__(self, body: Any, state: Any, dt: float, steps: int) -> None:
-        self.body, self.dt, self.steps = body, dt, steps
-        self.links = state.links.numpy().copy()
-        self.broken: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        body.broke = self._seen
-
-    def _seen(self, state: Any) -> None:
-        now = state.links.numpy()
-        places = np.flatnonzero(now != self.links)
-        self.broken[state.steps] = places, now[places] ^ self.links[places]
-        self.links[places] = now[places]
-
-    def told(self, motion: Motion, *given: Any) -> Motion:
-        """The motion, its u and v at the end differentiable once in load, u and v, [N, d] each.
-
-        It is the gradient between breakings: every bond that broke, breaks in the step in which it
-        did. That one would break earlier, later or not at all is not in it; a UserWarning says so.
-        """
-        self.body.broke = None
-        fields = [as_tensor(*pair).to("cpu", torch.float64) for pair in zip("buv", given)]
-        if count := sum(int(np.bitwise_count(bits).sum()) for _, bits in self.broken.values()):
-            told = f"move: {count} ends of bonds broke, and derivatives are those between breakings"
-            warnings.warn(told, stacklevel=5)
-        ends = np.array([motion.u, motion.v])
-        both: Any = tensors.nonlinear(
-            lambda _: ends, None, (lambda _, g: self.back(*g),), torch.stack(fields)
-        )
-        return replace(motion, u=both[0], v=both[1])
-
-    def back(self, p: np.ndarray, q: np.ndarray) -> np.ndarray:
-        """Derivatives to load, u and v at the start, [3, N, d], of those to u and v at the end."""
-        body, operator, links = self.body, self.body.operator, self.links.copy()
-        count, dt, load = len(p), self.dt, np.zeros_like(p)
-        field, force = (zeros(count, dtype=operator.vector) for _ in range(2))
-        table: Any = wp.array(links, dtype=wp.uint16, device="cpu", copy=False)
-        kick, felt, free = field.numpy(), force.numpy(), 1 - body.held.numpy()
-        energy = zeros(count)
-        times = np.cumsum([0.0, *np.full(self.steps, dt)])
-        share = [1.0 if body.ramp is None else float(body.ramp(time)) for time in times.tolist()]
-        for number in reversed(range(self.steps)):
-            if number in self.broken:
-                places, bits = self.broken[number]
-                links[places] ^= bits
-            for end in (1, 0):  # the second kick, and then the first with the drift
-                kick[:] = dt / (2 * body.solid.density) * free * q
-                operator.sweep(field, table, force, energy)
-                p = p + felt
-                load += share[number + end] * kick
-                q = free * (q + end * dt * p)
-        return np.stack([load, p, q])

@@ -81,9 +81,7 @@ class CutSolid(OnPoints):
         if not moves:
             check_pieces(body, self.neighbour, held)
         self._bonds, uneven = bonds_of(self.model, body.classes), hasattr(material, "moduli")
-        self.one = isinstance(self.model, Model) and not uneven
-        if corrected and not (self.one or uneven):
-            raise InputError("corrected: expected a linear peridynamic solid, got a crystal")
+        self.one = not uneven
         if uneven:
             weights = bond_weights(self.model, body.classes)
             moduli = material.moduli(body, weights)

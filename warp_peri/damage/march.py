@@ -14,7 +14,6 @@ from tqdm import tqdm
 
 from warp_peri.damage.lattice_body import HAIR, cells, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
-from warp_peri.damage.solid import CrystalBonds
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
@@ -214,8 +213,8 @@ class CrackRun:
 
     def _record(self, state: BreakingState) -> None:
         body, nodes, history = self.body, self.nodes, self.history
-        ledger, own = body.ledger(state, nodes), nodes.own
-        history.ledger.append([getattr(ledger, name) for name in LEDGER])
+        own = nodes.own
+        history.ledger.append(body.ledger(state, nodes))
         u, v = body.displacement(state)[own], body.velocity(state)[own]
         for name, mask in self.regions.items():
             for values, where in ((u, history.u), (v, history.v)):
@@ -254,10 +253,7 @@ class CrackRun:
     def _key(self) -> dict[str, str]:
         """What the run depends on, by name; its load history is kept by its values, `_applied`."""
         body, solid, model = self.body, self.body.solid, self.body.solid.model
-        if isinstance(model, CrystalBonds):
-            numbers = (*model.elastic.ravel(), model.horizon, solid.density)
-        else:
-            numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)
+        numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)
         return {
             "start": self._began,
             "nodes": self.nodes.mark(body.body.x),

@@ -17,9 +17,8 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warp_peri.damage.lattice_body import LatticeBody, cracked
-from warp_peri.damage.operator import CutOperator, mean_gradients, unit_bond_energy, unit_toughness
+from warp_peri.damage.operator import CutOperator, mean_gradients, unit_toughness
 from warp_peri.damage.solid import (
-    BrittleCrystal,
     BrittleSolid,
     breaking_time_step,
     check_breakable,
@@ -65,25 +64,6 @@ class BreakingState:
         kinds: dict[type, Any] = {wp.array: wp.clone, np.ndarray: np.copy}
         parts = [(name, one, kinds.get(type(one))) for name, one in vars(self).items()]
         return replace(self, **{name: clone(one) for name, one, clone in parts if clone})
-
-
-@dataclass(frozen=True)
-class Ledger:
-    """Energies of a body [stress · volume], of a sheet per thickness [stress · area].
-
-    work = kinetic + elastic + dissipated.
-    """
-
-    time: float
-    work: float
-    kinetic: float
-    elastic: float
-    dissipated: float
-
-    @property
-    def missing(self) -> float:
-        """Work that is in none of the three."""
-        return self.work - self.kinetic - self.elastic - self.dissipated
 
 
 SPREAD = 0.25
@@ -170,14 +150,13 @@ class BreakingBody:
         stretch: critical stretch; None where bonds break by energy.
         exchange: sends for the displacement of nodes that another process moves, and gives what
             waits for it; None where none does.
-        broke: is told a state in whose step bonds have broken; None where nobody asks.
 
     Raises InputError for a model that changes sign, another horizon, or arrays that do not fit.
     """
 
     def __init__(
         self,
-        solid: BrittleSolid | BrittleCrystal,
+        solid: BrittleSolid,
         body: LatticeBody,
         *,
         no_fail: ArrayLike | None = None,
@@ -215,12 +194,11 @@ class BreakingBody:
         self._correction: SurfaceCorrection | None = None
         if corrected:
             self.longest_step *= SHORTER
-            if solid.by_energy or isinstance(solid, BrittleCrystal):
+            if solid.by_energy:
                 raise InputError(
                     "corrected: expected a linear peridynamic solid whose bonds break at a stretch"
                 )
         self.exchange: Callable[[wp.array[Any]], Callable[[], None]] | None = None
-        self.broke: Callable[[BreakingState], None] | None = None
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
         count, d = self.body.x.shape
@@ -328,27 +306,20 @@ class BreakingBody:
         field: np.ndarray = state.v.numpy()
         return field
 
-    def ledger(self, state: BreakingState, nodes: Any = None) -> Ledger:
-        """Work, kinetic, elastic and dissipated energy of this state; of the own nodes of all
-        processes, where `nodes` says which those are."""
+    def ledger(self, state: BreakingState, nodes: Any = None) -> list[float]:
+        """Time, work, kinetic, elastic and dissipated energy [stress · volume] of this state, in a
+        sheet per thickness [stress · area]; of the own nodes of all processes, where `nodes` says
+        which those are. work = kinetic + elastic + dissipated."""
         body, density = self.body, self.solid.density
         nodes = AllNodes(len(body.x)) if nodes is None else nodes
         kinetic = density / 2 * np.square(state.v.numpy()).sum(axis=1)
         fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)
         sums = nodes.sum(np.stack([field[nodes.own] for field in fields], axis=1))
-        return Ledger(state.time, *(body.spacing**body.dimension * sums).tolist())
+        return [state.time, *(body.spacing**body.dimension * sums).tolist()]
 
 
-def criterion(
-    solid: BrittleSolid | BrittleCrystal, body: LatticeBody
-) -> tuple[float | None, np.ndarray]:
-    """Critical stretch, None by energy, and the limit of each bond of the ball, shape [B].
-
-    Of a crystal the least critical stretch.
-    """
-    if isinstance(solid, BrittleCrystal):
-        stretches = solid.stretches(body.classes)
-        return float(stretches.min()), stretches * body.r**2
+def criterion(solid: BrittleSolid, body: LatticeBody) -> tuple[float | None, np.ndarray]:
+    """Critical stretch, None by energy, and the limit of each bond of the ball, shape [B]."""
     if solid.critical_energy is not None:
         return None, solid.critical_energy * body.classes.weight[body.classes.bond_class]
     stretch = solid.critical_stretch
@@ -357,11 +328,6 @@ def criterion(
     if stretch is None:
         raise InputError("solid: expected a critical stretch, an energy or a toughness")
     return stretch, stretch * body.r**2
-
-
-def energy_of_toughness(toughness: float, body: LatticeBody) -> float:
-    """The critical energy of a bond over its weight that has a toughness G_c (theory, C8)."""
-    return toughness / unit_bond_energy(body.classes)
 
 
 def check_step(body: BreakingBody, dt: float, *, allow_unstable: bool = False) -> None:
@@ -404,8 +370,6 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         (state.v, state.work),
     )
     if len(lost):
-        if body.broke is not None:
-            body.broke(state)
         full = state.energy.numpy()[lost]
         less()
         operator.again(state.links, lost, state.force, state.energy)

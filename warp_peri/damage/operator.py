@@ -29,7 +29,7 @@ SPANNED = 1e-3
 
 
 class SplitBonds(NamedTuple):
-    """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1, C28).
+    """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1).
 
     Attributes:
         stiffness: c of the bonds of a ball [stress / length⁴], shape [B].
@@ -42,16 +42,10 @@ class SplitBonds(NamedTuple):
     excess: float
 
 
-def bonds_of(linear: Any, classes: BondClasses) -> SplitBonds:
-    """Of a Model, or of a solid with bonds of its own, `bonds(classes)`.
-
-    Raises InputError as bond_weights, or as that method does.
-    """
-    own = getattr(linear, "bonds", None)
-    if callable(own):
-        return own(classes)  # type: ignore[no-any-return]
-    d, w, r = linear.dimension, bond_weights(linear, classes), classes.r[classes.bond_class]
-    return SplitBonds(d * (d + 2) * linear.mu * w / r**2, d * w, linear.lam - linear.mu)
+def bonds_of(model: Model, classes: BondClasses) -> SplitBonds:
+    """Of the bonds of a ball; InputError as bond_weights."""
+    d, w, r = model.dimension, bond_weights(model, classes), classes.r[classes.bond_class]
+    return SplitBonds(d * (d + 2) * model.mu * w / r**2, d * w, model.lam - model.mu)
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
@@ -85,12 +79,6 @@ def unit_toughness(model: Model, classes: BondClasses) -> float:
     crossing = [d * np.sum((w * r2)[rows > k]) for k in range(int(rows.max()))]
     dilatational = h * (model.lam - model.mu) * np.sum(np.square(crossing))
     return float(deviatoric + dilatational)
-
-
-def unit_bond_energy(classes: BondClasses) -> float:
-    """G_c over the critical energy of a bond and weight: bonds across a line, by W (C8)."""
-    rows, weight = classes.steps[:, 1], classes.weight[classes.bond_class]
-    return float(classes.spacing * np.sum((rows * weight)[rows > 0]))
 
 
 def stiffness_across(model: Model, classes: BondClasses) -> tuple[float, float]:
@@ -239,7 +227,7 @@ class CutOperator:
     """Forces and energies of a lattice body over its unbroken bonds, by rows in Warp.
 
     Args:
-        model: one influence function for both parts, or a solid with bonds of its own.
+        model: one influence function for both parts.
         body: the nodes and their bonds.
         limits: by bond of the ball, of the criterion, shape [B]; none breaks by default.
         by_energy: the criterion is the bond's energy density instead of e = s r².
@@ -249,7 +237,7 @@ class CutOperator:
 
     def __init__(
         self,
-        model: Any,
+        model: Model,
         body: LatticeBody,
         *,
         limits: np.ndarray | None = None,
@@ -403,7 +391,7 @@ class CutRows:
     """
 
     def __init__(
-        self, model: Any, body: LatticeBody, neighbour: np.ndarray, corrected: bool
+        self, model: Model, body: LatticeBody, neighbour: np.ndarray, corrected: bool
     ) -> None:
         self._operator = CutOperator(model, body)
         stiffness, share, excess = self._operator.bonded

@@ -49,7 +49,7 @@ class Cracked:
             fluid (C13); of bodies in equilibrium.
         corrected: whether bonds that a node lacks, at edges and faces of cracks, take the mean
             gradient of those that it has, so that both are as stiff as the solid (C26); of a solid
-            that breaks, no crystal and not by energy.
+            that breaks, not by energy.
 
     `solve` and `move` raise InputError for points that are no plain lattice, fields of other
     shapes or not finite, a piece that nothing holds, a material without a linear part, and one
@@ -134,8 +134,7 @@ class Cracked:
                 `watch`, `checkpoint`, `checkpoint_every`, `series`, `allow_unstable` (CrackRun);
                 `no_fail`, `grip`, `ramp` (BreakingBody); `v`, `count_cracks` (its start). The
                 histories are the ledger's, and of regions, sections and what is watched by their
-                names; the details are Broken. Of tensors b, u or v the fields at the end are
-                differentiable between breakings: see damage.adjoint.Breakings.
+                names; the details are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
             loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16). With
                 `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
@@ -154,41 +153,24 @@ class Cracked:
                 "corrected: expected slow growth, events=…, or steps without sections; bonds that "
                 "soften are not corrected"
             )
-        slow = "events" in options or "loads" in options
         if "loads" not in options:
-            felt = self if slow else replace(self, b=None, u=None)
-            others = {name: one for name, one in options.items() if slow or name != "v"}
-            refuse_learning(felt, others, "move")
-        if slow:
+            refuse_learning(self, options, "move")
+        if "events" in options or "loads" in options:
             if self.b is not None:
                 raise InputError("b: slow growth and pulls are of given displacements, got a load")
             return self._slowly(material, body, options)
         how, begin, records, run = options_of_steps(options)
         offered(material, "density", "move", "a BrittleSolid for steps, or events=…, or loads=…")
-        given: list[Any] = [self.b, self.u, begin.pop("v", None)]
-        learns = any(map(is_tensor, given))
-        if learns and self.corrected:
-            raise InputError("corrected: expected arrays of NumPy where bonds break, got tensors")
-        if learns and records.get("checkpoint") is not None:
-            raise InputError("move: expected no checkpoint of tensors")
-        load, u, v = (one.detach().numpy() if is_tensor(one) else one for one in given)
-        how |= {"load": load, "held": self.held, "corrected": self.corrected}
+        how |= {"load": self.b, "held": self.held, "corrected": self.corrected}
         moving = BreakingBody(material, body, **how)
-        state = moving.start(u=u, v=v, cracks=self.cracks, **begin)
-        path = (
-            in_torch().Breakings(moving, state, records["step"], run["steps"]) if learns else None
-        )
-        motion = broken(CrackRun(moving, **records), state, run)
-        fields = (0 * body.x if one is None else one for one in given)
-        return path.told(motion, *fields) if path else motion
+        state = moving.start(u=self.u, cracks=self.cracks, **begin)
+        return broken(CrackRun(moving, **records), state, run)
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
         u: Any = np.zeros_like(body.x) if self.u is None else self.u
         u = u if is_tensor(u) else checked("u", u, float, body.x.shape, self.held)
         if "events" in options:
-            (how,) = taken(options, "move", grow, given=("cracks", "stretches", "corrected"))
-            if hasattr(material, "stretches"):
-                how["stretches"] = material.stretches(body.classes)
+            (how,) = taken(options, "move", grow, given=("cracks", "corrected"))
             how |= {"cracks": self.cracks, "corrected": self.corrected}
             return grow(material.linear, body, self.held, u, **how)
         law = offered(material, "law", "move", "a SoftSolid for loads=…")

@@ -7,8 +7,7 @@ its limit; what a growing crack spends follows from the largest of them (theory,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -18,24 +17,22 @@ from tqdm import tqdm
 from warp_peri.damage.cut_solid import CutSolid, check_pieces, westergaard
 from warp_peri.damage.lattice_body import LatticeBody, box, cracked, lattice_body
 from warp_peri.damage.operator import bonds_of, dilatations, stretch_rows, unit_toughness
-from warp_peri.damage.solid import BrittleCrystal, CrystalBonds, check_breakable, check_no_fail
+from warp_peri.damage.solid import check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
-from warp_peri.points.arrays import check_whole, checked
+from warp_peri.points.arrays import check_whole
 from warp_peri.points.families import BondClasses
 
 MOST_LOST, LEFT = 200, 1e-9
 """Rank beyond which a body is factorised anew, and the residual that its changed factors may leave
 over the largest force."""
-BEGUN = 2
-"""Spacings that a crack's tip takes from a straight cut to the shape that it keeps."""
 TOGETHER = 1e-6
 """Bonds so close to the most stretched one break with it: mirror images, to rounding."""
 
 
 class _Weakened:
-    """A cut solid that loses bonds, by its first factors and a change of low rank (C32).
+    """A cut solid that loses bonds, by its first factors and a change of low rank (C28).
 
     Attributes:
         field, energy: of the body at rest.
@@ -108,19 +105,18 @@ class _Weakened:
 
 
 def grow(
-    model: Model | CrystalBonds,
+    model: Model,
     body: LatticeBody,
     held: ArrayLike,
     u: np.ndarray,
     *,
     events: int,
-    stretches: ArrayLike = 1.0,
     cracks: Sequence[ArrayLike] = (),
     no_fail: np.ndarray | None = None,
     corrected: bool = False,
     progress: bool = False,
 ) -> Motion:
-    """Break the bond most stretched beside its limit, and its mirror images, event by event.
+    """Break the bond most stretched, and its mirror images, event by event.
 
     Args:
         model: positive on the lattice; others are refused.
@@ -128,7 +124,6 @@ def grow(
         held: components of the displacement that are given, shape [N] or [N, 2] bool.
         u: their values at unit load, shape [N, 2].
         events: how many, fewer when the body comes apart.
-        stretches: critical ones of the bonds of a ball, shape [B], of which the load is told.
         cracks: polylines open from the start.
         no_fail: nodes whose bonds do not break, shape [N] bool.
         corrected: as of CutSolid; the body is then factorised anew at each event.
@@ -136,7 +131,7 @@ def grow(
 
     Returns:
         A motion whose time is the load, the factor of u at which each event's bond breaks, over the
-        critical stretch where none is given. Its histories are load, energy: elastic at unit load
+        critical stretch. Its histories are load, energy: elastic at unit load
         before each event [stress · area], and broken: bonds up to it, both directions. The details
         are the neighbours at the end, shape [N, B].
 
@@ -164,7 +159,7 @@ def grow(
             break  # a piece has come off
         field = weak.field
         reach = field[neighbour] - field[:, None]
-        stretch = (xi * reach).sum(axis=-1) / r**2 / np.asarray(stretches)
+        stretch = (xi * reach).sum(axis=-1) / r**2
         stretch[(neighbour < 0) | safe[:, None] | safe[np.maximum(neighbour, 0)]] = -np.inf
         largest = float(stretch.max())
         if not largest > 0:
@@ -183,110 +178,21 @@ def grow(
     return Motion(history["load"], end, None, history, neighbour)
 
 
-class Cleavage(NamedTuple):
-    """Largest load while a crack has grown by each spacing, [n], and G of unit load."""
-
-    loads: np.ndarray
-    release: float
-
-
-def cleaved(
-    solid: BrittleCrystal,
-    spacing: float,
-    *,
-    cells: int,
-    length: int,
-    apart: ArrayLike | None = None,
-    progress: bool = False,
-) -> Cleavage:
-    """A long strip of a crystal, half of it cut along its middle, whose edges are moved apart.
-
-    Ahead of the crack all columns store the same, behind it nothing, so that G is what a column
-    stores (C31). In space the strain is plane.
-
-    Args:
-        solid: the crystal; the crack grows between node rows across the second axis.
-        spacing: h.
-        cells: height of what is free, in spacings.
-        length: spacings of growth.
-        apart: by which the edges are moved apart at unit load [length], [d]; along the second axis
-            by a spacing where none is given.
-        progress: shows a bar.
-
-    Raises InputError for a height that is not even, and as `grow`.
-    """
-    check_whole("length", length, 1)
-    h, d, wide = spacing, solid.dimension, 2 * cells + 2 * length
-    release = strip_release(solid, h, cells=cells, apart=apart)
-    body, held, u = _strip(solid, h, cells, wide, apart)
-    line: list[tuple[float, ...]] = [(-wide * h, 0), (-length * h, 0)]
-    if d == 3:
-        line = [(*end, z) for end, z in zip([*line, *line[::-1]], (-wide, -wide, wide, wide))]
-    each = cut_by_spacing(body.classes)
-    stretches = solid.stretches(body.classes)
-    how: dict[str, Any] = {
-        "cracks": [line],
-        "stretches": stretches,
-        "no_fail": held,
-        "progress": progress,
-    }
-    growth = grow(solid.model, body, held, u, events=length * each + 1, **how)
-    grown = growth["broken"] / (2 * each)
-    loads = [
-        growth.time[(grown >= k) & (grown < k + 1)].max()
-        for k in range(min(length, int(grown[-1])))
-    ]
-    return Cleavage(np.array(loads), release)
-
-
-def strip_release(
-    solid: BrittleCrystal, spacing: float, *, cells: int, apart: ArrayLike | None = None
-) -> float:
-    """G at unit load of the strip of `cleaved`: what a column far from its ends stores (C31)."""
-    energies = []
-    for wide in (2 * cells, 2 * cells + 2):
-        body, held, u = _strip(solid, spacing, cells, wide, apart)
-        whole = CutSolid(solid, body, held)
-        energies.append(whole.energy(whole.solve(None, u)))
-    return float(energies[1] - energies[0]) / (2 * spacing ** (solid.dimension - 1))
-
-
-def _strip(
-    solid: BrittleCrystal, h: float, cells: int, wide: int, apart: ArrayLike | None
-) -> tuple[LatticeBody, np.ndarray, np.ndarray]:
-    """The body, which of its nodes are held, and their displacement at unit load."""
-    check_whole("cells", cells, 2)
-    if cells % 2:
-        raise InputError(f"cells: expected an even number, the crack in the middle, got {cells}")
-    d, reach = solid.dimension, 2 * int(np.ceil(solid.horizon / h))
-    by = h * np.eye(d)[1] if apart is None else checked("apart", apart, float, (d,))
-    x = box((wide * h, (cells + reach) * h, h)[:d], h)
-    held = np.abs(x[:, 1]) > cells * h / 2
-    body = lattice_body(x, h, solid.horizon, endless=d == 3)
-    return body, held, np.outer(np.sign(x[:, 1]) * held / 2, by)
-
-
-def apparent_toughness(
-    model: Model | BrittleCrystal, spacing: float, *, cells: int = 20, length: int = 3
-) -> float:
+def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length: int = 3) -> float:
     """What a growing crack spends over the toughness of (C6) behind its critical stretch.
 
     A central crack in a plane under tension, `cells` spacings from its middle to the collar and 0.4
     of that long to each side, grown by `length` spacings; the largest load of each spacing counts,
     and their mean, with G from the energies. Divide a stretch by the root of this to calibrate it
     (C7). In space the strain is plane, and the front straight: it advances as one, which a bent
-    front does not; there this is an upper end. A crystal is cleaved as a strip, and what it spends
-    is told over 2γ of the plane across the second axis.
+    front does not; there this is an upper end.
 
     Args:
-        model: positive on the lattice; or a crystal with its planes.
+        model: positive on the lattice.
         spacing: h; the ratio of horizon to spacing is what matters.
         cells: from the middle to the collar.
         length: spacings of growth that are averaged.
     """
-    if isinstance(model, BrittleCrystal):
-        found = cleaved(replace(model, spent=1.0), spacing, cells=cells, length=length + BEGUN)
-        return float(np.square(found.loads[BEGUN:]).mean() * found.release / model.toughness)
     h, reach, d = spacing, int(np.ceil(model.horizon / spacing)), model.dimension
     side = 2 * (cells + 2 * reach) * h
     half = round(0.4 * cells) * h

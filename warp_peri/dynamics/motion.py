@@ -93,8 +93,7 @@ def refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
 
 LEARNS = {
     "solve": "a Dirichlet, a Periodic and a Cracked",
-    "move": "waves, what flows, fields of a BrittleSolid in steps, and pulls of bonds that soften, "
-    "of one process",
+    "move": "waves, what flows, and pulls of bonds that soften, of one process",
 }
 
 

@@ -2,7 +2,7 @@
 
 METHODS = ("constrained", "two-stage", "optimum")
 """Methods of `fit` on the command line."""
-LAWS = ("lps", "tensors", "dressed", "third-order")
+LAWS = ("lps", "tensors", "third-order")
 """Laws that `train` learns."""
 LOSSES = ("auto", "residual", "corrected", "output")
 """Losses that `fit` may be asked for."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import SAME_SPACING, OnPoints
 from warp_peri.core import elastic
-from warp_peri.core.grid import Grid
 from warp_peri.core.groups import (
     LATTICE_GROUP,
     Symmetry,
@@ -25,7 +24,6 @@ from warp_peri.core.groups import (
 from warp_peri.core.proof import Proof, largest, prove
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
-from warp_peri.core.sweeps import Product
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, lps_stencil
 from warp_peri.points.arrays import checked_fields, plain
@@ -58,7 +56,6 @@ class TensorOperator(OnPoints):
         dtype: float64 or float32.
         why: said beside the error for nodes whose bonds are cut.
         model: the law, as it is told.
-        product: of these nodes and dtype, in place of rows of the law's own bonds.
 
     Raises InputError as grid_of does.
     """
@@ -75,11 +72,10 @@ class TensorOperator(OnPoints):
         dtype: Any = np.float64,
         why: str = "",
         model: Any = None,
-        product: Callable[[Grid, Any], Product] | None = None,
     ) -> None:
         self.points, self.spacing, self.model = points, stencil.spacing, model
         self.elastic = elastic
-        self.linear = Linear(stencil, points, by=method, dtype=dtype, why=why, product=product)
+        self.linear = Linear(stencil, points, by=method, dtype=dtype, why=why)
         self.nodes, self.pull, self.dtype = self.linear.grid, self.linear.pull, self.linear.dtype
         self.steps, self.tensors, self.method = stencil.steps, stencil.tensors, self.linear.by
 

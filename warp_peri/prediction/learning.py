@@ -47,7 +47,7 @@ class Family:
     """A family of laws of one material.
 
     Attributes:
-        rich: the best law that the data bear: LPS(…), ThirdOrder(…), Micromodulus(…), Dressed(…).
+        rich: the best law that the data bear: LPS(…), ThirdOrder(…), Micromodulus(…).
         second: a poorer law, as good on long waves; by default the rich one with a shorter horizon,
             or what its own `poorer()` says.
     """

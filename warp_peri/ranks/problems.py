@@ -123,8 +123,8 @@ def _asked(*, checkpoint: str | os.PathLike[str] | None = None) -> Any:
     return checkpoint
 
 
-def operator_on(material: Any, piece: Subdomain) -> RowOperator:
-    """A linear solid on a lattice in tiles; InputError for other laws, and as RowOperator does."""
+def operator_on(material: Any, piece: Subdomain) -> Any:
+    """RowOperator of a linear solid on a lattice in tiles; InputError for others, and as that."""
     with agreed(piece.comm):
         if not hasattr(material, "stencil"):
             what = type(material).__name__

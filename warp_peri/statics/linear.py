@@ -14,9 +14,9 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from warp_peri.core.elastic import elastic_from_brackets
-from warp_peri.core.grid import Grid, grid_of
+from warp_peri.core.grid import grid_of
 from warp_peri.core.stencil import Stencil
-from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, Product, convolved
+from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, convolved
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
 from warp_peri.statics.conjugate_gradients import SolveRecord, definite
@@ -67,7 +67,6 @@ class Linear:
         by: "rows", "fft", or "auto", which takes what is faster; how products are taken.
         dtype: float64 or float32.
         why, least: of grid_of.
-        product: of these nodes and dtype, in place of rows of the stencil's bonds.
 
     Raises InputError as grid_of does.
     """
@@ -81,7 +80,6 @@ class Linear:
         dtype: Any = np.float64,
         why: str = "",
         least: int | None = None,
-        product: Callable[[Grid, Any], Product] | None = None,
     ) -> None:
         self.stencil, self.points = stencil, points
         self.grid = grid_of(points, stencil.steps, why=why, least=least)
@@ -91,12 +89,8 @@ class Linear:
         if by == "auto":
             by = "fft" if len(stencil.steps) >= FFT_BONDS[self.grid.dimension] else "rows"
         self.by = by
-        make = ByFFT if by == "fft" else ByRows
-        self.pull: Product = (
-            product(self.grid, self.dtype)
-            if product is not None and by == "rows"
-            else make(self.grid, stencil.steps, stencil.tensors, self.dtype)
-        )
+        make: type[ByFFT | ByRows] = ByFFT if by == "fft" else ByRows
+        self.pull = make(self.grid, stencil.steps, stencil.tensors, self.dtype)
         self._filters: dict[str, Filter] = {}
 
     def __call__(self, u: np.ndarray) -> np.ndarray:

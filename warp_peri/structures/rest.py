@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import warnings
 from collections.abc import Callable, Sequence
@@ -14,7 +13,6 @@ from typing import Any
 import ase
 import ase.io
 import numpy as np
-from ase.build import make_supercell
 from ase.constraints import FixSymmetry
 from ase.data import vdw_radii
 from ase.filters import FrechetCellFilter
@@ -48,8 +46,6 @@ USUAL_RADIUS = 2.0
 """Van der Waals radius [Å] of elements that have none in ASE's table."""
 QUIET, STEPS, NOISY_STEPS = 1e-5, 1000, 200
 """Forces [eV/Å] that a structure is relaxed to, and the steps that it may take, under noise too."""
-SLAB, FACES = 12.0, 2e-3
-"""Thickness of a slab that is parted [Å], and forces [eV/Å] that its faces are relaxed to."""
 RESIDUAL_FORCE, RESIDUAL_STRESS = 1e-3, 1e-4
 """Forces [eV/Å] and stress [TPa] that are taken for none."""
 MOVED = 0.01
@@ -403,78 +399,6 @@ def _stress_left(
     if np.abs(stress).max() <= none:
         return None
     return np.asarray((stress + stress.T) / 2)
-
-
-def cleavage_energy(
-    cell: ase.Atoms,
-    calculator: Any,
-    plane: Sequence[int],
-    *,
-    thickness: float | None = None,
-    relaxed: bool = True,
-) -> float:
-    """2γ [TPa Å]: what it takes to part a crystal along a plane, over the plane's area.
-
-    Of all places where a slab may part, the one that costs the least while atoms stay as they are.
-
-    Args:
-        cell: at rest; of a sheet with its vacuum.
-        calculator: with energies, and forces for `relaxed`.
-        plane: Miller indices in the cell's own axes.
-        thickness: of a sheet [Å]; the plane then stands on it.
-        relaxed: whether the atoms of both faces may find their rest, without a new bonding.
-
-    Raises InputError for a plane that is none, or that does not stand on a sheet.
-    """
-    given = np.array(plane)
-    if given.shape != (3,) or given.dtype.kind != "i" or not given.any():
-        raise InputError(f"plane: expected three whole numbers, not all zero, got {plane!r:.60}")
-    if thickness is not None and given[2]:
-        raise InputError(f"plane: expected one that stands on the sheet, (h, k, 0), got {plane!r}")
-    along, second, out = _edges_on(given // np.gcd.reduce(given), np.array(cell.cell))
-    across = np.cross(along @ cell.cell, second @ cell.cell)
-    area = float(np.linalg.norm(across))
-    normal, height = across / area, cell.get_volume() / area
-    many = int(np.ceil(SLAB / height))
-    edges = np.array([along @ cell.cell, second @ cell.cell]).T
-    aside = np.linalg.lstsq(edges, many * (out @ cell.cell), rcond=None)[0]
-    third = many * out - np.rint(aside) @ np.array([along, second])
-    slab = make_supercell(cell, np.array([along, second, third.astype(int)]))
-    whole, levels = _energy_of(slab, calculator), np.sort(cell.positions @ normal % height)
-    gaps = np.diff(np.append(levels, levels[0] + height))
-    parted = []
-    for level, gap in zip(levels[gaps > UPON / 10], gaps[gaps > UPON / 10]):
-        apart = slab.copy()
-        apart.translate(-(level + gap / 2) * normal)
-        apart.wrap()
-        apart.set_cell(np.array(slab.cell) + np.outer((0, 0, 1), VACUUM * 2 * normal))
-        parted.append((_energy_of(apart, calculator), apart))
-    energy, apart = min(parted, key=lambda found: found[0])
-    if relaxed:
-        apart.calc = calculator
-        BFGS(apart, logfile=None).run(fmax=FACES, steps=STEPS)
-        energy = min(energy, float(apart.get_potential_energy()))
-    if thickness is not None:
-        area *= thickness / float(np.linalg.norm(cell.cell[2]))
-    return float((energy - whole) / area * EV_IN_TPA)
-
-
-def _edges_on(plane: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Two short periods on a plane and one out of it that make up the lattice, whole numbers [3].
-
-    The indices of the plane have no common factor.
-    """
-    most = int(np.abs(plane).max()) + 1
-    steps = np.array(list(itertools.product(range(-most, most + 1), repeat=3)))
-    steps = steps[np.argsort(np.linalg.norm(steps @ cell, axis=1), kind="stable")]
-    flat = steps[(steps @ plane == 0) & steps.any(axis=1)]
-    second = next(one for one in flat if (np.cross(flat[0], one) == plane).all())
-    return flat[0], second, steps[steps @ plane == 1][0]
-
-
-def _energy_of(atoms: ase.Atoms, calculator: Any) -> float:
-    atoms.calc = calculator
-    return float(atoms.get_potential_energy())
 
 
 def thickness_of(cell: ase.Atoms) -> tuple[float, str]:

@@ -123,11 +123,6 @@ class PlacedThirdOrder(OnPoints):
         shape = (*field.shape[:-2], len(self.sweeps.full), 2, 2)
         return H.reshape(shape), P.reshape(shape)
 
-    def mean_gradient(self, u: ArrayLike) -> float:
-        """Root mean square of |H| of one field [N, 2] over the nodes within δ of the interior."""
-        H, _ = self.gradients(u)
-        return float(np.linalg.norm(H) / np.sqrt(len(H)))
-
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes within δ of the interior, shape [...]."""
         H, _ = self.gradients(u)

@@ -1,1 +1,0 @@
-"""Dressed solids: elements and bonds whose moduli vary, and finite strain."""
