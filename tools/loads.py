@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from warp_peri.prediction import mixed_waves
+from warp_peri.points.loads import mixed_waves
 from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 Box = tuple[float, float] | None

@@ -1,4 +1,4 @@
-"""How many loads a law needs: designed ones, the next best of a pool, and waves at random.
+"""How many loads a law needs: designed ones, and waves at random.
 
     python examples/studies/fewer_loads.py [--seconds] [--json] [--out runs/fewer_loads]
 
@@ -35,18 +35,12 @@ from tools.options import Options
 from tools.samples import _statics, solve_samples
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
-from warp_peri.micromodulus import fit_symbol, from_voigt
 from warp_peri.points.samples import part
-from warp_peri.prediction import next_load
-from warp_peri.transfer.lattice import dispersion
 
 OUT = ROOT / "runs" / "fewer_loads"
 DESIGNED = {1: (0, 1, 2, 3), 2: (0, 2, 4, 6), 4: (0, 4)}
 """How many designed loads, and the first seed of each set of them."""
 RANDOM, DRAWS = (1, 2, 4, 8, 16, 35), 5
-PICKED = 8
-SUBSETS = {"LPS": 2, "tensors": 5}
-"""Random subsets of each size that the posterior is held to."""
 
 
 def designed(count: int) -> wp.Samples:
@@ -69,76 +63,14 @@ def errors(law: Any, samples: wp.Samples, data: Any) -> dict[str, Any]:
     return {"E_u": [float(value) for value in sets], "seconds": seconds}
 
 
-def laws(data: Any, found: str | None = "long waves") -> dict[str, Any]:
-    """By name; what is found of the LPS's moduli before its kernel."""
+def laws(data: Any) -> dict[str, Any]:
+    """By name."""
     truth = data.provenance["truth"]
     lam, mu = truth["lambda"], truth["mu"]
     moduli = np.array([[lam + 2 * mu, lam, 0], [lam, lam + 2 * mu, 0], [0, 0, mu]])
     return {
-        "LPS": wp.LPS(20.0, wp.Bernstein(10), wp.methods.Optimum(moduli=found)),
+        "LPS": wp.LPS(20.0, wp.Bernstein(10), wp.methods.Optimum(moduli="long waves")),
         "tensors": wp.Micromodulus(15.0, "4mm", moduli=moduli, normalise=True),
-    }
-
-
-def greedy(law: Any, pool: wp.Samples) -> list[int]:
-    """Numbers of the loads that are asked for one after another; the first law is nearly local."""
-    chosen: list[int] = []
-    guess = local(law, pool.spacing)
-    while len(chosen) < PICKED:
-        rest = [n for n in range(len(pool)) if n not in chosen]
-        known = part(pool, chosen) if chosen else None
-        chosen.append(rest[next_load(guess, part(pool, rest), known=known).number])
-        try:
-            guess = wp.fit(part(pool, chosen), law).material
-        except wp.InputError:  # too few yet to tell all numbers apart
-            continue
-    return chosen
-
-
-def local(law: Any, spacing: float) -> Any:
-    """The law that long waves and nothing else tell: plain elasticity of the same moduli. Of a
-    solid that finds its moduli: ν = 0 and a constant influence function."""
-    if hasattr(law, "kernel"):
-        here: dict[str, Any] = dict.fromkeys(("trained_on", "certified_on"), (spacing,))
-        return wp.Model(0.0, 1.0, 1.0, np.ones(law.kernel.degree + 1), law.horizon, **here)
-    tensor = from_voigt(law.moduli)
-
-    def target(k: np.ndarray) -> np.ndarray:
-        return np.asarray(np.einsum("ijkl,nj,nl->nik", tensor, k, k))
-
-    return fit_symbol(target, spacing, law.horizon, symmetry="4mm", tensor=tensor)
-
-
-def symbol(material: Any, k: np.ndarray) -> np.ndarray:
-    """D(k) of either law, shape [K, 2, 2]."""
-    if hasattr(material, "symbol"):
-        return np.asarray(material.symbol(k))
-    return dispersion(material, material.trained_on[0], k)
-
-
-def posterior(law: Any, pool: wp.Samples, subsets: int) -> dict[str, float]:
-    """What random subsets foretell of their error against all loads, and what it is."""
-    whole, random = wp.fit(pool, law).material, np.random.default_rng(1)
-    waves = np.random.default_rng(0).normal(size=(240, 2))
-    size = np.pi / 2 * np.sqrt(np.linspace(0.002, 1, 240)) / pool.spacing
-    k = size[:, None] * waves / np.linalg.norm(waves, axis=1)[:, None]
-    exact, foretold, true = symbol(whole, k), [], []
-    for count in (3, 4, 6, 8, 12, 16) * subsets:
-        some = part(pool, random.choice(len(pool), count, replace=False))
-        try:
-            found = wp.fit(some, law).material
-        except wp.InputError:
-            continue
-        foretold.append(next_load(found, part(pool, slice(0, 1)), known=some).before)
-        wrong = np.linalg.solve(exact, symbol(found, k)) - np.eye(2)
-        true.append(float(np.sqrt((wrong**2).mean())))
-    ratio = np.array(foretold) / true
-    return {
-        "subsets": len(ratio),
-        "log_correlation": float(np.corrcoef(np.log(foretold), np.log(true))[0, 1]),
-        "foretold_over_true": float(np.median(ratio)),
-        "low": float(np.quantile(ratio, 0.1)),
-        "high": float(np.quantile(ratio, 0.9)),
     }
 
 
@@ -174,7 +106,7 @@ def main_job() -> dict[str, dict[str, float]]:
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
     """Median error on the disks against the number of loads, for both laws."""
     figure, axes = panels(8.4, 3.6, count=2, sharey=True, subplot_kw={"ymargin": 0.1})
-    kinds = {"random": "at random", "picked": "best of the pool", "designed": "designed"}
+    kinds = {"random": "at random", "designed": "designed"}
     for ax, (law, title) in zip(axes, {"LPS": "LPS", "tensors": "crystal model"}.items()):
         known = [row for row in rows if row["law"] == law and "E_u" in row]
         for kind, label in kinds.items():
@@ -220,17 +152,8 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
         for count in RANDOM:
             for _ in range(DRAWS if name == "tensors" else 2):
                 add(name, "random", part(pool, random.choice(len(pool), count, replace=False)))
-    for name, law in known.items():
-        picks = greedy(law, pool)
-        for count in (2, 4, 6, PICKED):
-            add(name, "picked", part(pool, picks[:count]))
     draw(given.out / "fewer_loads.png", rows)
-    return {
-        "ratios": ratios(rows),
-        "posterior": {n: posterior(law, pool, SUBSETS[n]) for n, law in laws(data, None).items()},
-        "main_job": main_job(),
-        "rows": rows,
-    }
+    return {"ratios": ratios(rows), "main_job": main_job(), "rows": rows}
 
 
 def ratios(rows: list[dict[str, Any]]) -> dict[str, Any]:
