@@ -1,7 +1,4 @@
-"""How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`.
-
-And PolakRibiere, a solver that needs no more of a law than its force.
-"""
+"""How a solid is learned, under which conditions, and how sure it is: `warp_peri.methods`."""
 
 from warp_peri.learning.methods import Constrained, TwoStage
 from warp_peri.learning.sweep import Sweep, sweep
@@ -9,7 +6,7 @@ from warp_peri.learning.uncertainty import Resampled, Uncertainty, fit_uncertain
 from warp_peri.lps.model import Solid
 from warp_peri.regression.optimum import Conditions
 from warp_peri.regression.settings import Optimum
-from warp_peri.statics.solution import Coupling, PolakRibiere
+from warp_peri.statics.solution import Coupling
 from warp_peri.third_order.smoothing import Smoothing
 
 __all__ = [
@@ -17,7 +14,6 @@ __all__ = [
     "Constrained",
     "Coupling",
     "Optimum",
-    "PolakRibiere",
     "Resampled",
     "Smoothing",
     "Solid",

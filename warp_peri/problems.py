@@ -19,8 +19,7 @@ from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.statics.descent import at_rest
-from warp_peri.statics.solution import Coupling, PolakRibiere, Solution, refuse_solver
+from warp_peri.statics.solution import Coupling, Solution, refuse_solver
 
 GIVEN = ("displacement", "traction", "b", "edge", "coupling")
 """What a Body says itself, and no option may."""
@@ -53,9 +52,6 @@ class Dirichlet:
         """The material at rest."""
         extra = {name: options.pop(name) for name in ("parameters",) if name in options}
         operator = placed(material, nodes_of(self.points), **options)
-        if isinstance(solver, PolakRibiere):
-            taken(extra, "solve", at_rest)
-            return at_rest(operator, self.b, self.u, solver)
         load = np.zeros(np.shape(self.u)) if self.b is None else self.b
         if extra or is_tensor(self.b) or is_tensor(self.u):
             rest = getattr(operator, "rest_in_torch", operator.rest)

@@ -18,8 +18,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
         material: what `fit` or `load` gave, or its operator, `material.on(points)`, where the same
             points are solved on again.
         problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …), Cracked(…).
-        solver: Direct(…), Krylov(…) or Newton(…), as the material has them; chosen by default; or
-            methods.PolakRibiere(…), of a Dirichlet problem of any material.
+        solver: Direct(…), Krylov(…) or Newton(…), as the material has them; chosen by default.
         options: transfer=False refuses points that the material itself holds no certificate for;
             allow_uncertified=True takes its own numbers there, with a warning; parameters={name:
             tensor} of the operator's `learnable`, which the answer is then differentiable in.

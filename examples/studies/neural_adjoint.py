@@ -20,11 +20,11 @@ import torch
 from torch.autograd.graph import saved_tensors_hooks
 
 import warp_peri as wp
+from examples.reproduce.descent import Descent, polak_ribiere
 from tools.options import Options
 from warp_peri.errors import exit_status
 from warp_peri.launch import set_threads
 from warp_peri.neural import NeuralEquilibrium
-from warp_peri.statics.descent import Descent, polak_ribiere
 
 WEIGHTS = ROOT / "examples" / "neural_weights" / "leaflet.json"
 SPACING, SIDE, STRETCH = 0.05, 16, 0.2

@@ -581,11 +581,10 @@ def test_what_would_lose_a_gradient_says_so(made):
     leaf = torch.zeros(op.shape, dtype=torch.float64, requires_grad=True)
     number = torch.tensor(0.5, dtype=torch.float64, requires_grad=True)
     points = op.points
-    problem, still = (wp.Dirichlet(points, None, x) for x in (leaf, 0 * points.x))
+    still = wp.Dirichlet(points, None, 0 * points.x)
     for lost in (
         lambda: wp.Model(0.3, number, 1.0, [1.0], horizon=3.0),
         lambda: wp.Samples(points, leaf),
-        lambda: wp.solve(op, problem, solver=wp.methods.PolakRibiere()),
         lambda: wp.move(op, still, density=number, step=1e-3, steps=1),
         lambda: op.energy(leaf),
         lambda: op.load(leaf),

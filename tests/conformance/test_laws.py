@@ -438,17 +438,3 @@ def test_a_solve_finds_the_truth(law):
     else:
         with pytest.raises(wp.InputError, match="energy"):
             solution.energy()
-
-
-def test_the_force_alone_leads_to_the_same_equilibrium(law):
-    """Polak and Ribière's search, from zero and from a neighbour."""
-    op, points = placed(law)
-    samples = solved_samples(law, op, points)
-    held = np.where(points.interior[:, None], np.nan, samples.u)
-    problem = wp.Dirichlet(points, samples.b, held)
-    first = wp.solve(op, problem, solver=wp.methods.PolakRibiere(tolerance=1e-10))
-    near(first.u, samples.u, 1e-7)
-    assert first.residual < 1e-10
-    again = wp.solve(op, problem, solver=wp.methods.PolakRibiere(1e-10, start=0.99 * samples.u))
-    near(again.u, samples.u, 1e-7)
-    assert sum(again.iterations) < sum(first.iterations)

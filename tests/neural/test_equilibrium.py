@@ -5,13 +5,13 @@ import pytest
 import torch
 
 import warp_peri as wp
+from examples.reproduce.descent import polak_ribiere
 from tests.support.problems import lattice
 from warp_peri.errors import InputError
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.placed import NeuralEquilibrium, evaluate
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.statics.descent import polak_ribiere
 from warp_peri.statics.equilibria import Equilibria
 
 HORIZON = 3.0

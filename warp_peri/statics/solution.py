@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from warp_peri.errors import InputError, optional
-from warp_peri.points.arrays import check_whole, is_number
+from warp_peri.points.arrays import is_number
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.unit_names import symbols
@@ -97,32 +97,6 @@ class Newton:
         check_tolerance(self.tolerance)
 
 
-@dataclass(frozen=True, eq=False)
-class PolakRibiere:
-    """Conjugate directions with secant steps, which ask a law for its force alone: any law's.
-
-    Solutions say nothing of what is proven, nor of strains beyond the data; the law's own do.
-
-    Attributes:
-        tolerance: residual over that of the collar's displacement alone.
-        most: steps of a sample, each of two forces.
-        start: displacement [length] that the search begins at, shape [N, d] or [S, N, d], of which
-            interior values count; "previous", the answer of the sample before; None for zero.
-
-    Raises InputError for a tolerance outside (0, 1), `most` below 1, and another word.
-    """
-
-    tolerance: float = TOLERANCE
-    most: int = 1000
-    start: Any = None
-
-    def __post_init__(self) -> None:
-        check_tolerance(self.tolerance)
-        check_whole("most", self.most, 1)
-        if isinstance(self.start, str) and self.start != "previous":
-            raise InputError(f"start: expected 'previous' or a displacement, got {self.start!r}")
-
-
 @dataclass(frozen=True)
 class Coupling:
     """How rim and bulk meet.
@@ -158,7 +132,7 @@ class Coupling:
             raise InputError(f"degree: expected 1 or 2, got {self.degree!r}")
 
 
-Solver: TypeAlias = Direct | Krylov | Newton | PolakRibiere | None
+Solver: TypeAlias = Direct | Krylov | Newton | None
 
 
 def check_tolerance(value: float) -> None:
