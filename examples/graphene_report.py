@@ -1,6 +1,5 @@
 """Figures, metrics and report of the graphene example."""
 
-import operator
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,6 @@ from warp_peri import Dirichlet, Model, Samples, plots, solve
 from warp_peri.files.atomic import write_text
 from warp_peri.learning.result import Fit
 from warp_peri.learning.sweep import Run
-from warp_peri.methods import Uncertainty
 
 PAPER = {
     "You et al. 2021, LPS": {
@@ -51,10 +49,10 @@ ROLES = {"train": "training loads", "val": "periodic sheet", "test": "free disks
 ERRORS = {"E_res": "residual", "E_u": "displacement"}
 
 
-def draw_fit(folder: Path, fit: Fit, spacing: float, sure: Uncertainty | None = None) -> None:
-    """influence.png, with a band where the noise is known, and loss.png."""
+def draw_fit(folder: Path, fit: Fit, spacing: float) -> None:
+    """influence.png and loss.png."""
     figure, ax = plt.subplots(figsize=(6.4, 4.2))
-    plots.influence_function(fit.material, spacing=spacing, ax=ax, sure=sure)
+    plots.influence_function(fit.material, spacing=spacing, ax=ax)
     values = fit.material.influence(np.linspace(spacing, fit.material.horizon, 1000))
     does = "changes sign" if values.min() < 0 else "is positive"
     ax.set_title(f"The learned influence function {does}")
@@ -109,14 +107,6 @@ def draw_waves(
     save_figure(figure, path)
 
 
-def deviations(sure: Uncertainty) -> dict[str, float]:
-    """Standard deviations of the constants by noise."""
-    quantities = {"lambda": "lam", "mu": "mu", "E": "E", "nu": "nu"}
-    return {
-        key: float(sure.deviation(operator.attrgetter(name))) for key, name in quantities.items()
-    }
-
-
 def draw(
     folder: Path,
     run: Run,
@@ -125,7 +115,7 @@ def draw(
     local: Mapping[str, Mapping[str, np.ndarray]],
 ) -> None:
     """Every figure of the main job; `local`: errors of local elasticity, if there are any."""
-    draw_fit(folder, run.fit, spacing, run.sure)
+    draw_fit(folder, run.fit, spacing)
     if "test" in sets:
         for name, worst in (("disks.png", False), ("disk.png", True)):
             draw_disks(
@@ -181,8 +171,6 @@ def metrics(run: Run, provenance: Mapping[str, Any]) -> dict[str, Any]:
             "rounds": len(first.loss) - 1,
             "seconds": first.seconds,
         }
-    if run.sure is not None:
-        numbers["deviation"] = deviations(run.sure)
     return numbers
 
 
@@ -327,8 +315,6 @@ def disks_line(numbers: dict[str, Any]) -> str:
 def constants_table(numbers: dict[str, Any]) -> str:
     """The learned constants beside the potential's own and the paper's [TPa]."""
     sources = {"learned": numbers, "potential": numbers["truth"] or {}}
-    if "deviation" in numbers:
-        sources["standard deviation by noise"] = numbers["deviation"]
     if numbers["temperature"] == 0:
         sources["You et al. 2021, learned"] = PAPER_CONSTANTS
     keys = ("lambda", "mu", "E", "nu")

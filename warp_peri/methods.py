@@ -2,7 +2,7 @@
 
 from warp_peri.learning.methods import Constrained, TwoStage
 from warp_peri.learning.sweep import Sweep, sweep
-from warp_peri.learning.uncertainty import Resampled, Uncertainty, fit_uncertainty, resample_loads
+from warp_peri.learning.uncertainty import Resampled, resample_loads
 from warp_peri.lps.model import Solid
 from warp_peri.regression.optimum import Conditions
 from warp_peri.regression.settings import Optimum
@@ -19,8 +19,6 @@ __all__ = [
     "Solid",
     "Sweep",
     "TwoStage",
-    "Uncertainty",
-    "fit_uncertainty",
     "resample_loads",
     "sweep",
 ]

@@ -9,25 +9,20 @@ from matplotlib.axes import Axes
 from matplotlib.collections import QuadMesh
 from matplotlib.ticker import LogFormatter, MaxNLocator
 from numpy.typing import ArrayLike
-from scipy.special import ndtri
 
 from warp_peri.learning.result import Stage
-from warp_peri.learning.uncertainty import Uncertainty
 from warp_peri.lps.model import Model
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import symbols
 
 
-def influence_function(
-    model: Model, *, spacing: float, ax: Axes, sure: Uncertainty | None = None, color: str = "C0"
-) -> Axes:
+def influence_function(model: Model, *, spacing: float, ax: Axes, color: str = "C0") -> Axes:
     """K(r), scaled to unit weighted volume, and its values at the bond lengths of a lattice.
 
     Args:
         model: the model.
         spacing: of the lattice [Å].
         ax: where to draw.
-        sure: draws the 90 % band of the values at the bonds.
         color: of the lines.
     """
     classes = bond_classes(spacing, model.horizon)
@@ -37,13 +32,7 @@ def influence_function(
     ax.plot(r, kernel_values(model, classes, r), color=color, linewidth=1, alpha=0.6, label="K(r)")
     unit = symbols(model.units)[0]
     label = f"at the bonds of the {spacing:g} {unit} lattice"
-    if sure is None:
-        ax.plot(classes.r, values, "o", color=color, label=label)
-    else:
-        half = ndtri(0.95) * sure.deviation(lambda m: kernel_values(m, classes, classes.r))
-        ax.errorbar(
-            classes.r, values, half, fmt="o", color=color, capsize=3, label=f"{label}, 90 % band"
-        )
+    ax.plot(classes.r, values, "o", color=color, label=label)
     room = 1.5 * np.abs(values).max()
     ax.set_ylim(-room, room)
     ax.set_xlim(0, 1.03 * model.horizon)

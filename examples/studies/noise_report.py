@@ -1,6 +1,5 @@
 """Tables and figures of the noise study."""
 
-import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -10,9 +9,9 @@ from matplotlib.ticker import LogLocator
 
 from examples.figures import headline, name_lines, panels, save_figure
 from examples.prose import fill, rows_of
-from warp_peri import Dirichlet, Model, Samples, plots, solve
+from warp_peri import Model, plots
 from warp_peri.learning.result import Fit
-from warp_peri.methods import Uncertainty
+from warp_peri.methods import Resampled
 from warp_peri.points.families import bond_classes
 
 Row = dict[str, Any]
@@ -63,7 +62,7 @@ def _fit_row(row: Row, floors: Mapping[tuple[str, float], Row]) -> list[str]:
         _pair(floor, "floor_{}"),
         row["loss"] + " (default)" * row["default"],
         *(_pair(row, name) for name in ("E_u_{}", "E_u_{}_shared", "E_u_{}_cold")),
-        *(f"{row[key]:.4f} ± {row[f'{key}_deviation']:.4f}" for key in ("lam", "mu", "E")),
+        *(f"{row[key]:.4f}" for key in ("lam", "mu", "E")),
         f"{row['c']:.4f}",
     ]
 
@@ -149,7 +148,7 @@ def draw_degrees(path: Path, rows: list[dict[str, Any]]) -> None:
     save_figure(figure, path)
 
 
-def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertainty]) -> None:
+def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Resampled]) -> None:
     """Figure 7, right: K at the bonds for each factor on the loads, with its 90 % band."""
     figure, ax = panels(7, 4.4)
     ax.axhline(0, color="0.7", linewidth=0.8)
@@ -167,38 +166,6 @@ def draw_kernels(path: Path, fits: dict[float, Fit], sure: dict[float, Uncertain
             fmt="o", capsize=3, color=f"C{number}", label=f"loads × {factor:g}",
         )  # fmt: skip
     ax.set(xlabel="bond length r [Å] (points moved apart by 0.15 Å)", ylabel="K / m  [Å⁻⁴]")
-    ax.legend(frameon=False, title="time smoothing, 90 % band")
+    ax.legend(frameon=False, title="time smoothing, 90 % band by bootstrap")
     ax.set_title("The smaller the loads, the less sure the influence function")
-    save_figure(figure, path)
-
-
-def draw_disk(path: Path, model: Model, sure: Uncertainty, disk: Samples) -> None:
-    """u₁ along the x axis of the first disk: 90 % band of the model and the molecular data."""
-    first = Samples(disk.points, disk.u[:1], disk.loads[:1])
-    line = np.flatnonzero(disk.interior & (np.abs(disk.x[:, 1]) < 1e-6))
-
-    def along(m: Model) -> np.ndarray:
-        with warnings.catch_warnings():
-            # Models beside the fit carry no certificate, and small loads taught it.
-            warnings.filterwarnings("ignore", message="(spacing|strain):")
-            problem = Dirichlet(first, first.loads, first.u)
-            return solve(m, problem, allow_uncertified=True).u[0, line, 0]
-
-    lower, upper = sure.band(model, along, 0.9)
-    figure, axes = panels(7, 5.5, rows=2, sharex=True)
-    x = disk.x[line, 0]
-    axes[0].plot(x, along(model), color="C0", label="model learned at a tenth of the loads")
-    axes[0].plot(x, disk.u[0, line, 0], "k.", label="molecular data, 0 K")
-    axes[0].set_ylabel("u₁ [Å]")
-    axes[0].legend(frameon=False)
-    truth = disk.u[0, line, 0]
-    axes[1].axhline(0, color="0.7", linewidth=0.8)
-    axes[1].fill_between(
-        x, 1000 * (lower - truth), 1000 * (upper - truth), alpha=0.3, label="90 % band by noise"
-    )
-    axes[1].plot(x, 1000 * (along(model) - truth), color="C0", label="model − molecular data")
-    axes[1].set(ylabel="error of u₁ [mÅ]", xlabel="x₁ [Å] on the axis of the disk")
-    axes[1].legend(frameon=False, loc="upper left")
-    share = 100 * np.mean((lower <= truth) & (truth <= upper))
-    headline(figure, f"On an unseen disk {share:.0f} % of the errors lie in the band by noise")
     save_figure(figure, path)

@@ -7,7 +7,6 @@ its runs are there.
 """
 
 import argparse
-import operator
 import shlex
 import sys
 import warnings
@@ -29,7 +28,7 @@ from warp_peri import Dataset, Samples, load
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json, write_text
 from warp_peri.learning.result import Fit
-from warp_peri.methods import sweep
+from warp_peri.methods import resample_loads, sweep
 
 FACTORS = (1.0, 0.25, 0.1)
 HORIZON, DEGREE = 20.0, 10
@@ -53,16 +52,12 @@ def fits(data: Data, cold: Dataset) -> tuple[list[dict[str, Any]], dict[tuple[st
                 default = chosen.get((reduction, factor))
                 if default and loss == default.loss.name:
                     continue
-                fit = wp.fit(
-                    own["train"],
-                    wp.LPS(horizon=HORIZON, kernel=wp.Bernstein(DEGREE), normalise=True, loss=loss),
-                    noise=own["noise"],
-                )
+                fit = wp.fit(own["train"], law(loss), noise=own["noise"])
                 chosen.setdefault((reduction, factor), fit)
                 row: dict[str, Any] = {"reduction": reduction, "factor": factor}
                 row["loss"] = fit.loss.name
                 row |= {"default": loss == DEFAULT, "reason": fit.loss.reason}
-                row |= constants(fit.material, deviations(fit, own))
+                row |= {key: getattr(fit.material, key) for key in noise_report.CONSTANTS}
                 row["c"] = fit.certificate.symbol_bound
                 row["certified"] = bool(fit.material.certified_on)
                 rows.append(row | against(fit.material, own, data["shared", factor], cold))
@@ -71,18 +66,14 @@ def fits(data: Data, cold: Dataset) -> tuple[list[dict[str, Any]], dict[tuple[st
     return rows, chosen
 
 
-def deviations(fit: Fit, own: Dataset) -> wp.methods.Uncertainty:
-    """What the noise of its data makes of a fit."""
-    return wp.methods.fit_uncertainty(fit, own["train"], own["noise"])
+def law(loss: str) -> wp.LPS:
+    """What is learned, by a loss."""
+    return wp.LPS(horizon=HORIZON, kernel=wp.Bernstein(DEGREE), normalise=True, loss=loss)
 
 
-def constants(model: wp.Model, sure: wp.methods.Uncertainty) -> dict[str, float]:
-    """α, λ, μ, E, ν, and the standard deviations that noise gives them."""
-    row = {}
-    for key in ("alpha", "lam", "mu", "E", "nu"):
-        row[key] = getattr(model, key)
-        row[f"{key}_deviation"] = float(sure.deviation(operator.attrgetter(key)))
-    return row
+def bands(fit: Fit, own: Dataset) -> wp.methods.Resampled:
+    """The fit again, by its loss, to other choices of the loads."""
+    return resample_loads(own["train"], law(fit.loss.name), noise=own["noise"], progress=True)
 
 
 def against(
@@ -160,13 +151,9 @@ def run(given: argparse.Namespace) -> str:
     text = noise_report.tables(content, given.command)
     write_text(given.out / "noise.md", text)
     iota = {factor: chosen["iota", factor] for factor in FACTORS}
-    sure = {factor: deviations(fit, data["iota", factor]) for factor, fit in iota.items()}
+    sure = {factor: bands(fit, data["iota", factor]) for factor, fit in iota.items()}
     noise_report.draw_degrees(given.out / "errors_by_degree.png", table["by_degree"])
     noise_report.draw_kernels(given.out / "kernels.png", iota, sure)
-    fit = chosen["plain", 0.1]
-    noise_report.draw_disk(
-        given.out / "disk.png", fit.material, deviations(fit, data["plain", 0.1]), cold["test"]
-    )
     return text
 
 

@@ -27,7 +27,7 @@ def small(tmp_path_factory):
 
 
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
-@pytest.mark.filterwarnings("ignore:strain", "ignore:noise. it makes the curvature")
+@pytest.mark.filterwarnings("ignore:strain")
 @pytest.mark.slow
 def test_main_job_at_a_temperature(small, tmp_path, monkeypatch, capsys):
     asked = {}
@@ -47,10 +47,8 @@ def test_main_job_at_a_temperature(small, tmp_path, monkeypatch, capsys):
     numbers = json.loads((tmp_path / "metrics.json").read_text())
     assert numbers["loss"]["name"] == "output"
     assert numbers["temperature"] == 300
-    assert all(value > 0 for value in numbers["deviation"].values())
     text = (tmp_path / "report.md").read_text()
     assert "# Graphene at 300 K" in text
-    assert "standard deviation by noise" in text
 
 
 def test_steps_without_sense_are_refused(tmp_path, capsys):
@@ -60,7 +58,7 @@ def test_steps_without_sense_are_refused(tmp_path, capsys):
 
 
 @pytest.mark.filterwarnings("ignore:λ . μ ended on the lower bound")  # these kernels are poor
-@pytest.mark.filterwarnings("ignore:strain", "ignore:noise. it makes the curvature")
+@pytest.mark.filterwarnings("ignore:strain")
 @pytest.mark.slow
 def test_every_table_and_figure_is_made(small, tmp_path, monkeypatch):
     paths = small(factors=noise_study.FACTORS)
@@ -78,14 +76,13 @@ def test_every_table_and_figure_is_made(small, tmp_path, monkeypatch):
     assert len(content["fits"]) == 12
     assert sum(row["default"] for row in content["fits"]) == 6
     assert all(row["certified"] and row["c"] > 0 for row in content["fits"])
-    assert all(row["mu_deviation"] > 0 for row in content["fits"])
     noisy = {(row["reduction"], row["factor"]): row for row in content["floors"]}
     assert noisy["plain", 0.1]["floor_val"] > 5 * noisy["plain", 1.0]["floor_val"]
     assert noisy["shared", 1.0]["floor_val"] < noisy["plain", 1.0]["floor_val"]
     text = (out / "noise.md").read_text()
     for heading in ("## Losses", "## Table 5", "## Table 3 at 300 K", "## Table 4 at 300 K"):
         assert heading in text
-    for name in ("errors_by_degree.png", "kernels.png", "disk.png"):
+    for name in ("errors_by_degree.png", "kernels.png"):
         assert (out / name).stat().st_size > 5000
 
 

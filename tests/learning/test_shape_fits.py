@@ -10,7 +10,6 @@ from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, sol
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.uncertainty import fit_uncertainty
 from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.lps.shapes import gaussian, named, table
 from warp_peri.methods import Conditions, Optimum, TwoStage
@@ -98,8 +97,7 @@ def test_the_fit_does_not_need_a_forecast_of_the_width():
     assert learned.influence.parameters["width"] == pytest.approx(1.9, rel=RECOVERED)
 
 
-def test_noise_and_how_sure_a_shape_is():
-    """The output-error fit takes shapes, and its bands speak of them."""
+def test_the_output_error_fit_takes_shapes():
     shape = SHAPES["gaussian"]
     true = solid(shape, 1.0, horizon=2.5)
     clean = waves(true, cells=4, highest=6)
@@ -107,16 +105,14 @@ def test_noise_and_how_sure_a_shape_is():
     noise = fluctuation(clean, 8, size, seed=1)
     data = noisy(clean, size, seed=2)
     learned = fit(data, horizon=2.5, kernel=off(shape), loss="output", noise=noise)
-    sure = fit_uncertainty(learned, data, noise)
     K = 2.0
 
     def ratio(model):
         return model.influence(K) / model.influence(1.0)
 
-    deviation = sure.deviation(ratio)
-    assert 0 < deviation < 0.1
-    assert abs(ratio(learned.material) - ratio(true)) < 4 * deviation
-    assert abs(learned.material.mu - true.mu) < 4 * sure.deviation(lambda model: model.mu)
+    assert learned.loss.name == "output"
+    assert ratio(learned.material) == pytest.approx(ratio(true), abs=0.05)
+    assert learned.material.mu == pytest.approx(true.mu, rel=2e-3)
 
 
 @pytest.mark.parametrize("start", [1e-300, 1e-12, 1e-6])

@@ -18,7 +18,7 @@ from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.fit import learn_third_order
 from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.lps.model import Model, stiffnesses
-from warp_peri.methods import Conditions, Constrained, Optimum, Smoothing, fit_uncertainty, sweep
+from warp_peri.methods import Conditions, Constrained, Optimum, Smoothing, sweep
 from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
@@ -137,13 +137,6 @@ def swept(units, path):
     return np.append(numbers(best), found.average)
 
 
-def uncertain(units, _):
-    train, quiet = there(MADE, units), there(QUIET, units)
-    found = fit(train, 2.5 * length_of(units), Bernstein(2), noise=quiet, loss="corrected")
-    sure = fit_uncertainty(found, train, quiet)
-    return sure.deviation(lambda model: numbers(model))
-
-
 def constants(smoothing):
     def run(units, _):
         h = length_of(units)
@@ -255,7 +248,6 @@ CASES = {
     "fit, output": learned(MADE, loss="output"),
     "fit, own function": learned(kernel=gaussian),
     "sweep": swept,
-    "uncertainty": uncertain,
     "constants, energy": constants(None),
     "constants, filtered": constants(2.0),
     "nonlinear transfer, energy": nonlinear_transfer("energy"),

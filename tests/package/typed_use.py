@@ -82,10 +82,8 @@ def learn(folder: Path) -> Fit:
     )
     by_shape = warp_peri.fit(train, warp_peri.LPS(HORIZON, shape))
     assert_type(by_shape.influence, warp_peri.shapes.InfluenceFunction | None)
-    noise = warp_peri.Samples(
-        train.points, 1e-4 * np.random.default_rng(3).normal(size=train.u.shape)
-    )
-    sure = assert_type(methods.fit_uncertainty(fit, train, noise), methods.Uncertainty)
+    law = warp_peri.LPS(HORIZON, warp_peri.Bernstein(1))
+    sure = assert_type(methods.resample_loads(train, law), methods.Resampled)
     assert_type(sure.deviation(lambda model: model.mu), np.ndarray)
     trials = methods.sweep(
         train, data["test"], folder / "sweep", horizons=[HORIZON], degrees=[0, 1], jobs=1

@@ -262,12 +262,6 @@ def training_metrics(run: Run) -> Result:
     }
     if run.fit.influence is not None:
         metrics |= model.provenance
-    if run.sure is not None:
-        metrics["deviation"] = {
-            "lambda": float(run.sure.deviation(lambda model: model.lam)),
-            "mu": float(run.sure.deviation(lambda model: model.mu)),
-            "E": float(run.sure.deviation(lambda model: model.E)),
-        }
     return metrics
 
 
@@ -292,7 +286,7 @@ def in_percent(metrics: Result) -> Result:
             shown["shares of the squared residual [%]"] = shares
         elif key in ("lambda", "mu", "E", *CUBIC):
             shown[key] = shown_moduli(units, (value,), digits=6)
-        elif key in ("moduli", "moduli of a crystal model", "deviation"):
+        elif key in ("moduli", "moduli of a crystal model"):
             shown[key] = {
                 name: shown_moduli(units, (size,), digits=6) if name[0] in "lmCE" else size
                 for name, size in value.items()

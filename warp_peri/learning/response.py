@@ -67,9 +67,9 @@ class WaveResponse:
         k = np.asarray(points.arrays[WAVE_VECTOR], dtype=float)
         if k.shape != (len(points), 2) or not np.isfinite(k).all():
             raise InputError(f"{WAVE_VECTOR}: expected shape [{len(points)}, 2], got {k.shape}")
-        self.onto = [_projection(points.x, *sample) for sample in zip(k, points.loads)]
+        onto = [_projection(points.x, *sample) for sample in zip(k, points.loads)]
         self.u, self.b = (
-            np.array([(onto * field.T).sum(axis=1) for onto, field in zip(self.onto, fields)])
+            np.array([(wave * field.T).sum(axis=1) for wave, field in zip(onto, fields)])
             for fields in (points.u, points.loads)
         )
         for name, value in (("u", self.u), ("b", self.b)):
@@ -81,19 +81,12 @@ class WaveResponse:
         self.rows = symbol_rows(symbol(self.classes, k))
 
     def about(self, model: Model) -> ReducedLoss:
-        answer, slope = self.answer(model)
-        return self._loss(slope, 2 * answer - self.u, np.linalg.norm(self.u, axis=1))
-
-    def answer(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
-        """û of the samples [Å], shape [S, 2], and its derivative to the products c, [S, 2, F]."""
+        """û against u at the wave vectors, relative, û linear in the products about a model."""
         entries = self.rows @ products(model, self.classes)[:-1]  # D11, D22, D12
         D = entries[:, [[0, 2], [2, 1]]]
         answer = np.linalg.solve(D, self.b[..., None])[..., 0]
-        return answer, -np.linalg.solve(D, self._acting(answer))
-
-    def of(self, fields: np.ndarray) -> np.ndarray:
-        """Amplitudes of other fields [Å], shape [E, N, 2], at every load's wave: [S, E, 2]."""
-        return np.stack([np.einsum("an,ena->ea", onto, fields) for onto in self.onto])
+        slope = -np.linalg.solve(D, self._acting(answer))
+        return self._loss(slope, 2 * answer - self.u, np.linalg.norm(self.u, axis=1))
 
     def start(self) -> ReducedLoss:
         """D(k) u against b at the wave vectors, relative."""

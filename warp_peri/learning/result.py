@@ -39,7 +39,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class Settings:
-    """What a fit was asked for: conditions on each lattice, and what bears on its uncertainty."""
+    """What a fit was asked for: conditions on each lattice, and how its loss was made."""
 
     conditions: list[LatticeConditions]
     normalise: bool

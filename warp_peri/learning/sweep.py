@@ -23,7 +23,6 @@ from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein, Kernel, Method, TwoStage
-from warp_peri.learning.uncertainty import Uncertainty, fit_uncertainty
 from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
@@ -43,14 +42,12 @@ class Run:
         fit: the material, its certificate and the way to them.
         tables: of `evaluate`, by the name of the set.
         refused: why a set was not evaluated, by its name.
-        sure: what noise leaves unsure; None where no fields of noise were given.
         seconds: of learning and of prediction.
     """
 
     fit: Any
     tables: dict[str, dict[str, Any]]
     refused: dict[str, str]
-    sure: Uncertainty | None
     seconds: dict[str, float]
 
     def mean(self, error: str) -> dict[str, float]:
@@ -96,7 +93,7 @@ def train(
     allow_uncertified: bool = False,
     **settings: Any,
 ) -> Run:
-    """Learn from samples, evaluate on sets, and say how sure the constants are.
+    """Learn from samples, and evaluate on sets.
 
     Args:
         samples: training samples.
@@ -114,8 +111,7 @@ def train(
     between = time.perf_counter()
     told = evaluated(learned.material, sets, allow_uncertified=allow_uncertified)
     seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
-    sure = None if noise is None else fit_uncertainty(learned, samples, noise)
-    return Run(learned, *told, sure, seconds)
+    return Run(learned, *told, seconds)
 
 
 def evaluated(

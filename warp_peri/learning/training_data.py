@@ -231,12 +231,6 @@ class Scale:
             for lattice in data.conditions
         ]
 
-    def inner_model(self, model: Model) -> Model:
-        """λ, μ, kernels and horizon of a model in these units."""
-        lam, mu = model.lam / self.stress, model.mu / self.stress
-        horizon = model.horizon / self.length
-        return dataclasses.replace(model, lam=lam, mu=mu, horizon=horizon, units=USUAL)
-
     def outer_model(self, inner: Model, like: Model) -> Model:
         """A model of these units in those of the data, with the horizon of another."""
         lam, mu, horizon = inner.lam * self.stress, inner.mu * self.stress, like.horizon

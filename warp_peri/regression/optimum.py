@@ -321,7 +321,7 @@ class ConstrainedProblem:
         bent = kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
         return np.concatenate([point.dv[number], bent + np.outer(z[i] * z[j], by_kappa)])
 
-    def look(self, point: Point, *, all_of_them: bool = False) -> float:
+    def look(self, point: Point) -> float:
         """The smallest margin over the zones [stress]; waves below zero become cuts.
 
         A cut vᵗ D(k) v ≥ level s(k) is linear in the products and holds where the condition does.
@@ -335,7 +335,7 @@ class ConstrainedProblem:
             waves = where.reshape(len(least), -1, 2)
             for form, (kappa, _, level) in enumerate(conditions.forms(v, point.kappa)):
                 table = symbol(conditions.classes, waves[form])
-                some = (table.ratio(v, z, kappa) < level) | all_of_them
+                some = table.ratio(v, z, kappa) < level
                 parts = quadratic(table.softest(v, z, kappa))
                 rows = np.einsum("kp,kpf->kf", parts, symbol_rows(table)) / table.laplacian[:, None]
                 self.cuts[number][form] = np.concatenate([self.cuts[number][form], rows[some]])
