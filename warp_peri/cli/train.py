@@ -195,7 +195,7 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
         law = warp_peri.ThirdOrder(linear, methods.Smoothing(2 * samples.spacing))
     with locked(given.out):
         fit = warp_peri.fit(samples, law, progress=not given.json)
-        run = Run(fit, *evaluated(fit.material, data.sets), None, {})
+        run = Run(fit, *evaluated(fit.material, data.sets), {})
         material, solid = fit.material, getattr(fit.material, "linear", fit.material)
         moduli = getattr(solid, "moduli", lambda: {"lambda": solid.lam, "mu": solid.mu})()
         proof: Any = getattr(fit, "certificate", None) or getattr(solid, "certificate", None)
