@@ -16,8 +16,8 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 29_357,
-    "tokens": 348_272,
+    "code lines": 29_353,
+    "tokens": 348_161,
     "lines of warp_peri": 48_181,
     "lines of kernels": 5_396,
     "lines of warp_peri, kernels, examples and tools": 83_345,
@@ -31,27 +31,27 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "cli": 1236,
+    "cli": 1230,
     "core": 1560,
     "damage": 2022,
     "diffusion": 337,
     "dynamics": 525,
     "edges": 967,
     "face": 1162,
-    "files": 439,
+    "files": 513,
     "flow": 1660,
     "learning": 2270,
     "lps": 1549,
     "micromodulus": 1322,
     "neural": 1073,
-    "points": 1820,
+    "points": 1808,
     "prediction": 1013,
     "ranks": 962,
     "regression": 918,
-    "sources": 1062,
+    "sources": 936,
     "stability": 140,
     "statics": 1329,
-    "structures": 1869,
+    "structures": 1935,
     "third_order": 1058,
     "tissue": 2386,
     "transfer": 678,

@@ -1,11 +1,10 @@
-"""Trajectories of other formats: packed, binary, tilted, H5MD, by ASE; atoms out again."""
+"""Trajectories of other formats: packed, tilted, by ASE; atoms out again."""
 
 import ctypes
 import gzip
 
 import ase
 import ase.io
-import h5py
 import numpy as np
 import pytest
 
@@ -23,7 +22,7 @@ MOVED = 0.4 * random.normal(size=(20, 2))
 
 @pytest.fixture(scope="module")
 def dumps(tmp_path_factory):
-    """One frame of a tilted box by LAMMPS itself: text, text by gzip and zstd, binary."""
+    """One frame of a tilted box by LAMMPS itself: text, text by gzip and zstd."""
     folder = tmp_path_factory.mktemp("dumps")
     lammps = lammps_class()(cmdargs=["-log", "none", "-screen", "none", "-nocite"])
     for line in (
@@ -43,8 +42,7 @@ def dumps(tmp_path_factory):
     lammps.scatter_atoms("x", 1, 3, x.ctypes.data_as(ctypes.POINTER(ctypes.c_double)))
     lammps.command("run 0")
     columns = "id type x y z ix iy iz"
-    for name in ("images.dump", "images.bin"):
-        lammps.command(f"write_dump all custom {folder}/{name} {columns} modify units yes")
+    lammps.command(f"write_dump all custom {folder}/images.dump {columns} modify units yes")
     lammps.command(f"write_dump all custom {folder}/plain.dump id type x y z")
     lammps.close()
     text = (folder / "images.dump").read_bytes()
@@ -54,11 +52,11 @@ def dumps(tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize("name", ["images.dump", "images.dump.gz", "images.zst", "images.bin"])
+@pytest.mark.parametrize("name", ["images.dump", "images.dump.gz", "images.zst"])
 def test_images_unwrap_a_tilted_box_and_a_line_says_so(dumps, name):
     with pytest.warns(UserWarning, match="unwrapped by the images"):
         u = dump_displacement(dumps / name, REFERENCE)
-    np.testing.assert_allclose(u, MOVED, atol=1e-4 if name != "images.bin" else 1e-12)
+    np.testing.assert_allclose(u, MOVED, atol=1e-4)
     with pytest.warns(UserWarning, match="unwrapped"):
         frame = next(dump_frames(dumps / name))
     np.testing.assert_allclose(frame.cell, CELL, atol=1e-12)
@@ -77,15 +75,6 @@ WRAPPED = (PARTS + np.column_stack([MOVED, np.zeros(20)]) @ np.linalg.inv(CELL))
 def write_wrapped(path, fields, images=None):
     """Frames of a tilted box with its atoms inside, in a format that is not LAMMPS's."""
     frames = [np.column_stack([REFERENCE + u, np.zeros(20)]) for u in fields]
-    if path.suffix == ".h5":
-        with h5py.File(path, "w") as file:
-            group = file.create_group("particles/all")
-            group["position/value"] = np.array(frames)
-            group["position/value"].attrs["unit"] = "angstrom"
-            group["box/edges"] = CELL
-            if images is not None:
-                group["image/value"] = np.array(images, int)
-        return
     atoms = [ase.Atoms("C20", positions=x, cell=CELL, pbc=True) for x in frames]
     for one, image in zip(atoms, [] if images is None else images):
         for name, column in zip(("ix", "iy", "iz"), image.T.astype(int)):
@@ -93,7 +82,7 @@ def write_wrapped(path, fields, images=None):
     ase.io.write(path, atoms)
 
 
-@pytest.mark.parametrize("name", ["a.extxyz", "a.traj", "a.h5"])
+@pytest.mark.parametrize("name", ["a.extxyz", "a.traj"])
 def test_wrapped_atoms_of_a_tilted_box_are_never_taken_for_moved_ones(tmp_path, name):
     """Refused where nothing says where they were; by their images, the same as LAMMPS's own."""
     assert WRAPPED.any()
@@ -115,12 +104,6 @@ def test_wrapped_atoms_of_a_tilted_box_are_never_taken_for_moved_ones(tmp_path, 
     )
 
 
-def test_a_binary_dump_that_is_cut_is_refused(dumps, tmp_path):
-    (tmp_path / "cut.bin").write_bytes((dumps / "images.bin").read_bytes()[:-40])
-    with pytest.raises(InputError, match=r"cut.bin: frame 1"):
-        next(dump_frames(tmp_path / "cut.bin"))
-
-
 @pytest.mark.parametrize("name", ["a.extxyz", "a.traj"])
 def test_trajectories_of_ase(tmp_path, name):
     x = np.column_stack([REFERENCE, np.zeros(20)])
@@ -128,24 +111,6 @@ def test_trajectories_of_ase(tmp_path, name):
     ase.io.write(tmp_path / name, frames)
     np.testing.assert_allclose(dump_displacement(tmp_path / name, REFERENCE, skip=1), 0.25)
     assert list(next(dump_frames(tmp_path / name)).types) == 10 * [1] + 10 * [2]
-
-
-def test_h5md_needs_its_units(tmp_path):
-    with h5py.File(tmp_path / "a.h5", "w") as file:
-        group = file.create_group("particles/all")
-        position = group.create_dataset("position/value", data=0.1 * REFERENCE[None])
-        edges = group.create_dataset("box/edges", data=[[1.2, 0], [0.3, 0.9]])
-        assert edges.shape == (2, 2)
-        group.create_dataset("image/value", data=np.tile([[[0, 1]]], (1, 20, 1)))
-        group.create_dataset("id", data=np.arange(20, 0, -1))
-    with pytest.raises(InputError, match="expected the unit of position/value"):
-        next(dump_frames(tmp_path / "a.h5"))
-    with h5py.File(tmp_path / "a.h5", "a") as file:
-        file["particles/all/position/value"].attrs["unit"] = "nm"
-    with pytest.warns(UserWarning, match="unwrapped"):
-        frame = next(dump_frames(tmp_path / "a.h5"))
-    np.testing.assert_allclose(frame.x, REFERENCE[::-1] + CELL[1, :2])
-    assert position is not None
 
 
 def test_atoms_with_the_model_s_displacement_and_its_error(dumps, tmp_path):

@@ -2,6 +2,7 @@
 
 import bz2
 import gzip
+import lzma
 
 import ase.build
 import ase.io
@@ -16,10 +17,11 @@ AS = {
     "as it is": bytes,
     "bz2": bz2.compress,
     "gz": gzip.compress,
+    "xz": lzma.compress,
     "UTF-16": lambda raw: raw.decode().encode("utf-16"),
     "UTF-8 with a mark": lambda raw: raw.decode().encode("utf-8-sig"),
 }
-PACKED = {"bz2": ".bz2", "gz": ".gz"}
+PACKED = {"bz2": ".bz2", "gz": ".gz", "xz": ".xz"}
 SALT = ase.build.bulk("NaCl", "rocksalt", a=5.6, cubic=True)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import io
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import warp_peri
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import read_arrays
+from warp_peri.files.foreign import content
 from warp_peri.points.arrays import checked
 from warp_peri.points.dataset import Dataset, load_dataset
 from warp_peri.points.points import Points
@@ -29,7 +31,7 @@ def atom_forces(path: Path, atoms: int) -> np.ndarray:
         if path.suffix == ".npz":
             (force,) = read_arrays(path).values()
         else:
-            force = np.loadtxt(path, delimiter=",", ndmin=2)
+            force = np.loadtxt(io.BytesIO(content(path)), delimiter=",", ndmin=2)
     except (OSError, ValueError) as error:
         raise InputError(
             f"{path}: expected one array in .npz (numpy.savez, not compressed), or a .csv file "
@@ -69,12 +71,11 @@ def shape_of(
         return warp_peri.shapes.named(name, horizon)
     from warp_peri.points.families import bond_classes
 
+    text = content(name)
     try:
-        r, K = influence_table(name)
+        r, K = influence_table(text.decode())
         shape = warp_peri.shapes.table(r, K)
-    except FileNotFoundError:
-        raise InputError(f"{name}: no such file") from None
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise InputError(f"{name}: {error}") from None
     longest = bond_classes(spacing, horizon).r[-1] if spacing else horizon
     if not r[-1] >= longest * (1 - 1e-6):
@@ -85,13 +86,12 @@ def shape_of(
     return shape
 
 
-def influence_table(path: str) -> tuple[np.ndarray, np.ndarray]:
-    """r and K of a text file: two columns, or those of these names under a line of names.
+def influence_table(text: str) -> tuple[np.ndarray, np.ndarray]:
+    """r and K of a text: two columns, or those of these names under a line of names.
 
-    Raises InputError for any other file.
+    Raises InputError for any other.
     """
-    with open(path, encoding="utf-8") as file:
-        lines = [line for line in file if line.strip() and not line.startswith("#")]
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
     columns, first = [0, 1], lines[0].split(",") if lines else []
     names = [(word.split() or [""])[0] for word in first]
     if "r" in names and "K" in names:

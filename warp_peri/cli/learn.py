@@ -19,15 +19,21 @@ import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, plain, whole_file, write_json, write_text
+from warp_peri.files.foreign import check_xml, content
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL
 from warp_peri.sources.dic import frames_of_folder, noise_of
-from warp_peri.sources.dump_files import LARGEST_HEADER, MARKS, encoding_of, unpacked
+from warp_peri.sources.dump_files import MARKS, encoding_of
 from warp_peri.storage import save
 
 NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
 ONE = "exactly one equilibrium for every load"
 UNSAID = "as in the tables; no unit was said"
+LARGEST_HEADER = 2**16
+"""Bytes of a file of atoms by which its kind is told."""
+PACKERS = (".gz", ".bz2", ".xz", ".zst")
+REFUSED = ("castep", "bundle")
+"""What names of ASE's formats begin with whose readers run a program or look elsewhere."""
 FITS = "fits"
 """Of the folder, where a second start goes on from."""
 DASHES = ("-", "--", ":")
@@ -100,33 +106,26 @@ def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any
 def read_structure(path: Path) -> Any:
     """The last structure of a file that ASE reads, or ABACUS's STRU; InputError for any other.
 
-    Files may be packed.
+    Files may be packed; they are looked at first, and read as they were then, from a copy.
 
     Of a dump that names no elements, or a data file of LAMMPS without masses, ASE would take the
     types for atomic numbers.
     """
     import ase.io
+    from ase.io.formats import filetype
 
     if path.is_dir():
         raise InputError(f"{path}: expected a file; a folder of phonopy goes without a calculator")
-    if not path.is_file():
-        raise InputError(f"{path}: no such file")
-    with path.open("rb") as file:
-        start = file.read(LARGEST_HEADER)
-    with tempfile.TemporaryDirectory() as folder:
-        readable = path
+    whole = content(path)
+    check_xml(path, whole)
+    if whole.startswith(MARKS):
+        whole = whole.decode(encoding_of(whole), "replace").encode()
+    name = path.with_suffix("") if path.suffix.lower() in PACKERS else path
+    with tempfile.TemporaryDirectory() as folder:  # ASE goes by the ending alone
+        readable = Path(folder) / name.name
+        readable.write_bytes(whole)
         try:
-            with unpacked(path, start) as stream:
-                head = stream.read(LARGEST_HEADER)
-                if head != start or head.startswith(MARKS):  # ASE goes by the ending alone
-                    readable = (
-                        Path(folder) / path.with_suffix("" if head != start else path.suffix).name
-                    )
-                    whole = head + stream.read()
-                    if whole.startswith(MARKS):
-                        whole = whole.decode(encoding_of(whole)).encode()
-                    readable.write_bytes(whole)
-                    head = whole[:LARGEST_HEADER]
+            head = whole[:LARGEST_HEADER]
             if head.startswith(b"ITEM:") and b" element" not in head:
                 raise InputError("expected a structure with its elements, got a dump without")
             of_lammps = re.search(rb"xlo\s+xhi", head) is not None
@@ -134,8 +133,12 @@ def read_structure(path: Path) -> Any:
                 raise InputError("expected the masses of the types in a LAMMPS data file, got none")
             if b"ATOMIC_SPECIES" in head and b"LATTICE_VECTORS" in head:
                 return warp_peri.atoms.unit_cell(readable, "abacus")
-            form = "lammps-data" if of_lammps else None  # None: as ASE guesses
-            found: Any = ase.io.read(readable, index=-1, format=form)
+            form = "lammps-data" if of_lammps else filetype(str(readable))
+            if form.startswith(REFUSED):
+                raise InputError(
+                    f"expected another format than {form}, whose reader runs a program"
+                )
+            found: Any = ase.io.read(str(readable), -1, form, do_not_split_by_at_sign=True)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         except Exception as error:  # ASE's readers raise whatever their parsing runs into

@@ -14,6 +14,7 @@ import tomli_w
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
+from warp_peri.files.foreign import content
 
 NOT_KEPT = (
     "command", "config", "json", "run", "trust", "from_file", "overwrite", "told", "first"
@@ -99,15 +100,12 @@ def _commands(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentPar
 
 def _table(path: str, command: str) -> dict[str, Any]:
     try:
-        with open(path, "rb") as file:
-            content = tomllib.load(file)
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file") from None
-    except (OSError, tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        table = tomllib.loads(content(path).decode())
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: expected a TOML file ({error})") from None
-    if not isinstance(content.get(command), dict):
+    if not isinstance(table.get(command), dict):
         raise InputError(f"{path}: expected a table [{command}]")
-    return dict(content[command])
+    return dict(table[command])
 
 
 def _converted(path: str, action: argparse.Action, value: Any) -> Any:

@@ -16,6 +16,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed, plain, whole_file
+from warp_peri.files.foreign import check_hdf5
 from warp_peri.points.arrays import check_positive, is_name, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
@@ -141,10 +142,6 @@ def scaled(samples: Samples, length: float, stress: float) -> Samples:
 
 FORMAT, VERSION = "warp_peri.dataset", 1
 _NEEDED = ("x", "u", "interior")
-MOST_PER_BYTE = 20
-"""Arrays may hold so many times the bytes of the file (they may be compressed), and no more."""
-SMALL = 2**20
-"""Arrays up to so many bytes are read whatever the size of the file."""
 LAYOUT = ("v110", "v110")
 
 
@@ -250,7 +247,7 @@ def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) ->
     """
     try:
         with h5py.File(path, "r") as file:
-            _check_sizes(file, os.path.getsize(path))
+            check_hdf5(file, os.path.getsize(path))
             data = _read(file)
             expected = _text(file.attrs.get("sha256"))
         if expected is not None and not (
@@ -264,45 +261,6 @@ def load_dataset(path: str | os.PathLike[str], *, units: Units | None = None) ->
         raise InputError(f"{path}: {error}") from None
     except (OSError, RuntimeError, LookupError, TypeError, ValueError, MemoryError) as error:
         raise InputError(f"{path}: not a readable HDF5 data set ({error})") from None
-
-
-def _check_sizes(file: h5py.File, size: int) -> None:
-    """Refuse links, arrays kept elsewhere, and more bytes than the file can stand for."""
-    allowed = max(SMALL, MOST_PER_BYTE * size)
-    total = 0
-    groups = {"": file} | {name: item for name, item in _members(file) if _is_group(item)}
-    for place, group in groups.items():
-        for name, item in _members(group):
-            if not isinstance(item, h5py.Dataset):
-                continue
-            where = f"{place}/{name}".lstrip("/")
-            if item.is_virtual or item.external:
-                raise InputError(f"{where}: expected an array in the file itself")
-            if item.dtype.kind not in "biufcSUO" or item.dtype.subdtype is not None:
-                raise InputError(f"{where}: expected numbers or text, got {item.dtype}")
-            if item.dtype.kind == "O" and h5py.check_string_dtype(item.dtype) is None:
-                raise InputError(f"{where}: expected numbers or text, got {item.dtype}")
-            chunk = int(np.prod(item.chunks or (0,), dtype=object)) * item.dtype.itemsize
-            count = int(np.prod(item.shape or (), dtype=object)) * item.dtype.itemsize
-            total += max(chunk, count)
-            if total > allowed:
-                raise InputError(
-                    f"{where}: expected arrays of at most {allowed} bytes in a file of {size}, "
-                    f"got more than {total}"
-                )
-
-
-def _members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
-    """What a group holds itself; links to elsewhere are named and not followed."""
-    for name in group:
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink):
-            yield name, None
-        else:
-            yield name, group[name]
-
-
-def _is_group(item: Any) -> bool:
-    return isinstance(item, h5py.Group)
 
 
 def _read(file: h5py.File) -> Dataset:
@@ -324,8 +282,8 @@ def _read(file: h5py.File) -> Dataset:
     if not isinstance(provenance, dict):
         raise InputError(f"provenance: expected a JSON object, got {type(provenance).__name__}")
     sets = {}
-    for name, group in _members(file):
-        if not _is_group(group):
+    for name, group in file.items():
+        if not isinstance(group, h5py.Group):
             raise InputError(f"{name}: expected a group (one per point set)")
         try:
             sets[name] = _read_points(group, units)
@@ -335,7 +293,7 @@ def _read(file: h5py.File) -> Dataset:
 
 
 def _read_points(group: h5py.Group, units: Units) -> Samples:
-    items = dict(_members(group))
+    items = dict(group.items())
     missing = [key for key in _NEEDED if not isinstance(items.get(key), h5py.Dataset)]
     if missing:
         raise InputError(f"arrays missing: {', '.join(missing)}")

@@ -10,7 +10,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
+from xml.etree import ElementTree
 
+import h5py
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
@@ -18,6 +20,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, optional
+from warp_peri.files.foreign import check_hdf5, check_xml, content
 from warp_peri.points.arrays import checked
 
 REST = "rest"
@@ -471,6 +474,8 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
     meshio = optional("meshio", "meshio is not installed: pip install 'warp_peri[bodies]'")
     if not Path(path).is_file():
         raise InputError(f"{path}: no such mesh file")
+    if Path(path).suffix.lower() in (".vtu", ".xdmf", ".xmf"):
+        _check_arrays(Path(path))
     try:
         read = meshio.read(path)
     except (Exception, SystemExit) as error:  # meshio leaves the program on some files
@@ -479,6 +484,28 @@ def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
         return _body_of(read)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+
+
+def _check_arrays(path: Path) -> None:
+    """InputError for XML with entities, and for arrays of XDMF that are not in HDF5 beside it."""
+    check_xml(path, text := content(path))
+    if path.suffix.lower() == ".vtu":
+        return
+    try:
+        items = [item for item in ElementTree.fromstring(text).iter() if item.tag == "DataItem"]
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: expected XML ({error})") from None
+    held = {(i.text or "").strip().split(":")[0] for i in items if i.get("Format") == "HDF"}
+    if any(i.get("Format") not in (None, "XML", "HDF") for i in items):
+        raise InputError(f"{path}: expected arrays in the file or in HDF5, got others")
+    for name in held:
+        if Path(name).name != name or not (beside := path.with_name(name)).is_file():
+            raise InputError(f"{path}: expected its arrays in HDF5 beside it, got {name!r}")
+        try:
+            with h5py.File(beside, "r") as file:
+                check_hdf5(file, beside.stat().st_size)
+        except (InputError, OSError) as error:
+            raise InputError(f"{beside}: {error}") from None
 
 
 def _body_of(read: Any) -> Mesh | Tetrahedra:

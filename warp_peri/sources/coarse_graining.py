@@ -5,21 +5,22 @@ And fields on nodes as others left them, in .mat files.
 
 from __future__ import annotations
 
+import math
 import os
-import struct
-import zlib
-from collections.abc import Callable, Iterator, Sequence
-from itertools import islice
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
+import scipy.io
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
+from warp_peri.files.foreign import check_hdf5
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
@@ -31,22 +32,8 @@ EV_PER_CUBIC_ANGSTROM = 0.1602176634
 """1 eV/Å³ in TPa."""
 
 SHAPES = ("cone", "paraboloid")
-UNREADABLE = (struct.error, zlib.error, OSError, ValueError, LookupError, TypeError, RuntimeError)
-"""What is raised of files that are none of MATLAB's, or cut or broken ones."""
-NUMBERS = {
-    1: "i1",
-    2: "u1",
-    3: "i2",
-    4: "u2",
-    5: "i4",
-    6: "u4",
-    7: "f4",
-    9: "f8",
-    12: "i8",
-    13: "u8",
-}
-MATRIX, COMPRESSED, COMPLEX = 14, 15, 0x800
-"""Kinds of elements of version 5 that hold numbers, and NumPy's names of these; a flag."""
+NUMBERS = {"double", "single"} | {f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)}
+"""Classes of MATLAB's arrays of numbers."""
 LARGEST_ARRAY, LARGEST_GRID = 2**31, 10**7
 """Bytes, and nodes of the rectangle around positions."""
 FURTHEST = 1.0
@@ -383,68 +370,31 @@ def read_fields(
 
 def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Arrays of numbers of a .mat file by name; HDF5, of version 7.3, has their axes reversed."""
-    held, there = dict[str, np.ndarray](), list[str]()
+    held, there = dict[str, Any](), list[str]()
     try:
         if h5py.is_hdf5(path):
             with h5py.File(path) as file:
-                there = [*map(str, file)]
-                for name in names:
-                    part = file.get(name)
-                    if not isinstance(part, h5py.Dataset) or part.dtype.kind not in "fiu":
-                        continue
-                    if part.shape is None or part.nbytes > LARGEST_ARRAY:
-                        raise ValueError(f"{name}: expected an array of at most 2 GiB")
-                    held[name] = part[()].T
+                check_hdf5(file, path.stat().st_size)
+                there = [*file]
+                sets = {name: file[name] for name in names if name in there}
+                held = {
+                    n: s[()].T for n, s in sets.items() if isinstance(s, h5py.Dataset) and s.shape
+                }
         else:
-            for name, array in _matrices(path.read_bytes()):
-                there.append(name)
-                if array is not None and name in names:
-                    held[name] = array
-    except UNREADABLE as error:
+            arrays = {name: (math.prod(s), kind) for name, s, kind in scipy.io.whosmat(path)}
+            there = [*arrays]
+            read = [n for n in names if n in arrays and arrays[n][1] in NUMBERS]
+            if any(8 * arrays[name][0] > LARGEST_ARRAY for name in read):
+                raise ValueError("expected arrays of at most 2 GiB")
+            held = scipy.io.loadmat(path, variable_names=read) if read else {}
+        held = {n: held[n] for n in names if n in held and held[n].dtype.kind in "fiu"}
+    except Exception as error:  # readers of broken files run into anything
         raise InputError(f"{path}: cannot be read as a .mat file ({error})") from None
     for name in names:
         if name not in held:
             said = ", ".join(there) or "nothing"
             raise InputError(f"{path}: expected {name}, an array of numbers, among {said}")
     return held
-
-
-def _matrices(data: bytes) -> Iterator[tuple[str, np.ndarray | None]]:
-    """Names and arrays of version 5, None for what is no full array of real numbers.
-
-    SciPy's reader ends the process on some damaged files; here every size is checked.
-    """
-    order = {b"IM": "<", b"MI": ">"}.get(data[126:128])
-    if order is None:
-        raise ValueError("no header of version 5")
-    for kind, content in _elements(data[128:], order):
-        if kind == COMPRESSED:
-            unpacked = zlib.decompressobj().decompress(content, LARGEST_ARRAY)
-            kind, content = next(_elements(unpacked, order))
-        if kind != MATRIX:
-            continue
-        parts = list(islice(_elements(content, order), 4))
-        (flags, *_), shape = np.frombuffer(parts[0][1], f"{order}u4"), parts[1][1]
-        full = 6 <= flags & 0xFF <= 15 and not flags & COMPLEX
-        array = None
-        if full and parts[3][0] in NUMBERS:
-            values = np.frombuffer(parts[3][1], order + NUMBERS[parts[3][0]])
-            array = values.reshape(np.frombuffer(shape, f"{order}i4"), order="F")
-        yield parts[2][1].decode("ascii"), array
-
-
-def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
-    """Kind and content of one element after another; short ones have both in eight bytes."""
-    at = 0
-    while at < len(data):
-        kind, size = struct.unpack_from(f"{order}II", data, at)
-        at += 8
-        if short := kind >> 16:
-            kind, size, at = kind & 0xFFFF, short, at - 4
-        if at + size > len(data):
-            raise ValueError("cut short")
-        yield kind, data[at : at + size]
-        at += max(size, 4) if short else size if kind == COMPRESSED else -(-size // 8) * 8
 
 
 def _components_last(

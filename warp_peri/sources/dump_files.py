@@ -1,24 +1,20 @@
-"""Frames of atoms from files: LAMMPS dumps as text or binary, packed or not, H5MD, and ASE's."""
+"""Frames of atoms from files: LAMMPS dumps as text, packed or not, and what ASE reads."""
 
 from __future__ import annotations
 
-import bz2
-import gzip
 import io
 import os
-import struct
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, BinaryIO
 
 import numpy as np
 
-from warp_peri.errors import InputError, optional
-from warp_peri.points.unit_names import LENGTHS
+from warp_peri.errors import InputError
+from warp_peri.files.foreign import unpacked
 
 FRAME = "ITEM: TIMESTEP"
-EXPECTED = "a LAMMPS dump (text, gzip, bzip2, zstd or binary), H5MD, .extxyz, .xyz or .traj"
+EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
 BEFORE_FRAME = ("ITEM: UNITS", "ITEM: TIME")
 """What `dump_modify units yes` and `time yes` write ahead of a frame."""
 ANGSTROM_UNITS = ("metal", "real")
@@ -26,17 +22,14 @@ ANGSTROM_UNITS = ("metal", "real")
 POSITIONS = ("x", "xs", "xu", "xsu")
 """Columns of positions, in the order in which they are looked for."""
 IMAGES = ("ix", "iy", "iz")
-GZIP, BZIP2, ZSTD = b"\x1f\x8b", b"BZh", b"\x28\xb5\x2f\xfd"
 MARKS = b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf"
 """Of text in UTF-16, either byte order, and in UTF-8."""
-HDF5, MAGIC = b"\x89HDF", b"DUMPCUSTOM"
+LARGEST_FRAME = 2**31
+"""Characters of a frame of text, at most; a small packed file may hold more."""
 OF_ASE = (".xyz", ".extxyz", ".traj")
 """Endings of files that ASE reads, frame by frame."""
-H5MD_LENGTHS = {"å": 1.0, "a": 1.0, "ang": 1.0} | LENGTHS
 ROUND = 1e-9
 """Part of a box's longest edge that tilts it: less is rounding."""
-LARGEST_HEADER = 2**16
-"""Bytes of a text in a binary dump."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +60,8 @@ class Frame:
 def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
     """Every frame of a trajectory, one in memory at a time.
 
-    LAMMPS dumps (`dump custom`) as text, packed by gzip, bzip2 or zstd, or binary; H5MD with units;
-    and .xyz, .extxyz and .traj by ASE. What it is is told from the content. Wrapped positions are
+    LAMMPS dumps (`dump custom`) as text, packed by gzip, bzip2, xz or zstd, or not; .xyz, .extxyz
+    and .traj by ASE. Wrapped positions are
     unwrapped where the file has images, and a warning says so.
 
     Args:
@@ -121,35 +114,16 @@ def jumps(frame: Frame, x: np.ndarray) -> bool:
 def _frames_of(path: str | os.PathLike[str]) -> Iterator[Frame]:
     with open(path, "rb") as file:
         head = file.read(64)
-    if head.startswith(HDF5):
-        yield from _h5md(path)
-    elif str(path).endswith(OF_ASE) and not head.startswith(b"ITEM:"):
+    if str(path).endswith(OF_ASE) and not head.startswith(b"ITEM:"):
         yield from _by_ase(path)
     else:
-        with unpacked(path, head) as stream:
-            if MAGIC in head:
-                yield from _binary(stream)
-                return
-            with io.TextIOWrapper(stream, encoding=encoding_of(head)) as lines:
-                for text in _texts(lines):
-                    yield _of_text(text)
+        with io.TextIOWrapper(unpacked(path, head), encoding=encoding_of(head)) as lines:
+            yield from map(_of_text, _texts(lines))
 
 
 def encoding_of(head: bytes) -> str:
     """Of text, by the mark that it may begin with."""
     return "utf-16" if head.startswith(MARKS[:2]) else "utf-8-sig"
-
-
-def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
-    """The bytes of a file, packed or not, by how it begins."""
-    if head.startswith(GZIP):
-        return gzip.open(path, "rb")
-    if head.startswith(BZIP2):
-        return bz2.open(path, "rb")
-    if head.startswith(ZSTD):
-        without = f"{path}: packed by zstd: pip install 'warp_peri[dumps]'"
-        return optional("zstandard", without).open(path, "rb")
-    return open(path, "rb")
 
 
 # ------------------------------------------------------------------ LAMMPS
@@ -158,13 +132,16 @@ def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:
 def _texts(file: io.TextIOWrapper) -> Iterator[str]:
     """The text of one frame after the other, with what stands before its time step."""
     lines: list[str] = []
-    begun = False
-    for line in file:
+    begun, size = False, 0
+    for line in iter(lambda: file.readline(LARGEST_FRAME), ""):
+        size += len(line)
+        if size > LARGEST_FRAME:
+            raise ValueError(f"expected frames of at most {LARGEST_FRAME} characters")
         if line.startswith("ITEM:"):
             starts = line.startswith((FRAME, *BEFORE_FRAME))
             if starts and begun:
                 yield "".join(lines)
-                lines, begun = [], False
+                lines, begun, size = [], False, len(line)
             begun = begun or line.startswith(FRAME)
             if not (starts or begun):
                 raise ValueError(f"expected '{FRAME}', got {line.strip()[:60]!r}")
@@ -198,47 +175,6 @@ def _of_text(text: str) -> Frame:
         raise ValueError(f"{announced} atoms announced, {0 if table is None else len(table)} there")
     tilt = limits[:, 2] if limits.shape[1] == 3 else np.zeros(3)
     return _frame(columns, dict(zip(wanted, table.T)), limits[:, :2], tilt, units)
-
-
-def _binary(file: BinaryIO) -> Iterator[Frame]:
-    """Frames of `dump custom FILE.bin`, of revision 2 on, on machines of this byte order."""
-
-    def read(form: str) -> Any:
-        part = file.read(struct.calcsize("=" + form))
-        found = struct.unpack("=" + form, part)
-        return found[0] if len(found) == 1 else found
-
-    def words() -> str:
-        size = read("i")
-        if not 0 <= size <= LARGEST_HEADER:
-            raise ValueError("a header of no sense")
-        return file.read(size).decode()
-
-    units = "metal"
-    while begin := file.read(8):
-        (mark,) = struct.unpack("=q", begin)
-        if mark != -len(MAGIC) or file.read(len(MAGIC)) != MAGIC or read("i") != 1:
-            raise ValueError("expected a binary dump custom of this machine's byte order")
-        if read("i") < 2:
-            raise ValueError("expected a binary dump of revision 2 or later, which names columns")
-        _, atoms, tilted = read("q"), read("q"), read("i")
-        read("6i")
-        limits = np.array(read("6d")).reshape(3, 2)
-        if tilted > 1:
-            raise ValueError("a box of general edges (triclinic/general yes) is not read")
-        tilt = np.array(read("3d")) if tilted else np.zeros(3)
-        width = read("i")
-        units = words() or units
-        if read("c") != b"\0":
-            read("d")
-        columns = tuple(words().split())
-        chunks = [np.frombuffer(file.read(8 * read("i"))) for _ in range(read("i"))]
-        table = np.concatenate(chunks).reshape(-1, width)
-        if len(table) != atoms:
-            raise ValueError(f"{atoms} atoms announced, {len(table)} there")
-        wanted = _wanted(columns)
-        values = {name: table[:, columns.index(name)] for name in wanted}
-        yield _frame(columns, values, limits, tilt, units)
 
 
 def _wanted(columns: Sequence[str]) -> list[str]:
@@ -325,53 +261,11 @@ def _by_ase(path: str | os.PathLike[str]) -> Iterator[Frame]:
     """Types are 1, 2, … in the order of atomic numbers; ids a column id, or the file's order."""
     import ase.io
 
-    for atoms in ase.io.iread(os.fspath(path), index=":"):
+    form = "traj" if str(path).endswith(".traj") else "extxyz"  # never by what it looks like
+    for atoms in ase.io.iread(os.fspath(path), index=":", format=form):
         ids = np.asarray(atoms.arrays.get("id", np.arange(1, len(atoms) + 1)))
         types = 1 + np.unique(atoms.numbers, return_inverse=True)[1]
         cell = np.array(atoms.cell) * atoms.pbc[:, None]
         there = set(IMAGES) <= set(atoms.arrays)
         images = np.stack([atoms.arrays[name] for name in IMAGES], axis=1) if there else None
         yield _ordered(ids, np.array(atoms.positions), types, cell, tuple(atoms.arrays), images)
-
-
-def _h5md(path: str | os.PathLike[str]) -> Iterator[Frame]:
-    """The only group of particles of an H5MD file; its lengths must name their unit."""
-    import h5py
-
-    with h5py.File(path) as file:
-        groups = list(file.get("particles", ()))
-        if len(groups) != 1:
-            raise ValueError(f"expected H5MD with one group of particles, got {len(groups)}")
-        group = file["particles"][groups[0]]
-        place = group["position/value"]
-        unit = place.attrs.get("unit", b"")
-        unit = unit.decode() if isinstance(unit, bytes) else str(unit)
-        factor = H5MD_LENGTHS.get(unit.strip().lower())
-        if factor is None:
-            raise ValueError(
-                f"expected the unit of position/value as an attribute, one of "
-                f"{', '.join(sorted(LENGTHS))}, got {unit!r}"
-            )
-
-        def at(name: str, number: int) -> Any:
-            """A quantity that changes with time, or does not; None without it."""
-            found = group.get(name)
-            if found is None:
-                return None
-            return found["value"][number] if isinstance(found, h5py.Group) else found[()]
-
-        for number in range(len(place)):
-            x = np.asarray(place[number], dtype=float) * factor
-            x = np.pad(x, ((0, 0), (0, 3 - x.shape[1])))
-            edges, images = at("box/edges", number), at("image", number)
-            cell = np.zeros((3, 3))
-            if edges is not None:
-                edges = np.asarray(edges, dtype=float) * factor
-                size = edges.shape[-1]
-                cell[:size, :size] = edges if edges.ndim == 2 else np.diag(edges)
-            if images is not None:
-                images = np.pad(images, ((0, 0), (0, 3 - images.shape[1])))
-            ids, types = at("id", number), at("species", number)
-            ids = np.arange(1, len(x) + 1) if ids is None else np.asarray(ids)
-            types = None if types is None else np.asarray(types)
-            yield _ordered(ids, x, types, cell, tuple(group), images)

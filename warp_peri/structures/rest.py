@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import os
 import warnings
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
 import ase
 import ase.io
+import h5py
 import numpy as np
 from ase.constraints import FixSymmetry
 from ase.data import vdw_radii
@@ -24,6 +26,7 @@ from scipy.linalg import sqrtm
 
 from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
 from warp_peri.errors import InputError, optional
+from warp_peri.files.foreign import check_hdf5, check_yaml, content
 from warp_peri.micromodulus.force_constants import ForceConstants, Polar, from_supercell
 from warp_peri.structures.calculators import LammpsError
 from warp_peri.structures.noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
@@ -449,6 +452,9 @@ def _sheet_spacing(cell: ase.Atoms) -> float:
     return float(np.sqrt(2 * abs(a[0] * b[1] - a[1] * b[0])))
 
 
+WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"
+BESIDE = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
+"""Files that are read where they lie beside the one that is named."""
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
 CELLS = {
     "POSCAR-unitcell": "vasp",
@@ -466,8 +472,8 @@ LARGE = ("supercell", "header")
 def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None) -> ForceConstants:
     """Force constants of what phonopy computed.
 
-    Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN, which
-    are read as phonopy itself reads them. Without it the unit cell of VASP (POSCAR), ABACUS (STRU),
+    Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN; nothing
+    is read of any other folder. Without phonopy.yaml the unit cell of VASP (POSCAR), ABACUS (STRU),
     Quantum ESPRESSO (*.in), FHI-aims (geometry.in) or SIESTA (*.fdf) is read; the supercell then is
     that of SPOSCAR, or the most even one with as many atoms, which is warned of. Each code's units
     are those that phonopy has for it.
@@ -483,26 +489,23 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     Raises InputError where phonopy is not installed, for files that it does not read, for forces
     that are not there, and for Born charges of a sheet.
     """
-    phonopy, calculator = _phonopy()
     file = _yaml(Path(path))
-    beside: dict[str, Any] = {
-        f"{name.split('.')[0].lower()}_filename": file.parent / name
-        for name in ("force_constants.hdf5", "FORCE_CONSTANTS", "FORCE_SETS", "BORN")
-        if (file.parent / name).is_file()
-    }
-    if thickness is not None and "born_filename" in beside:
+    beside = {name: file.parent / name for name in BESIDE if (file.parent / name).is_file()}
+    if thickness is not None and "BORN" in beside:
         raise InputError(f"{path}: BORN: expected a solid; the field of a sheet's ions is another")
     try:
-        told = _opened(file, calculator.read_crystal_structure)
-        if "nac_params" in told:
-            beside.pop("born_filename", None)
-        found: Any = phonopy.load(**told, **beside, symmetrize_fc=False, log_level=0)
+        found, told = _opened(file, beside)
+        force_constants = _force_constants(found, told, beside)
+        ions = told.nac_params
+        if ions is None and "BORN" in beside:
+            reader = optional("phonopy.file_IO", WITHOUT)
+            ions = reader.parse_BORN(found.primitive, filename=beside["BORN"])
     except Exception as error:  # phonopy raises whatever its parsing runs into
         hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
         raise InputError(f"{path}: phonopy does not read it ({error}){hint}") from None
-    units: Any = vars(calculator)["get_calculator_physical_units"](found.calculator)
-    if found.force_constants is None:
+    if force_constants is None:
         raise InputError(f"{path}: expected FORCE_CONSTANTS or FORCE_SETS beside it, found neither")
+    units = _units(found.calculator)
     small, large, x = found.primitive, found.supercell, units.distance_to_A
     cell, supercell = (
         ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
@@ -512,13 +515,13 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     if small.magnetic_moments is not None:  # sites that they tell apart are no images
         cell.set_initial_magnetic_moments(small.magnetic_moments)
     displaced = np.asarray(small.p2s_map).tolist()
-    phi = units.force_to_eVperA / x * np.asarray(found.force_constants)
+    phi = units.force_to_eVperA / x * np.asarray(force_constants)
     phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
     if gap(cell, 2) >= VACUUM and thickness is None:
         thickness = thickness_of(cell)[0]
     polar = None
-    if found.nac_params is not None:
-        born, dielectric = (np.asarray(found.nac_params[n]) for n in ("born", "dielectric"))
+    if ions is not None:
+        born, dielectric = (np.asarray(ions[n]) for n in ("born", "dielectric"))
         polar = Polar(born, dielectric)
     elif thickness is None and len(set(cell.numbers)) > 1:
         warnings.warn(
@@ -533,44 +536,125 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     return projected(made, supercell)
 
 
-def _phonopy() -> tuple[Any, Any]:
-    """The package and its readers; InputError where it is not installed."""
-    without = "phonopy: pip install 'warp_peri[phonons]'"
-    return optional("phonopy", without), optional("phonopy.interface.calculator", without)
+@dataclass
+class _Told:
+    """What phonopy is told of a crystal, and what its own file holds beside it."""
+
+    unitcell: Any
+    supercell_matrix: Any
+    primitive_matrix: Any = "auto"
+    calculator: str | None = None
+    is_symmetry: bool = True
+    nac_params: Any = None
+    dataset: Any = None
+    force_constants: Any = None
+
+
+def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, _Told]:
+    """phonopy's crystal of a file; nothing is read that lies elsewhere than beside it."""
+    phonopy = optional("phonopy", WITHOUT)
+    for name, path in beside.items():
+        if name.endswith(".hdf5"):
+            with h5py.File(path) as held:
+                check_hdf5(held, path.stat().st_size)
+        else:
+            content(path)
+    code = next((code for name, code in CELLS.items() if fnmatch(file.name, name)), None)
+    told = _of_yaml(file, beside) if code is None else _of_cell(file, code, beside)
+    found = phonopy.Phonopy(
+        told.unitcell,
+        told.supercell_matrix,
+        primitive_matrix=told.primitive_matrix,
+        calculator=told.calculator,
+        is_symmetry=told.is_symmetry,
+        log_level=0,
+    )
+    return found, told
+
+
+def _of_yaml(file: Path, beside: dict[str, Path]) -> _Told:
+    text = content(file)
+    check_yaml(file, text)
+    read: Any = optional("phonopy.interface.phonopy_yaml", WITHOUT).PhonopyYaml()
+    read.read(io.StringIO(text.decode()))
+    if getattr(read, "site_mixture_scheme", None) is not None:
+        raise InputError("site_mixture_scheme: sites of several elements are not read")
+    matrix, primitive = read.supercell_matrix, read.primitive_matrix
+    return _Told(
+        read.unitcell,
+        np.eye(3, dtype=int) if matrix is None else matrix,
+        "auto" if primitive is None else primitive,
+        read.calculator,
+        nac_params=None if "BORN" in beside else read.nac_params,
+        dataset=read.dataset,
+        force_constants=read.force_constants,
+    )
+
+
+def _force_constants(found: Any, told: _Told, beside: dict[str, Path]) -> Any:
+    """Of phonopy's own file, else of those beside it, else from its forces; None without them."""
+    reader, rows = optional("phonopy.file_IO", WITHOUT), found.primitive.p2s_map
+    if told.force_constants is not None:
+        return told.force_constants
+    if "FORCE_CONSTANTS" in beside:
+        return reader.parse_FORCE_CONSTANTS(filename=beside["FORCE_CONSTANTS"], p2s_map=rows)
+    if (name := "force_constants.hdf5") in beside:
+        helper = optional("phonopy.cui.load_helper", WITHOUT)
+        return helper.read_force_constants_from_hdf5(beside[name], rows, found.calculator)
+    data, count = told.dataset, len(found.supercell)
+    if not _has_forces(data) and "FORCE_SETS" in beside:
+        data = reader.parse_FORCE_SETS(natom=count, filename=beside["FORCE_SETS"])
+        if data.get("natom", count) != count:
+            raise InputError(f"FORCE_SETS: expected forces on {count} atoms, got {data['natom']}")
+    if not _has_forces(data):
+        return None
+    found.dataset = data
+    by = "symfc" if "displacements" in data else None
+    found.produce_force_constants(calculate_full_force_constants=False, fc_calculator=by)
+    return found.force_constants
+
+
+def _has_forces(data: Any) -> bool:
+    return data is not None and ("forces" in data or "forces" in data.get("first_atoms", [{}])[0])
+
+
+def _units(code: str | None) -> Any:
+    """Of a code, as phonopy has them."""
+    calculator = optional("phonopy.interface.calculator", WITHOUT)
+    return calculator.get_calculator_physical_units(code)
 
 
 def unit_cell(path: Path, code: str) -> ase.Atoms:
     """A code's unit cell as phonopy reads it, in Å. Raises InputError without phonopy."""
-    _, calculator = _phonopy()
+    calculator = optional("phonopy.interface.calculator", WITHOUT)
     cell: Any = calculator.read_crystal_structure(path, code)[0]
-    x = vars(calculator)["get_calculator_physical_units"](code).distance_to_A
+    x = _units(code).distance_to_A
     moments = cell.magnetic_moments
     edges, places = x * cell.cell, x * cell.positions
     return ase.Atoms(cell.numbers, positions=places, cell=edges, pbc=True, magmoms=moments)
 
 
-def _opened(file: Path, read: Callable[[Path, str], tuple[Any, Any]]) -> dict[str, Any]:
-    """What phonopy is told to read a crystal: a file of its own, or a unit cell and a supercell."""
-    code = next((code for name, code in CELLS.items() if fnmatch(file.name, name)), None)
-    if code is None:
-        return {"phonopy_yaml": file}
-    cell: Any = read(file, code)[0]
+def _of_cell(file: Path, code: str, beside: dict[str, Path]) -> _Told:
+    """A unit cell, and its supercell by SPOSCAR or by the atoms of its forces."""
+    content(file)
+    calculator = optional("phonopy.interface.calculator", WITHOUT)
+    cell: Any = calculator.read_crystal_structure(file, code)[0]
     if cell is None or not len(cell):
         raise InputError(f"expected a unit cell of {code}")
-    told: dict[str, Any] = {"unitcell": cell, "calculator": code, "primitive_matrix": "auto"}
-    if (born := file.parent / "BORN").is_file():
-        lines = [line.split() for line in born.read_text().splitlines() if line.strip()]
+    told = _Told(cell, None, calculator=code)
+    if "BORN" in beside:
+        lines = [line.split() for line in beside["BORN"].read_text().splitlines() if line.strip()]
         if len(lines) == 2 + len(cell):  # one of each atom, where symmetry was left aside
             values = np.array(lines[1:], dtype=float).reshape(-1, 3, 3)
-            ions = {"dielectric": values[0], "born": values[1:], "factor": float(lines[0][0])}
-            told |= {"nac_params": ions, "is_symmetry": False, "primitive_matrix": np.eye(3)}
+            ions = {"dielectric": values[0], "born": values[1:]}
+            told = replace(told, nac_params=ions, is_symmetry=False, primitive_matrix=np.eye(3))
     if (large := file.parent / "SPOSCAR").is_file():
         whole: Any = ase.io.read(large, format="vasp")
-        edges = np.array(whole.cell)
-        return told | {"supercell_matrix": np.rint(edges @ np.linalg.inv(cell.cell)).T.astype(int)}
+        matrix = np.rint(np.array(whole.cell) @ np.linalg.inv(cell.cell)).T.astype(int)
+        return replace(told, supercell_matrix=matrix)
     for name in ("FORCE_SETS", "FORCE_CONSTANTS"):
-        if (file.parent / name).is_file():
-            with open(file.parent / name, encoding="ascii", errors="replace") as forces:
+        if name in beside:
+            with open(beside[name], encoding="ascii", errors="replace") as forces:
                 count = int(forces.readline().split()[-1])
             break
     else:
@@ -583,7 +667,7 @@ def _opened(file: Path, read: Callable[[Path, str], tuple[Any, Any]]) -> dict[st
     lengths = np.linalg.norm(cell.cell, axis=1)
     best = min(counts, key=lambda n: float(np.ptp(np.log(n * lengths))))
     warnings.warn(f"{file}: taken for a supercell of {best} cells, by its atoms", stacklevel=3)
-    return told | {"supercell_matrix": best}
+    return replace(told, supercell_matrix=best)
 
 
 def _yaml(path: Path) -> Path:
