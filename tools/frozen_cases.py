@@ -283,18 +283,6 @@ def diffusing(name: str, components: tuple[int, ...]) -> Entries:
         )
 
 
-def flow() -> Entries:
-    """A polymer's stress by a learned law and by named ones."""
-    law, C, K = material("flow"), np.array([[1.3, 0.2, 0.2, 0.9]]), np.array([[0, 0.5, 0, 0]])
-    yield "file", "moved", saved(law)
-    yield "stress", "resummed", law.stress(C)
-    yield "rate", "resummed", law.rate(K, C)
-    channel = wp.flow.PlaneFlow(De=1.0, Re=1.0, cells=16, force=lambda t: 1.0)
-    for one in (law, wp.flow.FENEP(50.0), wp.flow.Giesekus(0.2)):
-        run = wp.move(one, channel, until=0.5, dt=0.01)
-        yield f"{type(one).__name__}: motion", "resummed", run["u"], 1e-10
-
-
 def errors(found: Any, sets: dict[str, Any]) -> Iterator[tuple[str, str, float]]:
     """E_res and E_u of a learned material by set."""
     for role, samples in sets.items():
@@ -424,7 +412,6 @@ CASES |= {
     "soft": partial(broken, "soft", (20, 14)),
     "conductor": partial(diffusing, "conductor", ()),
     "coupled": partial(diffusing, "coupled", (3,)),
-    "flow": flow,
     "fits": fits,
     "graphene": graphene,
 }

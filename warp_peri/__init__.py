@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from warp_peri import damage as damage
     from warp_peri import diffusion as diffusion
     from warp_peri import export as export
-    from warp_peri import flow as flow
     from warp_peri import launch as launch
     from warp_peri import methods as methods
     from warp_peri import micromodulus as micromodulus
@@ -117,7 +116,6 @@ _MODULES = (
     "damage",
     "diffusion",
     "export",
-    "flow",
     "launch",
     "methods",
     "micromodulus",

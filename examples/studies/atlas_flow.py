@@ -3,9 +3,7 @@
 import numpy as np
 
 from examples.figures import curves, name_lines, panels
-from examples.studies.atlas_entry import Entry, entry
-from warp_peri import InputError
-from warp_peri.flow import (
+from examples.polymer import (
     ChannelFlow,
     Closure,
     CoupledDumbbells,
@@ -15,10 +13,12 @@ from warp_peri.flow import (
     elongation,
     homogeneous,
 )
-from warp_peri.flow.channel import Particles, run_channel
-from warp_peri.flow.closure import heun
-from warp_peri.flow.dumbbells import carried_exactly, propagator
-from warp_peri.flow.laws import IDENTITY, eigenvalues, exponential_of
+from examples.polymer.closure import heun
+from examples.polymer.dumbbells import carried_exactly, propagator
+from examples.polymer.laws import IDENTITY, eigenvalues, exponential_of
+from examples.polymer.particles import Particles, run_channel
+from examples.studies.atlas_entry import Entry, entry
+from warp_peri import InputError
 
 DE, UNTIL, STEPS, COUNT = 1e-2, 0.03, 300, 300
 

@@ -12,14 +12,7 @@ import numpy as np
 import torch
 
 from examples.exact import poiseuille
-from examples.polymer_flow import relative
-from examples.prose import NUMBER, cells_of, rows_of
-from examples.studies import paper_polymer_pictures as pictures
-from examples.studies import paper_polymer_walls as walls
-from examples.studies.paper_polymer_pictures import COUNTS, HEIGHTS, LAWS, RECIPES, TRAINING
-from examples.studies.polymer_tables import MAXWELL, SEEDS, known_shear, printed_shear, shear_record
-from warp_peri import InputError
-from warp_peri.flow import (
+from examples.polymer import (
     ChannelFlow,
     ChannelRecord,
     Closure,
@@ -37,11 +30,18 @@ from warp_peri.flow import (
     simulate,
     start_pairs,
 )
-from warp_peri.flow.channel import Particles, run_channel
-from warp_peri.flow.closure import Stress, exact_pairs, reached, window_pairs
-from warp_peri.flow.gaussian_process import JITTER
-from warp_peri.flow.laws import IDENTITY
-from warp_peri.flow.plane import run_plane
+from examples.polymer.closure import Stress, exact_pairs, reached, window_pairs
+from examples.polymer.gaussian_process import JITTER
+from examples.polymer.laws import IDENTITY
+from examples.polymer.learn import relative
+from examples.polymer.particles import Particles, run_channel
+from examples.polymer.plane import run_plane
+from examples.prose import NUMBER, cells_of, rows_of
+from examples.studies import paper_polymer_pictures as pictures
+from examples.studies import paper_polymer_walls as walls
+from examples.studies.paper_polymer_pictures import COUNTS, HEIGHTS, LAWS, RECIPES, TRAINING
+from examples.studies.polymer_tables import MAXWELL, SEEDS, known_shear, printed_shear, shear_record
+from warp_peri import InputError
 
 NEEDED: dict[str, str] = {}
 TEMPLATE = Path(__file__).with_suffix(".md")

@@ -20,13 +20,13 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np
 
-from examples.polymer_flow import B, fene_law, relative
+from examples.polymer import FENEP, Dumbbells, elongation, held, homogeneous, mixed, shear, simulate
+from examples.polymer.learn import B, fene_law, relative
+from examples.polymer.learned import OutsideWarning
 from tools.options import Options
 from warp_peri import InputError
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.flow import FENEP, Dumbbells, elongation, held, homogeneous, mixed, shear, simulate
-from warp_peri.flow.learned import OutsideWarning
 
 RATES = (0.5, 1.0, 2.0, 4.0, 6.0, 8.0, 10.0, 12.0, 20.0)
 T = (np.arange(80) + 0.5) * 0.1

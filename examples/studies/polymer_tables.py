@@ -27,14 +27,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from examples.exact import poiseuille
-from examples.flows.active import corrected_run, missing_stress
-from examples.flows.paths import band
-from examples.polymer_flow import fene_law, fene_study, hookean_law, relative
-from tools.options import Options
-from warp_peri import InputError
-from warp_peri.errors import exit_status
-from warp_peri.files.atomic import plain, write_json
-from warp_peri.flow import (
+from examples.polymer import (
     FENEP,
     ChannelFlow,
     ChannelRecord,
@@ -55,10 +48,17 @@ from warp_peri.flow import (
     simulate,
     start_pairs,
 )
-from warp_peri.flow.channel import Particles, run_channel
-from warp_peri.flow.closure import Stress, window_pairs
-from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.plane import run_plane
+from examples.polymer.active import corrected_run, missing_stress
+from examples.polymer.closure import Stress, window_pairs
+from examples.polymer.gaussian_process import fit_process
+from examples.polymer.learn import fene_law, fene_study, hookean_law, relative
+from examples.polymer.particles import Particles, run_channel
+from examples.polymer.paths import band
+from examples.polymer.plane import run_plane
+from tools.options import Options
+from warp_peri import InputError
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import plain, write_json
 from warp_peri.launch import set_threads, threads
 
 MAXWELL = UpperConvectedMaxwell()

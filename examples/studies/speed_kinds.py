@@ -3,8 +3,8 @@
     python examples/studies/speed_kinds.py tissue|flow|cracks [--out runs/speed_kinds] [--again]
 
 Total time is what an answer costs that nobody has prepared: learning or setting up, and solving.
-The data and laws are those of examples/hgo_square.py, polymer_flow.py and cracked_graphene.py; all
-rows of a chart are of one run, on the machine that its file names. Tissue needs the data of
+The data and laws are those of examples/hgo_square.py, polymer/channel.py and cracked_graphene.py;
+all rows of a chart are of one run, on the machine that its file names. Tissue needs the data of
 hgo_square.py, which are made where they are not there; cracks need LAMMPS.
 """
 
@@ -22,7 +22,9 @@ sys.path.insert(0, str(ROOT))
 
 import numpy as np
 
-from examples import cracked_graphene, hgo_square, polymer_flow
+from examples import cracked_graphene, hgo_square
+from examples.polymer import FENEP, ChannelFlow, Dumbbells, UpperConvectedMaxwell, channel, learn
+from examples.polymer.particles import Particles
 from examples.studies.speed_accuracy import machine
 from examples.studies.speed_chart import error_chart
 from tools.cracked_sheet import critical_strain, ideal_strength
@@ -33,8 +35,6 @@ from tools.row_separation import whole
 from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
-from warp_peri.flow import FENEP, ChannelFlow, Dumbbells, UpperConvectedMaxwell
-from warp_peri.flow.channel import Particles
 from warp_peri.tissue import hyperelastic_errors
 
 Row = dict[str, Any]
@@ -73,25 +73,25 @@ def tissue() -> Iterator[Row]:
 
 def flow() -> Iterator[Row]:
     """Start-up of a channel of Hookean dumbbells; errors of velocity against the exact law."""
-    problem = ChannelFlow(polymer_flow.DE)
+    problem = ChannelFlow(channel.DE)
     n = Particles(problem).fluid
-    exact, _ = polymer_flow.channel(UpperConvectedMaxwell(), problem)
+    exact, _ = channel.channel(UpperConvectedMaxwell(), problem)
 
     def learned(count: int) -> Any:
-        return polymer_flow.hookean_law(count, 0).tabulated()
+        return learn.hookean_law(count, 0).tabulated()
 
     def run(label: str, kind: str, fluid: Callable[..., Any], *given: Any) -> Row:
         began = time.process_time()
-        record, _ = polymer_flow.channel(fluid(*given), problem)
+        record, _ = channel.channel(fluid(*given), problem)
         seconds = time.process_time() - began
-        return row(label, kind, seconds, polymer_flow.relative(record.v, exact.v) / 100)
+        return row(label, kind, seconds, learn.relative(record.v, exact.v) / 100)
 
     for count in (100, 1000, 10_000):
         yield run(f"learned from 22 × {count} dumbbells", "learned", learned, count)
     alongside = partial(Dumbbells, seed=0, common=True)
     for count in (10, 100, 1000):
         yield run(f"{count} dumbbells under every point", "alongside", alongside, n, count)
-    yield run("FENE-P, b = 50", "another fluid", FENEP, polymer_flow.B)
+    yield run("FENE-P, b = 50", "another fluid", FENEP, learn.B)
 
 
 def cracks() -> Iterator[Row]:

@@ -13,6 +13,8 @@ import pytest
 from examples import diffusion, pressurised_crack
 from examples.exact import poiseuille
 from examples.neural_operator import WEIGHTS
+from examples.polymer import ChannelFlow, Closure, PlaneFlow
+from examples.polymer.plane import run_plane
 from examples.studies import atlas_solves, manufactured, paper_polymer_walls, paper_you_graining
 from examples.studies import paper_polymer_gp as polymer
 from examples.studies import paper_slides_incompressible as stiff
@@ -20,8 +22,6 @@ from examples.studies import paper_slides_rates as rates
 from tests.examples.test_paper_rows import UNCERTIFIED, held, page_of, rows
 from tools.graphene import sheet
 from warp_peri import Bernstein, evaluate, load
-from warp_peri.flow import ChannelFlow, Closure, PlaneFlow
-from warp_peri.flow.plane import run_plane
 from warp_peri.learning.fit import learn
 from warp_peri.points.families import bond_classes
 

@@ -7,11 +7,11 @@ from string import Formatter
 import numpy as np
 import pytest
 
+from examples.polymer import Ensembles, held, shear
+from examples.polymer.laws import IDENTITY
 from examples.studies import paper_polymer_gp, paper_you_pictures, papers
 from examples.studies import paper_slides_rates as rates
 from examples.studies.polymer_tables import printed_shear
-from warp_peri.flow import Ensembles, held, shear
-from warp_peri.flow.laws import IDENTITY
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 

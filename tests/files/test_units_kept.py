@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from tests.support.sheets import everything
-from warp_peri import InputError, Model, Points, load, save
+from warp_peri import InputError, Model, Points, load
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.diffusion.conductor import Conductor
-from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.springs import SpringLaw
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
@@ -78,11 +76,6 @@ def dataset(units):
     return Dataset({"train": Samples(points, np.ones((2, 12, 2)), np.ones((2, 12, 2)))}, 3.35, 2e3)
 
 
-def spring(units):
-    X = np.linspace(0, 1, 12)[:, None] * [1.0, 0.5]
-    return SpringLaw(fit_process(X, X[:, 0] ** 2))
-
-
 def put(thing, path):
     thing.save(path)
 
@@ -101,7 +94,6 @@ KINDS = {
         Conductor.load,
     ),
     "data set": (dataset, lambda data, path: save_dataset(path, data), load_dataset),
-    "law of flow, which has reduced units": (spring, lambda law, path: save(path, law), load),
 }
 
 

@@ -61,7 +61,6 @@ HOMES = {
     "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",
     "warp_peri.coupled_solid": "diffusion.coupled",
-    "warp_peri.flow_law": "flow",
     "warp_peri.family": "prediction.placed",
 }
 """Modules below warp_peri that a format's reader is in; those of others are loaded already."""
@@ -70,6 +69,7 @@ LEFT = {
     "warp_peri.crystal_bonds": "60f8a38d",
     "warp_peri.dressed": "60f8a38d",
     "warp_peri.dressed_finite": "60f8a38d",
+    "warp_peri.flow_law": "60f8a38d",
 }
 """Last commit that reads a format, or a kind of models, which left the library."""
 

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from examples.flows.active import LearningClosure, replayed
+from examples.polymer.active import LearningClosure, replayed
+from examples.polymer.closure import Closure, CoupledDumbbells
+from examples.polymer.dumbbells import Dumbbells, held, simulate
+from examples.polymer.laws import elongation, shear
+from examples.polymer.plane import PlaneFlow, run_plane
+from examples.polymer.springs import learn_spring
 from warp_peri import InputError
-from warp_peri.flow.closure import Closure, CoupledDumbbells
-from warp_peri.flow.dumbbells import Dumbbells, held, simulate
-from warp_peri.flow.laws import elongation, shear
-from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.springs import learn_spring
 
 FLOW, B = PlaneFlow(1.0, 1.0, 12, force=lambda t: 12.0), 50.0
 

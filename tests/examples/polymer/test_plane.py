@@ -4,14 +4,21 @@ import numpy as np
 import pytest
 
 from examples.exact import couette, oscillation, poiseuille
+from examples.polymer import ChannelFlow
+from examples.polymer.closure import Closure, CoupledDumbbells, homogeneous
+from examples.polymer.dumbbells import Dumbbells, held
+from examples.polymer.laws import (
+    FENEP,
+    IDENTITY,
+    Giesekus,
+    UpperConvectedMaxwell,
+    elongation,
+    shear,
+)
+from examples.polymer.particles import Particles
+from examples.polymer.plane import PlaneFlow, run_plane
 from tests.support.problems import fitted_order
 from warp_peri import InputError, move
-from warp_peri.flow import ChannelFlow
-from warp_peri.flow.channel import Particles
-from warp_peri.flow.closure import Closure, CoupledDumbbells, homogeneous
-from warp_peri.flow.dumbbells import Dumbbells, held
-from warp_peri.flow.laws import FENEP, IDENTITY, Giesekus, UpperConvectedMaxwell, elongation, shear
-from warp_peri.flow.plane import PlaneFlow, run_plane
 
 LAWS = [UpperConvectedMaxwell(), Giesekus(0.3), FENEP(20.0)]
 

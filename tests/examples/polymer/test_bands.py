@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from examples.flows.active import corrected_run, missing_stress
-from examples.flows.paths import Band, band, curvature_of, draw, varied
+from examples.polymer.active import corrected_run, missing_stress
+from examples.polymer.closure import Closure, homogeneous
+from examples.polymer.dumbbells import Dumbbells, held, simulate
+from examples.polymer.gaussian_process import fit_process, unlikelihood
+from examples.polymer.laws import Giesekus, UpperConvectedMaxwell, shear
+from examples.polymer.paths import Band, band, curvature_of, draw, varied
+from examples.polymer.plane import PlaneFlow, run_plane
+from examples.polymer.rates import learn_shear
 from warp_peri import InputError
-from warp_peri.flow.closure import Closure, homogeneous
-from warp_peri.flow.dumbbells import Dumbbells, held, simulate
-from warp_peri.flow.gaussian_process import fit_process, unlikelihood
-from warp_peri.flow.laws import Giesekus, UpperConvectedMaxwell, shear
-from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.rates import learn_shear
 
 
 @pytest.mark.parametrize("kernel", ["product", "additive"])

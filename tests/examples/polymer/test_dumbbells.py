@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from warp_peri import InputError
-from warp_peri.flow.closure import homogeneous
-from warp_peri.flow.dumbbells import (
+from examples.polymer.closure import homogeneous
+from examples.polymer.dumbbells import (
     Dumbbells,
     Ensembles,
     Twins,
@@ -18,7 +17,8 @@ from warp_peri.flow.dumbbells import (
     simulate,
     stretched_rest,
 )
-from warp_peri.flow.laws import FENEP, IDENTITY, UpperConvectedMaxwell, elongation, shear
+from examples.polymer.laws import FENEP, IDENTITY, UpperConvectedMaxwell, elongation, shear
+from warp_peri import InputError
 from warp_peri.launch import set_threads, threads
 
 

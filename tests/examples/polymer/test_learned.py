@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from warp_peri import InputError, load, save
-from warp_peri.flow.closure import (
+from examples.polymer.closure import (
     Closure,
     exact_pairs,
     heun,
@@ -16,13 +15,14 @@ from warp_peri.flow.closure import (
     start_pairs,
     window_pairs,
 )
-from warp_peri.flow.dumbbells import Dumbbells, Ensembles, held, simulate
-from warp_peri.flow.gaussian_process import fit_process
-from warp_peri.flow.laws import FENEP, IDENTITY, UpperConvectedMaxwell, elongation, shear
-from warp_peri.flow.learned import OutsideWarning
-from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.rates import learn_rate, learn_shear
-from warp_peri.flow.springs import SpringLaw, invariants, learn_spring, learn_twisted
+from examples.polymer.dumbbells import Dumbbells, Ensembles, held, simulate
+from examples.polymer.gaussian_process import fit_process
+from examples.polymer.laws import FENEP, IDENTITY, UpperConvectedMaxwell, elongation, shear
+from examples.polymer.learned import OutsideWarning
+from examples.polymer.plane import PlaneFlow, run_plane
+from examples.polymer.rates import learn_rate, learn_shear
+from examples.polymer.springs import SpringLaw, invariants, learn_spring, learn_twisted
+from warp_peri import InputError, load, save
 
 MAXWELL = UpperConvectedMaxwell()
 

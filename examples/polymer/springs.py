@@ -11,12 +11,10 @@ import numpy as np
 from scipy.ndimage import map_coordinates, spline_filter
 from scipy.optimize import brentq
 
-from warp_peri.core.record import Entry
-from warp_peri.errors import InputError
-from warp_peri.flow.closure import homogeneous
-from warp_peri.flow.dumbbells import Ensembles, listed
-from warp_peri.flow.gaussian_process import GaussianProcess, condensed
-from warp_peri.flow.laws import (
+from examples.polymer.closure import homogeneous
+from examples.polymer.dumbbells import Ensembles, listed
+from examples.polymer.gaussian_process import GaussianProcess, condensed
+from examples.polymer.laws import (
     FENEP,
     IDENTITY,
     carried,
@@ -26,7 +24,9 @@ from warp_peri.flow.laws import (
     in_frame,
     trace,
 )
-from warp_peri.flow.learned import FORMAT, Fastest, LearnedLaw, check_gradients, fastest
+from examples.polymer.learned import FORMAT, Fastest, LearnedLaw, check_gradients, fastest
+from warp_peri.core.record import Entry
+from warp_peri.errors import InputError
 
 LEAST = 1e-6
 """Eigenvalues are kept above it inside a step; a check refuses what is not positive."""

@@ -4,7 +4,7 @@ The law starts with weak shear and elongation. When a cell of the flow leaves th
 feel what the cell felt, the law is learned again and the flow goes on. Without that the first law
 is wrong by tens of per cent, and says so only by a warning.
 
-    python examples/polymer_learning.py --json     # numbers alone; figure in runs/polymer_learning/
+    python examples/polymer/asking.py --json     # numbers alone; figure in runs/polymer_asking/
 """
 
 import json
@@ -12,18 +12,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 
 import warp_peri as wp
 from examples.figures import panels
-from examples.flows.active import LearningClosure, replayed
-from tools.options import Options
-from warp_peri.errors import exit_status
-from warp_peri.files.atomic import write_json
-from warp_peri.flow import (
+from examples.polymer import (
     FENEP,
     Dumbbells,
     Ensembles,
@@ -35,6 +30,10 @@ from warp_peri.flow import (
     shear,
     simulate,
 )
+from examples.polymer.active import LearningClosure, replayed
+from tools.options import Options
+from warp_peri.errors import exit_status
+from warp_peri.files.atomic import write_json
 
 B, CELLS = 50.0, 24
 FLOW = PlaneFlow(1.0, 1.0, CELLS, force=lambda t: 12.0)
@@ -49,7 +48,7 @@ def run(fluid: Any) -> wp.Motion:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    parser = Options(__doc__, json=True)
+    parser = Options(__doc__, "polymer_asking", json=True)
     parser.add("--dumbbells", type=int, default=3000, help="in each record")
     parser.add("--reference", type=int, default=3000, help="in each cell")
     parser.add("--seed", type=int, default=0)
@@ -71,7 +70,7 @@ def main(arguments: list[str] | None = None) -> None:
     errors = {name: 100 * np.linalg.norm(r["u"] - truth["u"]) / size for name, r in runs.items()}
     numbers: dict[str, Any] = {"error %": {name: float(e) for name, e in errors.items() if e}}
     numbers["asked (t, cell, gaps)"] = [list(map(float, row)) for row in learning.asked]
-    folder = ROOT / "runs" / "polymer_learning"
+    folder = options.out
     write_json(folder / "numbers.json", numbers)
     figure, axes = panels(6, 3.8)
     for (name, r), style in zip(runs.items(), ("k-", "C3:", "C0--", "C2-.", "C1:")):

@@ -17,11 +17,11 @@ import warp as wp
 from scipy import stats
 from tqdm import tqdm
 
+from examples.polymer.kernels.dumbbells import advance_fene, advance_hookean
+from examples.polymer.laws import IDENTITY, trace
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import ArrayFile
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.flow.laws import IDENTITY, trace
-from warp_peri.kernels.flow.dumbbells import advance_fene, advance_hookean
 from warp_peri.launch import DEVICE, at_once, empty, floats, launch, threads
 from warp_peri.points.arrays import check_positive, check_whole, checked, is_positive
 

@@ -12,9 +12,8 @@ import numpy as np
 import scipy.linalg as sl
 from scipy import stats
 
+from examples.polymer.gaussian_process import LENGTHS, SUBSET, GaussianProcess, unlikelihood
 from warp_peri import InputError
-from warp_peri.flow import RateLaw
-from warp_peri.flow.gaussian_process import LENGTHS, SUBSET, GaussianProcess, unlikelihood
 
 COSINES = 512
 """Of one prior function, for each input where the kernel is a sum."""
@@ -110,6 +109,8 @@ def curvature_of(process: GaussianProcess, step: float = 1e-3) -> tuple[np.ndarr
 
 def drawn_laws(law: Any, count: int, random: np.random.Generator) -> list[Any]:
     """Learned laws whose processes are drawn, hyperparameters first; tables are not used."""
+    from examples.polymer.rates import RateLaw  # which is a law with a band itself
+
     processes = law.processes if isinstance(law, RateLaw) else [law.process]
     functions = [[draw(p, random) for p in varied(process, count, random)] for process in processes]
     if isinstance(law, RateLaw):

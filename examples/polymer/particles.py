@@ -13,14 +13,14 @@ import numpy as np
 import warp as wp
 from tqdm import tqdm
 
+from examples.polymer.closure import Stress, check_time_step, in_cells, key_of
+from examples.polymer.kernels import particles as kernels
 from warp_peri.contract import taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import ArrayFile, write_text
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.files.series import write_vtu
-from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
-from warp_peri.kernels.flow import particles as kernels
 from warp_peri.launch import DEVICE, empty, ints, launch, zeros
 from warp_peri.points.scattered import neighbours
 

@@ -3,7 +3,7 @@
 Sixteen histories of gradient and stress, one file each, make a law; nobody looks at conformations.
 It is held to four other histories, and to the laws that a book would take.
 
-    python examples/stress_histories.py --json
+    python examples/polymer/stress_histories.py --json
 """
 
 import json
@@ -11,15 +11,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import numpy as np
 from matplotlib.figure import Figure
 
 import warp_peri as wp
+from examples import polymer as flow
 from examples.figures import save_figure
 from tools.options import Options
-from warp_peri import flow
 from warp_peri.errors import exit_status
 
 B, COUNT, TIME = 50.0, 2000, 0.1

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from tests.support.problems import fitted_order
-from warp_peri import InputError
-from warp_peri.flow.closure import Closure, homogeneous
-from warp_peri.flow.dumbbells import carried_exactly, propagator
-from warp_peri.flow.laws import (
+from examples.polymer.closure import Closure, homogeneous
+from examples.polymer.dumbbells import carried_exactly, propagator
+from examples.polymer.laws import (
     FENEP,
     IDENTITY,
     Giesekus,
@@ -18,7 +16,9 @@ from warp_peri.flow.laws import (
     exponential_of,
     logarithm,
 )
-from warp_peri.flow.plane import PlaneFlow, run_plane
+from examples.polymer.plane import PlaneFlow, run_plane
+from tests.support.problems import fitted_order
+from warp_peri import InputError
 
 MAXWELL = UpperConvectedMaxwell()
 

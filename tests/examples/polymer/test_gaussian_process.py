@@ -5,9 +5,9 @@ import pytest
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import RBF, ConstantKernel
 
+from examples.polymer.gaussian_process import KERNELS, fit_process, greedy, unlikelihood
+from examples.polymer.learned import Cloud, OutsideWarning
 from warp_peri import InputError
-from warp_peri.flow.gaussian_process import KERNELS, fit_process, greedy, unlikelihood
-from warp_peri.flow.learned import Cloud, OutsideWarning
 
 
 def data(n=60, noise=0.05):

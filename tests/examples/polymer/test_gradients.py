@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import torch
 
-from examples.flows.gradients import TorchSpring, fit_velocities, velocities
+from examples.polymer.closure import Closure
+from examples.polymer.dumbbells import Dumbbells, held, simulate
+from examples.polymer.laws import FENEP, Giesekus, shear
+from examples.polymer.plane import PlaneFlow, run_plane
+from examples.polymer.springs import learn_spring
+from examples.polymer.torch_laws import TorchSpring, fit_velocities, velocities
 from warp_peri import InputError
-from warp_peri.flow.closure import Closure
-from warp_peri.flow.dumbbells import Dumbbells, held, simulate
-from warp_peri.flow.laws import FENEP, Giesekus, shear
-from warp_peri.flow.plane import PlaneFlow, run_plane
-from warp_peri.flow.springs import learn_spring
 
 FLOW = PlaneFlow(1.0, 1.0, 6, force=lambda t: 6.0)
 RUN = lambda law: velocities(law, FLOW, 1.0, 0.05, every=5)

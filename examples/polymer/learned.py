@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeAlias
@@ -10,10 +11,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeAlias
 import numpy as np
 from scipy.spatial import cKDTree
 
+from examples.polymer.gaussian_process import GaussianProcess
+from examples.polymer.laws import IDENTITY
+from examples.polymer.paths import Band, band
 from warp_peri.core.record import Record
 from warp_peri.errors import InputError
-from warp_peri.flow.gaussian_process import GaussianProcess
-from warp_peri.flow.laws import IDENTITY
 
 OUTSIDE = ("warn", "refuse", "allow")
 WIDER = 3.0
@@ -97,6 +99,23 @@ def stretching(K: np.ndarray) -> np.ndarray:
     xx, xy, yx, yy = np.moveaxis(np.asarray(K, dtype=float), -1, 0)
     strain = np.hypot(xx - yy, xy + yx) / 2
     return np.stack([strain, np.maximum(strain - np.abs(xy - yx) / 2, 0)], axis=-1)
+
+
+class Checked:
+    """The checks of a law in one run: what is outside the data is said once, not once a step."""
+
+    def __init__(self) -> None:
+        self.told = False
+
+    def __call__(self, law: Any, K: np.ndarray, C: np.ndarray) -> None:
+        """As the `check` of the law."""
+        with warnings.catch_warnings(record=True) as found:
+            warnings.simplefilter("always")
+            law.check(K, C)
+        for one in found:
+            if not (self.told and issubclass(one.category, OutsideWarning)):
+                warnings.warn(one.message, one.category, stacklevel=3)
+            self.told |= issubclass(one.category, OutsideWarning)
 
 
 def tell(message: str, how: str) -> None:
@@ -199,6 +218,13 @@ class LearnedLaw(Record):
     def distance(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
         """How far states [n, 4] are from the data, in gaps, shape [n]; the farthest input."""
         return np.asarray(self.cloud.distance(self.features(K, C)).reshape(len(C), -1).max(axis=1))
+
+    def band(self, run: Callable[[Any], np.ndarray], *, count: int = 8, seed: int = 0) -> Band:
+        """How sure a field is that `run` makes of a law: this one, and `count` drawn from it (F30).
+
+        It knows the noise and the gaps of the data, not what the form of the law leaves out.
+        """
+        return band(self, run, count, seed)
 
     def check(self, K: np.ndarray, C: np.ndarray) -> None:
         """Warn or refuse outside the data; InputError for a state that is none."""

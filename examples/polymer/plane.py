@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from examples.polymer.closure import Stress, check_time_step, in_cells, key_of
+from examples.polymer.laws import shear
 from warp_peri.contract import taken
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import ArrayFile, write_text
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.flow.closure import Stress, check_time_step, in_cells, key_of
-from warp_peri.flow.laws import shear
 
 
 def still(t: float) -> float:

@@ -11,13 +11,13 @@ import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
 
+from examples.polymer.closure import Pairs, start_pairs
+from examples.polymer.dumbbells import Ensembles, listed
+from examples.polymer.gaussian_process import GaussianProcess, bar, fit_process
+from examples.polymer.kernels.rate_tables import heun_steps
+from examples.polymer.laws import IDENTITY, carried
+from examples.polymer.learned import FORMAT, LearnedLaw
 from warp_peri.errors import InputError
-from warp_peri.flow.closure import Pairs, start_pairs
-from warp_peri.flow.dumbbells import Ensembles, listed
-from warp_peri.flow.gaussian_process import GaussianProcess, bar, fit_process
-from warp_peri.flow.laws import IDENTITY, carried
-from warp_peri.flow.learned import FORMAT, LearnedLaw
-from warp_peri.kernels.flow.rate_tables import heun_steps
 from warp_peri.launch import DEVICE, floats, zeros
 from warp_peri.points.arrays import check_whole
 

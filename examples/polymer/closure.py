@@ -12,11 +12,12 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from examples.polymer.dumbbells import Dumbbells, Ensembles, random_planar
+from examples.polymer.laws import IDENTITY, FlowLaw
+from examples.polymer.learned import Checked
 from warp_peri.contract import offered
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.flow.dumbbells import Dumbbells, Ensembles, random_planar
-from warp_peri.flow.laws import IDENTITY, FlowLaw
 from warp_peri.points.arrays import check_positive, check_whole
 
 March = Callable[[np.ndarray, np.ndarray, float, int], np.ndarray]
@@ -75,7 +76,7 @@ class Closure:
         check_whole("check_every", check_every, 1)
         self.law, self.De, self.check_every = law, De, check_every
         self.C = np.tile(law.rest, (n, 1))
-        self.steps = 0
+        self.steps, self._check = 0, Checked()
         self._march = law.march(n) if isinstance(law, Marching) else None
 
     def advance(self, kappa: np.ndarray, dt: float) -> np.ndarray:
@@ -97,7 +98,7 @@ class Closure:
                 self.C = heun(self.law, K, self.C, h)
         self.steps += 1
         if self.steps % self.check_every == 0:
-            self.law.check(K, self.C)
+            self._check(self.law, K, self.C)
         return np.asarray(self.law.stress(self.C)) / self.De
 
     @property
@@ -195,12 +196,12 @@ def homogeneous(
     InputError when the law's check does.
     """
     C = np.tile(law.rest, (K.shape[1], 1)) if start is None else np.array(start, dtype=float)
-    states = [C]
+    states, check = [C], Checked()
     for now in K:
         count = max(parts, math.ceil(float(np.abs(now).max()) * interval / LARGEST_STRAIN))
         for _ in range(count):
             C = heun(law, now, C, interval / count)
-        law.check(now, C)
+        check(law, now, C)
         states.append(C)
     return np.array(states)
 

@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from scipy.optimize import minimize
 
+from examples.polymer import PlaneFlow, SpringLaw
+from examples.polymer.closure import check_time_step, heun
+from examples.polymer.laws import carried, eigenvalues, from_eigenvalues, stack, unpack
 from warp_peri import InputError
-from warp_peri.flow import PlaneFlow, SpringLaw
-from warp_peri.flow.closure import check_time_step, heun
-from warp_peri.flow.laws import carried, eigenvalues, from_eigenvalues, stack, unpack
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from examples.exact import poiseuille
+from examples.polymer.closure import Closure, CoupledDumbbells
+from examples.polymer.dumbbells import Dumbbells
+from examples.polymer.laws import FENEP, LogConformation, UpperConvectedMaxwell
+from examples.polymer.particles import ChannelFlow, Particles, run_channel
 from tests.support.problems import fitted_order
 from warp_peri import InputError
-from warp_peri.flow.channel import ChannelFlow, Particles, run_channel
-from warp_peri.flow.closure import Closure, CoupledDumbbells
-from warp_peri.flow.dumbbells import Dumbbells
-from warp_peri.flow.laws import FENEP, LogConformation, UpperConvectedMaxwell
 
 
 def run(flow, until, fraction=0.9, every=10, **more):

@@ -12,8 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from warp_peri import InputError
-from warp_peri.flow import (
+from examples.polymer import (
     Closure,
     Dumbbells,
     Ensembles,
@@ -23,8 +22,9 @@ from warp_peri.flow import (
     shear,
     simulate,
 )
-from warp_peri.flow.laws import FlowLaw
-from warp_peri.flow.plane import run_plane
+from examples.polymer.laws import FlowLaw
+from examples.polymer.plane import run_plane
+from warp_peri import InputError
 
 
 @dataclass
