@@ -505,12 +505,12 @@ def read_content(content: Any, path: Path | None = None) -> Any:
     for key, value in zip(("format", "kind"), kind):
         if not isinstance(value, (str, NoneType)):
             raise InputError(f"{key}: expected a name, got {value!r:.50}")
-    for each in kind:
-        if each in LEFT:
-            raise InputError(
-                f"{each}: left the library; commit {LEFT[each]} is the last that reads it"
-            )
     if kind not in KINDS:
+        for each in kind:
+            if each in LEFT:
+                raise InputError(
+                    f"{each}: left the library; commit {LEFT[each]} is the last that reads it"
+                )
         known = sorted({*HOMES, *(name for name, _ in KINDS)})
         names = known, [str(each) for name, each in KINDS if name == kind[0]]
         n = int(kind[0] in known)
