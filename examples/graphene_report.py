@@ -46,6 +46,7 @@ LOCAL = {
     "learned": "local elasticity, constants as learned",
 }
 ROLES = {"train": "training loads", "val": "periodic sheet", "test": "free disks"}
+FORMS = {"energy": "with energy", "filtered": "deconvolved"}
 ERRORS = {"E_res": "residual", "E_u": "displacement"}
 
 
@@ -256,8 +257,8 @@ def error_table(numbers: dict[str, Any], *, short: bool = False) -> str:
         models[CONDITIONS[other["conditions"]]] = other
     if crystal := numbers.get("micromodulus"):
         models[f"crystal model, {crystal['bonds']} bonds"] = crystal
-    if cubic := numbers.get("nonlinear"):
-        models["LPS with third-order constants"] = cubic
+    for form, row in numbers.get("third_order", {}).items():
+        models[f"third-order model, {row['bonds']} bonds, {FORMS[form]}"] = row
     for name, local in numbers.get("local", {}).items():
         if name == "true" or not short:
             models[LOCAL[name]] = {"E_u": local}
@@ -289,13 +290,15 @@ def conditions_line(numbers: dict[str, Any]) -> str:
 
 def others_line(numbers: dict[str, Any]) -> str:
     """What the other two models are for, where they were learned."""
-    if "nonlinear" not in numbers:
+    if "third_order" not in numbers:
         return ""
-    row = numbers["nonlinear"]
-    constants = ", ".join(f"{name} = {value:.3f}" for name, value in row["constants"].items())
+    energy, filtered = numbers["third_order"].values()
+    constants = ", ".join(f"{name} = {value:.3f}" for name, value in energy["constants"].items())
     return (
-        f"- Strains above 1 %: `nonlinear.json`, an LPS with third-order constants, {constants} "
-        f"TPa. At most one solution has strains up to {100 * row['proven_strain']:.1f} %.\n"
+        f"- Strains above 1 %: `third_order_energy.json`, a crystal model with {constants} TPa. At "
+        f"most one solution has strains up to {100 * energy['proven_strain']:.1f} %. "
+        "`third_order_filtered.json` undoes the smoothing of the data, has no energy and is proven "
+        f"to {100 * filtered['proven_strain']:.1f} %.\n"
         "- Directions and speed: `micromodulus.json`, a crystal model that need not be isotropic."
         "\n"
     )

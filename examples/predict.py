@@ -35,7 +35,7 @@ from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.launch import set_threads
-from warp_peri.methods import Optimum, Smoothing
+from warp_peri.methods import Smoothing
 from warp_peri.prediction import Answer, Family, Members, PlacedMembers, strain
 
 OUT = ROOT / "runs" / "predict"
@@ -54,9 +54,7 @@ LARGE = 200
 
 def rich_law() -> wp.ThirdOrder:
     """The best law that this data bear."""
-    kernel = wp.Bernstein(15, two_functions=True)
-    linear = wp.LPS(25.0, kernel, method=Optimum(moduli="isotropic"), normalise=True)
-    return wp.ThirdOrder(linear, Smoothing(10.0))
+    return wp.ThirdOrder(wp.Micromodulus(15.0), Smoothing(10.0))
 
 
 def ensemble(given: argparse.Namespace) -> Members:

@@ -164,8 +164,6 @@ for row in (
     ("lps_two_functions", 16, 1.0, 17.0, 0.02, LPS),
     ("lps_fitted", 36, 5.0, 0.0, 0.02, LPS),
     ("lps_in_space", 5, 1.0, 0.0, 0.02, "energy torch moves sheet uncertified"),
-    ("third_order_energy", 16, 5.0, 0.0, 0.02, "energy strain sheet certify"),
-    ("third_order_filtered", 16, 5.0, 0.0, 0.02, "strain sheet certify"),
     ("crystal_third_order_energy", 16, 5.0, 0.0, 0.02, "energy strain sheet"),
     ("crystal_third_order_filtered", 16, 5.0, 0.0, 0.02, "strain sheet"),
     ("crystal", 16, 1.0, 0.0, 0.02, TENSORS),
@@ -354,21 +352,13 @@ def graphene() -> Entries:
         raise Absent("data/graphene_0K.h5 is not there; make graphene makes it")
     data = wp.load(DATA)
     sets = {role: data[role] for role in ("train", "val", "test")}
-    B, smoothing, optimum = wp.Bernstein, wp.methods.Smoothing, wp.methods.Optimum("isotropic")
-    two = wp.LPS(20.0, B(10, two_functions=True), method=optimum, normalise=True)
-    printed = {
-        "this library": "",
-        "symbol > 0": "",
-        "three more numbers": "",
-        "tensors on 20 bonds": "",
-    }
+    B, smoothing = wp.Bernstein, wp.methods.Smoothing
+    printed = {"this library": "", "symbol > 0": "", "tensors on 20 bonds": ""}
     for name, law in (
         ("this library", wp.LPS(20.0, B(10), conditions=wp.methods.Conditions("paper"))),
         ("symbol > 0", wp.LPS(20.0, B(10))),
-        ("three more numbers", wp.ThirdOrder(two)),
         ("tensors on 20 bonds", wp.Micromodulus(12.5)),
         ("ten lines", wp.LPS(12.5, B(4))),
-        ("filtered", wp.ThirdOrder(two, smoothing(10.0))),
         ("third order on tensors", wp.ThirdOrder(wp.Micromodulus(15.0), smoothing(10.0))),
     ):
         found = wp.fit(data["train"], law, progress=False)

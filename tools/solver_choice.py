@@ -18,13 +18,16 @@ import torch
 
 from tools.solve_study import TABLE, mask_of, problem
 from warp_peri import Direct, Dirichlet, Krylov, Points, load, solve
+from warp_peri.core.elastic import plane_isotropic
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
+from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.statics import linear
 from warp_peri.statics.direct import RESIDUAL
 from warp_peri.statics.linear import DIRECT
 from warp_peri.statics.solution import TOLERANCE
-from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.material import ThirdOrderCrystal
+from warp_peri.third_order.smoothing import Smoothing
 
 SIDES = (10, 16, 24, 34, 48, 61, 100, 200)
 SHAPES = {"rectangle": "square", "disk": "disk", "L": "L"}
@@ -33,8 +36,8 @@ MOST_LU = 61
 LOADS = (1, 2, 4, 8, 32)
 """At once; up to FEW beyond 34² nodes."""
 FEW = 4
-CONSTANTS: dict[str, Any] = {"t3": -0.36, "tq2": -5.6, "q3": 0.84}
-"""Third-order constants [TPa] as an energy form finds them in graphene."""
+CONSTANTS = (-0.36, -5.6, 0.84)
+"""t3, tq2 and q3 [TPa] as an energy form finds them in graphene."""
 
 
 def fields(points: Points, count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -93,8 +96,16 @@ def only(method: str | None) -> Iterator[None]:
 
 
 def nonlinear_rows(model: Any, rounds: int) -> Iterator[dict[str, Any]]:
-    """The same for the nonlinear solid."""
-    solid = NonlinearModel(model, **CONSTANTS)
+    """The same for a third-order crystal of 28 bonds with the moduli of the model."""
+    h = model.certified_on[0]
+    tensor = plane_isotropic(model.lam, model.mu)
+
+    def local(k: np.ndarray) -> np.ndarray:
+        return np.asarray(np.einsum("ijkl,nj,nl->nik", tensor, k, k))
+
+    bonds = fit_symbol(local, h, 3 * h, symmetry="isotropic", tensor=tensor)
+    smoothing = Smoothing(2 * h, 0.2)
+    solid = ThirdOrderCrystal(bonds, *CONSTANTS, smoothing, form="energy", reach=3 * h)
     for shape, kind in SHAPES.items():
         for side in (16, 24, 34, 61, 100):
             points = problem(mask_of(kind, side), model.horizon, model.certified_on[0])

@@ -29,12 +29,7 @@ AROUND = {
     ),
 }
 """Cells of a lattice and the steps to their corners, in VTK's order."""
-XDMF_TYPES = {
-    1: "Scalar",
-    3: "Vector",
-    6: "Matrix",
-    9: "Tensor",
-}  # of Tensor6 readers permute the components
+XDMF_TYPES = {1: "Scalar", 3: "Vector", 6: "Matrix"}  # of Tensor6 readers permute the components
 
 
 def write_fields(
@@ -51,10 +46,8 @@ def write_fields(
     hexahedron, other points stand alone. On all nodes displacement [Å], its error against the set's
     own u [Å], body_force (a density) [TPa/Å] where it is known, and interior (1 or 0). On interior
     nodes, NaN elsewhere: stress [TPa] and strain in ParaView's order XX, YY, ZZ, XY, YZ, XZ, of a
-    plane with zeros out of it, dilatation, energy density [TPa]. Those are of the linear solid; of
-    a nonlinear model also piola, P = Ψ′(H) [TPa], which is to be added to the stress, as XX, XY,
-    XZ, YX, … (theory, N2). Of other laws the stress, and with a gradient of their own (crystals)
-    strain and dilatation, where they have them.
+    plane with zeros out of it, dilatation, energy density [TPa]. Those are of an LPS. Of other laws
+    the stress, and with a gradient of their own (crystals) strain and dilatation.
 
     Args:
         folder: for the files; it is made if it is not there.
@@ -197,16 +190,10 @@ def carried(model: Any, points: PointsLike) -> Any:
 
 
 def _of_linear(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]:
-    """What interior nodes have of a linear peridynamic solid, and what was added, [S, I, …]."""
-    fields, added = node_fields(model.linear, points, u), {}
-    if model.linear is not model:
-        operator = model.on(points, transfer=False, allow_uncertified=True)
-        _, P = operator.gradients(u)
-        here = _full(P[:, points.interior[operator.sweeps.full]])
-        added = {"piola": here.reshape(*here.shape[:-2], 9)}  # not symmetric
+    """What interior nodes have of a linear peridynamic solid, [S, I, …]."""
+    fields = node_fields(model.linear, points, u)
     return {
         "stress": _tensor(fields.stress),
-        **added,
         "strain": _tensor(fields.strain),
         "dilatation": fields.dilatation,
         "energy": fields.energy,
@@ -228,15 +215,10 @@ def _of_law(model: Any, points: Samples, u: np.ndarray) -> dict[str, np.ndarray]
 
 def _tensor(field: np.ndarray) -> np.ndarray:
     """ParaView's symmetric tensors have six components: XX, YY, ZZ, XY, YZ, XZ."""
-    full = _full(field)
+    beyond = 3 - field.shape[-1]
+    full = np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, beyond)] * 2)
     places = ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))
     return np.stack([full[..., a, c] for a, c in places], axis=-1)
-
-
-def _full(field: np.ndarray) -> np.ndarray:
-    """Tensors [..., d, d] as [..., 3, 3], zero out of their plane."""
-    beyond = 3 - field.shape[-1]
-    return np.pad(field, [(0, 0)] * (field.ndim - 2) + [(0, beyond)] * 2)
 
 
 def _everywhere(points: PointsLike, values: np.ndarray) -> np.ndarray:

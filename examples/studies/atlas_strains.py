@@ -21,11 +21,9 @@ from tools.make_graphene import graphene_bodies, point_set
 from tools.make_leaflet import Leaflet
 from tools.make_strained import strained, strained_file
 from tools.samples import Piece, Sample, _statics, read_sample, write_record
-from warp_peri import Bernstein, Dataset, InputError, Model, Points, Samples
-from warp_peri.learning.nonlinear import Nonlinear
-from warp_peri.methods import Optimum, Smoothing
+from warp_peri import Dataset, InputError, Points, Samples
+from warp_peri.methods import Smoothing
 from warp_peri.neural import evaluate
-from warp_peri.third_order.material import NonlinearModel
 from warp_peri.tissue import Dictionary, DisplacementFit, Term, hyperelastic_errors
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.from_displacement import fit_displacement
@@ -55,16 +53,12 @@ def larger_strains(data: Dataset, cache: Path) -> Entry:
     path = _growing(sheet, patch, cache)
     sets = _on_nodes(sheet, patch, path)
     of_disk = _growing(disk, TEST[DISK - 1], cache)[-1].max_bond_strain
-    train, kernel = data["train"], Bernstein(10, two_functions=True)
-    options: dict[str, Any] = {"method": Optimum(moduli="isotropic"), "normalise": True}
-    filtered = Nonlinear(Smoothing())
-    energy = wp.fit(train, wp.ThirdOrder(wp.LPS(20.0, kernel, **options))).material
-    models: dict[str, Model | NonlinearModel] = {
-        "linear model": wp.fit(train, wp.LPS(20.0, kernel, **options)).material,
+    train, crystal = data["train"], wp.Micromodulus(15.0)
+    energy = wp.fit(train, wp.ThirdOrder(crystal, Smoothing(10.0, 0.2), "energy")).material
+    models: dict[str, Any] = {
+        "linear model": wp.fit(train, crystal).material,
         "third order, with energy": energy,
-        "third order, deconvolved": wp.fit(
-            train, wp.ThirdOrder(wp.LPS(20.0, kernel, **options), filtered.smoothing)
-        ).material,
+        "third order, deconvolved": wp.fit(train, wp.ThirdOrder(crystal, Smoothing(10.0))).material,
     }
     errors: dict[str, list[float]] = {name: [] for name in models}
     with warnings.catch_warnings(action="ignore", category=UserWarning):

@@ -290,7 +290,11 @@ def ends(runs: Sequence[Mapping[str, Any]]) -> dict[str, str]:
 
 def metric(runs: Path, data: Dataset) -> list[list[str]]:
     """Main rows in ℓ2, and as squares of it."""
-    names = {"linear solid": "model", "three more numbers": "nonlinear", "tensors": "micromodulus"}
+    names = {
+        "linear solid": "model",
+        "three more numbers": "third_order_energy",
+        "tensors": "micromodulus",
+    }
     rows = []
     for name, file in names.items():
         material = wp.load(runs / "graphene_0K" / f"{file}.json")

@@ -24,7 +24,7 @@ from warp_peri import InputError, Model, Points, Samples
 from warp_peri.choice import gradient_size
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import matrices
-from warp_peri.methods import Optimum, Smoothing
+from warp_peri.methods import Smoothing
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.prediction import Family
 from warp_peri.regression.losses import class_weights, reduce, sample_weights
@@ -239,16 +239,8 @@ STRAINS = (0.01, 0.05, 0.10)
 
 def laws() -> dict[str, tuple[str, Any, float]]:
     """Label: kind, law and horizon [Å], all on nodes 5 Å apart."""
-    two = wp.Bernstein(10, two_functions=True)
-    linear = wp.LPS(20.0, two, method=Optimum(moduli="isotropic"), normalise=True)
     tensors = wp.Micromodulus(15.0, normalise=True)
     return {
-        "third order on an LPS, with energy, δ = 20": (
-            "third-order model",
-            wp.ThirdOrder(linear),
-            20.0,
-        ),
-        "third order on an LPS, deconvolved, δ = 25": ("third-order model", rich_law(), 25.0),
         "third order on a crystal model, 28 bonds": (
             "third-order model",
             wp.ThirdOrder(tensors, Smoothing(10.0)),

@@ -2,13 +2,12 @@
 
 Planes, pieces and lanes are those of kernels/lps/rows.py. A bond ξ and its opposite have the same
 tables, so that they are taken together: Σ p (u_j − u_i) ⊗ ξ needs u(ξ) − u(−ξ), the force of the
-linear bonds u(ξ) + u(−ξ) − 2 u, that of dilatation and stress their differences. bonds[p] holds ξ
-of one of a pair, then C₁₁, C₁₂, C₂₂, 2 p, 2 p_in and 2 p_out. Lines marked as of the dilatation are
-left out where the linear part has none.
+linear bonds u(ξ) + u(−ξ) − 2 u, that of stress the difference. bonds[p] holds ξ of one of a pair,
+then C₁₁, C₁₂, C₂₂, 2 p_in and 2 p_out.
 
-A state is nine planes: what the force reads, a matrix M and a dilatation, and the gradient M was
-made of. Forwards these are P, θ and H; backwards, of the derivative g to L u in the place of u,
-∂/∂H, (∂/∂θ)/(λ − μ) and ∂/∂P, and the force sweep on them is ∂/∂u, with p_in for p_out.
+A state is eight planes: what the force reads, a matrix M, and the gradient M was made of. Forwards
+these are P and H; backwards, of the derivative g to L u in the place of u, ∂/∂H and ∂/∂P, and the
+force sweep on them is ∂/∂u, with p_in for p_out.
 """
 
 from functools import cache
@@ -19,9 +18,9 @@ import warp as wp
 from warp_peri.kernels.lps.rows import BYTES
 from warp_peri.kernels.nonlinear.law import CLIP, CLIP_BACK, CLIPPED, CURVED, STRESS
 
-PLANES = 9
+PLANES = 8
 """Of a state."""
-P_IN, P_OUT = 6, 7
+P_IN, P_OUT = 5, 6
 """Columns of the weights in the table of bonds."""
 
 HERE = """
@@ -40,25 +39,21 @@ STATE_PAIR = """
         const REAL *f00 = state + step, *b00 = state - step;
         const REAL *f01 = f00 + places, *b01 = b00 + places, *f10 = f01 + places;
         const REAL *b10 = b01 + places, *f11 = f10 + places, *b11 = b10 + places;
-        const REAL *ft = f11 + places, *bt = b11 + places;  // DILATATION
 """
 GRADIENT = (
     HERE
     + """
     REAL xx[LANES] = {}, xy[LANES] = {}, yx[LANES] = {}, yy[LANES] = {};
-    REAL theta[LANES] = {};  // DILATATION
     for (int p = 0; p < offset.shape[0]; ++p) {"""
     + PAIR
     + """
         const REAL ka = pair[column] * a, kb = pair[column] * b;
-        const REAL qa = pair[5] * a, qb = pair[5] * b;  // DILATATION
         for (int l = 0; l < LANES; ++l) {
             const REAL x = vx[l] - wx[l], y = vy[l] - wy[l];
             xx[l] += ka * x;
             xy[l] += kb * x;
             yx[l] += ka * y;
             yy[l] += kb * y;
-            theta[l] += qa * x + qb * y;  // DILATATION
         }
     }
     CLIP
@@ -72,11 +67,10 @@ GRADIENT = (
         out[places + l] = m01[l];
         out[2 * places + l] = m10[l];
         out[3 * places + l] = m11[l];
-        out[4 * places + l] = theta[l];  // DILATATION
-        out[5 * places + l] = xx[l];
-        out[6 * places + l] = xy[l];
-        out[7 * places + l] = yx[l];
-        out[8 * places + l] = yy[l];
+        out[4 * places + l] = xx[l];
+        out[5 * places + l] = xy[l];
+        out[6 * places + l] = yx[l];
+        out[7 * places + l] = yy[l];
     }
 """
 )
@@ -91,8 +85,8 @@ FORWARD = GRADIENT.replace("CLIP", CLIP.replace("OF", OF_FIELD)).replace(
     "LAW", OF_FIELD + CLIPPED + STRESS + KEPT
 )
 OF_STATE = """
-    const REAL k00 = seen[5 * places + l], k01 = seen[6 * places + l];
-    const REAL k10 = seen[7 * places + l], k11 = seen[8 * places + l];
+    const REAL k00 = seen[4 * places + l], k01 = seen[5 * places + l];
+    const REAL k10 = seen[6 * places + l], k11 = seen[7 * places + l];
 """
 DIRECTED = "const REAL d00 = xx[l], d01 = xy[l], d10 = yx[l], d11 = yy[l];"
 BACKWARD = GRADIENT.replace("CLIP", CLIP.replace("OF", OF_STATE)).replace(
@@ -114,13 +108,10 @@ FORCE = (
     + """
         const REAL ka = pair[column] * a, kb = pair[column] * b;
         const REAL c11 = pair[2], c12 = pair[3], c22 = pair[4];
-        const REAL pa = bulk * pair[5] * a, pb = bulk * pair[5] * b;  // DILATATION
         for (int l = 0; l < LANES; ++l) {
             const REAL dx = vx[l] + wx[l] - x[l], dy = vy[l] + wy[l] - y[l];
             fx[l] += c11 * dx + c12 * dy;
             fy[l] += c12 * dx + c22 * dy;
-            fx[l] += pa * (ft[l] - bt[l]);  // DILATATION
-            fy[l] += pb * (ft[l] - bt[l]);  // DILATATION
             fx[l] += ka * (f00[l] - b00[l]) + kb * (f01[l] - b01[l]);
             fy[l] += ka * (f10[l] - b10[l]) + kb * (f11[l] - b11[l]);
         }
@@ -134,10 +125,10 @@ FORCE = (
 )
 UNIT = (
     """
-    const size_t places = state.shape[1] / 9;
+    const size_t places = state.shape[1] / 8;
     const REAL* seen = state.data + place;
-    const REAL h00 = seen[5 * places], h01 = seen[6 * places];
-    const REAL h10 = seen[7 * places], h11 = seen[8 * places];
+    const REAL h00 = seen[4 * places], h01 = seen[5 * places];
+    const REAL h10 = seen[6 * places], h11 = seen[7 * places];
     const REAL d00 = k == 0, d01 = k == 1, d10 = k == 2, d11 = k == 3;
 """
     + CURVED
@@ -150,32 +141,26 @@ def lanes_of(scalar):
     return BYTES // wp.types.type_size_in_bytes(scalar)
 
 
-def native(body, scalar, dilates):
-    """The C++ in one precision, with the dilatation or without."""
-    lines = body.splitlines()
-    kept = [
-        line.removesuffix("  // DILATATION") for line in lines if dilates or "// DIL" not in line
-    ]
-    body = "\n".join(kept)
+def native(body, scalar):
+    """The C++ in one precision."""
     return body.replace("REAL", f"wp::{scalar.__name__}").replace("LANES", str(lanes_of(scalar)))
 
 
 @cache
-def rows(scalar, dilates):
-    """The kernels in one precision, of a linear part with a dilatation or without."""
-    pair, numbers = wp.types.vector(8, scalar), wp.types.vector(6, scalar)
+def rows(scalar):
+    """The kernels in one precision."""
+    pair, numbers = wp.types.vector(7, scalar), wp.types.vector(6, scalar)
     mat = wp.types.matrix((2, 2), scalar)
     return SimpleNamespace(
         lanes=lanes_of(scalar),
-        dilates=dilates,
         pair=pair,
         numbers=numbers,
         vec=wp.types.vector(2, scalar),
         mat=mat,
-        state=_state(scalar, pair, numbers, native(FORWARD, scalar, dilates)),
-        curved=_curved(scalar, pair, numbers, native(SEEN + BACKWARD, scalar, dilates)),
-        force=_force(scalar, pair, native(FORCE, scalar, dilates)),
-        tangents=_tangents(scalar, mat, numbers, native(UNIT, scalar, dilates)),
+        state=_state(scalar, pair, numbers, native(FORWARD, scalar)),
+        curved=_curved(scalar, pair, numbers, native(SEEN + BACKWARD, scalar)),
+        force=_force(scalar, pair, native(FORCE, scalar)),
+        tangents=_tangents(scalar, mat, numbers, native(UNIT, scalar)),
     )
 
 
@@ -206,7 +191,7 @@ def _state(scalar, pair, numbers, body):
         planes: wp.array2d(dtype=scalar),
         result: wp.array2d(dtype=scalar),
     ):
-        """P = Ψ′(H), H and θ of u, (N1) and (N4); a radius clips H for P."""
+        """P = Ψ′(H) and H of u, (N1) and (N4); a radius clips H for P."""
         s, t = wp.tid()
         piecewise(s, pieces[first + t], offset, bonds, p_in, m, radius, planes, result)
 
@@ -242,7 +227,7 @@ def _curved(scalar, pair, numbers, body):
         result: wp.array2d(dtype=scalar),
     ):
         """Ψ″(H) of the gradient that the weights of a column give planes, and that gradient:
-        ∂/∂H, ∂/∂θ over λ − μ and ∂/∂P, (N7), of g that is zero off the interior with p_out, and
+        ∂/∂H and ∂/∂P, (N7), of g that is zero off the interior with p_out, and
         how the state changes along a field with p_in."""
         s, t = wp.tid()
         piecewise(s, pieces[first + t], offset, bonds, column, m, radius, state, planes, result)
@@ -260,7 +245,6 @@ def _force(scalar, pair, body):
         offset: wp.array(dtype=wp.int32),
         bonds: wp.array(dtype=pair),
         column: wp.int32,
-        bulk: scalar,
         planes: wp.array2d(dtype=scalar),
         states: wp.array2d(dtype=scalar),
         vectors: wp.array2d(dtype=vec),
@@ -273,14 +257,13 @@ def _force(scalar, pair, body):
         offset: wp.array(dtype=wp.int32),
         bonds: wp.array(dtype=pair),
         column: wp.int32,
-        bulk: scalar,
         planes: wp.array2d(dtype=scalar),
         states: wp.array2d(dtype=scalar),
         vectors: wp.array2d(dtype=vec),
     ):
         """L u, (N2), with the weights p_out; ∂/∂u, (N8), with p_in."""
         s, t = wp.tid()
-        piecewise(s, pieces[first + t], offset, bonds, column, bulk, planes, states, vectors)
+        piecewise(s, pieces[first + t], offset, bonds, column, planes, states, vectors)
 
     return force
 

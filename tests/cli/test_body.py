@@ -108,15 +108,15 @@ def test_a_material_that_bodies_are_not_of_is_refused(files, capsys):
 
 
 def test_a_method_is_of_linear_solids_and_body_options_are_of_bodies(files, capsys):
-    third_order(None)().save(files / "bent.json")
+    third_order("energy")().save(files / "bent.json")
     data = ["solve", files / "bent.json", files / "data.h5", "--out", files / "new.h5"]
     with pytest.raises(SystemExit):
         main([str(word) for word in [*data, "--method", "nonsense"]])
     assert "invalid choice: 'nonsense'" in capsys.readouterr().err
     assert main([str(word) for word in [*data, "--pull", "right=1,0"]]) == 2
     assert "pull: expected with --body MESH" in capsys.readouterr().err
-    with pytest.raises(wp.InputError, match="expected auto for a NonlinearModel"):
-        _solver("lu", third_order(None)())
+    with pytest.raises(wp.InputError, match="expected auto for a ThirdOrderCrystal"):
+        _solver("lu", third_order("energy")())
     parser = ArgumentParser()
     add_options(parser, "solve")
     (method,) = (action for action in parser._actions if action.dest == "method")

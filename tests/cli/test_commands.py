@@ -490,7 +490,7 @@ def test_every_law_is_trained_at_the_shell(kind, tmp_path, capsys):
     kept = load(tmp_path / "out" / "model.json")
     if kind != "third-order":
         assert found["moduli"]["C22"] == pytest.approx(law.moduli()["C22"], rel=0.02)
-    assert type(kept).__name__ == {"tensors": "Crystal", "third-order": "NonlinearModel"}[kind]
+    assert type(kept).__name__ == {"tensors": "Crystal", "third-order": "ThirdOrderCrystal"}[kind]
     assert set(found["E_u"]) == {"train", "val"}
     if kind == "tensors":
         assert found["E_u"]["val"] < 0.03

@@ -16,7 +16,6 @@ from tests.conformance.test_laws import LAWS, difference, network
 from tests.points.test_interpolation import cloud
 from tests.support import cubes
 from tests.support.problems import kernel, lattice, noise
-from tests.third_order.test_crystal import crystal
 from warp_peri.damage import lattice_body
 from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.micromodulus import tensors_of
@@ -77,7 +76,6 @@ OPERATORS = {
     name: lambda law=law: law.material().on(law.points(4)) for name, law in LAWS.items()
 } | {
     "crystal, periodic": lambda: LAWS["crystal"].material().on(LAWS["crystal"].sheet()),
-    "crystal, third order": lambda: crystal("energy").on(lattice(4, 3.0)),
     "neural operator, frozen": frozen,
     "scattered": scattered,
     "scattered, own weights": lambda: scattered(allow_uncertified=True),
@@ -388,7 +386,6 @@ MODULES = {
     "LPS in space": {"lam", "mu", "alpha", "D"},
     "scattered": {"lam", "mu", "alpha", "D"},
     "third order, filtered": {"t3", "tq2", "q3"},
-    "crystal, third order": {"t3", "tq2", "q3"},
     "crystal": {"tensors"},
     "hyperelastic": {"coefficients"},
     "conductor": {"kappa", "alpha", "D"},

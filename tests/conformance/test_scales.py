@@ -163,7 +163,7 @@ FITS = {
     "LPS": wp.LPS(3.0, wp.Bernstein(1)),
     "LPS, two functions": wp.LPS(3.0, wp.Bernstein(1, two_functions=True)),
     "tensors": wp.Micromodulus(2.0, "4mm", moduli=None),
-    "third order": wp.ThirdOrder(wp.LPS(3.0, wp.Bernstein(1))),
+    "third order": wp.ThirdOrder(wp.Micromodulus(2.0), wp.methods.Smoothing(2.0)),
 }
 
 
@@ -205,7 +205,8 @@ def test_a_fit(name, scale):
 
 def scaled_law(law, length):
     if hasattr(law, "linear"):
-        return dataclasses.replace(law, linear=scaled_law(law.linear, length))
+        wide = dataclasses.replace(law.smoothing, radius=law.smoothing.radius * length)
+        return dataclasses.replace(law, linear=scaled_law(law.linear, length), smoothing=wide)
     horizon = {"horizon": law.horizon * length} if hasattr(law, "horizon") else {}
     return dataclasses.replace(law, **horizon)
 

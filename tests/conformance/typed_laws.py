@@ -6,13 +6,13 @@ from warp_peri.lps.model import Model
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
 from warp_peri.statics.lps import PlacedLPS
-from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.material import ThirdOrderCrystal
 from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.tissue.placed import PlacedSheet
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
 
 
-def materials(one: Model, two: NonlinearModel, three: HyperelasticSolid) -> list[Material]:
+def materials(one: Model, two: ThirdOrderCrystal, three: HyperelasticSolid) -> list[Material]:
     return [one, two, three]
 
 

@@ -6,10 +6,9 @@ import json
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-import torch
 
 from examples import train_graphene
-from examples.studies import influence_shapes, manufactured, neural_monotone, speed_chart
+from examples.studies import influence_shapes, manufactured, speed_chart
 from warp_peri.learning.sweep import sweep
 from warp_peri.points.dataset import load_dataset
 
@@ -62,22 +61,6 @@ def test_three_numbers_of_a_wave_do_what_no_positive_shape_does(graphene, tmp_pa
     assert {row["shape"]: round(row["E"], 2) for row in rows}["gaussian"] == 0.04
     influence_shapes.picture(shapes, rows, tmp_path / "shapes.png")
     assert (tmp_path / "shapes.png").stat().st_size > 10_000
-
-
-def test_the_monotone_rival_is_the_derivative_of_a_convex_energy():
-    torch.manual_seed(0)
-    net = neural_monotone.Monotone((8, 8), (6, 6)).double()
-    r = torch.linspace(5.0, 20.0, 12, dtype=torch.float64)
-
-    def force(e):
-        states = [state[None] for state in net.states_of(e, r)]
-        return net(e, states, r)
-
-    stretched = 0.02 * torch.randn(12, dtype=torch.float64) * r
-    stiffness = torch.func.jacrev(force)(stretched)
-    assert (stiffness - stiffness.T).abs().max() <= 1e-12 * stiffness.abs().max()
-    assert torch.linalg.eigvalsh(stiffness).min() >= -1e-12 * stiffness.abs().max()
-    assert force(torch.zeros(12, dtype=torch.float64)).abs().max() == 0
 
 
 def test_the_chart_of_speed_and_accuracy_reads_at_the_size_of_a_page(tmp_path, monkeypatch):

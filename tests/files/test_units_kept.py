@@ -6,17 +6,14 @@ import json
 import numpy as np
 import pytest
 
+from tests.support.nonlinear import solid
 from tests.support.sheets import everything
 from warp_peri import InputError, Model, Points, load
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.diffusion.conductor import Conductor
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
-from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import factors
 from warp_peri.shapes import InfluenceFunction
-from warp_peri.third_order.material import NonlinearModel
-from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.tissue.solid import HyperelasticSolid
 
 UNITS = [("angstrom", "TPa"), ("m", "Pa"), ("mm", "GPa")]
@@ -42,21 +39,9 @@ def certified(units):
     ).in_units(units)
 
 
-CLASSES = bond_classes(5.0, 20.0)
-WEIGHTS = np.full(len(CLASSES.r), 1 / (CLASSES.count @ CLASSES.r**2))
-
-
-def nonlinear(units, smoothing):
-    stress, length = factors(("angstrom", "TPa"), units)[::-1]
-    return NonlinearModel(
-        certified(units),
-        *(stress * np.array([1.0, -2.0, 0.5])),
-        Smoothing(7.5 * length, 0.1) if smoothing else None,
-        {f"{5 * length:g}": {"strain": 0.009}},
-        {"test": 0.002},
-        {"data": "strained.h5"},
-        None if smoothing else WEIGHTS / length**2,
-    )
+def third_order(units):
+    law = dataclasses.replace(solid("filtered"), proven={"strain": 0.03})
+    return law.in_units(units)
 
 
 def brittle(units, **criterion):
@@ -83,8 +68,7 @@ def put(thing, path):
 KINDS = {
     "model": (certified, put, Model.load),
     "model of either kind": (certified, put, load),
-    "nonlinear, energy": (lambda units: nonlinear(units, False), put, NonlinearModel.load),
-    "nonlinear, filtered": (lambda units: nonlinear(units, True), put, load),
+    "third order": (third_order, put, load),
     "brittle, toughness": (lambda units: brittle(units, toughness=3.0), put, BrittleSolid.load),
     "brittle, energy": (lambda units: brittle(units, critical_energy=1.0), put, BrittleSolid.load),
     "hyperelastic": (hyperelastic, put, HyperelasticSolid.load),

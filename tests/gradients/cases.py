@@ -168,9 +168,18 @@ def move(name, op):
     return errors(value, leaves, steps(leaves, 10.0))
 
 
-WAVES = ("LPS", "LPS, bond-based", "LPS, two functions", "LPS in space", "LPS, broken bonds",
-         "crystal", "crystal, periodic", "crystal in space", "own",
-         "third order, energy", "crystal, third order")  # fmt: skip
+WAVES = (
+    "LPS",
+    "LPS, bond-based",
+    "LPS, two functions",
+    "LPS in space",
+    "LPS, broken bonds",
+    "crystal",
+    "crystal, periodic",
+    "crystal in space",
+    "own",
+    "third order, energy",
+)
 """Materials whose waves have a proven step."""
 FLOWS = ("conductor", "coupled")
 """Materials that flow, by implicit steps."""

@@ -23,7 +23,7 @@ def made():
 
 FORCED_LONG = ("hyperelastic", "LPS in space", "scattered")
 SOLVED_LONG = ("scattered", "LPS in space", "third order, filtered",
-               "neural operator", "coupled", "crystal, third order", "scattered, own weights",
+               "neural operator", "coupled", "scattered, own weights",
                "third order, energy", "hyperelastic", "LPS, two functions", "LPS, bond-based",
                "neural operator, frozen")  # fmt: skip
 MOVED = ("LPS",)

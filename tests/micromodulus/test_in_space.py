@@ -46,4 +46,4 @@ def test_what_is_for_sheets_alone_is_refused(made):
         with pytest.raises(wp.InputError, match="in space expected"):
             wp.fit(made[1], law)
     with pytest.raises(wp.InputError, match="expected a sheet"):
-        wp.fit(made[1], wp.ThirdOrder(wp.LPS(2.0)))
+        wp.fit(made[1], wp.ThirdOrder(wp.Micromodulus(2.0), wp.methods.Smoothing(2.0)))

@@ -16,11 +16,19 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
+<<<<<<< HEAD
     "code lines": 27_696,
     "tokens": 326_786,
     "lines of warp_peri": 45_261,
     "lines of kernels": 5_034,
     "lines of warp_peri, kernels, examples and tools": 83_035,
+=======
+    "code lines": 28_905,
+    "tokens": 343_546,
+    "lines of warp_peri": 47_461,
+    "lines of kernels": 5_375,
+    "lines of warp_peri, kernels, examples and tools": 81_655,
+>>>>>>> a64e47b8 (Take third order on an LPS out: constants go on a crystal's bonds)
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -31,15 +39,27 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
+<<<<<<< HEAD
     "cli": 1230,
     "core": 1560,
+=======
+    "cli": 1234,
+    "core": 1561,
+>>>>>>> a64e47b8 (Take third order on an LPS out: constants go on a crystal's bonds)
     "damage": 2022,
     "diffusion": 337,
     "dynamics": 525,
     "edges": 967,
+<<<<<<< HEAD
     "face": 1161,
     "files": 439,
     "learning": 2270,
+=======
+    "face": 1149,
+    "files": 439,
+    "flow": 1660,
+    "learning": 2015,
+>>>>>>> a64e47b8 (Take third order on an LPS out: constants go on a crystal's bonds)
     "lps": 1549,
     "micromodulus": 1322,
     "neural": 1073,
@@ -51,7 +71,7 @@ ROOMS = {
     "stability": 140,
     "statics": 1329,
     "structures": 1869,
-    "third_order": 1058,
+    "third_order": 875,
     "tissue": 2386,
     "transfer": 678,
 }

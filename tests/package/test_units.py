@@ -15,10 +15,10 @@ from warp_peri import Bernstein, InputError, Samples, diagnose, evaluate
 from warp_peri.choice import Scene, choose_model
 from warp_peri.edges.body import solve_body
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.fit import learn_third_order
-from warp_peri.learning.nonlinear import Nonlinear
+from warp_peri.learning.laws import ThirdOrder
 from warp_peri.lps.model import Model, stiffnesses
-from warp_peri.methods import Conditions, Constrained, Optimum, Smoothing, sweep
+from warp_peri.methods import Conditions, Constrained, Smoothing, sweep
+from warp_peri.micromodulus.learning import Micromodulus
 from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
@@ -137,45 +137,31 @@ def swept(units, path):
     return np.append(numbers(best), found.average)
 
 
-def constants(smoothing):
+def constants(form):
     def run(units, _):
         h = length_of(units)
-        known = solid("filtered" if smoothing else "energy", 2.5)
         u = 0.02 * smooth(LATTICE.x, 6, 0, wave_number=0.8)
         b = np.zeros_like(u)
-        b[:, LATTICE.interior] = PlacedThirdOrder(known, LATTICE)(u)
+        b[:, LATTICE.interior] = PlacedThirdOrder(solid(form, 2.5), LATTICE)(u)
         b *= 1 + 1e-4 * np.random.default_rng(0).normal(size=b.shape)
-        found = learn_third_order(
-            there(Samples(LATTICE, u, b), units),
-            Nonlinear(smoothing and Smoothing(smoothing * h)),
-            horizon=2.5 * h,
-            kernel=Bernstein(3, two_functions=True),
-            method=Optimum(moduli="isotropic"),
-            normalise=True,
-            progress=False,
-        ).material
+        law = ThirdOrder(Micromodulus(2.5 * h), Smoothing(2.0 * h, 0.2), form)
+        found = law.learn(there(Samples(LATTICE, u, b), units)).material
         strain = found.proven_strain(h)
-        there_ = found.in_units(USUAL)
-        return np.concatenate([numbers(there_.linear), there_.numbers, [strain]])
+        return np.concatenate([found.in_units(USUAL).numbers, [strain]])
 
     return run
 
 
-def nonlinear_transfer(form):
+def third_order_transfer(form):
     def run(units, _):
         h = length_of(units)
-        known = solid(form)
-        linear = dataclasses.replace(known.linear, largest_wave_number=2.0)
-        known = dataclasses.replace(known, linear=linear)
         points = lattice(4, 2.5, spacing=0.8)
         x = dataclasses.replace(points, x=points.x * h, spacing=0.8 * h, units=units)
-        found = known.in_units(units).at(x)
+        found = solid(form).in_units(units).at(x)
         u = 0.002 * h * smooth(points.x, 1, 0, wave_number=0.8)
         b = np.zeros_like(u)
         solved = solve_nonlinear(found, x, b, u)
-        weights = found.weights(bond_classes(0.8 * h, found.horizon))
-        flat = np.concatenate([w * h**2 for w in weights])
-        return np.concatenate([solved.ravel() / h, flat, [found.proven_strain(0.8 * h)]])
+        return np.append(solved.ravel() / h, found.proven_strain(0.8 * h))
 
     return run
 
@@ -248,10 +234,10 @@ CASES = {
     "fit, output": learned(MADE, loss="output"),
     "fit, own function": learned(kernel=gaussian),
     "sweep": swept,
-    "constants, energy": constants(None),
-    "constants, filtered": constants(2.0),
-    "nonlinear transfer, energy": nonlinear_transfer("energy"),
-    "nonlinear transfer, filtered": nonlinear_transfer("filtered"),
+    "constants, energy": constants("energy"),
+    "constants, filtered": constants("filtered"),
+    "third-order transfer, energy": third_order_transfer("energy"),
+    "third-order transfer, filtered": third_order_transfer("filtered"),
     "scattered": scattered,
     "errors": errors,
     "causes": causes,

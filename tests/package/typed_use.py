@@ -18,9 +18,9 @@ from warp_peri.atoms import LearnedCrystal
 from warp_peri.choice import Choice, Scene
 from warp_peri.edges.body import BodyGradient, Coupling, body_gradient
 from warp_peri.learning.diagnosis import Diagnosis
-from warp_peri.learning.nonlinear import NonlinearFit
 from warp_peri.learning.result import Fit
-from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.fit import ThirdOrderFit
+from warp_peri.third_order.material import ThirdOrderCrystal
 
 SPACING, HORIZON, DENSITY, THICKNESS = 1.0, 2.5, 2200.0, 3.35
 
@@ -140,10 +140,9 @@ def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
     """Three more numbers, and up to which strain solutions are unique."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a linear law made the data
-        kernel = warp_peri.Bernstein(1, two_functions=True)
-        fit = warp_peri.fit(train, warp_peri.ThirdOrder(warp_peri.LPS(HORIZON, kernel)))
-    learned: NonlinearFit = fit
-    model = assert_type(learned.material, NonlinearModel)
+        law = warp_peri.ThirdOrder(warp_peri.Micromodulus(HORIZON), methods.Smoothing(4.0))
+        fit = assert_type(warp_peri.fit(train, law), ThirdOrderFit)
+    model = assert_type(fit.material, ThirdOrderCrystal)
     assert_type(methods.Smoothing(4.0).inverse(np.array([0.1])), np.ndarray)
     figures = assert_type(proofs.uniqueness(model, spacing=SPACING), proofs.Uniqueness)
     assert_type(figures.strain, float)

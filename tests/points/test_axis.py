@@ -1,27 +1,25 @@
 """The axis of a crystal: stated by points and files, asked for by laws that depend on it."""
 
 import dataclasses
-import json
-import warnings
 
 import numpy as np
 import pytest
 
+from tests.support.nonlinear import solid
 from tests.support.problems import AXIS
 from tests.support.sheets import hgo_dictionary, square
-from tests.third_order.test_equilibria import problem, proven
+from tests.third_order.test_equilibria import problem
 from warp_peri import Dataset, InputError, Points, Samples, evaluate
 from warp_peri.cli.main import main
 from warp_peri.points import samples as points_samples
 from warp_peri.points.dataset import load_dataset, save_dataset
-from warp_peri.third_order.material import NonlinearModel
 from warp_peri.tissue.operator import HyperelasticOperator
 
 
 @pytest.fixture(scope="module")
 def known():
     """A model and fields of 2 % strain that it holds exactly, the crystal at AXIS to the nodes."""
-    model = proven("energy")
+    model = solid("energy")
     points, u, b = problem(model, 0.02)
     return model, Samples(points, u[None], b[None])
 
@@ -75,16 +73,3 @@ def test_what_is_no_angle_is_refused_and_sheets_know_of_none():
     turned = dataclasses.replace(square(2), axis=17.0)
     with pytest.raises(InputError, match="axis: directions of a hyperelastic solid .* got 17°"):
         HyperelasticOperator(hgo_dictionary(), turned)
-
-
-def test_an_older_model_file_says_that_points_state_it_now(tmp_path):
-    proven("energy").save(tmp_path / "m.json")
-    content = json.loads((tmp_path / "m.json").read_text()) | {"axis": 0.0}
-    del content["sha256"]
-    (tmp_path / "m.json").write_text(json.dumps(content))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        NonlinearModel.load(tmp_path / "m.json")
-    (tmp_path / "m.json").write_text(json.dumps(content | {"axis": 0.3}))
-    with pytest.warns(UserWarning, match=r"axis: the file has 0.3 rad"):
-        NonlinearModel.load(tmp_path / "m.json")

@@ -28,7 +28,6 @@ from warp_peri.prediction import (
 )
 from warp_peri.prediction.learning import off_axis
 from warp_peri.prediction.placed import BEYOND, ErrorSpectrum, Spectrum, pulled
-from warp_peri.proofs import certify, uniqueness
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 HORIZON, APART = 3.0, 0.02
@@ -36,9 +35,8 @@ HORIZON, APART = 3.0, 0.02
 
 def scaled(model, share):
     """The same law, stiffer by a share: its answers to loads are smaller by as much."""
-    linear = model.linear
-    linear = replace(linear, lam=linear.lam * (1 + share), mu=linear.mu * (1 + share))
-    linear = replace(linear, certificate={"1": certify(linear, spacing=1.0).figures()})
+    tensors = model.linear.tensors * (1 + share)
+    linear = replace(model.linear, tensors=tensors, certificate=None).certified()
     cubic = {name: getattr(model, name) * (1 + share) for name in ("t3", "tq2", "q3")}
     return replace(model, linear=linear, **cubic)
 
@@ -46,12 +44,7 @@ def scaled(model, share):
 @pytest.fixture(scope="module")
 def family():
     """A rich member, a second 1 % stiffer, and halves 2 % to either side."""
-    model = solid("filtered")
-    linear = replace(model.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0])
-    proof = {"1": certify(linear, spacing=1.0).figures()}
-    linear = replace(linear, certificate=proof)
-    rich = replace(model, linear=linear)
-    rich = replace(rich, proven={"1": uniqueness(rich, spacing=1.0).figures()})
+    rich = solid("filtered")
     halves = scaled(rich, APART), scaled(rich, -APART)
     record = ErrorSpectrum(np.array([2.0, 4.0, 8.0]), np.array([0.3, 0.1, 0.0]))
     return Members(rich, scaled(rich, 0.01), halves, record, Factors(1.2, 1.48, 2.0))
@@ -73,10 +66,10 @@ def far(u, truth, points):
 
 def test_an_answer_tells_how_far_a_local_solid_would_be_off(family):
     """Of waves of one length as their symbol says, all directions alike; long waves suffice."""
-    points = lattice(60, HORIZON)
-    stencil = family.rich.linear.stencil(points.spacing)
+    points = lattice(90, HORIZON)
+    stencil = family.rich.linear.stencil
     offs = []
-    for length in (8.0, 16.0):
+    for length in (6.0, 12.0):
         wave = np.sin(points.x[:, :1] * 2 * np.pi / length) * [0.0, 1e-4]
         answer = wp.predict(family, wp.Dirichlet(points, None, wave), 0.5)
         square = []
@@ -151,7 +144,7 @@ def test_strain_counts_what_its_orders_go_on_to(family, steady):
     assert best.corrections > 1
     assert best.parts["strain"] == pytest.approx(expected, rel=0.15)
     # members that were asked before a second correction was known are not asked again
-    early = wp.predict(replace(family, record=None), given, 0.02)
+    early = wp.predict(replace(family, record=None), given, 0.015)
     assert early.corrections == 1
     assert early.parts["strain"] == pytest.approx(expected, rel=0.15)
 
@@ -360,10 +353,7 @@ def test_without_a_tolerance_the_best_that_was_computed_comes_back(family):
 def test_a_stated_axis_is_held_against_the_data_and_said_to_be_believed(family):
     data = held_in(family.rich, 0.03, 8)
     points = replace(data.points, axis=data.points.axis + 12)
-    law = wp.ThirdOrder(
-        wp.LPS(HORIZON, wp.Bernstein(1, two_functions=True), normalise=True,
-               method=wp.methods.Optimum(moduli="isotropic")), wp.methods.Smoothing(2.0)
-    )  # fmt: skip
+    law = wp.ThirdOrder(wp.Micromodulus(HORIZON), wp.methods.Smoothing(2.0))
     with pytest.warns(UserWarning, match="is stated, and the data are explained best at 1[78]"):
         learned = wp.fit(replace(data, points=points), Family(law), progress=False).material
     assert learned.axis_off == pytest.approx(-12, abs=1)  # of what other constants left
@@ -434,4 +424,4 @@ def test_a_family_has_the_standard_error_of_its_crystal_beside_its_own_data(fami
     unsure = replace(family, record=None, rich=replace(family.rich, linear=linear))
     told = wp.predict(unsure, posed, None).parts
     assert told["data"] == pytest.approx(np.hypot(sure.parts["data"], 0.05), rel=1e-3)
-    assert told["waves"] == pytest.approx(sure.parts["waves"], rel=1e-6)
+    assert told["waves"] == pytest.approx(sure.parts["waves"], rel=1e-3)  # a looser solve

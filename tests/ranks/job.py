@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 import warp_peri as wp
+from tests.support.nonlinear import solid as third_order
 from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
 from warp_peri.prediction import Members
@@ -28,7 +29,6 @@ from warp_peri.prediction.placed import ErrorSpectrum
 from warp_peri.proofs import uniqueness
 from warp_peri.ranks import gather, lattice, partition, together
 from warp_peri.ranks.processes import total, world
-from warp_peri.third_order.material import NonlinearModel
 
 H = 0.5
 
@@ -59,7 +59,7 @@ def solid(dimension):
 
 
 def nonlinear():
-    return NonlinearModel(solid(2), -3.0, -2.0, 0.5)
+    return third_order("energy", 2.5 * H, H)
 
 
 def family(rich):

@@ -239,7 +239,7 @@ def test_what_does_not_fit_is_refused_on_all_ranks(jobs):
     assert edge.startswith("points: expected all bonds of every interior node, got 768 of 2704")
     assert long.startswith("step: expected at most 0.0025")
     assert none == "interior: expected at least one interior node, got none"
-    assert bends.endswith("a linear solid or a crystal on ranks, got NonlinearModel")
+    assert bends.endswith("a linear solid or a crystal on ranks, got ThirdOrderCrystal")
     assert learns.startswith("solve: expected tensors without a gradient")
     assert cloud.startswith("points: expected a lattice")
     assert "no pressure, on ranks" in pressed

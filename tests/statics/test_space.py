@@ -101,8 +101,9 @@ def test_what_is_made_for_sheets_is_refused_in_space():
     points = cube(2, 2.0)
     zero = np.zeros_like(points.x)
     samples = warp_peri.Samples(points, zero[None], zero[None])
+    law = warp_peri.ThirdOrder(warp_peri.Micromodulus(2.0), warp_peri.methods.Smoothing(2.0))
     with pytest.raises(InputError, match="expected a sheet; in space LPS and Micromodulus"):
-        warp_peri.fit(samples, warp_peri.ThirdOrder(warp_peri.LPS(2.0)))
+        warp_peri.fit(samples, law)
 
 
 @pytest.mark.parametrize("lam", [0.9, 50.0])

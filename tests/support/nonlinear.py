@@ -1,31 +1,40 @@
-"""Nonlinear models for tests, and Ψ written down as in the theory, from the Green strain."""
+"""Third-order crystals for tests, and Ψ written down as in the theory, from the Green strain."""
+
+from functools import cache
 
 import numpy as np
 
-from tests.support.problems import AXIS, kernel
-from warp_peri.third_order.material import NonlinearModel
+from tests.micromodulus.crystals import cubic_tensor, dispersive
+from tests.support.problems import AXIS
+from warp_peri.micromodulus.waves import fit_symbol
+from warp_peri.third_order.material import ThirdOrderCrystal
 from warp_peri.third_order.smoothing import Smoothing
 
+LAM, MU = 0.3, 0.7
+TENSOR = cubic_tensor(2, LAM + 2 * MU, LAM, MU)
 CONSTANTS = (-0.5, -6.8, 1.04)
 FORMS = ("energy", "filtered")
 
 
-def solid(form, horizon=3.0, spacing=1.0, lam=-0.2):
-    """A nonlinear model on a lattice, its linear part taken as certified."""
-    linear = kernel("two functions", horizon, spacing, lam=lam)
-    smoothing = Smoothing(2.0 * spacing) if form == "filtered" else None
-    return NonlinearModel(linear, *CONSTANTS, smoothing=smoothing)
+@cache
+def solid(form, horizon=3.0, spacing=1.0):
+    """A certified crystal with its guarantee."""
+    linear = fit_symbol(
+        dispersive(TENSOR, spacing), spacing, horizon, symmetry="isotropic", tensor=TENSOR
+    )
+    smoothing = Smoothing(2.0 * spacing, 0.2)
+    return ThirdOrderCrystal(linear, *CONSTANTS, smoothing, form, horizon).certified()
 
 
 def psi(H, model, axis=AXIS):
     """Ψ of (N3) [TPa] at H, shape [..., 2, 2], with the small-strain energy taken off."""
     small = (H + np.swapaxes(H, -1, -2)) / 2
     E = small + np.swapaxes(H, -1, -2) @ H / 2
-    linear = model.linear
+    lam, mu = model.lame
 
     def harmonic(strain):
         trace = np.trace(strain, axis1=-2, axis2=-1)
-        return linear.lam / 2 * trace**2 + linear.mu * (strain**2).sum(axis=(-2, -1))
+        return lam / 2 * trace**2 + mu * (strain**2).sum(axis=(-2, -1))
 
     t = np.trace(E, axis1=-2, axis2=-1)
     q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]

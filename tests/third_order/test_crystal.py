@@ -8,44 +8,30 @@ import pytest
 
 import warp_peri
 from tests.micromodulus.crystals import cubic_tensor, dispersive
-from tests.support.nonlinear import psi
+from tests.support.nonlinear import LAM, MU, TENSOR, psi, solid
 from tests.support.problems import lattice, smooth
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.learning.laws import ThirdOrder, fit
-from warp_peri.learning.methods import Bernstein
 from warp_peri.micromodulus.learning import Micromodulus
 from warp_peri.micromodulus.regression import long_wave_moduli
 from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.statics import linear
-from warp_peri.third_order.material import ThirdOrderCrystal
 from warp_peri.third_order.operator import energy_density
 from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.third_order.uniqueness import proven_kappa
 
-LAM, MU = 0.3, 0.7
-TENSOR = cubic_tensor(2, LAM + 2 * MU, LAM, MU)
 REACH = 3.0
 AXIS = 20.0
 
 
-def crystal(form, spacing=1.0):
-    """A certified law with its guarantee."""
-    linear = fit_symbol(
-        dispersive(TENSOR, spacing), spacing, REACH * spacing, symmetry="isotropic", tensor=TENSOR
-    )
-    smoothing = Smoothing(2.0 * spacing, 0.2)
-    law = ThirdOrderCrystal(linear, -0.5, -6.8, 1.04, smoothing, form, REACH * spacing)
-    return law.certified()
-
-
 @pytest.fixture(scope="module", params=["filtered", "energy"])
 def law(request):
-    return crystal(request.param)
+    return solid(request.param)
 
 
 def nodes(interior=5, spacing=1.0, angle=0.0):
@@ -62,13 +48,7 @@ def loaded(law, points, size, count=1, seed=0, wave_number=0.8):
 
 def test_the_energy_is_that_of_the_green_strain(law):
     H = 0.3 * np.random.default_rng(0).normal(size=(20, 2, 2))
-
-    class Model:
-        linear = type("", (), {"lam": LAM, "mu": MU})
-        t3, tq2, q3 = law.t3, law.tq2, law.q3
-
-    expected = psi(H, Model, 0.3)
-    np.testing.assert_allclose(energy_density(H, law.numbers_at(0.3)), expected, rtol=1e-12)
+    np.testing.assert_allclose(energy_density(H, law.numbers_at(0.3)), psi(H, law, 0.3), rtol=1e-12)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.4])
@@ -165,10 +145,10 @@ def test_what_made_the_data_is_found_again(law):
     points = nodes(11)
     samples = loaded(law, points, 0.05, count=6)
     recipe = Micromodulus(REACH, moduli=voigt(TENSOR))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+    with pytest.warns(UserWarning, match=r"the training data reach .*; a larger ridge"):
         found = fit(samples, ThirdOrder(recipe, law.smoothing, law.form))
     model = found.material
+    assert found.largest_gradient > model.proven_strain(1.0)
     np.testing.assert_allclose(model.numbers, law.numbers, rtol=1e-6)
     size = np.abs(law.linear.tensors).max()
     np.testing.assert_allclose(model.linear.tensors, law.linear.tensors, atol=1e-7 * size)
@@ -203,11 +183,13 @@ def test_what_does_not_fit_is_refused(law):
         replace(law, form="both")
     samples = loaded(law, points, 0.01)
     with pytest.raises(InputError, match="smoothing"):
-        fit(samples, ThirdOrder(Micromodulus(REACH)))
+        fit(samples, ThirdOrder(Micromodulus(REACH), None))
     with pytest.raises(InputError, match="moduli"):
         fit(samples, ThirdOrder(Micromodulus(REACH, moduli=None), Smoothing(2.0)))
-    with pytest.raises(InputError, match="form"):
-        fit(samples, ThirdOrder(warp_peri.LPS(REACH, Bernstein(3)), Smoothing(2.0), "energy"))
+    with pytest.raises(InputError, match="form: expected 'filtered' or 'energy', got 'auto'"):
+        fit(samples, ThirdOrder(Micromodulus(REACH), Smoothing(2.0), "auto"))
+    with pytest.raises(InputError, match=r"an LPS goes in by ThirdOrderCrystal\(tensors_of"):
+        fit(samples, ThirdOrder(warp_peri.LPS(REACH), Smoothing(2.0)))
     with pytest.raises(InputError, match="one set"):
         fit([samples, samples], ThirdOrder(Micromodulus(REACH), Smoothing(2.0)))
     assert law.certified().proven["strain"] == law.proven["strain"]

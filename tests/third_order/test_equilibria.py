@@ -10,20 +10,11 @@ from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import ell, lattice, smooth
 from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
-from warp_peri.proofs import uniqueness
 from warp_peri.statics import conjugate_gradients, equilibria, linear
 from warp_peri.statics.equilibria import NonlinearRecord
 from warp_peri.third_order.operator import PlacedThirdOrder
 
 HORIZON = 3.0
-
-
-def proven(form):
-    """A model with its guarantee."""
-    model = solid(form)
-    linear = replace(model.linear, alpha=1.0, D=[1.0], D_dilatation=[1.0])
-    model = replace(model, linear=linear)
-    return replace(model, proven={"1": uniqueness(model, spacing=1.0).figures()})
 
 
 def problem(model, size, interior=7, seed=0):
@@ -37,7 +28,7 @@ def problem(model, size, interior=7, seed=0):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_a_known_answer_is_found_within_the_proven_strain(form):
-    model = proven(form)
+    model = solid(form)
     points, u, b = problem(model, 0.004)
     records: list[NonlinearRecord] = []
     with warnings.catch_warnings():
@@ -54,7 +45,7 @@ def test_a_known_answer_is_found_within_the_proven_strain(form):
 
 
 def test_answers_beyond_the_proven_strain_come_with_a_warning():
-    model = proven("energy")
+    model = solid("energy")
     points, u, b = problem(model, 0.1, interior=0)
     with pytest.warns(UserWarning, match=r"proven unique up to \|H\| = .* go beyond it"):
         solved = solve_nonlinear(model, points, np.stack([b, 0 * b]), np.stack([u, 0 * u]))
@@ -63,7 +54,7 @@ def test_answers_beyond_the_proven_strain_come_with_a_warning():
 
 
 def test_newton_goes_where_the_fixed_point_does_not(monkeypatch):
-    model = replace(proven("energy"), proven={})
+    model = replace(solid("energy"), proven={})
     points, u, b = problem(model, 0.03, interior=0)
     monkeypatch.setattr(equilibria, "MOST_STEPS", 2)
     records: list[NonlinearRecord] = []
@@ -77,7 +68,7 @@ def test_newton_goes_where_the_fixed_point_does_not(monkeypatch):
 
 
 def test_iterative_linear_solves_give_the_same_answer(monkeypatch):
-    model = proven("filtered")
+    model = solid("filtered")
     points, u, b = problem(model, 0.004)
     solved = solve_nonlinear(model, points, b, u)
     monkeypatch.setattr(linear, "cheapest_method", lambda *points, **options: "lu")

@@ -12,14 +12,12 @@ from tests.support.nonlinear import FORMS, psi, rotation, solid
 from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, periodic, smooth
 from warp_peri import InputError, Points
 from warp_peri.launch import set_threads, threads
-from warp_peri.regression.losses import class_weights
 from warp_peri.third_order.operator import PlacedThirdOrder
-from warp_peri.third_order.sweeps import GradientSweeps, third_order_force
-from warp_peri.transfer.operator import LPSOperator
+from warp_peri.third_order.sweeps import third_order_force
 
 HORIZON = 3.0
 DIFFERENCES = 1e-8
-STEPS = {"alpha": 0.005, "p_in": 1e-5}
+STEPS = {"p_in": 1e-5}
 """Of differences, 0.002 elsewhere: clipping has a kink, and H moves with u and p_in."""
 
 
@@ -31,7 +29,7 @@ def strained(points, size=0.05, seed=0):
 @pytest.mark.parametrize("form", FORMS)
 def test_the_linear_solid_is_the_tangent_at_zero(form):
     points, model = lattice(3, HORIZON), solid(form)
-    linear = LPSOperator(model.linear, points)(noise(points))
+    linear = model.linear.on(points)(noise(points))
     nonlinear = PlacedThirdOrder(model, points)
     departures = [
         np.abs(nonlinear(size * noise(points)) / size - linear).max() for size in (1e-3, 1e-4)
@@ -44,7 +42,7 @@ def test_the_linear_solid_is_the_tangent_at_zero(form):
 def test_the_force_is_the_gradient_of_the_energy():
     points, _ = periodic((7, 8))
     model = solid("energy")
-    op, linear = PlacedThirdOrder(model, points), LPSOperator(model.linear, points)
+    op, linear = PlacedThirdOrder(model, points), model.linear.on(points)
     u = strained(points)
     directions = noise(points, 5, seed=2)
 
@@ -103,33 +101,21 @@ def test_tangent(form):
     assert asymmetry <= 1e-14 if form == "energy" else asymmetry > 1e-5
 
 
-def class_tables(classes, mu, alpha, D, D_dilatation, weights):
-    """16 μ w/r², 2 p, 2 p_in and 2 p_out by class, shape [4, C], as functions of the numbers."""
-    w, p = (class_weights(classes, alpha, own) for own in (D, D_dilatation))
-    r = torch.from_numpy(classes.r)
-    return torch.stack([16 * mu * w / r**2, 2 * p, *(2 * each for each in weights or (p, p))])
-
-
 class Problem:
     """A scalar of L u as a function of the field, and of every parameter by name."""
 
     def __init__(self, form, radius=0.0):
         points = lattice(2, HORIZON)
-        model = solid(form)
-        self.sweeps, self.radius = GradientSweeps(points, HORIZON), radius
+        placed = PlacedThirdOrder(solid(form), points)
+        self.sweeps, self.radius = placed.sweeps, radius
         self.seed = torch.from_numpy(noise(points, 2, seed=4)[:, points.interior])
-        linear = model.linear
-        names, values = ("lam", "mu", "alpha", "D"), linear.solid.values()
-        self.leaves = {"u": 0.05 * noise(points, 2), **dict(zip(names, values))}
-        self.leaves |= {"D_dilatation": linear.dilatation, "cubic": model.numbers[2:]}
-        if form == "filtered":
-            self.leaves |= dict(zip(("p_in", "p_out"), model.weights(self.sweeps.classes)))
-        self.leaves = {name: np.atleast_1d(leaf) for name, leaf in self.leaves.items()}
+        tables = placed.numbers.tables
+        self.leaves = {"u": 0.05 * noise(points, 2), "tensors": tables[:3], "p_in": tables[3]}
+        self.leaves |= {"p_out": tables[4], "cubic": placed.numbers.cubic}
 
-    def scalar(self, u, lam, mu, alpha, D, D_dilatation, cubic, *weights):
-        tables = class_tables(self.sweeps.classes, mu, alpha, D, D_dilatation, weights or None)
-        given = self.sweeps.by_pair(tables), lam - mu, torch.cat([lam, mu, cubic])
-        Lu = third_order_force(self.sweeps, u, *given, radius=self.radius)
+    def scalar(self, u, tensors, p_in, p_out, cubic):
+        tables = torch.cat([tensors, p_in[None], p_out[None]])
+        Lu = third_order_force(self.sweeps, u, tables, cubic, radius=self.radius)
         return (self.seed * Lu).sum() + (Lu**2).sum() / 100
 
     def gradient(self):
@@ -193,9 +179,9 @@ def test_clipping_projects_the_gradient():
 
 def test_what_is_refused():
     model = solid("energy")
-    with pytest.raises(InputError, match="a nonlinear model is for lattices"):
+    with pytest.raises(InputError, match="a third-order crystal is for lattices"):
         PlacedThirdOrder(model, cloud(2, HORIZON))
-    with pytest.raises(InputError, match="certified on 1 Å, not on 2 Å"):
+    with pytest.raises(InputError, match="for 1, the points have 2, and transfer=False"):
         PlacedThirdOrder(model, lattice(2, HORIZON, spacing=2.0), transfer=False)
     points = lattice(2, HORIZON)
     placed = PlacedThirdOrder(model, points)

@@ -8,22 +8,23 @@ import pytest
 
 from tests.support.nonlinear import solid
 from warp_peri import InputError, Model, load
-from warp_peri.lps.model import stiffnesses
 from warp_peri.points.families import bond_classes
-from warp_peri.third_order.material import NonlinearModel
+from warp_peri.third_order.material import ThirdOrderCrystal
 from warp_peri.third_order.smoothing import Smoothing
 
 
-def test_either_kind_of_model_is_read_as_what_it_is_and_knows_its_file(tmp_path):
+def test_a_file_is_read_as_what_it_is_and_one_of_before_is_refused_by_name(tmp_path):
     model, path = solid("energy"), tmp_path / "m.json"
     model.save(path)
-    assert load(path).linear.file == NonlinearModel.load(path).linear.file == path
-    with pytest.raises(InputError, match="expected a Model, got a NonlinearModel"):
+    assert load(path).numbers.tolist() == model.numbers.tolist()
+    with pytest.raises(InputError, match="expected a Model, got a ThirdOrderCrystal"):
         Model.load(path)
     model.linear.save(path)
-    assert load(path).file == path
-    with pytest.raises(InputError, match="expected a NonlinearModel, got a Model"):
-        NonlinearModel.load(path)
+    with pytest.raises(InputError, match="expected a ThirdOrderCrystal, got a Crystal"):
+        ThirdOrderCrystal.load(path)
+    path.write_text(json.dumps({"format": "warp_peri.model", "version": 1, "kind": "nonlinear"}))
+    with pytest.raises(InputError, match="nonlinear: left the library; commit 60f8a38d is the"):
+        load(path)
 
 
 @pytest.mark.parametrize(
@@ -32,9 +33,8 @@ def test_either_kind_of_model_is_read_as_what_it_is_and_knows_its_file(tmp_path)
         ("t3", None, "t3: expected a finite number"),
         ("smoothing", {"radius": 10.0}, "smoothing: missing keys: ridge"),
         ("smoothing", {"radius": -1.0, "ridge": 0.1}, "radius: expected a number > 0"),
-        ("linear", {}, "linear: format: expected 'warp_peri.model'"),
+        ("linear", {}, "linear: format: expected 'warp_peri.micromodulus'"),
         ("proven", [], "proven: expected an object"),
-        ("gradient", [0.1, "x"], "gradient: expected a finite number, got 'x'"),
         ("colour", "red", "unknown keys: colour"),
         ("q3", 7.0, "sha256: the contents are not what was written"),
     ],
@@ -49,27 +49,6 @@ def test_wrong_files_are_refused(key, value, words, tmp_path):
         load(tmp_path / "m.json")
 
 
-def test_a_gradient_of_its_own_has_weights_for_its_classes(tmp_path):
-    classes = bond_classes(1.0, 3.0)
-    weights = np.arange(len(classes.r)) / (classes.count * classes.r**2)
-    weights /= np.arange(len(classes.r)).sum()
-    model = replace(solid("energy"), gradient=weights)
-    model.save(tmp_path / "m.json")
-    again = NonlinearModel.load(tmp_path / "m.json")
-    assert again.gradient == model.gradient
-    p_in, p_out = again.weights(classes)
-    assert p_in is p_out
-    assert np.array_equal(p_in, weights)
-    with pytest.raises(InputError, match="expected weights of 7 classes of bonds, got 6"):
-        again.weights(bond_classes(1.0, 3.5))
-    with pytest.raises(InputError, match=r"weights of this lattice, Σ n r² p = 1, got 1\.02"):
-        again.weights(bond_classes(1.01, 3.05))
-    with pytest.raises(InputError, match="gradient: expected a finite number, got nan"):
-        replace(model, gradient=(np.nan,))
-    with pytest.raises(InputError, match="gradient: expected None beside a smoothing"):
-        replace(solid("filtered"), gradient=model.gradient)
-
-
 def test_numbers_that_are_none_are_refused():
     for value in (np.nan, "1", True, None):
         with pytest.raises(InputError, match="tq2: expected a finite number"):
@@ -78,14 +57,6 @@ def test_numbers_that_are_none_are_refused():
         Smoothing(10.0, -0.1)
     with pytest.raises(InputError, match="radius: expected a length > 0"):
         Smoothing("wide")
-
-
-def test_energy_form_takes_the_weights_of_the_dilatation():
-    model, classes = solid("energy"), bond_classes(1.0, 3.0)
-    p_in, p_out = model.weights(classes)
-    _, z, _ = stiffnesses(model.linear, classes)
-    assert p_in is p_out
-    assert np.allclose(p_in, z / model.linear.mu, rtol=1e-13)
 
 
 @pytest.mark.parametrize("ridge", [0.0, 0.1])
@@ -112,13 +83,12 @@ def test_filtered_form_takes_weights_that_undo_the_smoothing(ridge):
 
 def test_weights_of_a_gradient_go_to_other_units_and_a_proof_stays():
     model = solid("energy")
-    model = replace(model, gradient=model.weights(bond_classes(1.0, 3.0))[0])
-    linear = replace(model.linear, certified_on=(1.0,))
-    model = replace(model, linear=linear, proven={"1": {"strain": 0.03}})
     assert model.in_units(("angstrom", "TPa")) is model
     other = model.in_units(("nm", "GPa"))
-    there = other.weights(bond_classes(0.1, 0.3))[0]
-    np.testing.assert_allclose(there, 100 * np.array(model.gradient), rtol=1e-9)
-    assert (other.proven_strain(0.1), other.proven_strain(0.2)) == (0.03, 0)
+    here, there = (
+        each.weights(bond_classes(h, 3 * h))[0] for each, h in ((model, 1), (other, 0.1))
+    )
+    np.testing.assert_allclose(there, 100 * here, rtol=1e-9)
+    assert (other.proven_strain(0.1), other.proven_strain(0.2)) == (model.proven_strain(1.0), 0)
     with pytest.raises(InputError, match="stress_unit: expected one of"):
         model.in_units(("nm", "furlong"))

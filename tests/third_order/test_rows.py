@@ -10,7 +10,6 @@ from tests.support.problems import ROUNDING, difference, lattice, noise
 from warp_peri.third_order import sweeps
 from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.third_order.sweeps import third_order_force
-from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 
@@ -34,26 +33,26 @@ LAYOUTS = SETS | {"shuffled": shuffled, "mostly empty": apart}
 def by_lists(op, points, u):
     """L u from the linear solid, P at the nodes and sums over neighbours, (N2)."""
     sweeps = op.sweeps
-    p_out = op.numbers.tables[5, sweeps.pair]
+    p_out = op.numbers.tables[4, sweeps.pair]
     stress = np.zeros((len(points.x), 2, 2))
     stress[sweeps.full] = op.gradients(u)[1]
     ends = sweeps.neighbour.reshape(len(points.x), -1)[sweeps.rows]
     both = stress[sweeps.rows][:, None] + stress[ends]
-    linear = LPSOperator(op.model.linear, points)(u)
+    linear = op.straight(u)
     return linear - np.einsum("ipkl,pl,p->ik", both, sweeps.xi, p_out)
 
 
 def gradients_by_lists(op, points, u):
     """H at the nodes `full`, (N1)."""
     sweeps = op.sweeps
-    p_in = op.numbers.tables[4, sweeps.pair]
+    p_in = op.numbers.tables[3, sweeps.pair]
     ends = sweeps.neighbour.reshape(len(points.x), -1)[sweeps.full]
     eta = u[ends] - u[sweeps.full][:, None]
     return np.einsum("ipk,pl,p->ikl", eta, sweeps.xi, p_in)
 
 
 def tensors(of):
-    return [torch.tensor(each, dtype=torch.float64) for each in (of.tables, [of.bulk], of.cubic)]
+    return [torch.tensor(each, dtype=torch.float64) for each in (of.tables, of.cubic)]
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
@@ -91,12 +90,12 @@ def test_samples_one_after_another(monkeypatch):
     points = lattice(4, HORIZON)
     op = PlacedThirdOrder(solid("energy"), points)
     u = torch.from_numpy(0.05 * noise(points, 5)).requires_grad_()
-    tables, bulk, cubic = tensors(op.numbers)
+    tables, cubic = tensors(op.numbers)
     cubic.requires_grad_()
     found = []
     for most in (sweeps.AT_ONCE, 1):
         monkeypatch.setattr(sweeps, "AT_ONCE", most)
-        Lu = third_order_force(op.sweeps, u, tables, bulk, cubic)
+        Lu = third_order_force(op.sweeps, u, tables, cubic)
         found.append([Lu.detach(), *torch.autograd.grad((Lu**2).sum(), [u, cubic])])
     for one, other in zip(*found):
         assert (one - other).abs().max() <= 1e-13 * one.abs().max()

@@ -77,7 +77,7 @@ def test_what_is_missing_or_fails_is_beyond_and_what_is_absent_is_skipped(monkey
 @pytest.mark.slow
 def test_forces_and_solves_are_those_of_the_record():
     """One material of each kind; all of them, and fits, are in the slow test."""
-    some = "lps_bond_based|third_order_filtered|crystal_in_space|soft|coupled"
+    some = "lps_bond_based|crystal_third_order_filtered|crystal_in_space|soft|coupled"
     before = threads()
     try:
         assert frozen.main(["check", "--only", f"^({some}): "]) == 0

@@ -103,7 +103,7 @@ input
   --normalise  divide each sample by the size of its load
 model
   --law {"|".join(LAWS)} =lps  material model: linear peridynamic solid, crystal model, or
-    LPS with third-order constants above 1 % strain
+    crystal model with third-order constants above 1 % strain
   --horizon L  horizon δ, in the data's unit of length (default: 20 Å)
   --degree M  degree of the Bernstein polynomials of the influence function (default: 10)
   --influence NAME  gaussian, exponential or conical, whose length is learned, or a .csv file with

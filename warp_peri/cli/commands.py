@@ -29,6 +29,7 @@ from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, symbols
 from warp_peri.statics.solution import Coupling, Direct, Krylov
 from warp_peri.storage import load
+from warp_peri.third_order.material import ThirdOrderCrystal
 
 Result = dict[str, Any]
 
@@ -63,6 +64,12 @@ def check_output(given: argparse.Namespace) -> None:
 def run_certify(given: argparse.Namespace) -> Result:
     """The certificate of a model on a lattice."""
     material = load(given.model)
+    if isinstance(material, ThirdOrderCrystal):
+        found = proven_on_its_nodes(material.linear, given.spacing)
+        (proof,) = found.values()
+        unique = warp_peri.proofs.uniqueness(material, spacing=material.spacing)
+        proof["nonlinear"] = unique.figures()
+        return found
     if not hasattr(material, "linear") and hasattr(material, "certified"):
         return proven_on_its_nodes(material, given.spacing)
     model = linear_of(material)
@@ -79,9 +86,6 @@ def run_certify(given: argparse.Namespace) -> Result:
             "statement": certificate.statement,
             **certificate.figures(),
         }
-        if hasattr(material, "proven_strain"):
-            proof = warp_peri.proofs.uniqueness(material, spacing=spacing)
-            proven[name]["nonlinear"] = proof.figures()
     return proven
 
 

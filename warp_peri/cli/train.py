@@ -44,7 +44,7 @@ CUBIC = ("t3", "tq2", "q3")
 KINDS = {
     "lps": "linear peridynamic solid (LPS)",
     "tensors": "crystal model",
-    "third-order": "LPS with third-order constants",
+    "third-order": "crystal model with third-order constants",
 }
 HELD_OUT = ("test", "val")
 """Materials by the word of --law; sets that say how good a model is, the first that is there."""
@@ -182,24 +182,19 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
 
     usual = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",
              "zeta": None, "loss": "auto", "seed": 0}  # fmt: skip
-    usual |= {} if given.law == "third-order" else {"degree": None}
-    usual |= {} if given.law == "tensors" else {"normalise": False}
+    usual |= {"degree": None} | ({} if given.law == "tensors" else {"normalise": False})
     if own := [f"--{name}" for name, value in usual.items() if getattr(given, name) != value]:
         raise InputError(f"{', '.join(own)}: not of --law {given.law}")
     samples, horizon = data[given.set], given.horizon
     law: Any = warp_peri.Micromodulus(horizon, normalise=given.normalise)
     if given.law == "third-order":
-        degree, methods = DEGREE if given.degree is None else given.degree, warp_peri.methods
-        kernel = warp_peri.Bernstein(degree, two_functions=True)
-        linear = warp_peri.LPS(horizon, kernel, methods.Optimum(moduli="isotropic"), normalise=True)
-        law = warp_peri.ThirdOrder(linear, methods.Smoothing(2 * samples.spacing))
+        law = warp_peri.ThirdOrder(law, warp_peri.methods.Smoothing(2 * samples.spacing))
     with locked(given.out):
         fit = warp_peri.fit(samples, law, progress=not given.json)
         run = Run(fit, *evaluated(fit.material, data.sets), {})
         material, solid = fit.material, getattr(fit.material, "linear", fit.material)
-        moduli = getattr(solid, "moduli", lambda: {"lambda": solid.lam, "mu": solid.mu})()
-        proof: Any = getattr(fit, "certificate", None) or getattr(solid, "certificate", None)
-        metrics = {"law": given.law, "units": list(data.units), "moduli": moduli}
+        proof: Any = getattr(fit, "certificate", None) or solid.certificate
+        metrics = {"law": given.law, "units": list(data.units), "moduli": solid.moduli()}
         if hasattr(proof, "statement"):
             metrics["statement"] = proof.statement
         metrics |= {name: getattr(material, name) for name in CUBIC if hasattr(material, name)}

@@ -52,7 +52,7 @@ KINDS: dict[tuple[str, str | None], Callable[[Any, Path | None], Any]] = {}
 PROVEN: set[tuple[type, str]] = set()
 """Contents whose proofs this process has gone through, by kind and hash."""
 HOMES = {
-    "warp_peri.model": "third_order.material",
+    "warp_peri.model": "lps.model",
     "warp_peri.third_order_crystal": "third_order.material",
     "warp_peri.brittle_solid": "damage.solid",
     "warp_peri.soft_solid": "damage.softening",
@@ -69,7 +69,11 @@ LEFT = {
     "warp_peri.crystal_bonds": "60f8a38d",
     "warp_peri.dressed": "60f8a38d",
     "warp_peri.dressed_finite": "60f8a38d",
+<<<<<<< HEAD
     "warp_peri.flow_law": "60f8a38d",
+=======
+    "nonlinear": "60f8a38d",
+>>>>>>> a64e47b8 (Take third order on an LPS out: constants go on a crystal's bonds)
 }
 """Last commit that reads a format, or a kind of models, which left the library."""
 

@@ -272,7 +272,7 @@ NEXT = {
     "functions",
     "anisotropy": "Micromodulus(…), whose bonds have stiffnesses of their own: no isotropic solid "
     "has these moduli",
-    "nonlinearity": "smaller loads, or the nonlinear solid, ThirdOrder(LPS(…))",
+    "nonlinearity": "smaller loads, or third-order constants, ThirdOrder(Micromodulus(…), …)",
     "species": "forces in proportion to the masses of a cell's species, or equal masses where "
     "forces are equal",
     "heterogeneity": "a larger smoothing radius and spacing, where the sheet is uniform, or parts "
@@ -357,7 +357,9 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
         )
     (weight,) = sample_weights([samples], normalise=False)
     b = samples.loads[:, samples.interior]
-    model: Model = linear_part(material, "diagnose")
+    model = linear_part(material, "diagnose")
+    if not isinstance(model, Model):
+        raise InputError(f"diagnose: expected an LPS, a Model, got a {type(model).__name__}")
     operator = placed(material, samples.points, verb="diagnose", allow_uncertified=True)
     grid = SheetFeatures(samples, model.horizon, dilatation=not model.bond_based)
     left = (b - operator(samples.u)) @ grid.axes

@@ -14,7 +14,6 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.learning.methods import Bernstein, Constrained, Kernel, Method, TwoStage
-from warp_peri.learning.nonlinear import Nonlinear, NonlinearFit, check_nonlinear, with_constants
 from warp_peri.learning.response import as_model
 from warp_peri.learning.result import Fit, LossChoice, Settings
 from warp_peri.learning.stages import Stages, choose_loss
@@ -114,47 +113,7 @@ def learn(
     Raises InputError for input that cannot be used, RuntimeError when the reduced loss departs
     from the full one or no start of stage 3 ends with the conditions and the moduli kept.
     """
-    given = listed(samples), horizon, kernel, method, conditions, loss, listed(noise, "noise")
-    return _linear(*given, normalise, progress)
-
-
-def learn_third_order(
-    samples: Samples | Dataset | Sequence[Samples],
-    nonlinear: Nonlinear,
-    horizon: float,
-    kernel: Kernel = Bernstein(10),  # noqa: B008
-    *,
-    method: Method = Optimum(),  # noqa: B008
-    conditions: Conditions = Conditions(),  # noqa: B008
-    loss: str = "auto",
-    noise: Samples | Sequence[Samples] | None = None,
-    normalise: bool = False,
-    progress: bool | None = None,
-) -> NonlinearFit:
-    """Learn third-order constants with the linear solid: `nonlinear`, and the rest as for `learn`.
-
-    Raises InputError also for other than Optimum, Bernstein polynomials, lattices of one spacing
-    and the residual loss.
-    """
     sets, quiet = listed(samples), listed(noise, "noise")
-    check_nonlinear(nonlinear, sets, kernel, method, loss, quiet)
-    method = dataclasses.replace(_second(method), moduli=_second(method).held)
-    linear = _linear(sets, horizon, kernel, method, conditions, loss, quiet, normalise, progress)
-    return with_constants(linear, sets, method, nonlinear)
-
-
-def _linear(
-    sets: list[Samples],
-    horizon: float,
-    kernel: Kernel,
-    method: Method,
-    conditions: Conditions,
-    loss: str,
-    quiet: list[Samples],
-    normalise: bool,
-    progress: bool | None,
-) -> Fit:
-    """The linear solid; arguments as for `fit`, sets and fields of noise as lists."""
     shapes = check_choices(kernel, method, conditions)
     carrier = method.lattice_spacing if isinstance(method, TwoStage) else None
     given, steps = (sets, horizon, conditions, quiet, carrier), not isinstance(method, TwoStage)

@@ -10,10 +10,9 @@ from typing import Any, overload
 
 from warp_peri.contract import offered, taken
 from warp_peri.errors import InputError
-from warp_peri.learning.fit import learn, learn_third_order
+from warp_peri.learning.fit import learn
 from warp_peri.learning.in_space import learn_in_space
 from warp_peri.learning.methods import Bernstein, Kernel, Method
-from warp_peri.learning.nonlinear import Nonlinear
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import listed
 from warp_peri.micromodulus.learning import Micromodulus, one_set
@@ -22,6 +21,7 @@ from warp_peri.points.samples import Samples
 from warp_peri.regression.optimum import Conditions
 from warp_peri.regression.settings import Optimum
 from warp_peri.third_order.fit import ThirdOrderFit, fit_third_order
+from warp_peri.third_order.material import FORMS
 from warp_peri.third_order.smoothing import Smoothing
 
 Sets = Samples | Dataset | Sequence[Samples]
@@ -98,28 +98,25 @@ class LPS:
 
 @dataclass(frozen=True)
 class ThirdOrder:
-    """A linear solid with third-order elastic constants t3, tq2, q3 (theory, N1–N6).
+    """A crystal with third-order elastic constants t3, tq2, q3 (theory, N1–N6, N22–N29).
 
     Attributes:
-        linear: the linear solid, learned with them: by Optimum, of Bernstein polynomials, on
-            lattices of one spacing. Isotropic moduli, two influence functions and normalised
-            samples are the better choice. Or Micromodulus(…), whose tensors are learned with the
-            constants by one least squares (N22–N29).
-        smoothing: of the data, for the filtered form; None learns the energy form. Tensors need it
-            in both forms.
-        form: "filtered" or "energy"; "auto" is the filtered one where a smoothing is given.
+        linear: Micromodulus(…), whose tensors are learned with the constants by one least squares;
+            its "auto" symmetry is "isotropic" here.
+        smoothing: of the data, which the weights of the gradient undo.
+        form: "filtered", closer to the data, or "energy", whose force has an energy and can move.
 
     The direction of the crystal is stated by the samples' points (Points.axis). `fit` raises
-    InputError for another form, and for a form that does not go with the smoothing.
+    InputError for another linear part, form or smoothing, and where no moduli are held.
 
-    >>> law = wp.ThirdOrder(wp.LPS(12.5, wp.Bernstein(3)))
+    >>> law = wp.ThirdOrder(wp.Micromodulus(10.0), wp.methods.Smoothing(10.0, 0.2), "energy")
     >>> wp.fit(samples, law).material.proven_strain(5.0) > 0
     True
     """
 
-    linear: Any
-    smoothing: Smoothing | None = None
-    form: str = "auto"
+    linear: Micromodulus
+    smoothing: Smoothing
+    form: str = "filtered"
 
     def learn(
         self,
@@ -127,64 +124,47 @@ class ThirdOrder:
         *,
         noise: Samples | Sequence[Samples] | None = None,
         progress: bool | None = None,
-    ) -> Any:
-        """The fit; arguments and errors as for learning.fit.learn, of tensors as for
-        fit_third_order, "auto" symmetry being "isotropic" there."""
-        filtered = self.smoothing is not None
-        form = ("filtered" if filtered else "energy") if self.form == "auto" else self.form
-        if form not in ("filtered", "energy"):
-            raise InputError(f"form: expected 'auto', 'filtered' or 'energy', got {form!r:.50}")
-        if isinstance(self.linear, Micromodulus):
-            if noise:
-                raise InputError("noise: expected none for a crystal model")
-            return _on_tensors(self.linear, samples, self.smoothing, form)
-        if filtered != (form == "filtered"):
+    ) -> ThirdOrderFit:
+        """The fit; a UserWarning says where training data reach beyond the proven strain."""
+        linear, smoothing = self.linear, self.smoothing
+        if not isinstance(linear, Micromodulus):
             raise InputError(
-                "form: of an LPS the filtered form has a smoothing, and the energy form has none"
+                "linear: expected Micromodulus(horizon); an LPS goes in by "
+                f"ThirdOrderCrystal(tensors_of(model, spacing), …), got {linear!r:.60}"
             )
-        three = Nonlinear(self.smoothing)
-        options = vars(self.linear) | {"noise": noise, "progress": progress}
-        return learn_third_order(samples, three, **options)
-
-
-def _on_tensors(
-    linear: Micromodulus, samples: Any, smoothing: Smoothing | None, form: str
-) -> ThirdOrderFit:
-    """Tensors and third-order constants at once.
-
-    A UserWarning says where training data reach beyond the proven strain.
-    """
-    if not isinstance(smoothing, Smoothing):
-        raise InputError(
-            f"smoothing: expected Smoothing(…) for a crystal model, got {smoothing!r:.60}"
+        if self.form not in FORMS:
+            raise InputError(f"form: expected 'filtered' or 'energy', got {self.form!r:.50}")
+        if noise:
+            raise InputError("noise: expected none for a crystal model")
+        if not isinstance(smoothing, Smoothing):
+            raise InputError(f"smoothing: expected Smoothing(…), got {smoothing!r:.60}")
+        if linear.moduli is None:
+            raise InputError("moduli: expected some that are held, beside third-order constants")
+        auto = isinstance(linear.symmetry, str) and linear.symmetry == "auto"
+        found = fit_third_order(
+            one_set(samples),
+            linear.horizon,
+            smoothing,
+            form=self.form,
+            symmetry="isotropic" if auto else linear.symmetry,
+            orientation=linear.orientation,
+            moduli=linear.moduli,
         )
-    if linear.moduli is None:
-        raise InputError("moduli: expected some that are held, beside third-order constants")
-    auto = isinstance(linear.symmetry, str) and linear.symmetry == "auto"
-    found = fit_third_order(
-        one_set(samples),
-        linear.horizon,
-        smoothing,
-        form=form,
-        symmetry="isotropic" if auto else linear.symmetry,
-        orientation=linear.orientation,
-        moduli=linear.moduli,
-    )
-    proven = found.material.proven_strain(found.material.spacing)
-    if found.largest_gradient > proven:
-        warnings.warn(
-            f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
-            f"reach {found.largest_gradient:.2%}; a larger ridge of the smoothing than "
-            f"{smoothing.ridge:g} may prove more",
-            stacklevel=5,
-        )
-    return found
+        proven = found.material.proven_strain(found.material.spacing)
+        if found.largest_gradient > proven:
+            warnings.warn(
+                f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
+                f"reach {found.largest_gradient:.2%}; a larger ridge of the smoothing than "
+                f"{smoothing.ridge:g} may prove more",
+                stacklevel=4,
+            )
+        return found
 
 
 @overload
 def fit(samples: Sets, law: LPS, **options: Any) -> Fit: ...
 @overload
-def fit(samples: Sets, law: ThirdOrder, **options: Any) -> Any: ...
+def fit(samples: Sets, law: ThirdOrder, **options: Any) -> ThirdOrderFit: ...
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
 def fit(samples: Any, law: Any = None, **options: Any) -> Any:
@@ -192,7 +172,7 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
 
     Args:
         samples: one set or several; of a Dataset `train`, or its only set.
-        law: what may be learned, and how: LPS(horizon, …), ThirdOrder(LPS(…)),
+        law: what may be learned, and how: LPS(horizon, …), ThirdOrder(Micromodulus(…)),
             tissue.Dictionary(…).
         options: of its `learn`; all take `progress`, linear solids `noise`: fields of noise
             alone on the nodes of each training set.

@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from scipy.optimize import root
 
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
@@ -51,10 +50,9 @@ class NonlinearFeatures:
     def __init__(
         self, points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
     ) -> None:
-        self.sweeps = GradientSweeps(points, horizon, dilates=False)
-        none = np.zeros_like(weights[0])
-        by_class = torch.from_numpy(2 * np.stack([none, none, *weights]))
-        self.tables = self.sweeps.by_pair(by_class).numpy()
+        self.sweeps = GradientSweeps(points, horizon)
+        own = 2 * np.stack(weights)[:, self.sweeps.classes.bond_class[self.sweeps.half]]
+        self.tables = np.concatenate([np.zeros((3, own.shape[1])), own])
         turned = np.exp(-6j * axis_of(points))
         self.numbers = np.zeros((5, 6))
         self.numbers[[0, 1, 3, 4], [2, 3, 0, 1]] = 1.0
@@ -66,7 +64,7 @@ class NonlinearFeatures:
         field = floats(np.ascontiguousarray(u), sweeps.kernels.vec)
         columns = []
         for numbers in self.numbers:
-            columns.append(sweeps.force(field, Numbers(self.tables, 0.0, numbers)).numpy())
+            columns.append(sweeps.force(field, Numbers(self.tables, numbers)).numpy())
         return np.stack(columns, axis=2)
 
 

@@ -27,7 +27,7 @@ from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 from warp_peri.third_order.sweeps import GradientSweeps, Numbers, TangentMatrices, third_order_force
 
 if TYPE_CHECKING:
-    from warp_peri.third_order.material import ThirdOrderSolid
+    from warp_peri.third_order.material import ThirdOrderCrystal
 
 
 class PlacedThirdOrder(OnPoints):
@@ -53,7 +53,7 @@ class PlacedThirdOrder(OnPoints):
 
     def __init__(
         self,
-        material: ThirdOrderSolid,
+        material: ThirdOrderCrystal,
         points: PointsLike,
         *,
         transfer: bool = True,
@@ -63,17 +63,15 @@ class PlacedThirdOrder(OnPoints):
         self.home, self.points = material, nodes_of(points)
         given = {"transfer": transfer, "allow_uncertified": allow_uncertified}
         self.model = here = material.at(self.points, **given)
-        self.sweeps = GradientSweeps(here.nominal(self.points), here.horizon, dilates=here.DILATES)
+        self.sweeps = GradientSweeps(self.points, here.horizon)
         axis = axis_of(self.points) if here.q3 else 0.0
-        tables, bulk = here.tables(self.sweeps, self.points)
-        self.numbers = Numbers(tables, bulk, here.numbers_at(axis), float(radius))
+        tables = here.tables(self.sweeps, self.points)
+        self.numbers = Numbers(tables, here.numbers_at(axis), float(radius))
 
     @cached_property
     def straight(self) -> Any:
         """The linear part alone, on the same nodes."""
-        with warnings.catch_warnings():
-            warnings.filterwarnings("ignore", message="spacing: the model is certified")
-            return self.model.straight_on(self.points)
+        return self.model.linear.on(self.points)
 
     @cached_property
     def _matrices(self) -> TangentMatrices:
@@ -95,8 +93,7 @@ class PlacedThirdOrder(OnPoints):
         t3, tq2, q3 = (numbers[name] for name in self.learnable)
         lame = torch.from_numpy(of.cubic[:2].copy())
         constants = torch.stack([t3, tq2, q3 * turned.real, q3 * turned.imag])
-        tables, bulk = torch.from_numpy(of.tables), torch.tensor([of.bulk], dtype=torch.float64)
-        given = (tables, bulk, torch.cat([lame, constants]))
+        given = torch.from_numpy(of.tables), torch.cat([lame, constants])
         return third_order_force(self.sweeps, u, *given, radius=of.radius)
 
     def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
@@ -242,7 +239,7 @@ def _array(u: ArrayLike) -> np.ndarray:
 def energy_density(H: np.ndarray, numbers: np.ndarray) -> np.ndarray:
     """Ψ of (N3) [stress] at displacement gradients of shape [..., 2, 2].
 
-    `numbers` are λ, μ, t3, tq2, Re and Im of q3 e^(−6ia), as ThirdOrderSolid.numbers_at.
+    `numbers` are λ, μ, t3, tq2, Re and Im of q3 e^(−6ia), as ThirdOrderCrystal.numbers_at.
     """
     lam, mu, t3, tq2, *turned = numbers
     small = (H + H.swapaxes(-1, -2)) / 2

@@ -21,10 +21,6 @@ CORE = 3.3
 """Components of wave vectors times R up to which smoothing leaves enough to fit an exact answer."""
 SIZE = 1e-6
 """Weight of the size of p beside relative errors."""
-TAIL = 1.2
-"""Beyond the zone at home the gradient falls off to nothing at so many times its half width."""
-WAVES, DIRECTIONS = 200, 19
-"""Wave numbers and directions that the response of the gradient at home is read at."""
 
 
 @dataclass(frozen=True)
@@ -122,22 +118,3 @@ def gradient_weights(
         return smoothing.weights(classes)
     own = fitted_weights(classes, smoothing.root, np.pi / classes.spacing)
     return own, own
-
-
-def carried_weights(home: BondClasses, p: np.ndarray, there: BondClasses) -> np.ndarray:
-    """Weights that give waves on a finer lattice the gradient that p gives them at home (N21).
-
-    The dilatation's own would not do: of short waves, which the transfer does not look at, they may
-    take many times the gradient, and little would be proven.
-    """
-    edge = np.pi / home.spacing
-    size = edge * (np.arange(WAVES) + 1) / WAVES
-    angle = np.linspace(0, np.pi / 4, DIRECTIONS)
-    along = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    phase = np.einsum("n,da,ba->ndb", size, along, home.xi, optimize=True)
-    longitudinal = 2 * np.einsum(
-        "ndb,b,da,ba->nd", np.sin(phase), p[home.bond_class], along, home.xi, optimize=True
-    )
-    factor = (longitudinal / size[:, None]).mean(axis=1)
-    known, response = np.append(size, TAIL * edge), np.append(factor, 0.0)
-    return fitted_weights(there, lambda k: np.interp(k, known, response), np.pi / there.spacing)

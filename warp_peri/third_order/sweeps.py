@@ -1,6 +1,6 @@
 """Warp launches of a solid of third order on a lattice, as torch and as sparse matrices (N1–N10).
 
-L u is that of a linear part, tensors C of each bond and perhaps a dilatation, and of P = Ψ′(H).
+L u is that of tensors C of each bond and of P = Ψ′(H).
 """
 
 from __future__ import annotations
@@ -35,14 +35,12 @@ class Numbers:
     """Those of a solid on one lattice.
 
     Attributes:
-        tables: C₁₁, C₁₂, C₂₂, 2 p, 2 p_in and 2 p_out of a bond of each pair ±ξ, shape [6, H].
-        bulk: λ − μ of the dilatational part [stress], of which p are the weights; 0 without one.
+        tables: C₁₁, C₁₂, C₂₂, 2 p_in and 2 p_out of a bond of each pair ±ξ, shape [5, H].
         cubic: λ, μ, t3, tq2, Re and Im of q3 e^(−6ia) of Ψ [stress], shape [6].
         radius: largest |H| that P sees, projected to it from beyond (N10); 0 for none.
     """
 
     tables: np.ndarray
-    bulk: float
     cubic: np.ndarray
     radius: float = 0.0
 
@@ -53,7 +51,6 @@ class GradientSweeps:
     Args:
         points: a lattice, all of it in the body.
         horizon: δ [Å], of the longest bond.
-        dilates: whether the linear part has a dilatation.
 
     Attributes:
         classes: bond classes of the lattice.
@@ -65,10 +62,10 @@ class GradientSweeps:
     Raises InputError for what families_of refuses, scattered points and broken bonds.
     """
 
-    def __init__(self, points: PointsLike, horizon: float, *, dilates: bool = True) -> None:
+    def __init__(self, points: PointsLike, horizon: float) -> None:
         self._families = families = families_of(points, horizon)
         self.classes: BondClasses = families.classes
-        self.kernels = rows(wp.float64, dilates)
+        self.kernels = rows(wp.float64)
         self.rows, self.full = families.rows, families.whole
         self.nodes, self.xi = len(points.x), families.pattern
         self.neighbour = families.neighbour
@@ -96,12 +93,6 @@ class GradientSweeps:
         number[self.half] = number[self._families.reverse[self.half]] = np.arange(len(self.half))
         return number
 
-    def by_pair(self, by_class: torch.Tensor) -> torch.Tensor:
-        """Tables of pairs [6, H] from a of C = a ξ ⊗ ξ, 2 p, 2 p_in and 2 p_out by class [4, C]."""
-        a, *weights = by_class[:, torch.from_numpy(self.classes.bond_class[self.half])]
-        x, y = torch.from_numpy(self.xi[self.half].T)
-        return torch.stack([a * x * x, a * x * y, a * y * y, *weights])
-
     def _law(self, of: Numbers) -> tuple[Any, ...]:
         """What the kernels read of a solid."""
         bonds = floats(np.hstack([self.xi[self.half], of.tables.T]), self.kernels.pair)
@@ -113,7 +104,7 @@ class GradientSweeps:
         Lu = empty(u.shape[0], len(self.rows), dtype=self.kernels.vec)
         for part in self._parts(u.shape[0]):
             planes, state = self._state(u[part], law)
-            inputs = (laid.pieces.forces, *law[:2], P_OUT, of.bulk, planes, state)
+            inputs = (laid.pieces.forces, *law[:2], P_OUT, planes, state)
             self._gather(inputs, self.rows, Lu[part])
             laid.give_back("forward", planes, state)
         return Lu
@@ -125,7 +116,7 @@ class GradientSweeps:
         for part in self._parts(u.shape[0]):
             planes, state = self._state(u[part], law)
             along, change = self._curved("along", laid.pieces.images, v[part], law, P_IN, state)
-            inputs = (laid.pieces.forces, *law[:2], P_OUT, of.bulk, along, change)
+            inputs = (laid.pieces.forces, *law[:2], P_OUT, along, change)
             self._gather(inputs, self.rows, rate[part])
             laid.give_back("forward", planes, state)
             laid.give_back("along", along, change)
@@ -141,28 +132,28 @@ class GradientSweeps:
             laid.give_back("forward", planes, state)
         whole = np.concatenate(found).transpose(0, 2, 1)
         shape = (*whole.shape[:2], 2, 2)
-        return whole[..., 5:].reshape(shape), whole[..., :4].reshape(shape)
+        return whole[..., 4:].reshape(shape), whole[..., :4].reshape(shape)
 
     def adjoint(
         self, u: wp.array[Any], of: Numbers, g: wp.array[Any], *, parameters: bool
-    ) -> tuple[wp.array[Any], tuple[np.ndarray, float, np.ndarray] | None]:
-        """∂/∂u, and ∂/∂ of the tables [6, H], λ − μ and the numbers [6], where they are wanted.
+    ) -> tuple[wp.array[Any], tuple[np.ndarray, np.ndarray] | None]:
+        """∂/∂u, and ∂/∂ of the tables [5, H] and the numbers [6], where they are wanted.
 
         Args:
             u, of: as for `force`.
             g: derivative to L u, shape [S, I] of vectors.
             parameters: whether the second part is wanted.
         """
-        laid, law, dilates = self._laid_out, self._law(of), self.kernels.dilates
+        laid, law = self._laid_out, self._law(of)
         u_bar = empty(*u.shape, dtype=self.kernels.vec)
-        gathered = sums(wp.float64, dilates)
+        gathered = sums(wp.float64)
         bars = zeros(BLOCKS, gathered.pair * len(self.half))
         by_numbers = zeros(BLOCKS, gathered.material)
         for part in self._parts(u.shape[0]):
             planes, state = self._state(u[part], law)
             images = laid.pieces.row_images
             seeds, back = self._curved("backward", images, g[part], law, P_OUT, state)
-            inputs: tuple[Any, ...] = (laid.pieces.nodes, *law[:2], P_IN, of.bulk, seeds, back)
+            inputs: tuple[Any, ...] = (laid.pieces.nodes, *law[:2], P_IN, seeds, back)
             self._gather(inputs, slice(None), u_bar[part])
             if parameters:
                 whole = laid.pieces.whole
@@ -175,12 +166,12 @@ class GradientSweeps:
             laid.give_back("backward", seeds, back)
         if not parameters:
             return u_bar, None
-        *C, across, own, into, out = (
+        *C, into, out = (
             bars.numpy().reshape(BLOCKS, -1, SUMS, self.kernels.lanes).sum(axis=(0, 3)).T
         )
-        by_table = np.stack([*(-each for each in C), of.bulk * (own - across), into, -out])
+        by_table = np.stack([*(-each for each in C), into, -out])
         material = by_numbers.numpy().reshape(BLOCKS, 6, -1).sum(axis=(0, 2))
-        return u_bar, (by_table, -float(of.tables[3] @ across), material)
+        return u_bar, (by_table, material)
 
     def curvatures(self, u: wp.array[Any], of: Numbers) -> np.ndarray:
         """Ψ″ [stress] of one field at the nodes `full`, shape [4, 4, F], entries 11, 12, 21, 22."""
@@ -194,7 +185,7 @@ class GradientSweeps:
         return curvatures
 
     def _state(self, u: wp.array[Any], law: tuple[Any, ...]) -> tuple[wp.array[Any], wp.array[Any]]:
-        """Planes of u and of P, θ and H, to be given back."""
+        """Planes of u and of P and H, to be given back."""
         laid = self._laid_out
         planes, state = laid.planes("forward", u.shape[0], PLANES)
         laid.lay_out(laid.pieces.images, u, planes)
@@ -237,7 +228,7 @@ class GradientSweeps:
 
 
 class _ThirdOrderForce(torch.autograd.Function):
-    """u, tables of pairs [6, H], λ − μ and the six numbers to L u."""
+    """u, tables of pairs [5, H] and the six numbers to L u."""
 
     @staticmethod
     def forward(
@@ -246,13 +237,12 @@ class _ThirdOrderForce(torch.autograd.Function):
         radius: float,
         u: torch.Tensor,
         tables: torch.Tensor,
-        bulk: torch.Tensor,
         cubic: torch.Tensor,
     ) -> torch.Tensor:
         ctx.sweeps = sweeps
-        ctx.save_for_backward(u, tables, bulk, cubic)
+        ctx.save_for_backward(u, tables, cubic)
         ctx.field = wp.from_torch(u.detach().contiguous(), dtype=sweeps.kernels.vec)
-        ctx.of = Numbers(tables.detach().numpy(), float(bulk), cubic.detach().numpy(), radius)
+        ctx.of = Numbers(tables.detach().numpy(), cubic.detach().numpy(), radius)
         Lu: torch.Tensor = wp.to_torch(sweeps.force(ctx.field, ctx.of), requires_grad=False)
         return Lu
 
@@ -265,9 +255,8 @@ class _ThirdOrderForce(torch.autograd.Function):
         by_u, others = ctx.sweeps.adjoint(ctx.field, ctx.of, g, parameters=wanted)
         by_u = wp.to_torch(by_u, requires_grad=False)
         if others is None:
-            return None, None, by_u, None, None, None
-        tables, bulk, cubic = (torch.as_tensor(part, dtype=torch.float64) for part in others)
-        return None, None, by_u, tables, bulk.reshape(1), cubic
+            return None, None, by_u, None, None
+        return None, None, by_u, *map(torch.from_numpy, others)
 
 
 _force: Callable[..., torch.Tensor] = _ThirdOrderForce.apply
@@ -277,7 +266,6 @@ def third_order_force(
     sweeps: GradientSweeps,
     u: torch.Tensor,
     tables: torch.Tensor,
-    bulk: torch.Tensor,
     cubic: torch.Tensor,
     *,
     radius: float = 0.0,
@@ -287,7 +275,7 @@ def third_order_force(
     Args:
         sweeps: of a lattice with N nodes.
         u: displacement [length], shape [N, 2] or [S, N, 2], float64.
-        tables, bulk, cubic, radius: as for Numbers; `bulk` of shape [1].
+        tables, cubic, radius: as for Numbers.
 
     Raises InputError for a u of another shape or type.
     """
@@ -298,8 +286,8 @@ def third_order_force(
             f"u: expected float64 of shape [S, {nodes}, 2], S ≥ 1, or [{nodes}, 2], "
             f"got {u.dtype} of shape {list(u.shape)}"
         )
-    refuse_tangents(u, tables, bulk, cubic)
-    Lu = _force(sweeps, radius, u.reshape(-1, nodes, 2), tables, bulk, cubic)
+    refuse_tangents(u, tables, cubic)
+    Lu = _force(sweeps, radius, u.reshape(-1, nodes, 2), tables, cubic)
     return Lu.reshape(*u.shape[:-2], -1, 2)
 
 
@@ -307,7 +295,7 @@ class TangentMatrices:
     """H by entry from u, L u from P by entry, and the linear part, of one solid on one lattice."""
 
     def __init__(self, sweeps: GradientSweeps, of: Numbers) -> None:
-        c11, c12, c22, p, p_in, p_out = of.tables[:, sweeps.pair]
+        c11, c12, c22, p_in, p_out = of.tables[:, sweeps.pair]
         self.sweeps, xi = sweeps, sweeps.xi.T
         full, rows = sweeps.full, sweeps.rows
         pairs = [(i, k) for i in range(2) for k in range(2)]
@@ -316,11 +304,6 @@ class TangentMatrices:
         self.out = [_to(-forces[k], i) for i, k in pairs]
         bonds = [self._differences(rows, C) for C in (c11, c12, c12, c22)]
         self.linear = -sum(_to(_from(each, k), i) for each, (i, k) in zip(bonds, pairs))
-        if sweeps.kernels.dilates:
-            theta = sum(_from(self._differences(full, p * xi[i]), i) for i in range(2))
-            for i in range(2):
-                pressed = _to(self._gathering(p * xi[i]), i) @ theta
-                self.linear = self.linear - of.bulk * pressed
 
     def tangent(self, second: np.ndarray) -> sp.csr_array:
         """L_linear + Σ out Ψ″ in, shape [2 I, 2 N], from Ψ″ of every node, shape [4, 4, F]."""
