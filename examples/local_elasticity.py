@@ -2,6 +2,7 @@
 
     python examples/local_elasticity.py                 on scenes that no fit saw
     python examples/local_elasticity.py --data data/graphene_0K.h5 --model M.json N.json
+    python examples/local_elasticity.py --data data/graphene_0K.h5 --third-order --sets val test
     python examples/local_elasticity.py --waves --model M.json N.json
     python examples/local_elasticity.py --data runs/boron_nitride/bn.h5 \\
         --model runs/boron_nitride/model/model.json --true 0.2572 0.2849
@@ -10,14 +11,16 @@ Prints E_u [%] by set of laws of sheets, of local elasticity with the moduli tha
 those of each law's long waves; where the file has the same loads reversed, also the part of even
 order, which no linear law follows. The scenes are of tools/make_scenes.py. Biquadratic elements
 half a spacing wide; loads and displacements of the collar go to points between the nodes by
-ten-point interpolation. With --waves it is by the length of a wave in graphene, in nodes 5 Å apart,
+ten-point interpolation. With --third-order also of local third-order elasticity with the five
+constants of graphene's potential, on these elements and on linear ones between the nodes. With
+--waves it is by the length of a wave in graphene, in nodes 5 Å apart,
 against the force constants of the atoms, the mean over directions.
 """
 
 import dataclasses
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +35,8 @@ from examples.crystals import local
 from examples.prose import table
 from examples.studies.fem_rival import elastic_solver
 from tools import graphene_phonons
+from tools.elastic import cubic_constants
+from tools.graphene import bond_length
 from tools.options import Options
 from warp_peri import InputError, Points, Samples
 from warp_peri.core.elastic import from_voigt, plane_isotropic, voigt
@@ -39,6 +44,7 @@ from warp_peri.errors import exit_status
 from warp_peri.micromodulus import Crystal, tensors_of
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike
+from warp_peri.third_order.material import CUBIC
 
 MODEL = ROOT / "runs" / "graphene_0K" / "model.json"
 GRAPHENE, SCENES = (ROOT / "data" / f"graphene_0K{end}.h5" for end in ("", "_scenes"))
@@ -55,32 +61,45 @@ BETWEEN[9] = 1.0
 """Ten-point interpolation half way, on points twice as dense."""
 
 
-def errors_of_local(samples: Samples, C: np.ndarray) -> np.ndarray:
-    """E_u of local elasticity by sample: relative ℓ2 errors on the interior, shape [S]."""
-    inside = samples.interior
-    wrong, true = solve_local(samples, C)[:, inside] - samples.u[:, inside], samples.u
-    size = np.linalg.norm(true[:, inside].reshape(len(true), -1), axis=1)
-    return np.linalg.norm(wrong.reshape(len(wrong), -1), axis=1) / size
+def errors_of_local(
+    samples: Samples, C: np.ndarray, third: Sequence[float] | None = None
+) -> np.ndarray:
+    """E_u of local elasticity by sample: relative ℓ2 errors on the interior, shape [S].
 
-
-def solve_local(samples: Samples, C: np.ndarray) -> np.ndarray:
-    """Displacements [S, N, 2] under the loads; u is held on the collar, as it is given.
-
-    Args and errors are as of local_solver.
+    Args are as of local_solver.
     """
-    u = samples.u.copy()
-    u[:, samples.interior] = local_solver(samples, C)(samples.loads, samples.u)
-    return u
+    return errors_of(local_solver(samples, C, third)(samples.loads, samples.u), samples)
+
+
+def errors_of(inner: np.ndarray, samples: Samples) -> np.ndarray:
+    """Relative ℓ2 errors, shape [S], of displacements on the interior [S, I, 2]."""
+    true = samples.u[:, samples.interior]
+    wrong, size = (np.linalg.norm(f.reshape(len(f), -1), axis=1) for f in (inner - true, true))
+    return np.asarray(wrong / size)
+
+
+def third_order_rows(sets: dict[str, Samples], C: np.ndarray) -> dict[str, dict[str, float]]:
+    """E_u of local third-order elasticity with the potential's constants, by elements and set."""
+    constants = cubic_constants(bond_length())
+    third = [constants[name] for name in CUBIC]
+    found: dict[str, dict[str, float]] = {"quadratic": {}, "linear": {}}
+    for name, samples in sets.items():
+        on_nodes = elastic_solver(samples.points, order=1, C=C, third=third)
+        found["linear"][name] = float(errors_of(on_nodes(samples.loads, samples.u), samples).mean())
+        found["quadratic"][name] = float(errors_of_local(samples, C, third).mean())
+    return found
 
 
 def local_solver(
-    points: PointsLike, C: np.ndarray
+    points: PointsLike, C: np.ndarray, third: Sequence[float] | None = None
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Assemble and factorise; the result solves for u on the interior, shape [..., I, 2].
 
     Args:
         points: a square lattice with a collar of five nodes at least.
         C: Voigt matrix of plane elasticity [stress], along the nodes' axes, shape [3, 3].
+        third: t3, tq2 and q3 [stress] of a crystal whose zigzag direction is the nodes' x axis;
+            None for linear elasticity.
     """
     steps, axes = lattice_steps(points)
     place = FINER * (steps - steps.min(axis=0))
@@ -92,7 +111,7 @@ def local_solver(
     free[tuple(place[~points.interior].T)] = False
     spacing = points.spacing / FINER
     fine = Points(np.argwhere(body) * spacing, free[body], spacing)
-    factorised = elastic_solver(fine, order=2, C=C)
+    factorised = elastic_solver(fine, order=2, C=C, third=third)
     unknown = np.zeros(shape, int)
     unknown[free] = np.arange(np.count_nonzero(free))
     nodes = unknown[tuple(place[points.interior].T)]
@@ -224,6 +243,9 @@ def study(given: Any) -> str:
     backs = {name: data[back] for name, back in ways.items() if back in data}
     sets = {name: data[name] for name in some}
     found = errors_by_law(materials, sets, plane_isotropic(*true), backs)
+    if given.third_order:
+        for elements, row in third_order_rows(sets, plane_isotropic(*true)).items():
+            found[f"local third-order elasticity, true constants, {elements} elements"] = row
     if given.json:
         return json.dumps(found)
     cells = [[law, *(f"{100 * e:.2f}" for e in row.values())] for law, row in found.items()]
@@ -235,6 +257,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add("--model", type=Path, nargs="+", default=[MODEL], metavar="FILE", help="laws")
     parser.add("--data", type=Path, default=SCENES, metavar="FILE", help="samples of a sheet")
     parser.add("--waves", action="store_true", help="by the length of a wave")
+    parser.add("--third-order", action="store_true", help="local elasticity of third order, too")
     parser.add("--sets", nargs="+", metavar="NAME", help="of the file")
     parser.add(
         "--true", type=float, nargs=2, metavar=("LAMBDA", "MU"), help="by default the file's"

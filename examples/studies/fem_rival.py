@@ -1,6 +1,6 @@
-"""Plane linear elasticity by finite elements of scikit-fem, on the nodes of a lattice."""
+"""Plane elasticity, linear or of third order, by finite elements of scikit-fem on a lattice."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy.sparse as sp
@@ -11,9 +11,12 @@ from warp_peri import InputError
 from warp_peri.core.elastic import from_voigt
 from warp_peri.points.samples import PointsLike
 
+STEPS, SETTLED = 60, 1e-9
+"""Most linear solves of a load of third order, and the relative residual that ends them."""
+
 
 def elastic_solver(
-    points: PointsLike, *, order: int, C: np.ndarray
+    points: PointsLike, *, order: int, C: np.ndarray, third: Sequence[float] | None = None
 ) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     """Assemble and factorise; the result solves for u [Å] on the interior, shape [..., I, 2].
 
@@ -22,10 +25,12 @@ def elastic_solver(
             the unknowns are the same nodes.
         order: 1 or 2 of the quadrilateral elements.
         C: Voigt matrix of plane elasticity [TPa], along the nodes' axes, shape [3, 3].
+        third: t3, tq2 and q3 [TPa] of a crystal whose zigzag direction is the nodes' x axis; None
+            for linear elasticity.
 
     The load is interpolated by the elements (consistent mass matrix).
 
-    Raises InputError when scikit-fem is missing.
+    Raises InputError when scikit-fem is missing, and for a load of third order without answer.
     """
     try:
         import skfem
@@ -43,6 +48,10 @@ def elastic_solver(
     @skfem.BilinearForm
     def mass(u, v, w):
         return u[0] * v[0] + u[1] * v[1]
+
+    @skfem.LinearForm
+    def work(v, w):
+        return (piola(w["u"].grad, tensor, third) * v.grad).sum(axis=(0, 1))
 
     mesh_nodes, cells = quadrilaterals(points, order)
     mesh = skfem.MeshQuad(points.x[mesh_nodes].T.copy(), cells)
@@ -64,14 +73,47 @@ def elastic_solver(
     factors = splu(sp.csc_matrix(K[free][:, free]))
     collar = K[free][:, ~free]
 
+    def bent(start: np.ndarray, load: np.ndarray) -> np.ndarray:
+        """All unknowns of one load in third-order elasticity, by repeated linear solves."""
+        found, size = start.copy(), None
+        for _ in range(STEPS):
+            left = load - work.assemble(basis, u=basis.interpolate(found))[free]
+            size = size or np.linalg.norm(left)
+            if np.linalg.norm(left) <= SETTLED * size:
+                return found
+            found[free] += factors.solve(left)
+        raise InputError("b: third-order elasticity finds no equilibrium under this load")
+
     def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
         load, given = b[..., node, component].T, u[..., node, component].T
-        solution = factors.solve((M @ load)[free] - collar @ given[~free])
+        right = (M @ load)[free]
+        solution = factors.solve(right - collar @ given[~free])
+        if third is not None:
+            start = given.copy()
+            start[free] = solution
+            columns = zip(start.reshape(len(start), -1).T, right.reshape(len(right), -1).T)
+            solution = np.stack([bent(*column)[free] for column in columns], axis=-1)
+            solution = solution.reshape(right.shape)
         inner = np.empty((*b.shape[:-2], np.count_nonzero(points.interior), 2))
         inner[..., place, component[free]] = solution.T
         return inner
 
     return solve
+
+
+def piola(H: np.ndarray, C: np.ndarray, third: Sequence[float] | None) -> np.ndarray:
+    """First Piola stress [TPa] of ½ E:C:E + t3 t³ + tq2 t |q|² + q3 Re q³, H of shape [2, 2, …].
+
+    E is the Green strain, t its trace, q = (E₁₁ − E₂₂)/2 + i E₁₂.
+    """
+    t3, tq2, q3 = third or (0.0, 0.0, 0.0)
+    F = H + np.eye(2).reshape(2, 2, *[1] * (H.ndim - 2))
+    E = (np.einsum("ki...,kj...->ij...", F, F) - F + H) / 2
+    t, q = E[0, 0] + E[1, 1], (E[0, 0] - E[1, 1]) / 2 + 1j * E[0, 1]
+    by_t, by_q = 3 * t3 * t**2 + tq2 * abs(q) ** 2, 2 * tq2 * t * q + 3 * q3 * np.conj(q) ** 2
+    S = np.tensordot(C, E, 2)
+    S = S + np.array([[by_t + by_q.real / 2, by_q.imag / 2], [by_q.imag / 2, by_t - by_q.real / 2]])
+    return np.asarray(np.einsum("ik...,kj...->ij...", F, S))
 
 
 def quadrilaterals(points: PointsLike, width: int) -> tuple[np.ndarray, np.ndarray]:

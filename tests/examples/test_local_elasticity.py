@@ -13,6 +13,7 @@ from examples.local_elasticity import (
     local_solver,
     moduli_of,
 )
+from examples.studies.fem_rival import elastic_solver, piola
 from examples.studies.speed_accuracy import SECONDS_OF, beside
 from warp_peri.choice import shipped_table
 from warp_peri.core.elastic import from_voigt, plane_isotropic
@@ -41,6 +42,32 @@ def test_no_mesh_errs_to_speak_of():
     errors = [errors_of_local(waves(length), C)[0] for length in lengths]
     assert errors[2] < 1e-4
     assert -np.polyfit(np.log(lengths), np.log(errors), 1)[0] > 3.8
+
+
+def test_third_order_elements_hold_a_strained_crystal_and_turn_with_it():
+    """Its own stress by differences of the energy, and no force of a turned uniform strain."""
+    third, rng = (-0.5, -6.8, 1.04), np.random.default_rng(0)
+    isotropic = from_voigt(plane_isotropic(0.3, 0.7))
+    H, step = 0.1 * rng.normal(size=(2, 2)), 1e-5
+
+    def energy(H):
+        E = (H + H.T + H.T @ H) / 2
+        t, q = np.trace(E), (E[0, 0] - E[1, 1]) / 2 + 1j * E[0, 1]
+        cubic = third[0] * t**3 + third[1] * t * abs(q) ** 2 + third[2] * (q**3).real
+        return np.einsum("ij,ijkl,kl", E, isotropic, E) / 2 + cubic
+
+    for one in np.eye(4).reshape(4, 2, 2):
+        slope = (energy(H + step * one) - energy(H - step * one)) / (2 * step)
+        assert (piola(H, isotropic, third) * one).sum() == pytest.approx(slope, abs=1e-8)
+    samples = waves(12.0)
+    turn = np.array([[np.cos(0.05), -np.sin(0.05)], [np.sin(0.05), np.cos(0.05)]])
+    u = samples.x @ (turn @ (np.eye(2) + 0.2 * H) - np.eye(2)).T
+    moduli = plane_isotropic(0.3, 0.7)
+    for inner in (
+        local_solver(samples.points, moduli, third)(0 * u, u),
+        elastic_solver(samples.points, order=1, C=moduli, third=third)(0 * u, u),
+    ):
+        np.testing.assert_allclose(inner, u[samples.interior], atol=1e-7)
 
 
 def test_one_load_and_a_stack_are_solved_alike():

@@ -17,11 +17,11 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
 <<<<<<< HEAD
-    "code lines": 27_696,
-    "tokens": 326_786,
-    "lines of warp_peri": 45_261,
-    "lines of kernels": 5_034,
-    "lines of warp_peri, kernels, examples and tools": 83_035,
+    "code lines": 28_905,
+    "tokens": 343_546,
+    "lines of warp_peri": 47_461,
+    "lines of kernels": 5_375,
+    "lines of warp_peri, kernels, examples and tools": 81_655,
 =======
     "code lines": 28_905,
     "tokens": 343_546,
@@ -40,8 +40,8 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
 <<<<<<< HEAD
-    "cli": 1230,
-    "core": 1560,
+    "cli": 1234,
+    "core": 1561,
 =======
     "cli": 1234,
     "core": 1561,
@@ -51,9 +51,9 @@ ROOMS = {
     "dynamics": 525,
     "edges": 967,
 <<<<<<< HEAD
-    "face": 1161,
+    "face": 1149,
     "files": 439,
-    "learning": 2270,
+    "learning": 2015,
 =======
     "face": 1149,
     "files": 439,
