@@ -16,19 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-<<<<<<< HEAD
-    "code lines": 28_905,
-    "tokens": 343_546,
-    "lines of warp_peri": 47_461,
-    "lines of kernels": 5_375,
-    "lines of warp_peri, kernels, examples and tools": 81_655,
-=======
-    "code lines": 28_905,
-    "tokens": 343_546,
-    "lines of warp_peri": 47_461,
-    "lines of kernels": 5_375,
-    "lines of warp_peri, kernels, examples and tools": 81_655,
->>>>>>> a64e47b8 (Take third order on an LPS out: constants go on a crystal's bonds)
+    "code lines": 27_240,
+    "tokens": 321_949,
+    "lines of warp_peri": 44_565,
+    "lines of kernels": 5_013,
+    "lines of warp_peri, kernels, examples and tools": 81_434,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -39,27 +31,15 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-<<<<<<< HEAD
-    "cli": 1234,
+    "cli": 1228,
     "core": 1561,
-=======
-    "cli": 1234,
-    "core": 1561,
->>>>>>> a64e47b8 (Take third order on an LPS out: constants go on a crystal's bonds)
     "damage": 2022,
     "diffusion": 337,
     "dynamics": 525,
     "edges": 967,
-<<<<<<< HEAD
-    "face": 1149,
-    "files": 439,
+    "face": 1148,
+    "files": 513,
     "learning": 2015,
-=======
-    "face": 1149,
-    "files": 439,
-    "flow": 1660,
-    "learning": 2015,
->>>>>>> a64e47b8 (Take third order on an LPS out: constants go on a crystal's bonds)
     "lps": 1549,
     "micromodulus": 1322,
     "neural": 1073,
@@ -70,7 +50,7 @@ ROOMS = {
     "sources": 936,
     "stability": 140,
     "statics": 1329,
-    "structures": 1869,
+    "structures": 1935,
     "third_order": 875,
     "tissue": 2386,
     "transfer": 678,

@@ -69,11 +69,8 @@ LEFT = {
     "warp_peri.crystal_bonds": "60f8a38d",
     "warp_peri.dressed": "60f8a38d",
     "warp_peri.dressed_finite": "60f8a38d",
-<<<<<<< HEAD
-    "warp_peri.flow_law": "60f8a38d",
-=======
     "nonlinear": "60f8a38d",
->>>>>>> a64e47b8 (Take third order on an LPS out: constants go on a crystal's bonds)
+    "warp_peri.flow_law": "60f8a38d",
 }
 """Last commit that reads a format, or a kind of models, which left the library."""
 
