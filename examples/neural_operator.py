@@ -239,23 +239,30 @@ def draw(material: NeuralOperator, path: Path, stretch: float) -> None:
     The force state takes ω as an input and may read it with either sign, so that it is drawn
     positive where it is largest.
     """
-    curves, (length, stress) = material.curves(strain=stretch), symbols(material.units)
+    exact, (length, stress) = copy.deepcopy(material).double(), symbols(material.units)
+    r = material.horizon * torch.arange(1, 201, dtype=torch.float64) / 200
+    e = torch.linspace(-stretch, stretch, 201, dtype=torch.float64)
+    with torch.no_grad():
+        values = exact.omega(torch.stack([r, 0 * r], dim=1))
+        states = [
+            exact.force_state(w.expand(201), 0 * e, e * size, size.expand(201)).numpy()
+            for w, size in zip(values[49::50], r[49::50])
+        ]
+    lengths, learned = r[49::50].numpy(), values.numpy()
     figure, (left, right) = panels(9, 3.6, count=2)
     if material.anisotropic:
         omega(left, copy.deepcopy(material))
     else:
-        largest = curves.omega[np.abs(curves.omega).argmax()]
-        left.plot(np.linalg.norm(curves.xi, axis=1), curves.omega / largest)
+        left.plot(r.numpy(), learned / learned[np.abs(learned).argmax()])
         left.axhline(0, color="0.7", linewidth=0.8)
-        sign = "changes" if curves.omega.min() * curves.omega.max() < 0 else "keeps"
+        sign = "changes" if learned.min() * learned.max() < 0 else "keeps"
         left.set(xlabel=f"bond length [{length}]", ylabel="ω over its largest value")
         left.set_title(f"The influence function {sign} sign")
-    for r, state in zip(curves.lengths, curves.state):
-        state = state - state[len(state) // 2]
-        right.plot(100 * curves.stretch, state, label=f"bond of {r:.3g} {length}")
+    for size, state in zip(lengths, states):
+        right.plot(100 * e, state - state[100], label=f"bond of {size:.3g} {length}")
     right.set(xlabel="stretch of the bond [%]")
     right.set_ylabel(f"change of the force [{stress}/{length}³]")
-    stiffest = curves.lengths[int(np.argmax([np.ptp(state) for state in curves.state]))]
+    stiffest = lengths[int(np.argmax([np.ptp(state) for state in states]))]
     right.set_title(f"Of these, bonds of {stiffest:.3g} {length} are the stiffest")
     name_lines(right)
     save_figure(figure, path)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import binascii
 import copy
-import hashlib
 import itertools
 import os
 from collections.abc import Sequence
@@ -12,7 +11,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import h5py
 import numpy as np
 import torch
 
@@ -129,28 +127,6 @@ STRAIN = 0.1
 """Extensions and dilatations are counted in this strain as the networks' inputs."""
 WIDEST = 10_000
 """Numbers of a hidden layer at most."""
-COUNT = 201
-"""Points of an exported curve."""
-
-
-@dataclass(frozen=True)
-class Curves:
-    """Influence and scalar force state as they were learned, for drawing and for other programs.
-
-    Attributes:
-        xi: bond vectors [length], shape [n, 2].
-        omega: ω(ξ), shape [n].
-        stretch: e/|ξ|, shape [m].
-        state: t [stress/length³] of the bonds `lengths` at these stretches, without dilatation,
-            shape [k, m].
-        lengths: |ξ| [length], shape [k].
-    """
-
-    xi: np.ndarray
-    omega: np.ndarray
-    stretch: np.ndarray
-    state: np.ndarray
-    lengths: np.ndarray
 
 
 class NeuralOperator(Shown, torch.nn.Module):
@@ -271,38 +247,6 @@ class NeuralOperator(Shown, torch.nn.Module):
         other.scale = self.scale * stress / length**3
         return other
 
-    def curves(self, *, strain: float | None = None, lengths: int = 4) -> Curves:
-        """Influence over the horizon and force state over the stretch, at some bond lengths.
-
-        Args:
-            strain: largest stretch; the networks' own scale where none is given.
-            lengths: number of bond lengths, evenly up to δ.
-
-        Raises InputError for a stretch that is none, and lengths below 1.
-        """
-        check_positive("strain", self.strain if strain is None else strain)
-        check_positive("lengths", lengths)
-        line = torch.linspace(0, self.horizon, COUNT + 1, dtype=torch.float64)[1:]
-        grid = torch.cat([-line.flip(0), line])
-        exact = copy.deepcopy(self).double()
-        if self.anisotropic:
-            xi = torch.cartesian_prod(grid[::4], grid[::4])
-            xi = xi[xi.norm(dim=1) <= self.horizon]
-        else:
-            xi = torch.stack([line, torch.zeros_like(line)], dim=1)
-        most = self.strain if strain is None else strain
-        stretch = torch.linspace(-most, most, COUNT, dtype=torch.float64)
-        r = self.horizon * torch.arange(1, lengths + 1, dtype=torch.float64) / lengths
-        with torch.no_grad():
-            along = torch.stack([r, torch.zeros_like(r)], dim=1)
-            omega = exact.omega(along).repeat_interleave(COUNT)
-            wide = r.repeat_interleave(COUNT)
-            e = wide * stretch.repeat(lengths)
-            state = exact.force_state(omega, torch.zeros_like(e), e, wide).reshape(lengths, COUNT)
-            found = exact.omega(xi)
-        arrays = (part.numpy() for part in (xi, found, stretch, state, r))
-        return Curves(*arrays)
-
     def content(self) -> dict[str, Any]:
         """Everything but the weights, as it stands in a file."""
         return {
@@ -355,7 +299,7 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         horizon, influence, state, anisotropic, proportional, strain, scale, units, provenance: of
             the operator.
         precision: of the weights.
-        weights: by name, in base 64; of files of version 1 the name and hash of a file beside.
+        weights: by name, in base 64.
     """
 
     horizon: Length
@@ -372,14 +316,6 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
     ORDER = ("horizon", "influence", "state", "anisotropic", "proportional", "strain", "scale",
              *record.UNITS, "provenance", "precision", "weights")  # fmt: skip
 
-    @classmethod
-    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
-        """Files of version 1 have weights in HDF5 beside them, of any precision."""
-        if content.get("version") != 1:
-            return content
-        beside = {"beside": content.get("weights"), "hash": content.pop("hash", None)}
-        return content | {"version": 2, "precision": PRECISIONS[-1], "weights": beside}
-
     def _read_from(self, path: Path | None) -> NeuralOperator:  # type: ignore[override]
         material = NeuralOperator(
             self.horizon,
@@ -393,12 +329,9 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
         material.scale, material.provenance = self.scale, self.provenance
         wanted = {key: tuple(part.shape) for key, part in material.state_dict().items()}
         try:
-            if "beside" in self.weights:
-                weights = _beside(path, self.weights, wanted)
-            else:
-                raw = {key: binascii.a2b_base64(self.weights[key]) for key in wanted}
-                flat = {key: np.frombuffer(each, self.dtype) for key, each in raw.items()}
-                weights = {key: flat[key].reshape(shape) for key, shape in wanted.items()}
+            raw = {key: binascii.a2b_base64(self.weights[key]) for key in wanted}
+            flat = {key: np.frombuffer(each, self.dtype) for key, each in raw.items()}
+            weights = {key: flat[key].reshape(shape) for key, shape in wanted.items()}
         except InputError:
             raise
         except (KeyError, TypeError, ValueError, OSError, AttributeError) as error:
@@ -451,34 +384,11 @@ def save(
 def load(path: str | os.PathLike[str], *, units: Units | None = None) -> NeuralOperator:
     """Read a material, in float64; in other units where they are given.
 
-    Files of version 1, whose weights lie beside them in HDF5, are read too.
-
     Raises InputError for what is no such file, for weights that are missing, of other shapes, not
     finite, or not those that were written.
     """
     material: NeuralOperator = record.load(path)
     return material if units is None else material.in_units(units)
-
-
-def _beside(
-    path: Path | None, said: dict[str, Any], wanted: dict[str, Any]
-) -> dict[str, np.ndarray]:
-    """The weights of a file of version 1."""
-    name, found, whole = str(said["beside"]), {}, hashlib.sha256()
-    if path is None or Path(name).name != name:
-        raise InputError("weights: expected a file beside it")
-    with h5py.File(path.with_name(name), "r") as file:
-        for key, shape in sorted(wanted.items()):
-            stored = file[key]
-            if stored.shape != shape or stored.dtype.name not in PRECISIONS:
-                raise InputError(
-                    f"{key}: expected shape {[*shape]}, got {[*stored.shape]} of {stored.dtype}"
-                )
-            found[key] = np.asarray(stored[:])
-            whole.update(key.encode() + np.ascontiguousarray(found[key]).tobytes())
-    if whole.hexdigest() != said["hash"]:
-        raise InputError(f"{name}: these are not the weights of {path.name}")
-    return found
 
 
 def _check_finite(weights: dict[str, np.ndarray]) -> None:
