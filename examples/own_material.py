@@ -83,7 +83,7 @@ def run(out: Path) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, flo
     sets, rest, box = make_dumps(out / "dumps")
     data, model = out / "bn.h5", out / "model"
     atoms = ["--reference", rest, "--box", *box, "--mass", *MASSES]
-    nodes = ["--reach", 55, "--interior", 30]
+    nodes = ["--reach", 55, "--interior", 30, "--thickness", 3.35, "--density", 2100]
     grained = [
         ["coarse-grain", *dumps, "--force", *forces, *atoms, *nodes, "--set", name, "--out", data]
         for name, (dumps, forces) in sets.items()

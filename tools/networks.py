@@ -190,13 +190,16 @@ def make_dumps(folder: Path, network: Network) -> tuple[list[Path], list[Path], 
     return dumps, forces, rest
 
 
+SHEET = ("--thickness", 3.35, "--density", 2200)
+
+
 def left(network: Network, radius: float) -> str:
     """What a fit to dumps smoothed by this radius [Å] leaves, and the error of C11."""
     with tempfile.TemporaryDirectory() as made:
         file = Path(made) / "data.h5"
         dumps, forces, rest = make_dumps(Path(made), network)
         nodes = "--spacing", 8, "--radius", radius, "--reach", 88, "--interior", 45
-        given = "--box", *network.box, "--reference", rest, "--out", file
+        given = "--box", *network.box, "--reference", rest, *SHEET, "--out", file
         command([*map(str, ("coarse-grain", *dumps, "--force", *forces, *nodes, *given))])
         samples = wp.load(file)["train"]
     material = wp.fit(samples, wp.LPS(20.0, wp.Bernstein(4)), progress=False).material

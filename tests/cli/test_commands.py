@@ -213,6 +213,10 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     out = tmp_path / "own.h5"
     words = ["coarse-grain", loaded, "--reference", rest, "--out", out, "--spacing", "4"]
     words += ["--radius", "6", "--reach", "40", "--interior", "12", "--box", "40", "40"]
+    words += ["--density", "2300"]
+    assert main([*map(str, words), "--force", str(tmp_path / "f.npz")]) == 2
+    assert "expected --thickness of the sheet [Å], got none" in capsys.readouterr().err
+    words += ["--thickness", "3.1"]
     first = answer(capsys, *words, "--force", tmp_path / "f.npz")
     answer(capsys, *words, "--force", tmp_path / "f.csv", "--set", "val")
     data = load_dataset(out)
@@ -229,10 +233,16 @@ def test_dumps_become_sets_of_one_file(tmp_path, capsys):
     middle = data["train"].x.mean(axis=0)
     np.testing.assert_allclose(middle, [20, 20])
     assert main([*map(str, words), "--force", str(tmp_path / "f.npz"), "--thickness", "1"]) == 2
-    assert "has 3.35 Å, got 1 Å" in capsys.readouterr().err
+    assert (
+        "has 3.1 Å, got 1 Å; in Python wp.load(path).of_sheet(thickness=1)"
+        in capsys.readouterr().err
+    )
     np.savez(tmp_path / "f.npz", force[:-1])
     assert main([*map(str, words), "--force", str(tmp_path / "f.npz")]) == 2
     assert "expected shape [1600, 2], got [1599, 2]" in capsys.readouterr().err
+
+
+SHEET = ("--thickness", "3.35", "--density", "2200")
 
 
 @pytest.fixture
@@ -258,12 +268,37 @@ def test_the_sheet_is_the_file_s(crystal, tmp_path, capsys):
     assert main([*words, "--density", "2200"]) == 2
     assert "has 3000 kg/m³, got 2200 kg/m³" in capsys.readouterr().err
     out.unlink()
-    assert main(words) == 0
-    assert (load_dataset(out).density, load_dataset(out).thickness) == (2200, 3.35)
+    for name, other in (("thickness", "density"), ("density", "thickness")):
+        assert main([*words, f"--{other}", "2"]) == 2
+        assert f"{name}: expected --{name} of the sheet" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_a_sheet_is_corrected_in_its_file(crystal, tmp_path, capsys):
+    """As the command makes it anew: loads go as one over the thickness; what was typed is told."""
+    words = [*crystal, "--box", "40", "40", "--radius", "6"]
+    out = tmp_path / "own.h5"
+    assert main([*words, "--density", "3000", "--thickness", "2"]) == 0
+    wrong = load_dataset(out)
+    out.unlink()
+    assert main([*words, "--density", "5060", "--thickness", "6.15"]) == 0
+    made, mended = load_dataset(out), wrong.of_sheet(thickness=6.15, density=5060.0)
+    np.testing.assert_allclose(mended["train"].b, made["train"].b, rtol=1e-12)
+    np.testing.assert_array_equal(mended["train"].u, made["train"].u)
+    assert (mended.thickness, mended.density) == (made.thickness, made.density)
+    save_dataset(out, mended)
+    capsys.readouterr()
+    assert main(["info", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "thickness: 6.15 Å\n" in said
+    assert "density: 5060 kg/m³\n" in said
+    for wrong_thickness in (0.0, -1.0, np.nan):
+        with pytest.raises(InputError, match="thickness: expected"):
+            mended.of_sheet(thickness=wrong_thickness)
 
 
 def test_a_typed_box_is_rounded(crystal, tmp_path, capsys):
-    out, words = tmp_path / "own.h5", [*crystal, "--radius", "6", "--box"]
+    out, words = tmp_path / "own.h5", [*crystal, *SHEET, "--radius", "6", "--box"]
     assert main([*words, "40", "40"]) == 0
     b = load_dataset(out)["train"].b
     assert main([*words, "40.02", "39.98"]) == 0
@@ -280,7 +315,7 @@ def test_a_typed_box_is_rounded(crystal, tmp_path, capsys):
     ],
 )
 def test_a_radius_fits_the_body(crystal, box, message, capsys):
-    assert main([*crystal, *box, "--radius", "1e9"]) == 2
+    assert main([*crystal, *SHEET, *box, "--radius", "1e9"]) == 2
     assert message in capsys.readouterr().err
 
 

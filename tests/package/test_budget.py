@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 27_240,
-    "tokens": 321_949,
-    "lines of warp_peri": 44_565,
+    "code lines": 27_213,
+    "tokens": 321_540,
+    "lines of warp_peri": 44_512,
     "lines of kernels": 5_013,
-    "lines of warp_peri, kernels, examples and tools": 81_434,
+    "lines of warp_peri, kernels, examples and tools": 81_391,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -31,7 +31,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "cli": 1228,
+    "cli": 1247,
     "core": 1561,
     "damage": 2022,
     "diffusion": 337,
@@ -42,15 +42,15 @@ ROOMS = {
     "learning": 2015,
     "lps": 1549,
     "micromodulus": 1322,
-    "neural": 1073,
-    "points": 1808,
+    "neural": 1015,
+    "points": 1819,
     "prediction": 1013,
     "ranks": 962,
     "regression": 918,
     "sources": 936,
     "stability": 140,
     "statics": 1329,
-    "structures": 1935,
+    "structures": 1936,
     "third_order": 875,
     "tissue": 2386,
     "transfer": 678,

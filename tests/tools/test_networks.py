@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tools.networks import lennard_jones, make_dumps, springs
+from tools.networks import SHEET, lennard_jones, make_dumps, springs
 from warp_peri import Bernstein, evaluate
 from warp_peri.cli.main import main
 from warp_peri.learning.fit import learn as fit
@@ -15,7 +15,19 @@ def sampled(folder, network, *, force=1.0):
     dumps, forces, rest = make_dumps(folder, network)
     for path in forces:
         np.savetxt(path, force * np.loadtxt(path, delimiter=","), delimiter=",", fmt="%.17g")
-    nodes = ["--spacing", 8, "--radius", 24, "--reach", 88, "--interior", 45, "--box", *network.box]
+    nodes = [
+        "--spacing",
+        8,
+        "--radius",
+        24,
+        "--reach",
+        88,
+        "--interior",
+        45,
+        "--box",
+        *network.box,
+        *SHEET,
+    ]
     words = ["coarse-grain", *dumps, "--force", *forces, "--reference", rest, *nodes]
     status = main([str(word) for word in [*words, "--out", folder / "data.h5", "--json"]])
     assert status == 0

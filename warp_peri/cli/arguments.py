@@ -40,8 +40,9 @@ input
   --unloaded DUMP+  dumps without load that are subtracted, one or one for each load (default: none)
   --box LX LY  periods of the atoms [Å] (default: the body is free)
   --mass MASS+  masses of the atom types 1, 2, … (default: equal)
-  --thickness T  thickness of the sheet [Å] (default: that in DATA.h5, or 3.35)
-  --density RHO  mass density [kg/m³] (default: that in DATA.h5, or 2200)
+  --thickness T  thickness of the sheet [Å], by which forces become stresses; a new DATA.h5 needs
+    it (default: that in DATA.h5)
+  --density RHO  mass density [kg/m³]; a new DATA.h5 needs it (default: that in DATA.h5)
   --skip N =0  number of frames left out at the beginning of each dump
 model
   --spacing H =5.0  distance of the nodes [Å]

@@ -309,7 +309,7 @@ def run_info(given: argparse.Namespace) -> Result:
                 "parts": {name: len(faces) for name, faces in body.parts.items()},
             }
     data = load_dataset(given.file)
-    return {
+    result: Result = {
         "format": "data set",
         "units": list(data.units),
         "thickness": data.thickness,
@@ -317,6 +317,8 @@ def run_info(given: argparse.Namespace) -> Result:
         "sets": {name: set_summary(data[name]) for name in data},
         "provenance": data.provenance,
     }
+    given.told = "\n".join(lines_of(result | dict(data.rows()[:2])))
+    return result
 
 
 def set_summary(points: Samples) -> Result:

@@ -75,7 +75,8 @@ def _first(given: argparse.Namespace, found: Any) -> list[str]:
     proof = found.certificate
     return [
         f"{path}: elastic crystal model of {given.structure.resolve().name}"
-        + (f", point group {group}" if isinstance(group, str) else ""),
+        + (f", point group {group}" if isinstance(group, str) else "")
+        + (f"; moduli of a sheet {sheet} thick" if (sheet := found.said.get("thickness")) else ""),
         "displacement under waves: error of at most 2 % down to "
         + (f"{wave:.3g} Å" if np.isfinite(wave) else "no wavelength"),
         f"proven: {ONE}" if proof is not None and proof.holds else "nothing is proven",

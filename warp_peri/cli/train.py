@@ -32,9 +32,6 @@ Result = dict[str, Any]
 HORIZON, DEGREE = 20.0, 10
 """δ [Å] and M of the Bernstein polynomials that are learned where nothing else was asked for."""
 
-SHEET = {"thickness": 3.35, "density": 2200.0}
-"""Thickness [Å] and mass density [kg/m³] where neither the file nor the user says other."""
-
 ERRORS = {"E_res": "residual of forces, larger for short waves", "E_u": "error of displacement"}
 """Errors that training prints, and what they are of."""
 
@@ -103,17 +100,24 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
 
 
 def _take_sheet(given: argparse.Namespace) -> Dataset | None:
-    """Set thickness and density to the data file's, or the defaults; the file, if it is there.
+    """Set thickness and density to the data file's; the file, if it is there.
 
-    Raises InputError for a given value that is not the file's.
+    Raises InputError for a given value that is not the file's, and for none where there is no file.
     """
     before = load_dataset(given.out) if given.out.exists() else None
-    for name, unit in (("thickness", "Å"), ("density", "kg/m³")):
-        asked = getattr(given, name)
-        kept = getattr(before, name) if before else SHEET[name] if asked is None else asked
-        if asked is not None and asked != kept:
-            raise InputError(f"{name}: {given.out} has {kept:g} {unit}, got {asked:g} {unit}")
-        setattr(given, name, kept)
+    for name, unit, why in (
+        ("thickness", "Å", "forces become stresses by it: all moduli go as one over it"),
+        ("density", "kg/m³", "waves go by it"),
+    ):
+        asked, kept = getattr(given, name), getattr(before, name, None)
+        if asked is None and kept is None:
+            raise InputError(f"{name}: expected --{name} of the sheet [{unit}], got none; {why}")
+        if before and asked not in (None, kept):
+            raise InputError(
+                f"{name}: {given.out} has {kept:g} {unit}, got {asked:g} {unit}; in Python "
+                f"wp.load(path).of_sheet({name}={asked:g}) is the file corrected"
+            )
+        setattr(given, name, asked if before is None else kept)
     return before
 
 
@@ -206,6 +210,7 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
 def _kept(given: argparse.Namespace, run: Run, metrics: Result, data: Dataset) -> Result:
     """Write what was learned and the settings to the folder; what the command prints."""
     provenance = {"data_provenance": data.provenance}
+    metrics |= {"thickness": data.thickness, "density": data.density}
     run.save(given.out, metrics, data=given.data, provenance=provenance)
     keep(given, given.out / f"{given.command}.toml")
     given.first = _first(given, metrics, data)
@@ -232,10 +237,17 @@ def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[st
         last = ["solve", str(path), str(given.data), "--set", name, "--out", out]
     return [
         f"{path}: {kind}, learned from {len(samples)} loads",
+        f"moduli: {sheet_of(data)}",
         f"error of displacement: {error} on set {name!r}, {seen}",
         f"proven: {of}exactly one equilibrium for every load" if proven else "nothing is proven",
         f"next: {shlex.join(['warp-peri', *last])}",
     ]
+
+
+def sheet_of(data: Dataset) -> str:
+    """Words on the numbers of a sheet that stresses depend on."""
+    size = f"{data.thickness:g} {symbols(data.units)[0]}"
+    return f"of a sheet {size} thick, of {data.density:g} kg/m³, as the data file says"
 
 
 def training_metrics(run: Run) -> Result:
@@ -275,6 +287,9 @@ def in_percent(metrics: Result) -> Result:
             shown[f"{ERRORS[key]} [%]"] = {
                 name: "–" if error is None else 100 * error for name, error in value.items()
             }
+        elif key in ("thickness", "density"):
+            unit = symbols(units)[0] if key == "thickness" else "kg/m³"
+            shown[key] = f"{value:g} {unit}"
         elif key == "residual":
             shown["why"] = value["why"]
             shares = {name: 100 * share for name, share in value.items() if name != "why"}
@@ -318,6 +333,7 @@ def run_sweep(given: argparse.Namespace) -> Result:
         "units": list(data.units),
         "smallest_AvgE": dataclasses.asdict(sweep.printed),
         "cheapest": dataclasses.asdict(sweep.cheapest),
+        "moduli": sheet_of(data),
     }
     with locked(given.out):
         write_json(given.out / "sweep.json", result)

@@ -89,6 +89,22 @@ class Dataset(Shown):
     def __iter__(self) -> Iterator[str]:
         return iter(self.sets)
 
+    def of_sheet(self, *, thickness: float | None = None, density: float | None = None) -> Dataset:
+        """The same forces and displacements of a sheet of another thickness or density.
+
+        Loads are per volume: they go as one over the thickness, and with them all moduli of a fit.
+        """
+        wide = self.thickness if thickness is None else thickness
+        check_positive("thickness", wide)
+        sets = {
+            name: one
+            if one.b is None
+            else dataclasses.replace(one, b=one.b * (self.thickness / wide))
+            for name, one in self.sets.items()
+        }
+        heavy = self.density if density is None else density
+        return dataclasses.replace(self, sets=sets, thickness=wide, density=heavy)
+
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, the sets one after the other."""
         length = symbols(self.units)[0]

@@ -618,7 +618,8 @@ def from_force_constants(
 
 def _doubts(atoms: ForceConstants) -> dict[str, str]:
     """How far force constants are no numbers of the crystal alone."""
-    said = {"at the supercell's edge": f"{atoms.edge:.1%} of Σ |Φ| r²"}
+    said = {} if atoms.thickness is None else {"thickness": f"{atoms.thickness:.4g} Å"}
+    said |= {"at the supercell's edge": f"{atoms.edge:.1%} of Σ |Φ| r²"}
     if atoms.doubt is not None:
         share = np.linalg.norm(atoms.doubt) / np.linalg.norm(atoms.values)
         said["force constants' error"] = f"{share:.1e} of Φ"
