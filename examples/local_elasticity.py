@@ -78,10 +78,15 @@ def errors_of(inner: np.ndarray, samples: Samples) -> np.ndarray:
     return np.asarray(wrong / size)
 
 
+def potential_constants() -> list[float]:
+    """t3, tq2 and q3 [TPa] of graphene's potential."""
+    constants = cubic_constants(bond_length())
+    return [constants[name] for name in CUBIC]
+
+
 def third_order_rows(sets: dict[str, Samples], C: np.ndarray) -> dict[str, dict[str, float]]:
     """E_u of local third-order elasticity with the potential's constants, by elements and set."""
-    constants = cubic_constants(bond_length())
-    third = [constants[name] for name in CUBIC]
+    third = potential_constants()
     found: dict[str, dict[str, float]] = {"quadratic": {}, "linear": {}}
     for name, samples in sets.items():
         on_nodes = elastic_solver(samples.points, order=1, C=C, third=third)
@@ -240,7 +245,7 @@ def study(given: Any) -> str:
         truth = data.provenance.get("truth") or wp.load(GRAPHENE).provenance["truth"]
         true = truth["lambda"], truth["mu"]
     ways = {name: "_reversed_".join(name.rsplit("_", 1)) for name in some}
-    backs = {name: data[back] for name, back in ways.items() if back in data}
+    backs = {name: data[back] for name, back in ways.items() if back != name and back in data}
     sets = {name: data[name] for name in some}
     found = errors_by_law(materials, sets, plane_isotropic(*true), backs)
     if given.third_order:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from warp_peri import atoms as atoms
-    from warp_peri import choice as choice
     from warp_peri import damage as damage
     from warp_peri import diffusion as diffusion
     from warp_peri import export as export
@@ -112,7 +111,6 @@ _NAMES = {
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = (
     "atoms",
-    "choice",
     "damage",
     "diffusion",
     "export",

@@ -436,7 +436,7 @@ NAMED = {
 
 def fronts(path: Path) -> None:
     """Error of disks against time, set-up and one load, by the table that the library keeps."""
-    table = json.loads((DOCS.parent / "warp_peri" / "speed_accuracy.json").read_text("utf-8"))
+    table = json.loads((Path(__file__).parent / "speed_accuracy.json").read_text("utf-8"))
     rows = [row for row in table["rows"] if row["label"] in NAMED]
     where = {
         row["label"]: (1e3 * (row["disks_setup"] + row["disks_solve"]), 100 * row["disks_error"])

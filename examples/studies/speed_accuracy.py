@@ -2,15 +2,15 @@
 
     python examples/studies/speed_accuracy.py [--data FILE.h5] [--out runs/speed_accuracy]
     python examples/studies/speed_accuracy.py --again       # draws what is there
-    python examples/studies/speed_accuracy.py --elements    # measures elements again, beside it
+    python examples/studies/speed_accuracy.py --late        # measures some rows later, beside it
 
 Errors are E_u on the held-out disks, on disks of 1 to 10 % of bond strain, and on periodic loads of
 high frequency whose wave vectors no fit saw: of the training waves (p, q) those with odd p + q are
 held out, and of these the shorter half counts. Set-up and solve are timed apart, the best of
 several; the solve is that of one load, and a hundred are timed with the set-up. All rows are of one
-run, fits included: an output folder that has some is refused without --again. With --elements what
-the shipped table lacks of elements is put into it: seconds of a processor, over the ratio by which
-its other elements take longer than there.
+run, fits included: an output folder that has some is refused without --again. With --late what
+speed_accuracy.json beside this file lacks of elements, of crystals by LU and of predictions is put
+into it: seconds of a processor, over the ratio by which its other elements take longer than there.
 Nodes 4 Å apart come from the samples that the data set was made from. Needs the extras `compare`
 for finite elements and `bench` for Numba.
 """
@@ -24,7 +24,8 @@ import re
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +34,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent.parent))
 import numpy as np
 import torch
 
-from examples.local_elasticity import local_solver, moduli_of
+from examples.local_elasticity import local_solver, moduli_of, potential_constants
 from examples.studies import speed_laws
 from examples.studies.fem_rival import elastic_solver
 from examples.studies.speed_chart import chart, markdown, training_chart
@@ -52,7 +53,6 @@ from tools import make_graphene as making
 from tools import samples
 from tools.options import Options
 from warp_peri import LPS, Bernstein, InputError, Model, Points, Samples, fit, load
-from warp_peri.choice import shipped_table
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import whole_file, write_json
@@ -63,7 +63,6 @@ from warp_peri.transfers import on_lattice
 DEGREE = 10
 CASES = (
     *((5.0, horizon, DEGREE, "LPS") for horizon in (12.5, 15.0, 20.0, 25.0)),
-    *((5.0, horizon, DEGREE, "LPS with two influence functions") for horizon in (12.5, 15.0, 20.0)),
     (4.0, 16.0, DEGREE, "LPS"),
     (2.5, 12.5, DEGREE, "LPS"),
     (5.0, 20.0, DEGREE, "positive kernel"),
@@ -71,16 +70,9 @@ CASES = (
 )
 """Spacing and horizon [Å], degree, and kind of the models."""
 USUAL = (5.0, 20.0, DEGREE, "LPS")
-RICH = {
-    "transferred from δ = 25": (5.0, 25.0, 15, "rich"),
-    "transferred from two influence functions": (
-        5.0,
-        20.0,
-        DEGREE,
-        "LPS with two influence functions",
-    ),
-}
-"""Models that cheaper ones are fitted to, both isotropic at long waves for the smooth loads."""
+TABLE = Path(__file__).with_suffix(".json")
+RICH = {"transferred from δ = 25": (5.0, 25.0, 15, "rich")}
+"""A model that cheaper ones are fitted to, isotropic at long waves for the smooth loads."""
 TRANSFERS = (
     *(("transferred", h, d) for h, d in ((2.5, None), (4.0, None), (7.5, 22.5), (10.0, 25.0))),
     *((kind, 5.0, d) for kind in RICH for d in (12.5, 15.0, 20.0)),
@@ -139,23 +131,17 @@ def fitted(
     data: dict[str, Samples], out: Path, spacing: float, horizon: float, degree: int, kind: str
 ) -> Model:
     """The constrained optimum on the waves that are not held out; kept in a file."""
-    positive, two = kind == "positive kernel", kind == "LPS with two influence functions"
-    names = {
-        "positive kernel": "_positive",
-        "rich": "_isotropic",
-        "LPS with two influence functions": "_two",
-    }
+    names = {"positive kernel": "_positive", "rich": "_isotropic"}
     file = out / f"h{spacing:g}_d{horizon:g}_M{degree}{names.get(kind, '')}.json"
     if file.exists():
         return load(file)
     start = time.perf_counter()
     train = seen(data["train" + SUFFIX[spacing]])
-    if positive:
+    if kind == "positive kernel":
         model = positive_model(train, horizon=horizon, degree=degree)
     else:
-        method = Optimum(moduli="isotropic" if two or kind == "rich" else None)
-        kernel = Bernstein(degree, two_functions=two)
-        model = fit(train, LPS(horizon=horizon, kernel=kernel, method=method)).material
+        method = Optimum(moduli="isotropic" if kind == "rich" else None)
+        model = fit(train, LPS(horizon, Bernstein(degree), method)).material
     SECONDS[file.stem] = time.perf_counter() - start
     model.save(file)
     return load(file)
@@ -233,16 +219,11 @@ def line(row: dict[str, Any]) -> str:
 
 
 def measure(
-    data: dict[str, Samples],
-    truth: dict[str, float],
-    out: Path,
-    file: Path,
-    *,
-    elements_alone: bool = False,
+    data: dict[str, Samples], truth: dict[str, float], out: Path, file: Path, *, late: bool = False
 ) -> list[dict[str, Any]]:
-    """One row for each model, precision and solver; `elements_alone` for those without bonds, by
-    the clock of the processor."""
-    clock = time.process_time if elements_alone else time.perf_counter
+    """One row for each model, precision and solver; `late` for elements, crystals by LU and
+    predictions alone, by the clock of the processor."""
+    clock = time.process_time if late else time.perf_counter
     rows: list[dict[str, Any]] = []
     strained = functools.cache(
         lambda spacing: speed_laws.strained_disks(file.with_name(SCENES), spacing)
@@ -272,14 +253,26 @@ def measure(
             stack = method in ("rest", "predict")
             how = functools.partial(prepare, disks)
             row["hundred"] = hundred(how, disks, stack=stack, clock=clock)
-            row["strained"] = [
-                [size, smooth_error(points, prepare)] for size, points in strained(spacing)
-            ]
+            if not late:  # these disks are made by LAMMPS
+                row["strained"] = [
+                    [size, smooth_error(points, prepare)] for size, points in strained(spacing)
+                ]
         rows.append(row | more)
         print(line(row), flush=True)
 
-    if elements_alone:
+    def others(kinds: Sequence[str] | None = None) -> None:
+        """Rows of speed_laws, of some kinds."""
+        train = data["train"]
+        for label, kind, horizon, method, prepare, seconds in speed_laws.rows(
+            seen(train), data["val"], kinds
+        ):
+            count = len(train) if kind == "neural operator" else len(seen(train))
+            more = {"fit_seconds": seconds, "loads": count}
+            add(label, kind, (5.0, horizon, DEGREE), method, prepare, **more)
+
+    if late:
         elements(add, truth, fitted(data, out, *USUAL))
+        others(("crystal model", "predict"))
         return rows
     for spacing, horizon, degree, kind in CASES:
         before = set(SECONDS)
@@ -305,11 +298,7 @@ def measure(
         solver = functools.partial(by_lu(np.float64), model)
         add(f"{name}, LU", kind, case, "lu", solver, agrees=agreement(model))
     elements(add, truth, fitted(data, out, *USUAL))
-    train = data["train"]
-    for label, kind, horizon, method, prepare, seconds in speed_laws.rows(seen(train), data["val"]):
-        count = len(train) if kind == "neural operator" else len(seen(train))
-        more = {"fit_seconds": seconds, "loads": count}
-        add(label, kind, (5.0, horizon, DEGREE), method, prepare, **more)
+    others()
     start = time.perf_counter()
     two = fit(
         speed_laws.two_loads(file.with_suffix(".cache")),
@@ -330,8 +319,9 @@ def measure(
 
 
 def elements(add: Callable[..., None], truth: dict[str, float], learned: Model) -> None:
-    """Rows of local elasticity: elements on the nodes, and so fine that no mesh errs."""
-    true = plane_isotropic(truth["lam"], truth["mu"])
+    """Rows of local elasticity, linear and of third order: elements on the nodes, and so fine that
+    no mesh errs."""
+    true, third = plane_isotropic(truth["lam"], truth["mu"]), potential_constants()
     for label, spacing, order in (
         ("FEM Q1, h = 5, true constants", 5.0, 1),
         ("FEM Q1, h = 2.5, true constants", 2.5, 1),
@@ -342,6 +332,11 @@ def elements(add: Callable[..., None], truth: dict[str, float], learned: Model) 
     for label, C in (("true moduli", true), ("learned moduli", moduli_of(learned, 5.0))):
         how = functools.partial(local_solver, C=C)
         add(f"local elasticity, {label}", "local elasticity", (5.0, 0.0, 2), "local", how)
+    for label, how in (
+        ("FEM Q1, h = 5", functools.partial(elastic_solver, order=1, C=true, third=third)),
+        ("quadratic elements of 2.5 Å", functools.partial(local_solver, C=true, third=third)),
+    ):
+        add(f"local third order, {label}", "local third order", (5.0, 0.0, 1), "local", how)
 
 
 SECONDS_OF = "disks_setup", "disks_solve", "waves_setup", "waves_solve", "hundred"
@@ -402,18 +397,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add("--data", type=Path, default=Path("data/graphene_0K.h5"))
     parser.add("--out", type=Path, default=Path("runs/speed_accuracy"))
     parser.add("--again", action="store_true", help="draw what is there once more")
-    parser.add("--elements", action="store_true", help="rows of elements, into the shipped table")
+    parser.add("--late", action="store_true", help="rows that the table beside this lacks")
     given = parser.parse_args(arguments)
     given.out.mkdir(parents=True, exist_ok=True)
     table = given.out / "speed_accuracy.json"
     if given.again:
         content = json.loads(table.read_text(encoding="utf-8"))
         rows = content["rows"]
-    elif given.elements:
+    elif given.late:
         data, truth = point_sets(given.data)
-        content = shipped_table()
-        told = measure(data, truth, given.out, given.data, elements_alone=True)
+        content = json.loads(TABLE.read_text(encoding="utf-8"))
+        told = measure(data, truth, given.out, given.data, late=True)
         content["rows"] = rows = beside(content["rows"], told)
+        content["later"] = {"date": f"{date.today()}"} | machine()
         write_json(table, content)
     else:
         if list(given.out.glob("h*.json")):

@@ -6,7 +6,6 @@ import pytest
 import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.plates import plate
-from warp_peri.choice import Scene
 from warp_peri.lps import bonds
 from warp_peri.third_order import sweeps
 from warp_peri.tissue import operator as tissue
@@ -83,13 +82,11 @@ def test_a_linear_part_is_certified_and_its_material_diagnosed():
 
 def test_what_a_verb_does_not_mean_is_refused_by_name():
     solid, _, samples = of("hyperelastic")
-    scene = Scene(size=(10.0, 10.0), shortest_wave=5.0)
     many = wp.Samples(samples.points, *(np.tile(f, (4, 1, 1)) for f in (samples.u, samples.b)))
     for verb, call in {
         "certify": lambda: wp.certify(solid, spacing=0.1),
         "diagnose": lambda: wp.diagnose(solid, many),
         "uniqueness": lambda: wp.proofs.uniqueness(solid, spacing=0.1),
-        "choose_model": lambda: wp.choice.choose_model(tolerance=0.1, scene=scene, model=solid),
     }.items():
         with pytest.raises(wp.InputError, match=f"{verb}: expected .*, got HyperelasticSolid"):
             call()

@@ -1,5 +1,7 @@
 """The solid without a horizon that laws are held against."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -14,8 +16,7 @@ from examples.local_elasticity import (
     moduli_of,
 )
 from examples.studies.fem_rival import elastic_solver, piola
-from examples.studies.speed_accuracy import SECONDS_OF, beside
-from warp_peri.choice import shipped_table
+from examples.studies.speed_accuracy import SECONDS_OF, TABLE, beside
 from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.micromodulus import tensors_of
 
@@ -122,7 +123,7 @@ def test_long_waves_are_those_of_the_moduli_and_short_ones_are_not():
 
 def test_rows_measured_later_have_the_seconds_of_the_table():
     """On a machine that is twice as slow, by the rows that both have."""
-    rows = shipped_table()["rows"]
+    rows = json.loads(TABLE.read_text(encoding="utf-8"))["rows"]
     elements = [row for row in rows if row["kind"].startswith("FEM")]
     late = next(row for row in rows if row["kind"] == "local elasticity")
     slow = [row | {key: 2 * row[key] for key in SECONDS_OF} for row in (*elements, late)]

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 27_213,
-    "tokens": 321_540,
-    "lines of warp_peri": 44_512,
+    "code lines": 26_964,
+    "tokens": 319_048,
+    "lines of warp_peri": 44_133,
     "lines of kernels": 5_013,
-    "lines of warp_peri, kernels, examples and tools": 81_391,
+    "lines of warp_peri, kernels, examples and tools": 81_048,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -31,13 +31,13 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "cli": 1247,
+    "cli": 1216,
     "core": 1561,
     "damage": 2022,
     "diffusion": 337,
     "dynamics": 525,
     "edges": 967,
-    "face": 1148,
+    "face": 930,
     "files": 513,
     "learning": 2015,
     "lps": 1549,

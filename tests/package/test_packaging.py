@@ -71,7 +71,7 @@ def package_files():
     files = [
         Path(place) / name for place, _, names in walked for name in names if name.endswith(".py")
     ]
-    files += [ROOT / "warp_peri/py.typed", ROOT / "warp_peri/speed_accuracy.json"]
+    files += [ROOT / "warp_peri/py.typed"]
     return {str(file.relative_to(ROOT)) for file in files}
 
 

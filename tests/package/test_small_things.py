@@ -14,7 +14,6 @@ import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve
 from warp_peri import Bernstein, Dataset, InputError, Model, evaluate
-from warp_peri.choice import Scene, choose_model, shipped_table
 from warp_peri.cli.main import main
 from warp_peri.cli.train import in_percent
 from warp_peri.errors import exit_status
@@ -91,17 +90,6 @@ def test_conjugate_gradients_take_loads_of_any_size(samples, size):
     zero, load = np.zeros_like(samples.u[0]), noise(samples)
     by = [solve(TRUE, samples, size * load, zero, method=name) for name in ("cg", "lu")]
     assert by[0] / size == pytest.approx(by[1] / size, abs=1e-6 * np.abs(by[1]).max() / size)
-
-
-def test_a_scene_has_two_extents_and_its_wave_is_told_apart():
-    for size in ((100.0,), (100.0, 100.0, 100.0)):
-        with pytest.raises(InputError, match="expected two extents"):
-            Scene(size, 30.0)
-    shortest = shipped_table()["short_wave"]
-    with pytest.raises(InputError, match="were not measured") as caught:
-        choose_model(tolerance=0.1, scene=Scene((100.0, 100.0), shortest * (1 - 1e-4)))
-    said = [word for word in str(caught.value).split() if word[0].isdigit()]
-    assert said[0] != said[1]
 
 
 def test_a_file_cannot_write_to_the_terminal(samples, tmp_path, capsys):

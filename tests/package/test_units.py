@@ -12,7 +12,6 @@ from tests.support.sheets import hgo_dictionary, square
 from tests.support.solving import solve_nonlinear
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples, diagnose, evaluate
-from warp_peri.choice import Scene, choose_model
 from warp_peri.edges.body import solve_body
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.laws import ThirdOrder
@@ -80,13 +79,6 @@ def transfer(spacing, model=HOME, **asked):
         return np.concatenate([numbers(found, spacing), record["error"], [bound]])
 
     return run
-
-
-def chosen(units, _):
-    h = length_of(units)
-    scene = Scene((40.0 * h, 40.0 * h), 8.0 * h)
-    choice = choose_model(tolerance=0.01, scene=scene, model=HOME.in_units(units))
-    return np.array([choice.spacing / h, choice.horizon / h, choice.degree, choice.error])
 
 
 def shared(units, _):
@@ -222,7 +214,6 @@ CASES = {
     "given tolerance": transfer(0.8, tolerance=0.003),
     "given waves": transfer(0.7, shortest_wave=4.0, largest_horizon=2.9),
     "two functions": transfer(0.8, TWO, horizon=2.4),
-    "choice": chosen,
     "one kernel": shared,
     "body": body,
     "fit": learned(),

@@ -15,7 +15,6 @@ import torch
 import warp_peri
 from warp_peri import methods, proofs, transfers
 from warp_peri.atoms import LearnedCrystal
-from warp_peri.choice import Choice, Scene
 from warp_peri.edges.body import BodyGradient, Coupling, body_gradient
 from warp_peri.learning.diagnosis import Diagnosis
 from warp_peri.learning.result import Fit
@@ -201,9 +200,6 @@ def main(folder: Path) -> None:
     wide = warp_peri.Points(x, np.abs(x).max(axis=1) <= 3, SPACING)
     print(model.on(wide).model.horizon)
     coarse(test.x, test.x[test.interior])
-    scene = Scene(size=(100.0, 100.0), shortest_wave=50.0)
-    choice = assert_type(warp_peri.choice.choose_model(tolerance=0.05, scene=scene), Choice)
-    print(assert_type(choice.method, str))
     try:
         warp_peri.load(folder / "none.json")
     except warp_peri.InputError as error:

@@ -167,20 +167,6 @@ input
 model
   --tolerance E =0.01  relative error of displacement to reach, as a fraction; 0 for the best answer
 {UNCERTIFIED}""",
-    "plan": f"""\
-Name the cheapest model and solver for a problem and a tolerance.
-data/graphene_0K.h5 --tolerance 0.01
-input
-  data DATA.h5?  data file with the loads; without it --size and --shortest-wave are needed
-{LOADS}
-  --modulus MU =0.72  shear modulus of the material [TPa]; the default is that of graphene
-  --size LX LY  extents of the domain [Å] (default: by the data)
-  --shortest-wave L  shortest wave of the loads [Å] (default: by the data)
-  --rectangle  the nodes fill a rectangle
-  --strain E  root mean square of |grad u| (default: by the data)
-  --loads N  number of loads (default: by the data)
-model
-  --tolerance E =0.01  relative error of displacement to reach, as a fraction""",
     "export": f"""\
 Solve under the loads of a data file and write the fields for ParaView.
 runs/first/model.json data/graphene_0K.h5 --out runs/first/fields

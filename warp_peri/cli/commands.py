@@ -26,7 +26,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import USUAL, symbols
+from warp_peri.points.unit_names import symbols
 from warp_peri.statics.solution import Coupling, Direct, Krylov
 from warp_peri.storage import load
 from warp_peri.third_order.material import ThirdOrderCrystal
@@ -231,26 +231,6 @@ def run_predict(given: argparse.Namespace) -> dict[str, Any]:
             told["true"] = float(np.linalg.norm(wrong)) / size
         samples.append(told)
     return {"set": given.set, "tolerance": given.tolerance or None, "samples": samples}
-
-
-def run_plan(given: argparse.Namespace) -> dict[str, Any]:
-    """The cheapest model and solver that was measured within a tolerance, for a scene."""
-    typed = {"strain": given.strain, "loads": given.loads, "rectangle": given.rectangle or None}
-    typed |= {"size": given.size and tuple(given.size), "shortest_wave": given.shortest_wave}
-    typed = {name: value for name, value in typed.items() if value is not None}
-    if given.data is not None:
-        points = load_dataset(given.data, units=USUAL)[given.set]
-        problem = warp_peri.Dirichlet(points, points.loads, points.u)
-        scene = dataclasses.replace(
-            warp_peri.choice.Scene.of(problem, modulus=given.modulus), **typed
-        )
-    elif {"size", "shortest_wave"} <= typed.keys():
-        refuse_options(given, {"set": "test", "modulus": 0.72}, "a data file")
-        scene = warp_peri.choice.Scene(**typed)
-    else:
-        raise InputError("plan: expected a data file, or --size and --shortest-wave")
-    choice = warp_peri.choice.choose_model(tolerance=given.tolerance, scene=scene)
-    return {"scene": dataclasses.asdict(scene), **dataclasses.asdict(choice)}
 
 
 def linear_of(material: Any) -> Any:
