@@ -41,8 +41,6 @@ def test_the_tables(graphene, tmp_path):
     home = tables["home"]
     for row in tables["lattices"]:
         assert row["c"] >= 0.0099
-        assert row["seconds"] <= 5
-        assert row["seconds_again"] <= 0.1
         if row["spacing"] in (4.0, 2.5):
             assert row["disks"] <= home["disks"] + 0.1
     smooth = {row["spacing"]: row["smooth"] for row in tables["lattices"]}

@@ -1,7 +1,6 @@
 """Transferred models in use: kept and found again, and taken by everything that solves."""
 
 import json
-import time
 import warnings
 from dataclasses import replace
 
@@ -54,9 +53,7 @@ def test_the_second_call_reads_what_the_first_wrote(file, monkeypatch):
     assert file.read_bytes() == before
     (beside,) = (file.parent / "model.lattices").glob("*.json")
     monkeypatch.setattr(made, "new_lattice", None)  # would be called to make it anew
-    begin = time.perf_counter()
     second = again(file)
-    assert time.perf_counter() - begin < 0.1
     assert hashes(second, first, Model.load(beside)) == 1
 
 
