@@ -18,7 +18,7 @@ HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def load(path: str | os.PathLike[str], *, units: Units | None = None) -> Any:
-    """Read a data set (HDF5), a material (JSON) or a mesh (whatever meshio reads).
+    """Read a data set (HDF5), a material (JSON) or a mesh (as `points.mesh.load_mesh`).
 
     Args:
         path: of the file.

@@ -43,7 +43,7 @@ ROOMS = {
     "lps": 1549,
     "micromodulus": 1322,
     "neural": 1015,
-    "points": 1819,
+    "points": 2007,
     "prediction": 1013,
     "ranks": 962,
     "regression": 918,

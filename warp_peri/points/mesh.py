@@ -21,6 +21,7 @@ from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, optional
 from warp_peri.files.foreign import check_hdf5, check_xml, content
+from warp_peri.points.abaqus import read_abaqus
 from warp_peri.points.arrays import checked
 
 REST = "rest"
@@ -328,8 +329,10 @@ FACES = {
     8: ([0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]),
 }
 """Of pyramids, prisms and hexahedra, by how many corners they have."""
+FORMATS = {".msh": "gmsh", ".vtk": "vtk", ".vtu": "vtu", ".xdmf": "xdmf", ".inp": "abaqus"}
+"""Meshes that are read, by how their files' names end."""
 GROUPS = (":physical", ":ref", "cell_tags")
-"""How data of cells end that are numbers of groups: of Gmsh, of Medit and others, of Salome."""
+"""How data of cells end that are numbers of groups, in files that meshio made of others too."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -460,26 +463,39 @@ def make_mesh(
 
 
 def load_mesh(path: str | os.PathLike[str]) -> Mesh | Tetrahedra:
-    """A mesh of any format that meshio reads, positions in Å.
+    """A mesh of Gmsh (.msh), VTK (.vtk, .vtu), XDMF or Abaqus (.inp, one flat part), in Å.
 
     Tetrahedra, or hexahedra, prisms and pyramids, which are cut into them, of second order too, of
     which the corners count; or triangles and quadrilaterals (cut in two), straight or of second
     order, whose edges' midpoints are kept on the outline. Parts of the outline are the lines'
     physical names, sets or numbers of groups, of a surface those of its triangles and
-    quadrilaterals; what is named inside the body is left out with a warning.
+    quadrilaterals, and Abaqus's sets of nodes; what is named inside the body is left out with a
+    warning.
 
-    Raises InputError for a file that is not read, without meshio (the extra `bodies`), with cells
-    of other kinds or none, for triangles that are not plane, and as `points.mesh.outlined`.
+    Raises InputError for another format, a file that is not read, without meshio (the extra
+    `bodies`), with cells of other kinds or none, for triangles that are not plane, for what
+    `points.abaqus.read_abaqus` does not read, and as `points.mesh.outlined`.
     """
-    meshio = optional("meshio", "meshio is not installed: pip install 'warp_peri[bodies]'")
-    if not Path(path).is_file():
+    path = Path(path)
+    if not path.is_file():
         raise InputError(f"{path}: no such mesh file")
-    if Path(path).suffix.lower() in (".vtu", ".xdmf", ".xmf"):
-        _check_arrays(Path(path))
+    form = FORMATS.get(path.suffix.lower())
+    if form is None:
+        raise InputError(
+            f"{path}: expected a mesh in {', '.join(FORMATS)}; convert it with meshio, then check "
+            "the groups"
+        )
     try:
-        read = meshio.read(path)
+        if form == "abaqus":
+            return _body_of(read_abaqus(content(path).decode("utf-8", "replace")))
+        if form in ("vtu", "xdmf"):
+            _check_arrays(path)
+        meshio = optional("meshio", "meshio is not installed: pip install 'warp_peri[bodies]'")
+        read = meshio.read(path, file_format=form)
+    except InputError as error:
+        raise InputError(f"{path}: {str(error).removeprefix(f'{path}: ')}") from None
     except (Exception, SystemExit) as error:  # meshio leaves the program on some files
-        raise InputError(f"{path}: not a mesh that meshio reads ({error})") from None
+        raise InputError(f"{path}: not a mesh of {form} ({error})") from None
     try:
         return _body_of(read)
     except InputError as error:
@@ -626,7 +642,6 @@ def _named_groups(read: Any, dim: int) -> dict[str, np.ndarray]:
     """Lines or triangles of a meshio mesh by name: its sets, and its groups by name or number."""
     sets: dict[str, list[np.ndarray]] = {}
     names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == dim}
-    names |= getattr(read, "cell_tags", {})
     groups = [key for key in read.cell_data if key.endswith(GROUPS)]
     for number, block in enumerate(read.cells):
         if block.dim != dim:
@@ -644,7 +659,7 @@ def _named_groups(read: Any, dim: int) -> dict[str, np.ndarray]:
     if unnamed and not sets:
         warnings.warn(
             f"none of the {unnamed} {'faces' if dim == 2 else 'lines'} in the file is in a group: "
-            f"all parts are '{REST}'; vtu, vtk and xdmf keep no sets, .msh, .inp and .med do",
+            f"all parts are '{REST}'; vtu, vtk and xdmf keep no sets, .msh and .inp do",
             stacklevel=5,
         )
     cut = _in_triangles if dim == 2 else np.asarray
