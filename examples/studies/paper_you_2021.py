@@ -292,7 +292,7 @@ def metric(runs: Path, data: Dataset) -> list[list[str]]:
     """Main rows in ℓ2, and as squares of it."""
     names = {
         "linear solid": "model",
-        "three more numbers": "third_order_energy",
+        "third order, with energy": "third_order_energy",
         "tensors": "micromodulus",
     }
     rows = []

@@ -93,7 +93,7 @@ def chart(rows: list[Row], file: Path) -> None:
 
 BESIDE = {
     "neural operator": (-140, -4), "crystal model": (-40, 26),
-    "LPS with two influence functions": (8, 1), "LPS": (8, -3),
+    "LPS": (8, -3),
     "LPS from two designed loads": (-6, -24),
 }  # fmt: skip
 """Where names stand beside their point that would cover others [points]."""
@@ -135,8 +135,7 @@ def error_chart(rows: list[Row], file: Path, error: str) -> None:
 
 
 NAMES = ("disks", "smooth", "waves")
-WAYS = ("LPS", "LPS with two influence functions", "transferred from δ = 25",
-        "transferred from two influence functions")  # fmt: skip
+WAYS = ("LPS", "transferred from δ = 25")
 """Of coming to a model on nodes 5 Å apart."""
 
 

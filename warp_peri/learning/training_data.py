@@ -18,9 +18,8 @@ import torch
 
 from warp_peri.errors import InputError
 from warp_peri.learning.methods import Constrained, Method, TwoStage
-from warp_peri.learning.result import Settings
 from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.model import Model, Solid, bernstein_basis
+from warp_peri.lps.model import Solid, bernstein_basis
 from warp_peri.lps.operator import lps_force
 from warp_peri.points.dataset import Dataset, in_units_of, scaled
 from warp_peri.points.families import bond_classes
@@ -230,24 +229,6 @@ class Scale:
             )
             for lattice in data.conditions
         ]
-
-    def outer_model(self, inner: Model, like: Model) -> Model:
-        """A model of these units in those of the data, with the horizon of another."""
-        lam, mu, horizon = inner.lam * self.stress, inner.mu * self.stress, like.horizon
-        return dataclasses.replace(inner, lam=lam, mu=mu, horizon=horizon, units=like.units)
-
-    def inner_settings(self, given: Settings) -> Settings:
-        """What a fit kept, in these units."""
-        kept = [
-            LatticeConditions(
-                bond_classes(
-                    lattice.classes.spacing / self.length, lattice.classes.horizon / self.length
-                ),
-                dataclasses.replace(lattice.asked, zeta=lattice.zeta / self.stress),
-            )
-            for lattice in given.conditions
-        ]
-        return dataclasses.replace(given, conditions=kept, moduli=self.moduli(given.moduli))
 
     def parameters(self, parameters: Parameters) -> Parameters:
         """What was found in these units, in those of the data."""
