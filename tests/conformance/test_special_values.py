@@ -7,12 +7,13 @@ import pytest
 import torch
 
 import warp_peri as wp
-from tests.conformance.test_gradients import KINKED, OPERATORS, crystal, field, torn
+from tests.conformance.test_gradients import KINKED, OPERATORS, field, torn
 from tests.conformance.test_laws import LAWS
 from tests.dynamics.test_adjoint import given, loss
 from tests.gradients.cases import FLOWS, WAVES, seeded, solver_of
 from tests.support import cubes
 from tests.support.problems import difference, lattice
+from tests.third_order.test_crystal import crystal
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 DIFFERENCES = 1e-6
