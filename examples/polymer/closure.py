@@ -161,7 +161,7 @@ def in_cells(material: Any, De: float, n: int) -> Stress:
             raise InputError(f"dumbbells: expected {n} ensembles, got {material.ensembles}")
         return CoupledDumbbells(material, De)
     offered(material, "advance", "move", "a law, Dumbbells or a Closure for a flow")
-    return material  # type: ignore[no-any-return]
+    return material
 
 
 def key_of(stress: Stress) -> str:

@@ -188,7 +188,7 @@ def recorded(kernel: Any, dim: int, inputs: list[Any], outputs: list[Any]) -> Ca
     command = wp.launch(
         kernel, dim=dim, inputs=inputs, outputs=outputs, device=DEVICE, record_cmd=True
     )
-    return command.launch  # type: ignore[no-any-return]
+    return command.launch
 
 
 @dataclass(frozen=True)

@@ -8,12 +8,11 @@ import torch
 
 import warp_peri as wp
 from tests.conformance.test_gradients import KINKED, OPERATORS, field, torn
-from tests.conformance.test_laws import LAWS
+from tests.conformance.test_laws import LAWS, third_order
 from tests.dynamics.test_adjoint import given, loss
 from tests.gradients.cases import FLOWS, WAVES, seeded, solver_of
 from tests.support import cubes
 from tests.support.problems import difference, lattice
-from tests.third_order.test_crystal import crystal
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 DIFFERENCES = 1e-6
@@ -81,7 +80,7 @@ def of_coupled(numbers):
 
 
 def of_third_order(numbers):
-    return replace(crystal("energy"), **numbers).on(lattice(3, 3.0))
+    return replace(third_order("energy")(), **numbers).on(lattice(3, 3.0))
 
 
 def of_tensors(numbers):
