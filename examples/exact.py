@@ -1,4 +1,4 @@
-"""Exact solutions for examples and tests: a hole, a crack under pressure, plane Maxwell flows."""
+"""Exact solutions for examples and tests: a hole, cracks, plane Maxwell flows."""
 
 from typing import Any
 
@@ -59,6 +59,21 @@ def compliances(moduli: Any) -> tuple[float, float, float]:
     """a11, a12 and a66 [1/stress] of a plate of cubic symmetry along the axes."""
     det = moduli.C11**2 - moduli.C12**2
     return moduli.C11 / det, -moduli.C12 / det, 1 / moduli.C44
+
+
+def westergaard(x: np.ndarray, half: float, stress: float, lam: float, mu: float) -> np.ndarray:
+    """Displacement around a crack |x| < half on y = 0 in a plane under equal tension, shape [N, 2].
+
+    Plane stress with the two-dimensional λ and μ; H. M. Westergaard, 1939.
+    """
+    kolosov = (lam + 3 * mu) / (lam + mu)
+    z = x[:, 0] + 1j * x[:, 1]
+    root = np.sqrt(z - half) * np.sqrt(z + half)
+    Z, integral = stress * z / root, stress * root
+    y = x[:, 1]
+    u = ((kolosov - 1) / 2 * integral.real - y * Z.imag) / (2 * mu)
+    v = ((kolosov + 1) / 2 * integral.imag - y * Z.real) / (2 * mu)
+    return np.column_stack([u, v])
 
 
 def hoop_stress(x: np.ndarray, stress: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 
 import warp_peri as wp
-from examples.exact import sneddon_opening
+from examples.exact import sneddon_opening, westergaard
 from examples.figures import panels
 from tools.options import Options
 from warp_peri import damage
@@ -37,7 +37,7 @@ def opening(cells: int, lam: float = 1.0):
     """Opening and its volume over Sneddon's under unit pressure, and the row above the crack."""
     solid, points = square(cells, lam)
     x, h = points.x, points.spacing
-    exact = damage.westergaard(x, HALF, 1.0, lam, 1.0) - x / (2 * (lam + 1))
+    exact = westergaard(x, HALF, 1.0, lam, 1.0) - x / (2 * (lam + 1))
     crack, fluid = [(-HALF, 0), (HALF, 0)], np.diag([0.0, 1.0])
     solution = wp.solve(solid, damage.Cracked(points, u=exact, cracks=[crack], pressure=fluid))
     u = solution.u

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from examples.cracks.inclusions import Mixed
+from examples.exact import westergaard
 from examples.static_crack import edge_crack, main, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
@@ -17,7 +18,6 @@ from warp_peri.damage import (
     lattice_body,
     rectangle,
     tip_shift,
-    westergaard,
 )
 from warp_peri.damage.cut_solid import CutSolid, domain_integral
 from warp_peri.damage.slow_growth import grow

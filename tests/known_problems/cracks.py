@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from examples.exact import westergaard
 from tests.known_problems.statics import LEARNED, Outcome, UnitScale, material, plane, solid
-from warp_peri.damage.cut_solid import westergaard
 from warp_peri.damage.lattice_body import box, penny, point_force, rectangle
 from warp_peri.damage.operator import unit_toughness
 from warp_peri.damage.problems import Cracked

@@ -32,8 +32,8 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1216,
-    "core": 1561,
-    "damage": 2022,
+    "core": 1559,
+    "damage": 2018,
     "diffusion": 337,
     "dynamics": 525,
     "edges": 967,
@@ -45,7 +45,7 @@ ROOMS = {
     "neural": 1015,
     "points": 2007,
     "prediction": 1013,
-    "ranks": 962,
+    "ranks": 958,
     "regression": 918,
     "sources": 936,
     "stability": 140,

@@ -126,16 +126,11 @@ def half_ball(reach: float, dimension: int) -> np.ndarray:
     line = range(-side, side + 1)
     grid = np.array(list(itertools.product(line, repeat=dimension)), dtype=np.int64)
     square = (grid**2).sum(axis=1)
-    half: np.ndarray = grid[(square <= most) & in_half(grid)]
+    first = grid @ (2 * side + 1) ** np.arange(dimension)[::-1] > 0  # of ξ and −ξ just one
+    half: np.ndarray = grid[(square <= most) & first]
     if not len(half):
         raise InputError(f"horizon: expected at least one spacing, got {reach:g} of them")
     return half[np.argsort((half**2).sum(axis=1), kind="stable")]
-
-
-def in_half(steps: np.ndarray) -> np.ndarray:
-    """Which of some steps, whole numbers [n, d], are of one half: of ξ and −ξ just one, 0 never."""
-    mirror = (2 * np.abs(steps).max() + 1) ** np.arange(steps.shape[1])[::-1]
-    return np.asarray(steps @ mirror > 0)
 
 
 def directions(count: int, dimension: int) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Cracks: bonds that are cut, break or soften, at rest and in motion (theory, C)."""
 
-from warp_peri.damage.cut_solid import contour_integral, opening_volume, westergaard
+from warp_peri.damage.cut_solid import contour_integral, opening_volume
 from warp_peri.damage.lattice_body import (
     LatticeBody,
     box,
@@ -34,5 +34,4 @@ __all__ = [
     "positive_kernel",
     "rectangle",
     "tip_shift",
-    "westergaard",
 ]

@@ -384,21 +384,6 @@ def crack_gradient(field: np.ndarray, h: float, behind: np.ndarray, row: int) ->
     return np.stack(slopes, axis=-1)
 
 
-def westergaard(x: np.ndarray, half: float, stress: float, lam: float, mu: float) -> np.ndarray:
-    """Displacement around a crack |x| < half on y = 0 in a plane under equal tension, shape [N, 2].
-
-    Plane stress with the two-dimensional λ and μ; H. M. Westergaard, 1939.
-    """
-    kolosov = (lam + 3 * mu) / (lam + mu)
-    z = x[:, 0] + 1j * x[:, 1]
-    root = np.sqrt(z - half) * np.sqrt(z + half)
-    Z, integral = stress * z / root, stress * root
-    y = x[:, 1]
-    u = ((kolosov - 1) / 2 * integral.real - y * Z.imag) / (2 * mu)
-    v = ((kolosov + 1) / 2 * integral.imag - y * Z.real) / (2 * mu)
-    return np.column_stack([u, v])
-
-
 def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     """Body force density [stress / length] that presses on what has been cut, shape [N, d].
 

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.damage.cut_solid import CutSolid, check_pieces, westergaard
+from warp_peri.damage.cut_solid import CutSolid, check_pieces
 from warp_peri.damage.lattice_body import LatticeBody, box, cracked, lattice_body
 from warp_peri.damage.operator import bonds_of, dilatations, stretch_rows, unit_toughness
 from warp_peri.damage.solid import check_breakable, check_no_fail
@@ -199,7 +199,7 @@ def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length:
     x = box((side, side, h)[:d], h)
     held = (np.abs(x) > cells * h).any(axis=1)
     u = np.zeros_like(x)
-    u[:, :2] = westergaard(x, half, 1.0, model.lam, model.mu)
+    u[:, :2] = _westergaard(x, half, model.lam, model.mu)
     crack: list[tuple[float, ...]] = [(-half, 0), (half, 0)]
     if d == 3:  # along the front all layers are alike
         ends = side * np.array([-1.0, 1.0])
@@ -208,6 +208,15 @@ def apparent_toughness(model: Model, spacing: float, *, cells: int = 20, length:
     events = length * cut_by_spacing(body.classes) + 1  # an event is 4 directed bonds
     growth = grow(model, body, held, u, events=events, cracks=[crack])
     return spent(growth, body.classes, tips=2) / unit_toughness(model, body.classes)
+
+
+def _westergaard(x: np.ndarray, half: float, lam: float, mu: float) -> np.ndarray:
+    """Displacement around a crack |x| < half in a plane under unit tension, [N, 2] (1939)."""
+    y, z = x[:, 1], x[:, 0] + 1j * x[:, 1]
+    root, kolosov = np.sqrt(z - half) * np.sqrt(z + half), (lam + 3 * mu) / (lam + mu)
+    u = (kolosov - 1) / 2 * root.real - y * (z / root).imag
+    v = (kolosov + 1) / 2 * root.imag - y * (z / root).real
+    return np.column_stack([u, v]) / (2 * mu)
 
 
 def cut_by_spacing(classes: BondClasses) -> int:

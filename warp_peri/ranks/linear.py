@@ -176,9 +176,9 @@ def tensors_at(linear: Any, piece: Subdomain) -> StencilMaterial:
     `fitting` does.
     """
     if not isinstance(linear, Model):
-        x, inside = one_node(piece.dimension, piece.spacing, linear.horizon)
+        h, x = piece.spacing, piece.spacing * np.argwhere(np.ones((3,) * piece.dimension))
         with agreed(piece.comm):
-            linear.fitting(Points(x, inside, piece.spacing, units=piece.units, axis=piece.axis))
+            linear.fitting(Points(x, x[:, 0] == h, h, units=piece.units, axis=piece.axis))
         return linear  # type: ignore[no-any-return]
     if not linear.is_certified_on(piece.spacing):
         linear = in_turn(piece.comm, lambda: model_at(linear, piece.spacing))
@@ -189,10 +189,3 @@ def tensors_at(linear: Any, piece: Subdomain) -> StencilMaterial:
         with shared_by(piece.comm):
             _proven[known] = tensors_of(linear, piece.spacing)
     return _proven[known]
-
-
-def one_node(dimension: int, spacing: float, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """A cube of nodes to a distance around one that is unknown: positions and which it is."""
-    steps = int(np.ceil(reach / spacing))
-    grid = np.argwhere(np.ones((2 * steps + 1,) * dimension)) - steps
-    return spacing * grid, np.asarray((grid == 0).all(axis=1))
