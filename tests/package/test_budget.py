@@ -43,7 +43,7 @@ ROOMS = {
     "lps": 1549,
     "micromodulus": 1322,
     "neural": 1015,
-    "points": 2007,
+    "points": 1968,
     "prediction": 1013,
     "ranks": 958,
     "regression": 918,

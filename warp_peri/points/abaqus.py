@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 import warnings
 from collections import Counter
 from collections.abc import Iterator
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 
@@ -17,28 +15,12 @@ from warp_peri.errors import InputError
 PLANE = {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"}
 SOLID = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15"}
 SOLID |= {20: "hexahedron20", 27: "hexahedron27"}
-BAR = {2: "line", 3: "line3"}
-ELEMENTS = {
-    **dict.fromkeys(("CPS", "CPE", "S", "M3D"), PLANE),
-    "STRI": {3: "triangle", 65: "triangle6"},
-    "C3D": SOLID,
-    **dict.fromkeys(("T2D", "T3D"), BAR),
-    "B": {21: "line", 31: "line", 22: "line3", 32: "line3"},
-}
-"""Kinds of cells by an element's letters and number."""
-SIDES = {
-    "triangle": ((0, 1), (1, 2), (2, 0)),
-    "quad": ((0, 1), (1, 2), (2, 3), (3, 0)),
-    "tetra": ((0, 1, 2), (0, 1, 3), (1, 2, 3), (0, 2, 3)),
-    "pyramid": ((0, 1, 2, 3), (0, 1, 4), (1, 2, 4), (2, 3, 4), (3, 0, 4)),
-    "wedge": ((0, 1, 2), (3, 4, 5), (0, 1, 4, 3), (1, 2, 5, 4), (2, 0, 3, 5)),
-    "hexahedron": (
-        *((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)),
-    ),
-}
-"""Corners of the sides of a kind, in the order of VTK and of Abaqus."""
+KINDS = dict.fromkeys(("CPS", "CPE", "S", "M3D"), (2, PLANE)) | {"C3D": (3, SOLID)}
+KINDS |= dict.fromkeys(("T2D", "T3D"), (1, {2: "line", 3: "line3"}))
+KINDS |= dict.fromkeys(("B2", "B3"), (1, {1: "line", 2: "line3"}))
+"""Dimension of elements by their letters, and meshio's names by the number behind these."""
 OF_SETS = {"INSTANCE", "GENERATE", "INTERNAL", "UNSORTED"}
-READ: dict[str, set[str]] = {
+READ = {
     "NODE": {"NSET"},
     "ELEMENT": {"TYPE", "ELSET"},
     "NSET": {"NSET"} | OF_SETS,
@@ -83,14 +65,12 @@ def keywords(text: str) -> Iterator[Keyword]:
 def read_abaqus(text: str) -> SimpleNamespace:
     """Points, cells and sets, named as meshio names them.
 
-    Sides of the outline all of whose corners are in a set of nodes are a boundary of its name.
-
     Warns of keywords beside the shape. Raises InputError for every other that is not read, and its
     options: instances that are moved or repeated, systems of coordinates, what makes nodes and
     elements of others, surfaces.
     """
     nodes: dict[int, tuple[float, ...]] = {}
-    blocks: list[tuple[str, np.ndarray]] = []
+    blocks: list[tuple[int, str, np.ndarray]] = []
     given: list[tuple[str, dict[str, str], list[str]]] = []
     elements: set[int] = set()
     passed, once = list[str](), Counter[str]()
@@ -114,12 +94,12 @@ def read_abaqus(text: str) -> SimpleNamespace:
             nodes |= {n: (*map(float, x), 0.0, 0.0)[:3] for n, x in own.items()}
             members = [*own]
         elif name == "ELEMENT":
-            kind, cells = _elements(options.get("TYPE", ""), rows)
+            d, kind, cells = _elements(options.get("TYPE", ""), rows)
             members = cells[:, 0].tolist()
             if len({*members}) < len(members) or elements & {*members}:
                 raise InputError("*ELEMENT: expected each number once")
             elements |= {*members}
-            blocks.append((kind, cells))
+            blocks.append((d, kind, cells))
         if name in ("NSET", "ELSET"):
             given.append((name, options, rows))
         elif name in ("NODE", "ELEMENT"):
@@ -128,24 +108,38 @@ def read_abaqus(text: str) -> SimpleNamespace:
                 given.append((kind_of_set, options, [*map(str, members)]))
     if passed:
         warnings.warn(f"not read: {', '.join(dict.fromkeys(passed))}", stacklevel=4)
-    return _mesh(nodes, blocks, _sets(given, {"NSET": {*nodes}, "ELSET": elements}))
+    sets = _sets(given, {"NSET": {*nodes}, "ELSET": elements})
+    row = {number: n for n, number in enumerate(nodes)}
+    if missing := {n for *_, cells in blocks for n in cells[:, 1:].flat} - {*row}:
+        raise InputError(f"*ELEMENT: expected nodes that are there, got {min(missing)}")
+    at = np.vectorize(row.get, otypes=[int])
+    return SimpleNamespace(
+        points=np.array([*nodes.values()]).reshape(-1, 3),
+        cells=[SimpleNamespace(dim=d, type=kind, data=at(c[:, 1:])) for d, kind, c in blocks],
+        cell_data={},
+        field_data={},
+        point_sets={
+            name: [row[n] for n in own] for (of, name), own in sets.items() if of == "NSET"
+        },
+        cell_sets={
+            name: [np.flatnonzero(np.isin(cells[:, 0], [*own])) for *_, cells in blocks]
+            for (of, name), own in sets.items()
+            if of == "ELSET"
+        },
+    )
 
 
-def _elements(told: str, rows: list[str]) -> tuple[str, np.ndarray]:
-    """Kind of cells, and their numbers with their corners', [T, 1 + n]."""
-    found = re.fullmatch(r"(CPS|CPE|STRI|S|M3D|C3D|T2D|T3D|B)(\d+)(?:[A-Z]+\d*)?", told.upper())
-    kind = ELEMENTS[found[1]].get(int(found[2])) if found else None
-    if kind is None:
+def _elements(told: str, rows: list[str]) -> tuple[int, str, np.ndarray]:
+    """Dimension and kind of cells, and their numbers with their corners', [T, 1 + n]."""
+    found = re.fullmatch(r"(CPS|CPE|S|M3D|C3D|T2D|T3D|B2|B3)(\d+)(?:[A-Z]+\d*)?", told.upper())
+    d, kinds = KINDS[found[1]] if found else (0, {})
+    if found is None or (size := int(found[2])) not in kinds:
         raise InputError(f"*ELEMENT, TYPE={told}: it is not read; solids, sheets and bars are")
-    count = 1 + (int("".join(filter(str.isdigit, kind)) or 0) or len(_corners(kind)))
+    count = size + (found[1][0] == "B")
     numbers = [int(word) for row in rows for word in row.split(",") if word.strip()]
-    if not numbers or len(numbers) % count:
-        raise InputError(f"*ELEMENT, TYPE={told}: expected {count - 1} nodes of each")
-    return kind, np.array(numbers).reshape(-1, count)
-
-
-def _corners(kind: str) -> set[int]:
-    return {0, 1} if kind == "line" else {*itertools.chain(*SIDES[kind])}
+    if not numbers or len(numbers) % (1 + count):
+        raise InputError(f"*ELEMENT, TYPE={told}: expected {count} nodes of each")
+    return d, kinds[size], np.array(numbers).reshape(-1, 1 + count)
 
 
 def _sets(
@@ -168,60 +162,3 @@ def _sets(
                 here |= one
         found[name, label] = found.get((name, label), set()) | here
     return found
-
-
-def _mesh(
-    nodes: dict[int, tuple[float, ...]],
-    blocks: list[tuple[str, np.ndarray]],
-    sets: dict[tuple[str, str], set[int]],
-) -> SimpleNamespace:
-    row = {number: n for n, number in enumerate(nodes)}
-    if missing := {n for _, cells in blocks for n in cells[:, 1:].flat} - {*row}:
-        raise InputError(f"*ELEMENT: expected nodes that are there, got {min(missing)}")
-    d = max((_dimension(kind) for kind, _ in blocks), default=0)
-    sides: Counter[frozenset[int]] = Counter()
-    turned: dict[frozenset[int], tuple[int, ...]] = {}
-    for kind, numbered in blocks:
-        for side in SIDES[_straight(kind)] if _dimension(kind) == d > 1 else ():
-            for corners in numbered[:, [1 + k for k in side]].tolist():
-                sides[frozenset(corners)] += 1
-                turned[frozenset(corners)] = tuple(corners)
-    cells = [
-        _block(kind, [[row[n] for n in one] for one in c[:, 1:].tolist()]) for kind, c in blocks
-    ]
-    named: dict[str, list[Any]] = {}
-    for (what, name), numbers in sets.items():
-        if what == "ELSET":
-            kept = [np.flatnonzero(np.isin(c[:, 0], [*numbers])) for _, c in blocks]
-            named.setdefault(name, []).extend(enumerate(kept))
-            continue
-        outer = [turned[s] for s, count in sides.items() if count == 1 and s <= numbers]
-        if not outer:
-            warnings.warn(
-                f"*NSET, {name}: no side of the outline has all its corners", stacklevel=5
-            )
-        for size in {len(side) for side in outer}:
-            of_size = [[row[n] for n in side] for side in outer if len(side) == size]
-            named.setdefault(name, []).append((len(cells), np.arange(len(of_size))))
-            cells.append(_block({2: "line", 3: "triangle", 4: "quad"}[size], of_size))
-    empty = np.zeros(0, int)
-    kept_of = {name: dict(kept) for name, kept in named.items()}
-    return SimpleNamespace(
-        points=np.array([*nodes.values()]).reshape(-1, 3),
-        cells=cells,
-        cell_data={},
-        field_data={},
-        cell_sets={n: [k.get(i, empty) for i in range(len(cells))] for n, k in kept_of.items()},
-    )
-
-
-def _straight(kind: str) -> str:
-    return kind.rstrip("0123456789")
-
-
-def _dimension(kind: str) -> int:
-    return {"line": 1, "triangle": 2, "quad": 2}.get(_straight(kind), 3)
-
-
-def _block(kind: str, corners: list[list[int]]) -> SimpleNamespace:
-    return SimpleNamespace(type=kind, dim=_dimension(kind), data=np.array(corners))

@@ -539,7 +539,7 @@ def _body_of(read: Any) -> Mesh | Tetrahedra:
     solids = [np.asarray(c.data)[:, : CORNERS[c.type]] for c in read.cells if c.dim == 3]
     if solids:
         cells = _once(read, [_in_tetrahedra(cells) for cells in solids])
-        return make_tetrahedra(points, cells, _named_groups(read, 2), inner=True)
+        return make_tetrahedra(points, cells, _named_groups(read, cells), inner=True)
     if points.shape[1] == 3 and np.ptp(points[:, 2]) > 1e-9 * np.ptp(points, axis=0).max():
         raise InputError(f"expected a plane mesh, z varies by {np.ptp(points[:, 2]):g}")
     x, triangles = points[:, :2], []
@@ -553,7 +553,8 @@ def _body_of(read: Any) -> Mesh | Tetrahedra:
             for k in range(n):
                 ends = np.sort(cells[:, [k, (k + 1) % n]], axis=1)
                 middle |= {tuple(pair): x[m] for pair, m in zip(ends.tolist(), cells[:, n + k])}
-    return make_mesh(x, _once(read, triangles), _named_groups(read, 1), middle, inner=True)
+    cells = _once(read, triangles)
+    return make_mesh(x, cells, _named_groups(read, cells), middle, inner=True)
 
 
 def _join(read: Any, points: np.ndarray) -> None:
@@ -638,8 +639,12 @@ def _once(read: Any, cells: list[np.ndarray]) -> np.ndarray:
     return np.asarray(every[np.sort(np.unique(np.sort(every, 1), axis=0, return_index=True)[1])])
 
 
-def _named_groups(read: Any, dim: int) -> dict[str, np.ndarray]:
-    """Lines or triangles of a meshio mesh by name: its sets, and its groups by name or number."""
+def _named_groups(read: Any, body: np.ndarray) -> dict[str, np.ndarray]:
+    """Lines or triangles of a meshio mesh by name: its sets, and its groups by name or number.
+
+    Of a set of nodes the sides of the body's outline with all their corners in it.
+    """
+    dim = body.shape[1] - 2
     sets: dict[str, list[np.ndarray]] = {}
     names = {int(v[0]): [name] for name, v in read.field_data.items() if v[1] == dim}
     groups = [key for key in read.cell_data if key.endswith(GROUPS)]
@@ -656,6 +661,13 @@ def _named_groups(read: Any, dim: int) -> dict[str, np.ndarray]:
             if not name.startswith("gmsh:") and kept[number] is not None and len(kept[number]):
                 sets.setdefault(name, []).append(found[kept[number]])
     unnamed = sum(len(block.data) for block in read.cells if block.dim == dim)
+    _, outer, _, count = _facets(body)
+    for name, nodes in read.point_sets.items():
+        if not name.startswith("gmsh:"):
+            sides = outer[(count == 1) & np.isin(outer, nodes).all(axis=1)]
+            if not len(sides):
+                warnings.warn(f"{name}: no side of the outline is between its nodes", stacklevel=5)
+            sets.setdefault(name, []).append(sides)
     if unnamed and not sets:
         warnings.warn(
             f"none of the {unnamed} {'faces' if dim == 2 else 'lines'} in the file is in a group: "
