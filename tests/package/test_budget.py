@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_950,
-    "tokens": 318_893,
-    "lines of warp_peri": 44_114,
+    "code lines": 27_136,
+    "tokens": 321_349,
+    "lines of warp_peri": 44_354,
     "lines of kernels": 5_013,
-    "lines of warp_peri, kernels, examples and tools": 81_031,
+    "lines of warp_peri, kernels, examples and tools": 81_271,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -39,7 +39,7 @@ ROOMS = {
     "edges": 967,
     "face": 930,
     "files": 513,
-    "learning": 2001,
+    "learning": 1999,
     "lps": 1549,
     "micromodulus": 1322,
     "neural": 1015,

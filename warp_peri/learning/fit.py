@@ -140,7 +140,7 @@ def learn(
     warn_of_bounds(final, data, scale, method)
     kept = scale.lattice_conditions(data, horizon)
     held = scale.moduli(optimum.held, back=True)
-    settings = Settings(kept, normalise, two_functions, held)
+    settings = Settings(kept, held)
     return _certified(sets, scale.parameters(final), stages.ended(scale), choice, settings, scale)
 
 

@@ -39,11 +39,9 @@ class Stage:
 
 @dataclass(frozen=True)
 class Settings:
-    """What a fit was asked for: conditions on each lattice, and how its loss was made."""
+    """What a fit was asked for: conditions on each lattice, and moduli that are held."""
 
     conditions: list[LatticeConditions]
-    normalise: bool
-    two_functions: bool
     moduli: tuple[float, float] | str | None
 
 
