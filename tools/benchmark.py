@@ -68,6 +68,9 @@ MODEL: dict[str, Any] = {
     "lam": -0.2,
     "mu": 0.72,
 }
+QUICK = 40
+"""Nodes along an edge for a look at whether all runs."""
+PRECISIONS = "float64", "float32"
 LARGE = 5_000_000
 """Bonds from which on rivals that store vectors bond by bond are left out."""
 Candidates = dict[str, Callable[[], Any]]
@@ -151,9 +154,9 @@ def interleaved(candidates: Candidates, rounds: int, tolerance: float) -> dict[s
     return {name: typical(values) for name, values in times.items()}
 
 
-def copy_bandwidth() -> float:
-    """Bytes a second, read and written, of NumPy copying 256 MiB on one thread."""
-    source = np.ones(2**25)
+def copy_bandwidth(*, quick: bool = False) -> float:
+    """Bytes a second, read and written, of NumPy copying 256 MiB (quick: 8) on one thread."""
+    source = np.ones(2**20 if quick else 2**25)
     target = np.empty_like(source)
     best = np.inf
     for _ in range(7):
@@ -352,17 +355,17 @@ def operator(*, quick: bool, threads: int = 2) -> None:
     THREADS = min(threads, cores or 1)  # what a process is bound to, Numba insists on
     set_threads(THREADS)
     torch.set_num_threads(THREADS)
-    bandwidth = copy_bandwidth()
+    bandwidth = copy_bandwidth(quick=quick)
     print(f"{THREADS} threads; copying moves {bandwidth / 1e9:.1f} GB/s on one thread")
-    rounds = 5 if quick else 15
+    side, rounds = (QUICK, 1) if quick else (200, 15)
     speed = 0.0
     for kind in ("lattice", "scattered"):
-        for precision in ("float64", "float32"):
-            seconds = measure(kind, 200, precision, rounds, bandwidth, fastmath=not quick)
+        for precision in PRECISIONS[: 1 if quick else 2]:
+            seconds = measure(kind, side, precision, rounds, bandwidth, fastmath=not quick)
             if kind == "lattice" and precision == "float64":
-                speed = 48 * 200**2 / seconds["forward"]["warp_peri"]
-    lammps(24, speed)
+                speed = 48 * side**2 / seconds["forward"]["warp_peri"]
     if not quick:
+        lammps(24, speed)
         forward = measure("lattice", 1000, "float64", 3, bandwidth)
         measure("lattice", 1000, "float32", 3, bandwidth)
         setting_up(1000, forward["forward"]["warp_peri"])
@@ -371,11 +374,11 @@ def operator(*, quick: bool, threads: int = 2) -> None:
 def ceilings(*, quick: bool) -> None:
     """The rooflines of the lattice, on one core."""
     set_threads(1)
-    bandwidth = copy_bandwidth()
-    for side in (200,) if quick else (200, 1000):
+    bandwidth = copy_bandwidth(quick=quick)
+    for side in (QUICK,) if quick else (200, 1000):
         points, _ = problem("lattice", side)
         u = np.random.default_rng(1).normal(size=points.x.shape)
-        for precision in ("float64", "float32"):
+        for precision in PRECISIONS[: 1 if quick else 2]:
             bonds = Bonds(points, HORIZON, precision=precision)
             roofline.roofline(bonds, Solid(**MODEL), u, bandwidth)
 
@@ -385,10 +388,10 @@ def launches(*, quick: bool, threads: int = 2) -> None:
     rival_there = find_spec("numba") is not None
     if not rival_there:
         print("Numba is not installed: pip install 'warp_peri[bench]'")
-    for side in (200,) if quick else (200, 400, 1000):
+    for side in (QUICK,) if quick else (200, 400, 1000):
         points, box = problem("lattice", side)
         fields = np.random.default_rng(1).normal(size=(2, side**2, 2))
-        for precision in ("float64", "float32"):
+        for precision in PRECISIONS[: 1 if quick else 2]:
             bonds = Bonds(points, HORIZON, precision=precision)
             t = rivals.tables(bonds, points.x, np.array(box), *fields, **MODEL)
             for count in range(1, threads + 1):
@@ -414,12 +417,12 @@ def broken(*, quick: bool, threads: int = 2) -> None:
     THREADS = threads
     set_threads(THREADS)
     torch.set_num_threads(THREADS)
-    rounds, bandwidth = 5 if quick else 15, copy_bandwidth()
+    (side, rounds), bandwidth = (QUICK, 1) if quick else (200, 15), copy_bandwidth(quick=quick)
     rivals_of = {"lattice": "Numba by rows", "scattered": "Numba parallel"}
     for kind, rival in rivals_of.items():
-        for precision in ("float64", "float32"):
+        for precision in PRECISIONS[: 1 if quick else 2]:
             with contextlib.redirect_stdout(sys.stderr):
-                tables = measure(kind, 200, precision, rounds, bandwidth, fastmath=False)
+                tables = measure(kind, side, precision, rounds, bandwidth, fastmath=False)
             for what, seconds in tables.items():
                 best = {name: 1e3 * value for name, value in seconds.items() if "Numba" in name}
                 row: dict[str, Any] = {
@@ -435,12 +438,20 @@ def broken(*, quick: bool, threads: int = 2) -> None:
     print(json.dumps(found, indent=1))
 
 
+KINDS = (
+    *("operator", "roofline", "launch", "solve", "crystals", "ranks", "choice"),
+    *("gradient", "broken"),
+)
+
+
 def main(arguments: list[str] | None = None) -> int:
     parser = Options(__doc__)
-    kinds = ["operator", "roofline", "launch", "solve", "crystals", "ranks", "choice"]
-    kinds += ["gradient", "broken"]
-    parser.add("what", choices=kinds)
-    parser.add("--quick", action="store_true", help="few rounds, no fastmath, no 1000² lattice")
+    parser.add("what", choices=KINDS)
+    parser.add(
+        "--quick",
+        action="store_true",
+        help="all of it in seconds, on few nodes; its times say nothing",
+    )
     parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
     parser.add("--json", action="store_true", help="gradient, broken: print JSON")
     parser.add("--long", action="store_true", help="gradient: motions of 100 000 steps too")

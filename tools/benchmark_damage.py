@@ -11,12 +11,13 @@ something only where nothing else runs.
 
 import time
 from collections.abc import Callable, Sequence
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
 
 from tools.peri_lps import PeriLps
-from warp_peri import Krylov, Model, Points, solve
+from warp_peri import InputError, Krylov, Model, Points, solve
 from warp_peri.damage import Cracked, box, lattice_body, penny
 from warp_peri.damage.motion import BreakingBody, step
 from warp_peri.damage.operator import CutOperator
@@ -257,20 +258,23 @@ def search(side: int = 28) -> dict[str, float]:
 
 def broken(*, quick: bool, threads: tuple[int, ...] = (1, 2)) -> dict[str, Any]:
     """Sweeps of plates, shares of broken bonds, and the block."""
+    if find_spec("numba") is None:
+        raise InputError("broken: needs Numba; pip install 'warp_peri[bench]'")
     import numba
 
-    rivals, repeats = rival(), 5 if quick else 15
-    found: dict[str, Any] = {"sweeps": [], "shares": [], "block": block(repeats)}
-    found["search"] = search(20 if quick else 28)
+    rivals, repeats, sizes = rival(), 1 if quick else 15, ((60, 24, 3.0),) if quick else SIZES
+    found: dict[str, Any] = {"sweeps": [], "shares": []}
+    found["block"] = block(repeats, 8 if quick else 16)
+    found["search"] = search(14 if quick else 28)
     for count in threads:
         set_threads(count)
         numba.set_num_threads(count)
         for lam in (1.0, 2.0):
-            for width, height, ratio in SIZES:
+            for width, height, ratio in sizes:
                 row = compare((width, height), ratio, rivals, repeats, lam)
                 found["sweeps"].append({"threads": count} | row)
     set_threads(1)
     numba.set_num_threads(1)
-    for share in SHARES:
-        found["shares"].append(compare((400, 160), 3.0, rivals, repeats, 1.0, share))
+    for share in SHARES[::4] if quick else SHARES:
+        found["shares"].append(compare(sizes[0][:2], 3.0, rivals, repeats, 1.0, share))
     return found

@@ -148,10 +148,10 @@ def gradient(*, quick: bool, long: bool = False, as_json: bool = False) -> None:
     take some twenty minutes."""
     set_threads(1)
     torch.set_num_threads(1)
-    side, rounds = (60, 3) if quick else (200, 7)
+    side, rounds = (16, 1) if quick else (200, 7)
     seconds = of_force(side, rounds)
-    ratios = of_motion(side, 20 if quick else 60, 3)
-    sizes = [(side, 100), (side, 1000)] if quick else [(200, 1000), (200, 10_000), (40, 30_000)]
+    ratios = of_motion(side, 5 if quick else 60, min(rounds, 3))
+    sizes = [(side, 20)] if quick else [(200, 1000), (200, 10_000), (40, 30_000)]
     kept = [memory(*one) for one in [*sizes, *([(200, 100_000)] if long else [])]]
     if as_json:
         print(json.dumps({"seconds": seconds, "backward over forward": ratios, "memory": kept}))

@@ -8,6 +8,7 @@ counts.
 import resource
 import time
 from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from warp_peri.statics.linear import STIFF, Linear
 from warp_peri.statics.lps import lps_linear
 
 SIDES = (64, 128, 250, 500, 1000, 2000)
+QUICK = (24, 32)
 TOLERANCE = 1e-8
 TABLE = Path(__file__).resolve().parent / "solve_model.json"
 """The learned graphene model, δ = 20 Å at h = 5 Å."""
@@ -113,20 +115,20 @@ def measure(model: Model, shape: str, side: int, method: str, material: str) -> 
     )
 
 
-def exponent(rows: list[Row]) -> float:
-    """Fitted power of the unknowns that the time of a solve grows with, from 250² on."""
+def exponent(rows: list[Row]) -> float | None:
+    """Fitted power of the unknowns that the time of a solve grows with, from 250² on.
+
+    None of fewer than two sizes.
+    """
     large = [row for row in rows if row.side >= 250]
     if len(large) < 2:
-        return float("nan")
+        return None
     x, y = (np.log([getattr(row, key) for row in large]) for key in ("unknowns", "solve"))
     return float(np.polyfit(x, y, 1)[0])
 
 
 def application(model: Model, side: int, rounds: int) -> dict[str, float]:
-    """Least seconds of one product on a periodic lattice: stencil by FFT, sweeps, Numba."""
-    import numba
-
-    numba.set_num_threads(2)
+    """Least seconds of one product on a periodic lattice: stencil by FFT, sweeps, also Numba's."""
     x = np.argwhere(np.ones((side, side))).astype(float)
     points = Points(x, np.ones(side**2, bool), 1.0, box=(float(side), float(side)))
     horizon = model.horizon / model.certified_on[0]
@@ -135,15 +137,19 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
     u = np.random.default_rng(1).normal(size=(side**2, 2))
     law: dict[str, Any] = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
     tables = rivals.tables(bonds, points.x, np.array(box), u, u, **law)
-    forward, _ = numba_rival.numba_parallel(tables, np.float64, fastmath=False)
     scaled = replace(model, horizon=horizon, D_dilatation=model.D, certified_on=(1.0,))
     whole = Linear(lps_stencil(scaled, 1.0), points, by="fft")
     solid = Solid(model.lam, model.mu, model.alpha, model.D)
     candidates = {
         "stencil by FFT": lambda: whole(u[None])[0],
-        "Numba, two sweeps": lambda: forward(),
         "warp_peri, two sweeps": lambda: lps_force(bonds, torch.from_numpy(u), solid).numpy(),
     }
+    if find_spec("numba") is not None:
+        import numba
+
+        numba.set_num_threads(2)
+        forward, _ = numba_rival.numba_parallel(tables, np.float64, fastmath=False)
+        candidates["Numba, two sweeps"] = forward
     times: dict[str, list[float]] = {name: [] for name in candidates}
     expected = candidates["warp_peri, two sweeps"]().copy()
     for _ in range(rounds):
@@ -162,7 +168,7 @@ def adjoint_ratio(model: Model, side: int) -> float:
     operator = model.on(points)
     noise = torch.from_numpy(np.random.default_rng(0).normal(size=(1, len(points.x), 2)))
     inside = torch.from_numpy(points.interior)[:, None]
-    law = model.solid.map(
+    law = Solid(model.lam, model.mu, model.alpha, model.D).map(
         lambda value: torch.tensor(value, dtype=torch.float64).reshape(-1).requires_grad_()
     )
     b = (noise * inside).requires_grad_()
@@ -181,7 +187,7 @@ def solve_study(*, quick: bool, model_file: Path | None = None, out: Path | None
     set_threads(2)
     torch.set_num_threads(2)
     model = load(model_file or TABLE)
-    sides = SIDES[:2] if quick else SIDES
+    sides = QUICK if quick else SIDES
     cases = [
         (model, shape, side, "sine" if shape == "square" else "multigrid", "learned")
         for side in sides
@@ -212,11 +218,13 @@ def solve_study(*, quick: bool, model_file: Path | None = None, out: Path | None
         )
     powers = {}
     for shape in ("square", "disk", "L with a hole"):
-        powers[shape] = exponent([r for r in rows if r.shape == shape and r.material == "learned"])
-        print(f"time of a solve grows with unknowns to the power {powers[shape]:.2f} ({shape})")
+        power = exponent([r for r in rows if r.shape == shape and r.material == "learned"])
+        if power is not None:
+            powers[shape] = power
+            print(f"time of a solve grows with unknowns to the power {power:.2f} ({shape})")
     gradient = adjoint_ratio(model, sides[-1] if quick else 500)
     print(f"implicit gradient: {gradient:.2f} × the solve")
-    product = application(model, 64 if quick else 1000, 3 if quick else 7)
+    product = application(model, 32 if quick else 1000, 1 if quick else 7)
     for name, seconds in product.items():
         print(f"{name:24}{1e3 * seconds:9.1f} ms   {seconds / product['stencil by FFT']:6.2f} ×")
     if out is not None:
