@@ -137,7 +137,7 @@ def application(model: Model, side: int, rounds: int) -> dict[str, float]:
     u = np.random.default_rng(1).normal(size=(side**2, 2))
     law: dict[str, Any] = {"alpha": model.alpha, "D": model.D, "lam": model.lam, "mu": model.mu}
     tables = rivals.tables(bonds, points.x, np.array(box), u, u, **law)
-    scaled = replace(model, horizon=horizon, D_dilatation=model.D, certified_on=(1.0,))
+    scaled = replace(model, horizon=horizon, certified_on=(1.0,))
     whole = Linear(lps_stencil(scaled, 1.0), points, by="fft")
     solid = Solid(model.lam, model.mu, model.alpha, model.D)
     candidates = {

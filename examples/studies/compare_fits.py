@@ -1,7 +1,7 @@
 """Ways to learn the same material, side by side, on the graphene data of the main job.
 
 The paper's algorithm as printed, the same with projected bounds, the constrained optimum under
-either choice of conditions, with held or isotropic moduli, with two influence functions; then
+either choice of conditions, with held or isotropic moduli; then
 training on two grids at once, solved on both and on a third that no fit saw.
 """
 
@@ -53,14 +53,6 @@ def one_grid(data: Dataset) -> list[dict[str, Any]]:
         },
         "constrained, isotropic": {"method": Optimum(moduli="isotropic")},
         "constrained, true moduli held": {"method": Optimum(moduli=moduli)},
-        "two functions": {
-            "kernel": Bernstein(10, two_functions=True),
-            "method": Optimum(moduli=None),
-        },
-        "two functions, isotropic": {
-            "kernel": Bernstein(10, two_functions=True),
-            "method": Optimum(moduli="isotropic"),
-        },
     }
     rows = []
     for name, options in tqdm(cases.items(), desc="one grid"):

@@ -1,6 +1,6 @@
 """The gradient of the force by gathering: each node collects what its own bonds send back.
 
-g is the gradient to L u, zero off the interior; h = g/m and hd = g/md. The bond from j back to i
+g is the gradient to L u, zero off the interior; h = g/m. The bond from j back to i
 has the vector −ξ and, on a lattice, the same class; on scattered points it is bond reverse[e].
 No two nodes write to one place, so slices of the nodes may run at once. Equations (43–47).
 """
@@ -47,8 +47,6 @@ def structs(scalar, dimension):
     class Law:
         kw: wp.array(dtype=scalar)
         m: wp.array(dtype=scalar)
-        kd: wp.array(dtype=scalar)
-        md: wp.array(dtype=scalar)
         lam: wp.array(dtype=scalar)
         mu: wp.array(dtype=scalar)
 
@@ -57,7 +55,6 @@ def structs(scalar, dimension):
         u: wp.array2d(dtype=vec)
         theta: wp.array2d(dtype=scalar)
         h: wp.array2d(dtype=vec)
-        hd: wp.array2d(dtype=vec)
         tau: wp.array2d(dtype=scalar)
 
     return SimpleNamespace(Law=Law, Fields=Fields)
@@ -95,17 +92,17 @@ def _dilatation_adjoint(of, reverse_class):
         nodes: wp.array(dtype=wp.int32),
         bonds: BondArrays,
         reverse: wp.array(dtype=wp.int32),
-        kd: wp.array(dtype=scalar),
-        md: wp.array(dtype=scalar),
+        kw: wp.array(dtype=scalar),
+        m: wp.array(dtype=scalar),
         lam: wp.array(dtype=scalar),
         mu: wp.array(dtype=scalar),
-        hd: wp.array2d(dtype=vec),
+        h: wp.array2d(dtype=vec),
         tau: wp.array2d(dtype=scalar),
     ):
-        """τ_i = (d/md_i) ∂/∂θ_i, (43)."""
+        """τ_i = (d/m_i) ∂/∂θ_i, (43)."""
         s, t = wp.tid()
         i = nodes[first + t]
-        own = hd[s, i]
+        own = h[s, i]
         total = scalar(0.0)
         begin = bonds.row[i]
         skip = bonds.lattice * begin
@@ -116,8 +113,8 @@ def _dilatation_adjoint(of, reverse_class):
             xi = xi_of(bond)
             c = bond_class_of(bonds, p)
             back = reverse_class(bonds, reverse, e, c)
-            total += wp.dot(xi, scalar_at(kd, c) * own - scalar_at(kd, back) * vecs_at(hd, s, j))
-        tau[s, i] = -c1 * c1 * (lam[0] - mu[0]) / md[volume_of(bonds, i)] * total
+            total += wp.dot(xi, scalar_at(kw, c) * own - scalar_at(kw, back) * vecs_at(h, s, j))
+        tau[s, i] = -c1 * c1 * (lam[0] - mu[0]) / m[volume_of(bonds, i)] * total
 
     return dilatation_adjoint
 
@@ -134,7 +131,6 @@ def _displacement_adjoint(of, reverse_class):
         bonds: BondArrays,
         reverse: wp.array(dtype=wp.int32),
         kw: wp.array(dtype=scalar),
-        kd: wp.array(dtype=scalar),
         mu: wp.array(dtype=scalar),
         h: wp.array2d(dtype=vec),
         tau: wp.array2d(dtype=scalar),
@@ -163,8 +159,8 @@ def _displacement_adjoint(of, reverse_class):
                 )
                 total += (
                     factor * stretch
-                    - scalar_at(kd, c) * own_tau
-                    - scalar_at(kd, back) * scalars_at(tau, s, j)
+                    - scalar_at(kw, c) * own_tau
+                    - scalar_at(kw, back) * scalars_at(tau, s, j)
                 ) * xi
         u_bar[s, i] = total
 
@@ -172,7 +168,7 @@ def _displacement_adjoint(of, reverse_class):
 
 
 def _by_bond(of, structs):
-    """What the bonds of one node add to ∂/∂(K W), its share of ∂/∂λ and ∂/∂μ, and ∂/∂m, ∂/∂md."""
+    """What the bonds of one node add to ∂/∂(K W), its share of ∂/∂λ and ∂/∂μ, and ∂/∂m."""
     c1, c2, xi_of, last = of.c1, of.c2, of.xi_of, of.dimension
     BondArrays, scalar, int_at = of.BondArrays, of.scalar, of.int_at
     bond_of, bond_class_of, volume_of = of.bond_of, of.bond_class_of, of.volume_of
@@ -187,9 +183,7 @@ def _by_bond(of, structs):
         fields: Fields,
         i: wp.int32,
         base: wp.int32,
-        one_table: wp.int32,
         kw_bar: wp.array(dtype=scalar),
-        kd_bar: wp.array(dtype=scalar),
     ):
         factor = -c2 * law.mu[0]
         dilatational = -c1 * (law.lam[0] - law.mu[0])
@@ -201,7 +195,6 @@ def _by_bond(of, structs):
         for s in range(fields.u.shape[0]):
             ui = fields.u[s, i]
             hi = fields.h[s, i]
-            hdi = fields.hd[s, i]
             theta_i = fields.theta[s, i]
             tau_i = fields.tau[s, i]
             for e in range(begin, bonds.row[i + 1]):
@@ -212,21 +205,15 @@ def _by_bond(of, structs):
                 c = bond_class_of(bonds, p)
                 stretch = wp.dot(xi, vecs_at(fields.u, s, j) - ui)
                 by_shear = wp.dot(xi, hi) * stretch * bond[last]
-                by_bulk = wp.dot(xi, hdi) * (theta_i + scalars_at(fields.theta, s, j))
+                by_bulk = wp.dot(xi, hi) * (theta_i + scalars_at(fields.theta, s, j))
                 shear += scalar_at(law.kw, c) * by_shear
-                bulk += scalar_at(law.kd, c) * by_bulk
-                by_w = factor * by_shear
+                bulk += scalar_at(law.kw, c) * by_bulk
                 by_d = dilatational * by_bulk + tau_i * stretch
-                if one_table == 1:
-                    add_at(kw_bar, p - base, by_w + by_d)
-                else:
-                    add_at(kw_bar, p - base, by_w)
-                    add_at(kd_bar, p - base, by_d)
+                add_at(kw_bar, p - base, factor * by_shear + by_d)
             volume += tau_i * theta_i
         v = volume_of(bonds, i)
         m_bar = -factor * shear / law.m[v]
-        md_bar = -dilatational * bulk / law.md[v] - volume / c1
-        return shear, bulk, m_bar, md_bar
+        return shear, bulk, m_bar + (-dilatational * bulk / law.m[v] - volume / c1)
 
     return by_bond
 
@@ -246,47 +233,35 @@ def _table_adjoint(of, structs):
         r: wp.array(dtype=scalar),
         law: Law,
         fields: Fields,
-        one_table: wp.int32,
         kw_bar: wp.array(dtype=scalar),
-        kd_bar: wp.array(dtype=scalar),
         parts: wp.array2d(dtype=scalar),
     ):
         """∂/∂(K W) of the bonds of a block's nodes begin ≤ t < end, one after another, (45–47).
 
-        A span is (base, begin, end). kw_bar and kd_bar hold the bonds p of the pattern at p − base;
-        with one table both sums go to kw_bar. parts[block] takes what ∂/∂λ and ∂/∂μ are made of,
-        (47).
+        A span is (base, begin, end). kw_bar holds the bonds p of the pattern at p − base.
+        parts[block] takes what ∂/∂λ and ∂/∂μ are made of, (47).
         """
         block = first + wp.tid()
         span = spans[block]
         base = span[0]
         shears, bulks = scalar(0.0), scalar(0.0)
-        volumes, volumes_d = scalar(0.0), scalar(0.0)
+        volumes = scalar(0.0)
         for t in range(span[1], span[2]):
             i = nodes[t]
-            shear, bulk, m_bar, md_bar = by_bond(
-                bonds, law, fields, i, base, one_table, kw_bar, kd_bar
-            )
+            shear, bulk, m_bar = by_bond(bonds, law, fields, i, base, kw_bar)
             shears += shear
             bulks += bulk
-            if one_table == 1:
-                m_bar += md_bar
             if bonds.lattice == 1:  # one volume for all: its bonds are done once, below
                 volumes += m_bar
-                volumes_d += md_bar
             else:
                 for e in range(bonds.row[i], bonds.row[i + 1]):
                     square = scalar_at(r, e) * scalar_at(r, e)
                     add_at(kw_bar, e - base, m_bar * square)
-                    if one_table == 0:
-                        add_at(kd_bar, e - base, md_bar * square)
         parts[block, 0] = shears
         parts[block, 1] = bulks
         if bonds.lattice == 1:
             for p in range(bonds.pattern.shape[0]):
                 square = scalar(1.0) / bonds.pattern[p][last]
                 add_at(kw_bar, p - base, volumes * square)
-                if one_table == 0:
-                    add_at(kd_bar, p - base, volumes_d * square)
 
     return table_adjoint

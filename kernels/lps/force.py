@@ -1,8 +1,7 @@
 """The linear peridynamic solid, top to bottom: weighted volume → dilatation → force.
 
-Equation numbers are those of docs/theory; bonds.py says what a bond is. The deviatoric part
-reads the table kw of K W by class and its weighted volume m, the dilatation kd and md; with one
-influence function they are the same arrays.
+Equation numbers are those of docs/theory; bonds.py says what a bond is. Kernels read the table kw
+of K W by class and its weighted volume m.
 
 Warp's adjoint loses derivatives to factors applied to a sum after a dynamic loop, so factors are
 hoisted into the loop.
@@ -66,15 +65,15 @@ def _dilatation(of):
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
         bonds: BondArrays,
-        kd: wp.array(dtype=scalar),
-        md: wp.array(dtype=scalar),
+        kw: wp.array(dtype=scalar),
+        m: wp.array(dtype=scalar),
         u: wp.array2d(dtype=vec),
         theta: wp.array2d(dtype=scalar),
     ):
         """θ_i = (d/m_i) Σ_j K ξ·(u_j − u_i) W, (6), where no bond is broken."""
         s, t = wp.tid()
         i = nodes[first + t]
-        factor = c1 / md[volume_of(bonds, i)]
+        factor = c1 / m[volume_of(bonds, i)]
         total = scalar(0.0)
         begin = bonds.row[i]
         skip = bonds.lattice * begin
@@ -83,7 +82,7 @@ def _dilatation(of):
             p = e - skip
             bond = bond_of(bonds, p, i, j)
             xi = xi_of(bond)
-            k = scalar_at(kd, bond_class_of(bonds, p))
+            k = scalar_at(kw, bond_class_of(bonds, p))
             total += factor * k * wp.dot(xi, vecs_at(u, s, j) - u[s, i])
         theta[s, i] = total
 
@@ -100,7 +99,7 @@ def _surface_shape(of):
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
         bonds: BondArrays,
-        kd: wp.array(dtype=scalar),
+        kw: wp.array(dtype=scalar),
         shape: wp.array(dtype=mat),
     ):
         """S_i = Σ_j K ξ⊗ξ W over the unbroken bonds, (40)."""
@@ -114,7 +113,7 @@ def _surface_shape(of):
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
                 xi = xi_of(bond)
-                k = scalar_at(kd, bond_class_of(bonds, p))
+                k = scalar_at(kw, bond_class_of(bonds, p))
                 total += k * wp.outer(xi, xi)
         shape[i] = total
 
@@ -132,7 +131,7 @@ def _surface_dilatation(of):
         first: wp.int32,
         nodes: wp.array(dtype=wp.int32),
         bonds: BondArrays,
-        kd: wp.array(dtype=scalar),
+        kw: wp.array(dtype=scalar),
         shape: wp.array(dtype=mat),
         u: wp.array2d(dtype=vec),
         theta: wp.array2d(dtype=scalar),
@@ -150,7 +149,7 @@ def _surface_dilatation(of):
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
                 xi = xi_of(bond)
-                k = scalar_at(kd, bond_class_of(bonds, p))
+                k = scalar_at(kw, bond_class_of(bonds, p))
                 total += k * wp.dot(xi, correction * (vecs_at(u, s, j) - u[s, i]))
         theta[s, i] = total
 
@@ -170,8 +169,6 @@ def _force(of):
         bonds: BondArrays,
         kw: wp.array(dtype=scalar),
         m: wp.array(dtype=scalar),
-        kd: wp.array(dtype=scalar),
-        md: wp.array(dtype=scalar),
         lam: wp.array(dtype=scalar),
         mu: wp.array(dtype=scalar),
         u: wp.array2d(dtype=vec),
@@ -181,7 +178,7 @@ def _force(of):
         """(L u)_i = −(c1/m)(λ−μ) Σ K ξ (θ_i+θ_j) W − (c2 μ/m) Σ K (ξ⊗ξ/r²)(u_j−u_i) W, (9)."""
         s, t = wp.tid()
         i = nodes[first + t]
-        dilatational = -c1 * (lam[0] - mu[0]) / md[volume_of(bonds, i)]
+        dilatational = -c1 * (lam[0] - mu[0]) / m[volume_of(bonds, i)]
         deviatoric = -c2 * mu[0] / m[volume_of(bonds, i)]
         total = vec()
         begin = bonds.row[i]
@@ -192,10 +189,10 @@ def _force(of):
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
                 xi = xi_of(bond)
-                c = bond_class_of(bonds, p)
+                k = scalar_at(kw, bond_class_of(bonds, p))
                 stretch = wp.dot(xi, vecs_at(u, s, j) - u[s, i]) * bond[last]
-                density = scalar_at(kd, c) * dilatational * (theta[s, i] + scalars_at(theta, s, j))
-                density += scalar_at(kw, c) * deviatoric * stretch
+                density = k * dilatational * (theta[s, i] + scalars_at(theta, s, j))
+                density += k * deviatoric * stretch
                 total += density * xi
         Lu[s, first + t] = total
 

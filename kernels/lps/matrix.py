@@ -22,12 +22,10 @@ def entries(dimension):
         bonds: BondArrays,
         kw: wp.array(dtype=wp.float64),
         m: wp.array(dtype=wp.float64),
-        kd: wp.array(dtype=wp.float64),
-        md: wp.array(dtype=wp.float64),
         gamma: wp.array(dtype=mat),
         psi: wp.array(dtype=vec),
     ):
-        """(c2/m_i) K (ξ⊗ξ/r²) W and, with the dilatation's K and m, (c1/m_i) K ξ W of each bond."""
+        """(c2/m_i) K (ξ⊗ξ/r²) W and (c1/m_i) K ξ W of each bond."""
         i = nodes[wp.tid()]
         v = volume_of(bonds, i)
         begin = bonds.row[i]
@@ -41,13 +39,13 @@ def entries(dimension):
                 c = bond_class_of(bonds, p)
                 stiffness = c2 * kw[c] / m[v] * bond[last]
                 gamma[e] = stiffness * wp.outer(xi, xi)
-                psi[e] = c1 * kd[c] / md[v] * xi
+                psi[e] = c1 * kw[c] / m[v] * xi
 
     @wp.kernel(enable_backward=False)
     def surface_entries(
         nodes: wp.array(dtype=wp.int32),
         bonds: BondArrays,
-        kd: wp.array(dtype=wp.float64),
+        kw: wp.array(dtype=wp.float64),
         shape: wp.array(dtype=mat),
         phi: wp.array(dtype=vec),
     ):
@@ -62,7 +60,7 @@ def entries(dimension):
                 p = e - skip
                 bond = bond_of(bonds, p, i, j)
                 xi = xi_of(bond)
-                phi[e] = kd[bond_class_of(bonds, p)] * (correction * xi)
+                phi[e] = kw[bond_class_of(bonds, p)] * (correction * xi)
 
     return SimpleNamespace(
         bond_entries=bond_entries, surface_entries=surface_entries, vec=vec, mat=mat

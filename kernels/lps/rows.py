@@ -51,12 +51,12 @@ LAID_OUT = """
 DILATATION = (
     OWN
     + """
-    const REAL factor = REAL(2) / law.md.data[0];
+    const REAL factor = REAL(2) / law.m.data[0];
     REAL total[LANES] = {};
     for (int p = 0; p < offset.shape[0]; ++p) {"""
     + FAR
     + """
-        const REAL k = factor * law.kd.data[c];
+        const REAL k = factor * law.kw.data[c];
         for (int l = 0; l < LANES; ++l)
             total[l] += k * (a * (vx[l] - x[l]) + b * (vy[l] - y[l]));
     }
@@ -68,7 +68,7 @@ DILATATION = (
 FORCE = (
     OWN
     + """
-    const REAL dilatational = REAL(-2) * (law.lam.data[0] - law.mu.data[0]) / law.md.data[0];
+    const REAL dilatational = REAL(-2) * (law.lam.data[0] - law.mu.data[0]) / law.m.data[0];
     const REAL deviatoric = REAL(-16) * law.mu.data[0] / law.m.data[0];
     const REAL* own = theta.data + size_t(s) * theta.shape[1] + base;
     REAL fx[LANES] = {}, fy[LANES] = {}, d[LANES];
@@ -79,7 +79,7 @@ FORCE = (
     + """
         const REAL* far = own + offset.data[p];
         const REAL inverse_square = bonds.pattern.data[p].c[2];
-        const REAL bulk = law.kd.data[c] * dilatational, shear = law.kw.data[c] * deviatoric;
+        const REAL k = law.kw.data[c], bulk = k * dilatational, shear = k * deviatoric;
         for (int l = 0; l < LANES; ++l) {
             const REAL stretch = (a * (vx[l] - x[l]) + b * (vy[l] - y[l])) * inverse_square;
             REAL density = bulk * (d[l] + far[l]);
@@ -98,12 +98,12 @@ FORCE = (
 DILATATION_ADJOINT = (
     OWN
     + """
-    const REAL factor = REAL(-4) * (law.lam.data[0] - law.mu.data[0]) / law.md.data[0];
+    const REAL factor = REAL(-4) * (law.lam.data[0] - law.mu.data[0]) / law.m.data[0];
     REAL total[LANES] = {};
     for (int p = 0; p < offset.shape[0]; ++p) {"""
     + FAR
     + """
-        const REAL k = law.kd.data[c];
+        const REAL k = law.kw.data[c];
         for (int l = 0; l < LANES; ++l)
             total[l] += a * (k * x[l] - k * vx[l]) + b * (k * y[l] - k * vy[l]);
     }
@@ -125,10 +125,10 @@ DISPLACEMENT_ADJOINT = (
     + """
         const REAL* far = own + offset.data[p];
         const REAL inverse_square = bonds.pattern.data[p].c[2];
-        const REAL k = law.kw.data[c], q = law.kd.data[c];
+        const REAL k = law.kw.data[c];
         for (int l = 0; l < LANES; ++l) {
             const REAL stretch = (a * (k * x[l] - k * vx[l]) + b * (k * y[l] - k * vy[l]));
-            const REAL push = factor * (stretch * inverse_square) - q * d[l] - q * far[l];
+            const REAL push = factor * (stretch * inverse_square) - k * d[l] - k * far[l];
             fx[l] += push * a;
             fy[l] += push * b;
         }
@@ -239,7 +239,7 @@ def _taken_up(of):
 def _swept(of, native, to_numbers, to_vectors):
     """Vectors by number into their planes; of these numbers by place, of both vectors by number.
 
-    θ of u, (6), and L u, (9); or τ of hd, (43), and ∂/∂u, (44).
+    θ of u, (6), and L u, (9); or τ of h, (43), and ∂/∂u, (44).
     """
     scalar, vec, BondArrays, Law = of.scalar, of.vec, of.BondArrays, structs(of.scalar, 2).Law
     phases = {"laid": LAID_OUT.replace("divisor", "divisor.data[0]")}

@@ -1,13 +1,11 @@
 """The sweeps while the law stays as it is: what a bond does is read from a table, not computed.
 
-With k = K W/m of the deviatoric part and q = K W/md of the dilatation, bond e holds the vector
-a = q ξ and the number s = k/(q² r²), so that
+With k = K W/m bond e holds the vector a = k ξ and the number s = 1/(k r²), so that
 
   θ_i = c1 Σ a·(u_j − u_i),   (L u)_i = Σ (−c1 (λ−μ) (θ_i + θ_j) − c2 μ s a·(u_j − u_i)) a
 
 are (6) and (9): 24 bytes a bond in double precision and the number of its far end, one stream for
-both sweeps. A bond whose q vanishes takes a q so small beside k that the dilatation, to rounding,
-does not see it. For the processor; four bonds at a time, each with a sum of its own, since one sum
+both sweeps. For the processor; four bonds at a time, each with a sum of its own, since one sum
 would wait for itself.
 """
 
@@ -17,9 +15,6 @@ from types import SimpleNamespace
 import warp as wp
 
 from warp_peri.kernels.bonds import bonds
-
-NOTHING = {"float64": 1e-20, "float32": 1e-10}
-"""Of k: what q is at least; its square must be a number."""
 
 DILATATION = """
     const REAL* v = (const REAL*)(u.data + size_t(s) * u.shape[1]);
@@ -99,7 +94,6 @@ def _filled(of):
     last, xi_of = of.dimension, of.xi_of
     scalar, vec, BondArrays, bond_of = of.scalar, of.vec, of.BondArrays, of.bond_of
     bond_class_of, volume_of, scalar_at = of.bond_class_of, of.volume_of, of.scalar_at
-    nothing = wp.constant(scalar(NOTHING[scalar.__name__]))
 
     @wp.kernel(enable_backward=False, module="unique")
     def filled(
@@ -108,8 +102,6 @@ def _filled(of):
         bonds: BondArrays,
         kw: wp.array(dtype=scalar),
         m: wp.array(dtype=scalar),
-        kd: wp.array(dtype=scalar),
-        md: wp.array(dtype=scalar),
         vectors: wp.array(dtype=vec),
         numbers: wp.array(dtype=scalar),
     ):
@@ -122,14 +114,10 @@ def _filled(of):
             j = bonds.neighbour[e]
             if j >= 0:
                 bond = bond_of(bonds, e - skip, i, j)
-                c = bond_class_of(bonds, e - skip)
-                k = scalar_at(kw, c) / m[v]
-                q = scalar_at(kd, c) / md[v]
-                if wp.abs(q) < nothing * wp.abs(k):
-                    q = nothing * wp.abs(k)
-                if q != scalar(0.0):
-                    vectors[e] = q * xi_of(bond)
-                    numbers[e] = k / q * bond[last] / q
+                k = scalar_at(kw, bond_class_of(bonds, e - skip)) / m[v]
+                if k != scalar(0.0):
+                    vectors[e] = k * xi_of(bond)
+                    numbers[e] = bond[last] / k
 
     return filled
 

@@ -71,7 +71,7 @@ EACH = {name: law.material for name, law in LAWS.items()}
 EACH |= {name: lambda name=name: SOLIDS[name](2) for name in ("brittle", "brittle, a crystal")}
 
 
-LONG = ("third order, filtered", "third order, energy", "LPS, bond-based", "LPS, two functions")
+LONG = ("third order, filtered", "third order, energy", "LPS, bond-based")
 
 
 @pytest.mark.filterwarnings("ignore")

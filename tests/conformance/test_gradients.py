@@ -36,7 +36,7 @@ def torn():
     """An LPS whose bonds to nodes outside of the body are broken."""
     points = lattice(5, 3.0)
     outside = points.x[:, 0] > 2.5
-    model = kernel("two functions", 3.0)
+    model = kernel("sign-changing", 3.0)
     return model.on(replace(points, outside=outside, interior=points.interior & ~outside))
 
 
@@ -382,7 +382,6 @@ def test_what_is_changed_before_a_backward_pass_is_told():
 MODULES = {
     "LPS": {"lam", "mu", "alpha", "D"},
     "LPS, bond-based": {"lam", "mu", "alpha", "D"},
-    "LPS, two functions": {"lam", "mu", "alpha", "D", "D_dilatation"},
     "LPS in space": {"lam", "mu", "alpha", "D"},
     "scattered": {"lam", "mu", "alpha", "D"},
     "third order, filtered": {"t3", "tq2", "q3"},

@@ -85,8 +85,7 @@ def linear(name, **moduli):
         moment = (uneven * classes.weight * classes.r**-model.alpha) @ basis
         D = np.resize(model.D, len(moment))
         D[-1] -= moment @ D / moment[-1]
-        same = np.array_equal(model.D, model.dilatation)
-        return replace(model, D=D, D_dilatation=None if same else model.D_dilatation)
+        return replace(model, D=D)
 
     return made
 
@@ -207,7 +206,6 @@ CUBIC = {"points": crystal, "stress": of_third_order, "sheet": cell, "stress_tur
 LAWS = {
     "LPS": Law(linear("sign-changing"), **LINEAR),
     "LPS, bond-based": Law(linear("positive", lam=0.8), **LINEAR),
-    "LPS, two functions": Law(linear("two functions", lam=-0.2), **LINEAR),
     "third order, filtered": Law(third_order("filtered"), energy=False, **CUBIC),
     "third order, energy": Law(third_order("energy"), **CUBIC),
     "crystal": Law(tensors, plain, of_tensors, sheet=plain_cell, single=single_tensors),

@@ -161,7 +161,6 @@ def test_another_lattice(scale):
 
 FITS = {
     "LPS": wp.LPS(3.0, wp.Bernstein(1)),
-    "LPS, two functions": wp.LPS(3.0, wp.Bernstein(1, two_functions=True)),
     "tensors": wp.Micromodulus(2.0, "4mm", moduli=None),
     "third order": wp.ThirdOrder(wp.Micromodulus(2.0), wp.methods.Smoothing(2.0)),
 }

@@ -69,7 +69,7 @@ def test_a_material_is_placed_once(name, resolved, linked, monkeypatch):
 
 
 def test_a_linear_part_is_certified_and_its_material_diagnosed():
-    material, op, _ = of("LPS, two functions")
+    material, op, _ = of("LPS")
     expected = wp.certify(material, spacing=1.0)
     assert wp.certify(op) == expected
     cubic, on, samples = of("third order, energy")
@@ -97,7 +97,7 @@ def test_what_a_verb_does_not_mean_is_refused_by_name():
 
 
 def test_a_body_refuses_what_it_does_not_take():
-    material, _, _ = of("LPS, two functions")
+    material, _, _ = of("LPS")
     body = wp.Body(plate(3.0, 12.0, 2, 8), displacement={"sides": (0, 0)})
     with pytest.raises(wp.InputError, match=r"solver: expected none for a Body.*, got Direct\("):
         wp.solve(material, body, solver=wp.Direct())

@@ -120,7 +120,7 @@ def test_a_function_that_bends_down_within_a_cell_is_seen_to(height, positive):
     assert proof._positive(affine, np.zeros((1, 1)), 1.0, 2.0, 0.0, every, 1000)[0] == positive
 
 
-@pytest.mark.parametrize("name", ["1/r", "steep", "positive", "two functions"])
+@pytest.mark.parametrize("name", ["1/r", "steep", "positive"])
 def test_the_ball_around_zero_is_sound(name):
     weight = laplacian_stencil(1.0, 2, 2)
     stencil = lps_stencil(kernel(name, 3.0), 1.0)

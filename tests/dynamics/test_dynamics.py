@@ -20,7 +20,7 @@ from warp_peri.solving import move
 from warp_peri.transfer.operator import LPSOperator
 
 DENSITY = 2147.0
-STABLE = ("1/r", "steep", "positive", "two functions")
+STABLE = ("1/r", "steep", "positive")
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 201)]), -1).reshape(-1, 2)
 
 

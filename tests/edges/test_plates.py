@@ -228,7 +228,7 @@ def test_a_narrow_strip_with_a_small_hole_is_solved_by_elements_alone(model):
 
 
 def test_moduli_without_positive_energy_are_refused(model):
-    unsound = dataclasses.replace(model, D=[2.0, -1.0, 0.0], D_dilatation=None)
+    unsound = dataclasses.replace(model, D=[2.0, -1.0, 0.0])
     with pytest.raises(InputError, match="long-wave moduli of positive energy"):
         solve_body(
             unsound,

@@ -27,7 +27,7 @@ HORIZON = 2.5
 
 @pytest.fixture
 def model():
-    return kernel("two functions", HORIZON)
+    return kernel("sign-changing", HORIZON)
 
 
 @pytest.fixture

@@ -27,7 +27,6 @@ def certified(units):
         alpha=1.5,
         D=np.array([1.0, -0.3, 0.4]),
         horizon=20.0,
-        D_dilatation=np.array([0.5, 0.1, 1.0]),
         trained_on=(5.0,),
         certified_on=(5.0, 2.5),
         trained_strain=0.01,
@@ -45,8 +44,7 @@ def third_order(units):
 
 
 def brittle(units, **criterion):
-    one = dataclasses.replace(certified(units), D_dilatation=None)
-    return BrittleSolid(one, 2.2, **criterion, tension_only=False)
+    return BrittleSolid(certified(units), 2.2, **criterion, tension_only=False)
 
 
 def hyperelastic(units):

@@ -97,7 +97,7 @@ def steps(leaves, own, name=""):
     """Steps of differences by name: `own` of fields, one of numbers, less of many; of a kernel of
     scattered points, whose coefficients are large, the least."""
     D = 0.01 if name == "scattered" else 0.1
-    many = {"D": D, "D_dilatation": D, "tensors": 0.02, "networks": 1e-4}
+    many = {"D": D, "tensors": 0.02, "networks": 1e-4}
     fields = dict.fromkeys(("b", "u", "v", "signal", "collar"), own)
     return {name: (fields | many).get(name, 1.0) for name in leaves}
 
@@ -171,7 +171,6 @@ def move(name, op):
 WAVES = (
     "LPS",
     "LPS, bond-based",
-    "LPS, two functions",
     "LPS in space",
     "LPS, broken bonds",
     "crystal",

@@ -24,7 +24,7 @@ def made():
 FORCED_LONG = ("hyperelastic", "LPS in space", "scattered")
 SOLVED_LONG = ("scattered", "LPS in space", "third order, filtered",
                "neural operator", "coupled", "scattered, own weights",
-               "third order, energy", "hyperelastic", "LPS, two functions", "LPS, bond-based",
+               "third order, energy", "hyperelastic", "LPS, bond-based",
                "neural operator, frozen")  # fmt: skip
 MOVED = ("LPS",)
 LONG = [

@@ -60,7 +60,7 @@ def test_has_the_bits_of_the_lists_of_neighbours(kind, precision, monkeypatch):
     points = SETS[kind]()
     bonds = Bonds(points, HORIZON, precision=precision)
     assert bonds.laid_out is not None
-    for name, samples in (("sign-changing", 1), ("two functions", 3)):
+    for name, samples in (("sign-changing", 1), ("positive", 3)):
         by_rows = everything(bonds, points, name, samples)
         with monkeypatch.context() as patch:
             patch.setattr(bonds, "laid_out", None)

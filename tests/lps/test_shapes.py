@@ -88,17 +88,16 @@ def test_coordinates(shape):
     def values(y):
         point = coordinates.point(y)
         rough, _ = coordinates.roughness(y, point)
-        return np.concatenate([[point.mu], *point.v, *point.z, point.limits, rough])
+        return np.concatenate([[point.mu], *point.v, point.limits, rough])
 
     _, rough = coordinates.roughness(y, point)
-    derivatives = np.concatenate([point.dmu[None], *point.dv, *point.dz, point.dlimits, rough])
+    derivatives = np.concatenate([point.dmu[None], *point.dv, point.dlimits, rough])
     assert len(point.limits) == 2 * np.size(next(iter(shape.parameters.values())))
     np.testing.assert_allclose(derivatives, difference(values, y, 1e-3).T, atol=1e-8)
-    for classes, v, z in zip(lattices, point.v, point.z):
+    for classes, v in zip(lattices, point.v):
         expected = stiffnesses(solid(shape, 1.0, 0.8), classes)
         np.testing.assert_allclose(v, expected[0], atol=1e-8)
-        np.testing.assert_allclose(z, expected[1], atol=1e-8)
-        assert point.kappa == pytest.approx(expected[2])
+        assert point.kappa == pytest.approx(expected[1])
 
 
 @every_shape

@@ -21,7 +21,7 @@ from warp_peri.methods import Solid
 from warp_peri.points.families import bond_classes, families_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
-LAW = {"alpha": 1.2, "D": [1.0, -0.3, 0.6], "D_dilatation": [0.5, 1.0, 0.2]}
+LAW = {"alpha": 1.2, "D": [1.0, -0.3, 0.6]}
 SETS = {"lattice": partial(cube, 2, 2.0), "cloud": partial(periodic_cloud, 6)}
 HORIZON = {"lattice": 2.0, "cloud": 2.9}
 
@@ -44,17 +44,16 @@ def reference(model, points, u):
         xi = points.x[far] - points.x[i]
         if points.box is not None:
             xi -= points.box * np.rint(xi / points.box)
-        K, Kd = model.influence(r) * W, model.influence_dilatation(r) * W
-        parts.append((far, xi, r, K, Kd, there.all()))
+        parts.append((far, xi, r, model.influence(r) * W, there.all()))
     theta = np.zeros(len(u))
-    for i, (far, xi, r, _, Kd, whole) in enumerate(parts):
-        if whole and Kd.any():
-            theta[i] = 3 / (Kd @ r**2) * (Kd @ (xi * (u[far] - u[i])).sum(axis=1))
+    for i, (far, xi, r, K, whole) in enumerate(parts):
+        if whole and K.any():
+            theta[i] = 3 / (K @ r**2) * (K @ (xi * (u[far] - u[i])).sum(axis=1))
     out = []
     for i in families.rows:
-        far, xi, r, K, Kd, _ = parts[i]
+        far, xi, r, K, _ = parts[i]
         along = (xi * (u[far] - u[i])).sum(axis=1) / r**2
-        bulk = -3 * (model.lam - model.mu) / (Kd @ r**2) * Kd * (theta[i] + theta[far])
+        bulk = -3 * (model.lam - model.mu) / (K @ r**2) * K * (theta[i] + theta[far])
         out.append(xi.T @ (bulk - 30 * model.mu / (K @ r**2) * K * along))
     return np.array(out)
 
@@ -73,7 +72,7 @@ def test_the_operator_is_that_of_the_theory_and_of_its_matrices(name):
 
 
 def test_affine_fields_are_in_equilibrium_and_bear_hookes_stress():
-    points, model, operator = placed("lattice", alpha=1.0, D=[1.0], D_dilatation=None)
+    points, model, operator = placed("lattice", alpha=1.0, D=[1.0])
     G = np.random.default_rng(2).normal(size=(3, 3))
     u = points.x @ G.T
     assert np.abs(operator(u)).max() < 1e-12
@@ -86,7 +85,7 @@ def test_affine_fields_are_in_equilibrium_and_bear_hookes_stress():
 
 
 def test_quadratic_fields_have_the_force_of_elasticity():
-    points, model, operator = placed("lattice", alpha=1.0, D=[1.0], D_dilatation=None)
+    points, model, operator = placed("lattice", alpha=1.0, D=[1.0])
     Q = np.random.default_rng(3).normal(size=(3, 3, 3))
     Q += Q.transpose(0, 2, 1)
     u = np.einsum("abc,nb,nc->na", Q, points.x, points.x) / 2
@@ -104,8 +103,7 @@ def test_gradients_to_the_field_and_to_every_number(name):
     u = random.normal(size=(2, len(points.x), 3))
     way = random.normal(size=u.shape)
     seed = torch.from_numpy(random.normal(size=(2, int(points.interior.sum()), 3)))
-    leaves = {"way": [0.0], "lam": [0.3], "mu": [0.8], "alpha": [1.2]}
-    leaves |= {part: LAW[part] for part in ("D", "D_dilatation")}
+    leaves = {"way": [0.0], "lam": [0.3], "mu": [0.8], "alpha": [1.2], "D": LAW["D"]}
     leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in leaves.items()}
     steps = dict.fromkeys(leaves, (0.004, 8)) | dict.fromkeys(("way", "lam", "mu"), (1.0, 2))
 

@@ -37,7 +37,7 @@ def test_a_vanishing_weighted_volume_is_refused():
     ):
         with pytest.raises(InputError, match="weighted volume m .* is zero"):
             use()
-    nearly = replace(model, D=model.D * [1.0, 1.0 + 1e-6], D_dilatation=None)
+    nearly = replace(model, D=model.D * [1.0, 1.0 + 1e-6])
     assert np.isfinite(LPSOperator(nearly, points)(noise(points))).all()
 
 

@@ -39,7 +39,7 @@ def launched(monkeypatch):
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 @pytest.mark.parametrize("points", [lattice(4, HORIZON), cloud(4, HORIZON, 0.1)])
 def test_influence_is_not_computed_again_while_only_u_changes(points, launched):
-    model = kernel("two functions", HORIZON)
+    model = kernel("sign-changing", HORIZON)
     operator = LPSOperator(model, points, allow_uncertified=True)
     first, second = noise(points, seed=1), noise(points, seed=2)
     operator(first)

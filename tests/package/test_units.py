@@ -36,7 +36,6 @@ AGREE = 1e-6
 HOME = dataclasses.replace(
     kernel("1/r", 3.0), largest_wave_number=2.0, certificate={"1": {"symbol_bound": 0.007}}
 )
-TWO = dataclasses.replace(kernel("two functions", 3.0), largest_wave_number=2.0)
 TRUE = kernel("positive", 2.5, lam=0.1, mu=0.7)
 LATTICE = lattice(5, 2.5)
 
@@ -60,8 +59,8 @@ def there(samples, units):
 def numbers(model, spacing=1.0):
     """Stiffnesses of all bonds, moduli and proof of a model on a lattice of a spacing [Å]."""
     home = model.in_units(USUAL)
-    v, z, kappa = stiffnesses(home, bond_classes(spacing, home.horizon))
-    return np.concatenate([v, z, [kappa * home.mu, home.lam, home.mu, home.horizon]])
+    v, kappa = stiffnesses(home, bond_classes(spacing, home.horizon))
+    return np.concatenate([v, [kappa * home.mu, home.lam, home.mu, home.horizon]])
 
 
 def length_of(units):
@@ -213,7 +212,6 @@ CASES = {
     "given horizon": transfer(1.3, horizon=3.9),
     "given tolerance": transfer(0.8, tolerance=0.003),
     "given waves": transfer(0.7, shortest_wave=4.0, largest_horizon=2.9),
-    "two functions": transfer(0.8, TWO, horizon=2.4),
     "one kernel": shared,
     "body": body,
     "fit": learned(),
@@ -239,7 +237,7 @@ CASES = {
 }
 
 
-QUICK = ("given horizon", "two functions", "fit")
+QUICK = ("given horizon", "fit")
 """Not marked as slow."""
 
 

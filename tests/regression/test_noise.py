@@ -139,7 +139,7 @@ def assert_tangent(loss, grid, model, step=1e-5):
             if isinstance(change, int):
                 D = model.D.copy()
                 D[change] += by
-                return dataclasses.replace(model, D=D, D_dilatation=D)
+                return dataclasses.replace(model, D=D)
             return dataclasses.replace(model, **{change: getattr(model, change) + by})
 
         exact = (loss(moved(step)) - loss(moved(-step))) / (2 * step)

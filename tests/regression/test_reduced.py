@@ -41,9 +41,9 @@ def both(sets, normalise):
     return grids, [FullLoss(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
 
 
-def leaves(lam=-0.2, mu=0.7, *, alpha, D, D_dilatation=None):
-    """λ, μ, α, D and, if it is its own, D of the dilatation."""
-    values = [lam, mu, alpha, D] + ([] if D_dilatation is None else [D_dilatation])
+def leaves(lam=-0.2, mu=0.7, *, alpha, D):
+    """λ, μ, α and D."""
+    values = lam, mu, alpha, D
     return [torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in values]
 
 

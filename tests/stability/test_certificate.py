@@ -43,9 +43,9 @@ def test_a_planted_violation_is_reported():
 
 
 def test_a_violation_in_the_dilatation_alone_is_reported():
-    """Γ is that of a plain kernel; λ below μ lets the dilatation pull it down."""
-    wild = {"D": [1.0, 1.0, 1.0], "D_dilatation": [1.0, -1.0, 0.3]}
-    model = Model(lam=-0.6, mu=0.8, alpha=1.0, horizon=3.0, **wild)
+    """Γ is positive; λ below μ lets the dilatation pull it down."""
+    D = [-0.54, 0.63, -0.08, -0.12, 0.18, -0.12]
+    model = Model(lam=-0.6, mu=0.8, alpha=1.0, D=D, horizon=3.0)
     assert certify(replace(model, lam=0.8), spacing=1.0).holds
     certificate = certify(model, spacing=1.0, points=lattice(4, 3.0))
     assert certificate.gamma_min > 0
@@ -55,8 +55,7 @@ def test_a_violation_in_the_dilatation_alone_is_reported():
 
 def test_what_holds_is_what_is_stated():
     """Γ is indefinite and D(k) is not: with or without a training domain the proof is the same."""
-    D, own = [0.98, -0.23, -0.81, 0.8, 0.34, -0.34], [-0.85, -0.59, 0.25, -0.25, 0.18, 0.02]
-    model = Model(lam=20.0, mu=0.5, alpha=1.0, D=D, D_dilatation=own, horizon=4.0)
+    model = Model(lam=20.0, mu=0.5, alpha=1.0, D=[0.22, -0.47, 0.51], horizon=4.0)
     points = lattice(11, 4.0)
     bare, dense = certify(model, spacing=1.0), certify(model, spacing=1.0, points=points)
     assert dense.gamma_min < -0.1

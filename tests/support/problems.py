@@ -27,7 +27,6 @@ KERNELS = {
     "positive": {"alpha": 0.7, "D": [0.2, 1.0, 0.4, 0.1]},
     "sign-changing": {"alpha": 1.6, "D": [1.0, 0.4, -0.35, 0.15, -0.1]},
     "growing": {"alpha": -0.5, "D": [1.0, 0.3, 0.6]},
-    "two functions": {"alpha": 1.3, "D": [1.0, 0.5, -0.2], "D_dilatation": [0.6, -0.3, 0.9]},
 }
 """Influence functions of several kinds."""
 

@@ -46,21 +46,18 @@ def family(x, i, horizon, box=None):
 
 
 def weights(x, i, model, box=None):
-    """Neighbours and bonds of node i, and K W / m of the deviatoric part and of the dilatation."""
+    """Neighbours and bonds of node i, and K W / m."""
     near, bonds = family(x, i, model.horizon, box)
     W = quadrature(bonds, model.horizon)
-    normalised = []
-    for D in (model.D, model.dilatation):
-        K = [influence(np.hypot(*xi), model.horizon, model.alpha, D) for xi in bonds]
-        m = sum(k * (xi @ xi) * w for k, xi, w in zip(K, bonds, W))  # (5)
-        normalised.append([k * w / m for k, w in zip(K, W)])
-    return near, bonds, *normalised
+    K = [influence(np.hypot(*xi), model.horizon, model.alpha, model.D) for xi in bonds]
+    m = sum(k * (xi @ xi) * w for k, xi, w in zip(K, bonds, W))  # (5)
+    return near, bonds, [k * w / m for k, w in zip(K, W)]
 
 
 def dilatation(x, i, model, u, box=None):
     """θ of node i, (6)."""
-    near, bonds, _, p = weights(x, i, model, box)
-    return 2 * sum(p_j * (xi @ (u[j] - u[i])) for j, xi, p_j in zip(near, bonds, p))
+    pairs = zip(*weights(x, i, model, box))
+    return 2 * sum(w_j * (xi @ (u[j] - u[i])) for j, xi, w_j in pairs)
 
 
 def operator(x, interior, model, u, box=None):
@@ -68,13 +65,13 @@ def operator(x, interior, model, u, box=None):
     theta = {}
     out = []
     for i in np.flatnonzero(interior):
-        near, bonds, w, p = weights(x, i, model, box)
+        near, bonds, w = weights(x, i, model, box)
         for j in (i, *near):
             if j not in theta:
                 theta[j] = dilatation(x, j, model, u, box)
         force = np.zeros(2)
-        for j, xi, w_j, p_j in zip(near, bonds, w, p):
-            force -= 2 * (model.lam - model.mu) * p_j * xi * (theta[i] + theta[j])
+        for j, xi, w_j in zip(near, bonds, w):
+            force -= 2 * (model.lam - model.mu) * w_j * xi * (theta[i] + theta[j])
             force -= 16 * model.mu * w_j * xi * (xi @ (u[j] - u[i])) / (xi @ xi)
         out.append(force)
     return np.array(out)

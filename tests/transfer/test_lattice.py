@@ -30,15 +30,14 @@ def finer():
     return on_lattice(HOME, spacing=0.6)
 
 
-@pytest.mark.parametrize("name", ["sign-changing", "two functions"])
-def test_the_loss_is_the_mean_square_of_the_error_in_displacement(name):
-    model, classes = kernel(name, 1.5, spacing=0.6), bond_classes(0.6, 1.5)
+def test_the_loss_is_the_mean_square_of_the_error_in_displacement():
+    model, classes = kernel("sign-changing", 1.5, spacing=0.6), bond_classes(0.6, 1.5)
     k = wave_vectors(1.5)
     target = dispersion(HOME, 1.0, k)
     loss = wave_loss(target, k, classes)
-    v, z, kappa = stiffnesses(model, classes)
+    v, kappa = stiffnesses(model, classes)
     i, j = loss.pairs
-    value = np.linalg.norm(loss.R @ np.concatenate([v, kappa * z[i] * z[j], [1.0]])) ** 2
+    value = np.linalg.norm(loss.R @ np.concatenate([v, kappa * v[i] * v[j], [1.0]])) ** 2
     wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - np.eye(2)
     assert value == pytest.approx((wrong**2).sum(axis=(1, 2)).mean() / 2, rel=1e-10)
 
@@ -78,13 +77,6 @@ def test_every_lattice_is_certified(spacing):
     transferred = on_lattice(HOME, spacing=spacing)
     assert transferred.certificate[f"{spacing:g}"]["symbol_bound"] >= 0.0099
     assert len(bond_classes(spacing, transferred.horizon).steps) <= 80
-
-
-def test_two_functions_keep_two():
-    home = replace(kernel("two functions", 3.0), largest_wave_number=2.0)
-    transferred = on_lattice(home, spacing=0.8, horizon=2.4)
-    assert not np.array_equal(transferred.D, transferred.dilatation)
-    assert np.interp(1.0, *_curve(transferred)) < 0.01
 
 
 def _curve(model):

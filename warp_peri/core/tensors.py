@@ -398,9 +398,8 @@ class Module(torch.nn.Module):
 
     Attributes:
         operator: the material on the points.
-        lam, mu, alpha, D, D_dilatation: parameters of a linear peridynamic solid [stress], [1],
-            [M + 1], as it is used on the points. A D_dilatation that is D stays so, and is none of
-            its own.
+        lam, mu, alpha, D: parameters of a linear peridynamic solid [stress], [1], [M + 1], as it is
+            used on the points.
         t3, tq2, q3: parameters of a third-order solid [stress]; its linear part is held.
         tensors: those of a crystal [stress/length²], [H, d, d].
         networks: of a neural operator, the material itself with its parameters.

@@ -14,7 +14,6 @@ import scipy.sparse as sp
 import warp as wp
 
 from warp_peri.damage.lattice_body import LatticeBody
-from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.launch import Shared, filled, floats, ints, threads, zeros
@@ -49,16 +48,8 @@ def bonds_of(model: Model, classes: BondClasses) -> SplitBonds:
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
-    """w = K W / m of the bonds of a ball [length⁻²], Σ w r² = 1, shape [B].
-
-    Raises InputError for a model with an influence function of its own for the dilatation.
-    """
-    if not np.array_equal(model.D, model.dilatation):
-        raise InputError(
-            "model: expected one influence function, got another one for the dilatation; with "
-            "broken bonds nothing is known of two"
-        )
-    v, _, _ = stiffnesses(model, classes)
+    """w = K W / m of the bonds of a ball [length⁻²], Σ w r² = 1, shape [B]."""
+    v, _ = stiffnesses(model, classes)
     weights: np.ndarray = v[classes.bond_class] / model.mu
     return weights
 

@@ -126,8 +126,7 @@ def learn(
     consistency = ConsistencyCheck(data.grids, data.full)
     rough = _rough(bernstein, method)
     consistency.check(rough)
-    two_functions = bernstein is not None and bernstein.two_functions
-    stages = Stages(data, data.losses(choice.name), two_functions, progress)
+    stages = Stages(data, data.losses(choice.name), progress)
     optimum = stages.hold(_second(method), probe, starts[probe])
     depends = (bernstein, conditions, normalise, choice.name)
     final = _learned(stages, starts, rough, method, optimum, depends)
@@ -203,10 +202,9 @@ def _rough(kernel: Bernstein | None, method: Method) -> Parameters:
     random = np.random.default_rng(0 if isinstance(method, Optimum) else method.seed)
     terms = 1 + (CHECKED_DEGREE if kernel is None else kernel.degree)
     D = random.uniform(size=terms)
-    own = random.uniform(size=terms) if kernel is not None and kernel.two_functions else None
     printed = isinstance(method, TwoStage) and method.parametrisation == "relu"
     lam, mu, alpha = random.uniform(size=3) if printed else (0.0, 1.0, 1.0)
-    return Parameters(lam, mu, alpha, D, D_dilatation=own)
+    return Parameters(lam, mu, alpha, D)
 
 
 def _plain(kernel: Bernstein) -> dict[str, Parameters]:

@@ -103,7 +103,7 @@ def learn_in_space(
 
     def misses(x: np.ndarray) -> np.ndarray:
         D, shear, lam = numbers(x)
-        wide = -stencil(classes, Solid(lam, shear, ALPHA, D, D)).numpy()
+        wide = -stencil(classes, Solid(lam, shear, ALPHA, D)).numpy()
         middle = wide.shape[-1] // 2
         wide = np.pad(wide, 2 * [(0, 0)] + 3 * [(reach, reach)])
         tensors = np.moveaxis(wide[:, :, *(bonds.steps + middle + reach).T], 2, 0)

@@ -67,9 +67,8 @@ class LPS:
     ) -> Any:
         """The Fit, of a set in space a SpaceFit; arguments and errors as for learning.fit.learn.
 
-        In space it takes one set on a cubic lattice, Bernstein polynomials of one function,
-        Optimum() with its moduli, "direct" conditions and the residual, without noise; InputError
-        for others.
+        In space it takes one set on a cubic lattice, Bernstein polynomials, Optimum() with its
+        moduli, "direct" conditions and the residual, without noise; InputError for others.
         """
         sets = listed(samples, space=True)
         if any(each.points.dimension == 3 for each in sets):
@@ -81,7 +80,6 @@ class LPS:
         kernel, method, asked = self.kernel, self.method, self.conditions
         if (
             not isinstance(kernel, Bernstein)
-            or kernel.two_functions
             or not isinstance(method, Optimum)
             or asked.kind != "direct"
             or self.loss not in ("auto", "residual")
@@ -89,8 +87,8 @@ class LPS:
             or len(sets) != 1
         ):
             raise InputError(
-                "samples: in space expected one set, Bernstein(degree) of one function, Optimum(), "
-                '"direct" conditions, and the residual without noise'
+                'samples: in space expected one set, Bernstein(degree), Optimum(), "direct" '
+                "conditions, and the residual without noise"
             )
         how = {"degree": kernel.degree, "moduli": method.held}
         return how | {"zeta": asked.zeta, "normalise": self.normalise}

@@ -19,11 +19,10 @@ CONSTRAINTS = ("symbol", "dense")
 
 @dataclass(frozen=True)
 class Bernstein:
-    """Influence functions K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory, 4).
+    """The influence function K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory, 4).
 
     Attributes:
         degree: M ≥ 0.
-        two_functions: give the dilatation an influence function of its own.
 
     Raises InputError for a degree that is none.
 
@@ -32,7 +31,6 @@ class Bernstein:
     """
 
     degree: int = 10
-    two_functions: bool = False
 
     def __post_init__(self) -> None:
         check_whole("degree", self.degree, 0)

@@ -43,9 +43,9 @@ class Response(Protocol):
 
 def products(model: Model, classes: BondClasses) -> np.ndarray:
     """c of (17) at a model: μ w, (λ−μ) w w of the pairs of classes, and 1; shape [F + 1]."""
-    v, z, kappa = stiffnesses(model, classes)
+    v, kappa = stiffnesses(model, classes)
     i, j = class_pairs(len(v))
-    return np.concatenate([v, kappa * z[i] * z[j], [1.0]])
+    return np.concatenate([v, kappa * v[i] * v[j], [1.0]])
 
 
 class WaveResponse:
@@ -191,7 +191,6 @@ def output_optimum(
     horizon: float,
     method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
     *,
-    two_functions: bool = False,
     tick: Callable[[float], None] = lambda loss: None,
 ) -> Reached:
     """Minimise the misfit of displacement under the conditions over the whole zone.
@@ -204,14 +203,12 @@ def output_optimum(
         start: where to begin.
         conditions: what must hold on each lattice.
         horizon: δ [Å].
-        method, two_functions: as for constrained_optimum.
+        method: as for constrained_optimum.
         tick: called with the loss after each step.
     """
 
     def step(grids: Sequence[ReducedLoss], parameters: Parameters) -> Reached:
-        return constrained_optimum(
-            grids, parameters, conditions, method, two_functions=two_functions
-        )
+        return constrained_optimum(grids, parameters, conditions, method)
 
     def about(parameters: Parameters) -> tuple[list[ReducedLoss], float]:
         model = as_model(parameters, horizon)
@@ -238,14 +235,7 @@ def output_optimum(
 
 def as_model(parameters: Parameters, horizon: float) -> Model:
     """The model of these parameters."""
-    return Model(
-        parameters.lam,
-        parameters.mu,
-        parameters.alpha,
-        parameters.D,
-        horizon,
-        D_dilatation=parameters.D_dilatation,
-    )
+    return Model(parameters.lam, parameters.mu, parameters.alpha, parameters.D, horizon)
 
 
 def misfit(grid: ReducedLoss, model: Model) -> float:

@@ -36,7 +36,7 @@ from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.lagrangian import augmented_lagrangian
 from warp_peri.regression.optimum import Reached, constrained_optimum
-from warp_peri.regression.settings import ISOTROPIC, LONG_WAVES, Optimum
+from warp_peri.regression.settings import LONG_WAVES, Optimum
 from warp_peri.third_order.fit import long_wave_moduli
 
 SMALL_SHARE = 0.01
@@ -98,7 +98,6 @@ class Stages:
     Args:
         data: training data.
         losses: what is minimised.
-        two_functions: whether the dilatation has coefficients of its own.
         progress: show a bar for each stage; None shows it where somebody can see it.
 
     Attributes:
@@ -107,10 +106,8 @@ class Stages:
         reached: optima of stage 3 that are known before it, by start.
     """
 
-    def __init__(
-        self, data: TrainingData, losses: Sequence[Any], two_functions: bool, progress: bool | None
-    ) -> None:
-        self.data, self.losses, self.two_functions = data, losses, two_functions
+    def __init__(self, data: TrainingData, losses: Sequence[Any], progress: bool | None) -> None:
+        self.data, self.losses = data, losses
         self.disable = None if progress is None else not progress
         self.history: list[Stage] = []
         self.starts: dict[str, float] = {}
@@ -142,15 +139,8 @@ class Stages:
         return self
 
     def _reach(self, start: Parameters, method: Optimum) -> Reached:
-        """The constrained optimum from one start; InputError where it was led out of a domain.
-
-        Two functions are held isotropic from the free optimum on: from afar they may end at λ = μ.
-        """
-        if self.two_functions and method.moduli == ISOTROPIC:
-            start = self._reach(start, dataclasses.replace(method, moduli=None)).parameters
-        return constrained_optimum(
-            self.losses, start, self.data.conditions, method, two_functions=self.two_functions
-        )
+        """The constrained optimum from one start; InputError where it was led out of a domain."""
+        return constrained_optimum(self.losses, start, self.data.conditions, method)
 
     def hold(self, method: Optimum, name: str, start: Parameters) -> Optimum:
         """The method with the moduli of long waves, where it asks for them and free ones miss them.
@@ -215,7 +205,6 @@ class Stages:
                     optimum,
                     steps=method.steps,
                     rounds=method.rounds,
-                    two_functions=self.two_functions,
                     tick=tick,
                 ).parameters
             ),
@@ -289,13 +278,7 @@ class Stages:
 
         def refined(tick: Tick) -> Parameters:
             reached = output_optimum(
-                responses,
-                start,
-                data.conditions,
-                data.horizon,
-                method,
-                two_functions=self.two_functions,
-                tick=tick,
+                responses, start, data.conditions, data.horizon, method, tick=tick
             )
             if not reached.converged:
                 margin, departure = data.stress * reached.margin, data.stress * reached.departure
@@ -323,5 +306,4 @@ def _local(C: np.ndarray, samples: Samples) -> dict[str, Any]:
 
 def numbers(parameters: Parameters) -> tuple[Any, ...]:
     """What lps_force takes after u."""
-    own = () if parameters.D_dilatation is None else (parameters.D_dilatation,)
-    return (parameters.lam, parameters.mu, parameters.alpha, parameters.D, *own)
+    return parameters.lam, parameters.mu, parameters.alpha, parameters.D

@@ -378,16 +378,9 @@ class ConsistencyCheck:
 
         λ and μ by μ; D by that of a weighted volume of D = 1, since its scale has no effect.
         """
-        parts = [torch.tensor([parameters.mu, parameters.mu, 1.0], dtype=torch.float64)]
-        for D in (
-            (parameters.D,)
-            if parameters.D_dilatation is None
-            else (parameters.D, parameters.D_dilatation)
-        ):
-            parts.append(
-                torch.full((len(D),), self._volume(parameters.alpha, D), dtype=torch.float64)
-            )
-        return torch.cat(parts)
+        D, mu = parameters.D, parameters.mu
+        sizes = [mu, mu, 1.0] + len(D) * [self._volume(parameters.alpha, D)]
+        return torch.tensor(sizes, dtype=torch.float64)
 
     def _rounding(
         self, parameters: Parameters, gradient: torch.Tensor, sizes: torch.Tensor

@@ -39,7 +39,7 @@ DENSE_ZETA = 1e-4
 PRINTED_HORIZON = 20.0
 """Horizon over the length l that the dense conditions count in: 1 Å as printed."""
 
-Weights = Sequence[tuple[torch.Tensor, torch.Tensor]]
+Weights = Sequence[torch.Tensor]
 Blocks = list[tuple[np.ndarray, np.ndarray]]
 
 
@@ -82,23 +82,22 @@ class SymbolMargins:
         """Margins, shape [count]."""
         kappa = (lam - mu) / mu**2
         parts = []
-        for asked, table, (w, p) in zip(self.conditions, self.tables, weights):
+        for asked, table, w in zip(self.conditions, self.tables, weights):
 
             def evaluate(
                 kappa: np.ndarray,
                 v: np.ndarray,
-                z: np.ndarray,
                 asked: LatticeConditions = asked,
                 table: Symbol = table,
             ) -> tuple[np.ndarray, np.ndarray]:
-                margins = asked.margins(table, v, z, float(kappa))
+                margins = asked.margins(table, v, float(kappa))
                 slopes = []
                 for form, k in enumerate(margins.argmin(axis=1)):
                     worst = Symbol(table.gamma[[k]], table.phi[[k]], table.laplacian[[k]])
-                    slopes.append(asked.gradients(worst, v, z, float(kappa))[form, 0])
+                    slopes.append(asked.gradients(worst, v, float(kappa))[form, 0])
                 return margins.min(axis=1), np.array(slopes)
 
-            parts.append(_known(evaluate, kappa, mu * w, mu * p))
+            parts.append(_known(evaluate, kappa, mu * w))
         return torch.cat(parts)
 
 
@@ -107,7 +106,7 @@ class DenseMargins:
 
     Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
     interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Γ and Φ are
-    linear in the class weights: Σ w_c Γ_c, Σ p_c Φ_c. Where a domain is its own mirror image the
+    linear in the class weights: Σ w_c Γ_c, Σ w_c Φ_c. Where a domain is its own mirror image the
     matrices fall into blocks, a tenth of the work with the same values.
     """
 
@@ -123,15 +122,13 @@ class DenseMargins:
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
         """Margins, shape [3 · sets]."""
         parts = []
-        for blocks, (w, p) in zip(self.parts, weights):
+        for blocks, w in zip(self.parts, weights):
 
-            def evaluate(
-                _: np.ndarray, w: np.ndarray, p: np.ndarray, blocks: Blocks = blocks
-            ) -> tuple[np.ndarray, np.ndarray]:
-                margins, slopes = _dense(blocks, w, p)
+            def evaluate(w: np.ndarray, blocks: Blocks = blocks) -> tuple[np.ndarray, np.ndarray]:
+                margins, slopes = _dense(blocks, w)
                 return self.units * margins - self.levels, self.units[:, None] * slopes
 
-            parts.append(_known(evaluate, torch.zeros((), dtype=torch.float64), w, p))
+            parts.append(_known(evaluate, w))
         return torch.cat(parts)
 
 
@@ -143,7 +140,7 @@ def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.nda
     gammas, phis = [], []
     for unit in np.eye(len(bonds.families.classes.r)):
         table: wp.array[Any] = wp.array(unit, dtype=wp.float64, device=bonds.device)
-        parts = assemble(bonds, (table, ones, table, ones))
+        parts = assemble(bonds, table, ones)
         gammas.append(parts.gamma[:, unknown].toarray())
         phis.append(parts.phi[points.interior][:, unknown].toarray())
     return np.array(gammas), np.array(phis)
@@ -182,16 +179,15 @@ def _kept(mirrors: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
     return np.array(fields[:, values > 0.5])
 
 
-def _dense(blocks: Blocks, w: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least eigenvalues, shape [3], and their derivatives to (κ, w, p), shape [3, 1 + 2 C]."""
-    gammas = [np.tensordot(w, block[0], 1) for block in blocks]
-    phis = [np.tensordot(p, block[1], 1) for block in blocks]
+def _dense(blocks: Blocks, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least eigenvalues, shape [3], and their derivatives to w, shape [3, C]."""
+    gammas, phis = ([np.tensordot(w, block[n], 1) for block in blocks] for n in (0, 1))
 
-    def slope(number: int, e: np.ndarray, scale_w: float, f: np.ndarray) -> np.ndarray:
-        """Derivatives of scale_w · eᵗΓe + 2 fᵗΦe, e and f held, to (κ, w, p)."""
+    def slope(number: int, e: np.ndarray, scale: float, f: np.ndarray) -> np.ndarray:
+        """Derivatives of scale · eᵗΓe + 2 fᵗΦe, e and f held, to w."""
         of_gamma, of_phi = blocks[number]
-        by_w = of_gamma.reshape(len(w), -1) @ np.outer(e, e).ravel()
-        return np.concatenate([np.zeros(1), scale_w * by_w, 2 * (of_phi @ e) @ f])
+        by_gamma = of_gamma.reshape(len(w), -1) @ np.outer(e, e).ravel()
+        return np.asarray(scale * by_gamma + 2 * (of_phi @ e) @ f)
 
     number, coercive, e = _least(gammas)
     rows = [slope(number, e, 1.0, np.zeros(len(phis[number])))]

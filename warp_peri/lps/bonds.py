@@ -94,7 +94,7 @@ class Bonds:
             broken bonds, `whole` the others.
         r, weight: length [Å] and quadrature weight [Å^d] of each bond class, shape [C].
         reverse: number of the bond from j back to i; not read on lattices, shape [E].
-        kept: tables that launches keep from one evaluation to the next.
+        kept: tables of the last evaluation, by the α and D that they are of.
 
     Raises InputError for what families_of refuses, another precision, and an unknown device.
     """
@@ -201,14 +201,14 @@ class Bonds:
             prepared.forget()
 
     def force(self, u: Any, values: Sequence[Any], Lu: Any) -> None:
-        """L u of tensors [..., N, d] and [..., I, d], and λ, μ, α, D and so on, on a lattice laid
-        out in rows."""
+        """L u of tensors [..., N, d] and [..., I, d], and λ, μ, α, D, on a lattice laid out in
+        rows."""
         numbers = [
             one.detach().numpy().reshape(-1) if hasattr(one, "detach") else np.ravel(one)
             for one in values
         ]
         samples = u.numel() // (self.nodes * self.dimension)
-        fits = samples, tuple(len(D) - 1 for D in numbers[3:]), threads()
+        fits = samples, len(numbers[3]) - 1, threads()
         with lent(self._prepared, fits, lambda: Prepared(self, fits)) as prepared:
             prepared(u.data_ptr(), numbers, Lu.data_ptr())
 
@@ -219,8 +219,7 @@ class Evaluation:
 
     Attributes:
         kw, m: K W of each bond class [C] and weighted volume of each node [N], or of all nodes of a
-            lattice [1], deviatoric.
-        kd, md: those of the dilatation; the same arrays with one influence function.
+            lattice [1].
         theta: dilatation of each sample and node, shape [S, N], or [S, 0] where nobody
             asked for it.
         Lu: L u on the interior nodes, shape [S, I] of vectors.
@@ -228,8 +227,6 @@ class Evaluation:
 
     kw: wp.array[Any]
     m: wp.array[Any]
-    kd: wp.array[Any]
-    md: wp.array[Any]
     theta: wp.array[Any]
     Lu: wp.array[Any]
 
@@ -262,8 +259,8 @@ def influence(
     """
     degree = len(D) - 1
     key = (alpha.numpy().tobytes(), D.numpy().tobytes())
-    if not gradient and key in bonds.kept:
-        return bonds.kept[key]
+    if not gradient and (known := bonds.kept.get(key)):
+        return known
     kw = bonds.zeros(len(bonds.r), gradient=gradient)
     m = bonds.zeros(1 if bonds.lattice else bonds.nodes, gradient=gradient)
     if gradient or bonds.lattice or bonds.device != DEVICE or len(kw) < influence_kernels.BYTES:
@@ -277,9 +274,7 @@ def influence(
     kernel = lps.sweeps(bonds.scalar, bonds.dimension).weighted_volume
     _launch(gradient, kernel, count, (bonds.full, bonds.arrays, bonds.r, kw), m)
     if not gradient:
-        if len(bonds.kept) > 1:  # those of the last model: at most two functions
-            bonds.kept.clear()
-        bonds.kept[key] = kw, m
+        bonds.kept = {key: (kw, m)}
     return kw, m
 
 
@@ -289,30 +284,28 @@ def check_volumes(bonds: Bonds, model: Model) -> None:
     Raises InputError saying how many nodes that concerns; on a lattice it is all of them.
     """
     families = bonds.families
-    alpha = bonds.floats(np.array([model.alpha]))
-    for D in {model.D.tobytes(): model.D, model.dilatation.tobytes(): model.dilatation}.values():
-        kw = influence(bonds, alpha, bonds.floats(D))[0].numpy()
-        terms = kw * families.r**2
-        if families.lattice is not None:
-            terms = (families.lattice.count * terms)[None]
-            m, size = terms.sum(axis=1), np.abs(terms).sum(axis=1)
-        else:
-            m = np.add.reduceat(terms, families.row[:-1])[bonds.full.numpy()]
-            size = np.add.reduceat(np.abs(terms), families.row[:-1])[bonds.full.numpy()]
-        bad = np.count_nonzero(~(np.abs(m) > CANCELLED * size))
-        if bad:
-            where = "every node" if bonds.lattice else f"{bad} nodes"
-            raise InputError(
-                f"influence function: its weighted volume m (theory, 5) is zero at {where}: "
-                f"positive and negative parts cancel to {np.abs(m).min() / size.max():.0e}"
-            )
+    kw, _ = influence(bonds, bonds.floats(np.array([model.alpha])), bonds.floats(model.D))
+    terms = kw.numpy() * families.r**2
+    if families.lattice is not None:
+        terms = (families.lattice.count * terms)[None]
+        m, size = terms.sum(axis=1), np.abs(terms).sum(axis=1)
+    else:
+        m = np.add.reduceat(terms, families.row[:-1])[bonds.full.numpy()]
+        size = np.add.reduceat(np.abs(terms), families.row[:-1])[bonds.full.numpy()]
+    bad = np.count_nonzero(~(np.abs(m) > CANCELLED * size))
+    if bad:
+        where = "every node" if bonds.lattice else f"{bad} nodes"
+        raise InputError(
+            f"influence function: its weighted volume m (theory, 5) is zero at {where}: "
+            f"positive and negative parts cancel to {np.abs(m).min() / size.max():.0e}"
+        )
 
 
-def surface_shape(bonds: Bonds, kd: wp.array[Any], *, gradient: bool = False) -> wp.array[Any]:
+def surface_shape(bonds: Bonds, kw: wp.array[Any], *, gradient: bool = False) -> wp.array[Any]:
     """S of the nodes with broken bonds, (40), shape [N]."""
     shape = bonds.zeros(bonds.nodes, dtype=bonds.mat, gradient=gradient)
     kernel = lps.sweeps(bonds.scalar, bonds.dimension).surface_shape
-    _launch(gradient, kernel, len(bonds.cut), (bonds.cut, bonds.arrays, kd), shape)
+    _launch(gradient, kernel, len(bonds.cut), (bonds.cut, bonds.arrays, kw), shape)
     return shape
 
 
@@ -323,7 +316,6 @@ def evaluate(
     mu: wp.array[Any],
     alpha: wp.array[Any],
     D: wp.array[Any],
-    D_dilatation: wp.array[Any] | None = None,
     *,
     gradient: bool = False,
     dilatation: bool = True,
@@ -336,33 +328,28 @@ def evaluate(
         lam, mu: Lamé parameters [TPa], shape [1] each, equal for bond-based bonds.
         alpha: exponent, shape [1].
         D: Bernstein coefficients, shape [M + 1].
-        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
-            shares that of D.
         gradient: whether to record derivatives.
         dilatation: whether θ is wanted by node, and not only for the force.
     """
     samples, kernels, arrays = u.shape[0], lps.sweeps(bonds.scalar, bonds.dimension), bonds.arrays
     inputs: tuple[Any, ...]
     kw, m = influence(bonds, alpha, D, gradient=gradient)
-    kd, md = kw, m
     Lu = _forces(bonds, samples, gradient=gradient)
-    if D_dilatation is not None:
-        kd, md = influence(bonds, alpha, D_dilatation, gradient=gradient)
     if bonds.laid_out is not None and not gradient:
         theta = bonds.zeros(samples, bonds.nodes if dilatation else 0)
-        law = filled(lps_adjoint.structs(bonds.scalar, bonds.dimension).Law, kw, m, kd, md, lam, mu)
+        law = filled(lps_adjoint.structs(bonds.scalar, bonds.dimension).Law, kw, m, lam, mu)
         _by_rows(bonds, bonds.laid_out, law, u, Lu, theta if dilatation else None)
-        return Evaluation(kw, m, kd, md, theta, Lu)
+        return Evaluation(kw, m, theta, Lu)
     theta = bonds.zeros(samples, bonds.nodes, gradient=gradient)
-    inputs = (bonds.whole, arrays, kd, md, u)
+    inputs = (bonds.whole, arrays, kw, m, u)
     _launch(gradient, kernels.dilatation, len(bonds.whole), inputs, theta, samples)
     if len(bonds.cut):
-        shape = surface_shape(bonds, kd, gradient=gradient)
-        inputs = (bonds.cut, arrays, kd, shape, u)
+        shape = surface_shape(bonds, kw, gradient=gradient)
+        inputs = (bonds.cut, arrays, kw, shape, u)
         _launch(gradient, kernels.surface_dilatation, len(bonds.cut), inputs, theta, samples)
-    inputs = (bonds.rows, arrays, kw, m, kd, md, lam, mu, u, theta)
+    inputs = (bonds.rows, arrays, kw, m, lam, mu, u, theta)
     _launch(gradient, kernels.force, len(bonds.rows), inputs, Lu, samples)
-    return Evaluation(kw, m, kd, md, theta, Lu)
+    return Evaluation(kw, m, theta, Lu)
 
 
 def _forces(bonds: Bonds, samples: int, *, gradient: bool) -> wp.array[Any]:
@@ -402,33 +389,30 @@ class Prepared:
 
     Args:
         bonds: of the lattice.
-        fits: samples, degrees of one influence function or two, and threads.
+        fits: samples, degree of the influence function, and threads.
 
-    Call it with the addresses of u, [S, N] vectors, and of memory for L u, [S, I], and λ, μ, α, D
-    and so on. K and the weighted volume are computed anew where α or a coefficient has changed.
+    Call it with the addresses of u, [S, N] vectors, and of memory for L u, [S, I], and λ, μ, α, D.
+    K and the weighted volume are computed anew where α or a coefficient has changed.
     """
 
-    def __init__(self, bonds: Bonds, fits: tuple[int, tuple[int, ...], int]) -> None:
-        samples, degrees, _ = self.fits = fits
-        sizes = 1, 1, 1, *(degree + 1 for degree in degrees)
-        lam, mu, alpha, *coefficients = arrays = [bonds.zeros(size) for size in sizes]
+    def __init__(self, bonds: Bonds, fits: tuple[int, int, int]) -> None:
+        samples, degree, _ = self.fits = fits
+        lam, mu, alpha, D = arrays = [bonds.zeros(size) for size in (1, 1, 1, degree + 1)]
         self._numbers, self._key = [array.numpy() for array in arrays], b""
-        tables: list[wp.array[Any]] = []
-        self._volumes: list[Any] = []
-        self._held: list[Any] = [arrays, tables]  # of which the launches know addresses
-        sweeps = lps.sweeps(bonds.scalar, bonds.dimension)
-        for degree, D in zip(degrees, coefficients):
-            tables += (kw := bonds.zeros(len(bonds.r))), (m := bonds.zeros(1))
-            given = (*influence_inputs(bonds, degree), alpha, D)
-            self._held.append(given)
-            kernel = influence_kernels.influence(degree, bonds.scalar)
-            of = bonds.full, bonds.arrays, bonds.r, kw
-            self._volumes.append(recorded(kernel, len(bonds.r), (0, *given), (kw,)))
-            self._volumes.append(recorded(sweeps.weighted_volume, 1, (0, *of), (m,)))
+        kw, m = bonds.zeros(len(bonds.r)), bonds.zeros(1)
+        given = (*influence_inputs(bonds, degree), alpha, D)
+        self._held = arrays, kw, m, given  # of which the launches know addresses
+        kernel = influence_kernels.influence(degree, bonds.scalar)
+        volume = lps.sweeps(bonds.scalar, bonds.dimension).weighted_volume
+        of = bonds.full, bonds.arrays, bonds.r, kw
+        self._volumes = [
+            recorded(kernel, len(bonds.r), (0, *given), (kw,)),
+            recorded(volume, 1, (0, *of), (m,)),
+        ]
         law = lps_adjoint.structs(bonds.scalar, bonds.dimension).Law
         forward = Forward(bonds.laid_out, bonds.arrays, samples)  # type: ignore[arg-type]
         self.size, self._launch = forward.size, forward.launch
-        self._launch.give(6, filled(law, *tables[:2], *tables[-2:], lam, mu))
+        self._launch.give(6, filled(law, kw, m, lam, mu))
         sizes = bonds.nodes, len(bonds.rows)
         self._ends = [empty(samples, size, dtype=bonds.vec).__ctype__() for size in sizes]
         for place, end in zip((7, 10), self._ends):
@@ -451,7 +435,7 @@ class Prepared:
 
 
 class Tabulated:
-    """The force of one influence function, or two, as tables of its bonds.
+    """The force as tables of its bonds.
 
     Args:
         bonds: of any point set, on the processor.
@@ -465,22 +449,22 @@ class Tabulated:
         self.bonds, self.kernels = bonds, tables(bonds.scalar, bonds.dimension)
         self._made_for: tuple[bytes, ...] | None = None
         self._table: Any = None
-        self._dilatational: tuple[wp.array[Any], wp.array[Any]] | None = None
+        self._surface: tuple[wp.array[Any], wp.array[Any]] | None = None
 
     def __call__(self, u: wp.array[Any], solid: Solid) -> wp.array[Any]:
         bonds, samples = self.bonds, len(u)
-        lam, mu, alpha, *coefficients = (
+        lam, mu, alpha, D = (
             bonds.floats(np.atleast_1d(np.asarray(value, float))) for value in solid.values()
         )
-        key = tuple(array.numpy().tobytes() for array in (alpha, *coefficients))
+        key = alpha.numpy().tobytes(), D.numpy().tobytes()
         if key != self._made_for:
-            self._make(alpha, coefficients)
+            self._make(alpha, D)
             self._made_for = key
         theta = bonds.zeros(samples, bonds.nodes)
         self._launch(self.kernels.dilatation, bonds.whole, (u,), theta)
-        if self._dilatational is not None:
+        if self._surface is not None:
             kernel = lps.sweeps(bonds.scalar, bonds.dimension).surface_dilatation
-            inputs = (bonds.cut, bonds.arrays, *self._dilatational, u)
+            inputs = (bonds.cut, bonds.arrays, *self._surface, u)
             launch_slices(kernel, len(bonds.cut), inputs, (theta,), samples=samples)
         Lu = empty(samples, len(bonds.rows), dtype=bonds.vec, device=bonds.device)
         self._launch(self.kernels.force, bonds.rows, (lam, mu, u, theta), Lu)
@@ -492,11 +476,10 @@ class Tabulated:
         inputs = (nodes, self._table, *inputs)
         launch_slices(kernel, len(nodes), inputs, (output,), samples=len(output))
 
-    def _make(self, alpha: wp.array[Any], coefficients: list[wp.array[Any]]) -> None:
+    def _make(self, alpha: wp.array[Any], D: wp.array[Any]) -> None:
         bonds, families = self.bonds, self.bonds.families
-        made = [influence(bonds, alpha, D) for D in coefficients]
+        kw, m = influence(bonds, alpha, D)
         bonds.forget()  # what the tables are made of is not read again
-        (kw, m), (kd, md) = made[0], made[-1]
         table = self.kernels.Table()
         broken = families.neighbour < 0
         table.row, table.ends = bonds.arrays.row, bonds.arrays.neighbour
@@ -505,8 +488,8 @@ class Tabulated:
             table.ends = bonds.ints(np.where(broken, owner, families.neighbour))
         edges = len(families.neighbour)
         table.vectors, table.numbers = bonds.zeros(edges, dtype=bonds.vec), bonds.zeros(edges)
-        inputs = (bonds.full, bonds.arrays, kw, m, kd, md)
+        inputs = (bonds.full, bonds.arrays, kw, m)
         outputs = (table.vectors, table.numbers)
         launch_slices(self.kernels.filled, len(bonds.full), inputs, outputs)
         self._table = table
-        self._dilatational = (kd, surface_shape(bonds, kd)) if len(bonds.cut) else None
+        self._surface = (kw, surface_shape(bonds, kw)) if len(bonds.cut) else None

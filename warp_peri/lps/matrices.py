@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,25 +59,20 @@ def matrices(
             quadrature_degree=quadrature_degree,
         )
         check_volumes(bonds, model)
-    alpha = floats(np.array([model.alpha]))
-    tables = [
-        table for D in (model.D, model.dilatation) for table in influence(bonds, alpha, floats(D))
-    ]
-    return assemble(bonds, tables)
+    return assemble(bonds, *influence(bonds, floats(np.array([model.alpha])), floats(model.D)))
 
 
-def assemble(bonds: Bonds, tables: Sequence[wp.array[Any]]) -> Matrices:
-    """Assemble from given tables: K W by class and m, deviatoric, then dilatational."""
+def assemble(bonds: Bonds, kw: wp.array[Any], m: wp.array[Any]) -> Matrices:
+    """Assemble from given tables: K W by class and the weighted volumes."""
     edges, d = len(bonds.families.neighbour), bonds.dimension
     kernels = entries(d)
     gamma, psi = zeros(edges, dtype=kernels.mat), zeros(edges, dtype=kernels.vec)
-    kernel_inputs = (bonds.full, bonds.arrays, *tables)
+    kernel_inputs = (bonds.full, bonds.arrays, kw, m)
     launch(kernels.bond_entries, len(bonds.full), kernel_inputs, (gamma, psi))
     phi = zeros(edges, dtype=kernels.vec)
     wp.copy(phi, psi)
     if len(bonds.cut):
-        shape = surface_shape(bonds, tables[2])
-        surface = (bonds.cut, bonds.arrays, tables[2], shape)
+        surface = (bonds.cut, bonds.arrays, kw, surface_shape(bonds, kw))
         launch(kernels.surface_entries, len(bonds.cut), surface, (phi,))
     nodes = bonds.nodes
     intact = np.flatnonzero(bonds.families.neighbour >= 0)
@@ -165,17 +159,17 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
         sums = [np.bincount(place, column, size) for column in flat.T]
         return np.stack(sums, axis=1).reshape(size, *values.shape[1:])
 
-    K, Kd = model.influence(r) * W, model.influence_dilatation(r) * W
-    m, md = total(K * r**2), total(Kd * r**2)
+    K = model.influence(r) * W
+    m = total(K * r**2)
     outer = xi[:, :, None] * xi[:, None, :]
-    shape = total(Kd[:, None, None] * outer)
+    shape = total(K[:, None, None] * outer)
     moments = total(outer)
     parts = []
     for field in u.reshape(-1, nodes, d):
         eta = field[far] - field[owner]
         along = (xi * eta).sum(axis=1)
-        theta = d / md * total(Kd * along)
-        dilatational = ((model.lam - model.mu) * d / md * theta)[:, None, None] * shape
+        theta = d / m * total(K * along)
+        dilatational = ((model.lam - model.mu) * d / m * theta)[:, None, None] * shape
         deviatoric = total((K * along / r**2)[:, None, None] * outer)
         deviatoric *= (c2 / 2 * model.mu / m)[:, None, None]
         gradient = total(eta[:, :, None] * xi[:, None, :]) @ np.linalg.inv(moments)

@@ -58,7 +58,7 @@ def bernstein_basis(r: ArrayLike, horizon: float, degree: int) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """λ, μ, α and the Bernstein coefficients of the influence functions (theory, 4–9).
+    """λ, μ, α and the Bernstein coefficients of the influence function (theory, 4–9).
 
     Numbers and arrays, or torch tensors with their gradients.
 
@@ -67,8 +67,6 @@ class Solid:
         mu: Lamé parameter μ, the shear modulus [TPa].
         alpha: exponent α < 3.
         D: Bernstein coefficients, shape [M + 1].
-        D_dilatation: those of the dilatation's own influence function, of any degree; None when it
-            shares that of D.
 
     Raises InputError where λ, μ or α is no single number, and D no list of them.
     """
@@ -77,7 +75,6 @@ class Solid:
     mu: Any
     alpha: Any
     D: Any
-    D_dilatation: Any = None
 
     def __post_init__(self) -> None:
         for name in ("lam", "mu", "alpha"):
@@ -85,14 +82,8 @@ class Solid:
                 raise InputError(
                     f"{name}: expected one number of a homogeneous solid, got shape {list(shape)}"
                 )
-        for name in ("D", "D_dilatation"):
-            if len(shape := np.shape(getattr(self, name))) > 1:
-                raise InputError(f"{name}: expected a list of numbers, got shape {list(shape)}")
-
-    @property
-    def dilatation(self) -> Any:
-        """Coefficients of the dilatation's influence function."""
-        return self.D if self.D_dilatation is None else self.D_dilatation
+        if len(shape := np.shape(self.D)) > 1:
+            raise InputError(f"D: expected a list of numbers, got shape {list(shape)}")
 
     @property
     def bond_based(self) -> bool:
@@ -100,9 +91,8 @@ class Solid:
         return bool(self.lam == self.mu)
 
     def values(self) -> tuple[Any, ...]:
-        """λ, μ, α, D and, if it has coefficients of its own, those of the dilatation."""
-        own = () if self.D_dilatation is None else (self.D_dilatation,)
-        return (self.lam, self.mu, self.alpha, self.D, *own)
+        """λ, μ, α and D."""
+        return self.lam, self.mu, self.alpha, self.D
 
     def map(self, convert: Callable[[Any], Any]) -> Solid:
         """The same solid with every value converted."""
@@ -127,8 +117,6 @@ class Model(Record, format="warp_peri.model"):
         mu: Lamé parameter μ, the shear modulus [TPa].
         alpha: exponent α < 3.
         D: Bernstein coefficients of any sign, shape [M + 1]; their common scale has no effect.
-        D_dilatation: coefficients of the dilatation's own influence function, shape [M + 1]; those
-            of D where none are given.
         horizon: δ [Å].
         trained_on: spacings of the training lattices [Å].
         certified_on: spacings of the lattices that solves accept [Å].
@@ -155,7 +143,6 @@ class Model(Record, format="warp_peri.model"):
     alpha: float
     D: np.ndarray
     horizon: Length
-    D_dilatation: np.ndarray | None = None
     trained_on: Annotated[tuple[float, ...], Entry(length=1)] = ()
     certified_on: Annotated[tuple[float, ...], Entry(length=1)] = ()
     trained_strain: Annotated[float | None, Entry(omit=True)] = None
@@ -167,18 +154,16 @@ class Model(Record, format="warp_peri.model"):
     units: Units = USUAL
     file: Annotated[Path | None, Entry(kept=False)] = None
     dimension: Annotated[int, Entry(omit=True)] = 2
-    ORDER = ("lambda", "mu", "alpha", "horizon", "degree", "D", "D_dilatation", "quadrature",
-             "trained_on", "certified_on", "certificate", "errors", "provenance", "versions",
-             "trained_strain", "largest_wave_number", "dimension")  # fmt: skip
+    ORDER = ("lambda", "mu", "alpha", "horizon", "degree", "D", "quadrature", "trained_on",
+             "certified_on", "certificate", "errors", "provenance", "versions", "trained_strain",
+             "largest_wave_number", "dimension")  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
         stress = symbols(self.units)[1]
         if self.dimension not in (2, 3):
             raise InputError(f"dimension: expected 2 or 3, got {self.dimension!r:.50}")
-        if self.D_dilatation is None:
-            object.__setattr__(self, "D_dilatation", self.D)
-        if self.D.ndim != 1 or self.dilatation.ndim != 1:
+        if self.D.ndim != 1:
             raise InputError("D: expected a list of numbers, got lists")
         if len(self.D) == 0:
             raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
@@ -196,12 +181,8 @@ class Model(Record, format="warp_peri.model"):
             raise InputError(
                 f"lambda, mu: expected μ > 0 and {bulk} > 0, got {self.lam}, {self.mu}"
             )
-        if not (np.any(self.D) and np.any(self.dilatation)):
+        if not np.any(self.D):
             raise InputError("D: expected a coefficient other than 0")
-        if len(self.dilatation) != len(self.D):
-            raise InputError(
-                f"D_dilatation: expected {len(self.D)} coefficients, got {len(self.dilatation)}"
-            )
 
     @property
     def degree(self) -> int:
@@ -210,21 +191,17 @@ class Model(Record, format="warp_peri.model"):
 
     @property
     def solid(self) -> Solid:
-        """λ, μ, α, D and D of the dilatation as one value."""
-        return Solid(self.lam, self.mu, self.alpha, self.D, self.dilatation)
+        """λ, μ, α and D as one value."""
+        return Solid(self.lam, self.mu, self.alpha, self.D)
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α, D and D_dilatation by name; no D_dilatation where it is D."""
-        numbers = dict(vars(self.solid))
-        if np.array_equal(self.D, self.dilatation):
-            del numbers["D_dilatation"]
-        return numbers
+        """λ, μ, α and D by name."""
+        return dict(vars(self.solid))
 
     def having(self, numbers: Mapping[str, Any]) -> Model:
         """The same with other `learnable` numbers, of which nothing is proven."""
-        own = {"D_dilatation": numbers["D"]} | dict(numbers)
-        return replace(self, **own, certified_on=(), certificate={})
+        return replace(self, **numbers, certified_on=(), certificate={})
 
     @property
     def linear(self) -> Model:
@@ -259,22 +236,10 @@ class Model(Record, format="warp_peri.model"):
             return self.lam / (2 * (self.lam + self.mu))
         return self.lam / (self.lam + 2 * self.mu)
 
-    @property
-    def dilatation(self) -> np.ndarray:
-        """Coefficients of the dilatation's influence function, shape [M + 1]."""
-        return self.D if self.D_dilatation is None else self.D_dilatation
-
     def influence(self, r: ArrayLike) -> np.ndarray:
-        """K of the deviatoric part at the distances r [Å] in (0, δ]."""
-        return self._kernel(r, self.D)
-
-    def influence_dilatation(self, r: ArrayLike) -> np.ndarray:
-        """K of the dilatation at the distances r [Å] in (0, δ]."""
-        return self._kernel(r, self.dilatation)
-
-    def _kernel(self, r: ArrayLike, D: np.ndarray) -> np.ndarray:
+        """K at the distances r [Å] in (0, δ]."""
         r = np.asarray(r, dtype=float)
-        K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ D)
+        K: np.ndarray = r**-self.alpha * (bernstein_basis(r, self.horizon, self.degree) @ self.D)
         return K
 
     def nominal_spacing(self, spacing: float) -> float:
@@ -337,6 +302,16 @@ class Model(Record, format="warp_peri.model"):
             "file": None,
         }
 
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """Without the dilatation's own coefficients of before; InputError where they differ."""
+        if (own := content.pop("D_dilatation", None)) is not None and own != content.get("D"):
+            raise InputError(
+                "D_dilatation: expected that of D, got an influence function of its own, which "
+                "left the library; commit 60f8a38d is the last that reads it"
+            )
+        return content
+
     def derived(self) -> dict[str, Any]:
         """Degree and quadrature, which a file names."""
         return {"degree": self.degree, "quadrature": QUADRATURE}
@@ -388,12 +363,11 @@ class Model(Record, format="warp_peri.model"):
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
         length = symbols(self.units)[0]
-        kernels = "K" if np.array_equal(self.D, self.dilatation) else "K, K of dilatation"
         rows = [
             ("λ, μ", shown_moduli(self.units, (self.lam, self.mu))),
             ("E, ν", f"{shown_moduli(self.units, (self.E,))}, {self.nu:.3g}"),
             ("horizon", f"{self.horizon:g} {length}"),
-            (kernels, f"degree {self.degree}, α = {self.alpha:.3g}"),
+            ("K", f"degree {self.degree}, α = {self.alpha:.3g}"),
         ]
         spacings = (f"{h:g} {length}" for h in self.certified_on)
         rows.append(("certified on", ", ".join(spacings) or "no lattice"))
@@ -428,8 +402,8 @@ def _figures_in(figures: Any, length: float, stress: float) -> Any:
     }
 
 
-def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndarray, float]:
-    """v and z [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
+def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, float]:
+    """v [TPa/Å²] of the bond classes and κ = (λ−μ)/μ² [1/TPa] of a model on a lattice.
 
     Raises InputError for an influence function whose weighted volume is zero, and a lattice of
     another dimension than the model's.
@@ -439,18 +413,15 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, np.ndar
             f"model: expected one of {classes.steps.shape[1]} dimensions, those of the lattice, "
             f"got {model.dimension}; in space micromodulus.tensors_of(model, spacing) is proven"
         )
-    tables = []
     r = classes.r * (model.nominal_spacing(classes.spacing) / classes.spacing)
-    for K in (model.influence(r), model.influence_dilatation(r)):
-        kw = K * classes.weight
-        terms = classes.count * kw * classes.r**2
-        if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
-            raise InputError(
-                "influence function: its weighted volume m (theory, 5) is zero on the lattice "
-                f"of spacing {classes.spacing:g}: positive and negative parts cancel"
-            )
-        tables.append(model.mu * kw / terms.sum())
-    return tables[0], tables[1], (model.lam - model.mu) / model.mu**2
+    kw = model.influence(r) * classes.weight
+    terms = classes.count * kw * classes.r**2
+    if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
+        raise InputError(
+            "influence function: its weighted volume m (theory, 5) is zero on the lattice of "
+            f"spacing {classes.spacing:g}: positive and negative parts cancel"
+        )
+    return model.mu * kw / terms.sum(), (model.lam - model.mu) / model.mu**2
 
 
 def lps_stencil(model: Model, spacing: float, *, degree: int = DEGREE) -> Stencil:
@@ -462,7 +433,7 @@ def lps_stencil(model: Model, spacing: float, *, degree: int = DEGREE) -> Stenci
     return stencil_of(classes, *stiffnesses(model, classes))
 
 
-def stencil_of(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float) -> Stencil:
+def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
     """Stiffnesses of bond classes as a stencil: products of dilatations make bonds of range 2δ."""
     d = classes.steps.shape[1]
     reach = int(np.abs(classes.steps).max())
@@ -472,9 +443,9 @@ def stencil_of(classes: BondClasses, v: np.ndarray, z: np.ndarray, kappa: float)
     C[near] = each[:, None, None] * (xi[:, :, None] * xi[:, None])
     if kappa:  # φ is odd: minus φ φᵗ of the symbol (18) is a convolution of its stencil with itself
         phi = np.zeros((*C.shape[:d], d))
-        phi[near] = d * z[of, None] * xi
+        phi[near] = d * v[of, None] * xi
         C = np.pad(C, d * [(reach, reach)] + 2 * [(0, 0)])
-        for step, other in zip(classes.steps + reach, d * kappa * z[of, None] * xi):
+        for step, other in zip(classes.steps + reach, d * kappa * v[of, None] * xi):
             C[tuple(slice(n, n + len(phi)) for n in step)] += other[:, None] * phi[..., None, :]
     steps = np.indices(C.shape[:d]).reshape(d, -1).T - C.shape[0] // 2
     tensors = C.reshape(-1, d, d)

@@ -47,7 +47,7 @@ class Gradient:
     Attributes:
         u: shape [S, N] of vectors.
         lam, mu, alpha: numbers.
-        D, D_dilatation: shape [M + 1]; the second is None with one influence function.
+        D: shape [M + 1].
     """
 
     u: wp.array[Any] | None = None
@@ -55,7 +55,6 @@ class Gradient:
     mu: float = 0.0
     alpha: float = 0.0
     D: np.ndarray | None = None
-    D_dilatation: np.ndarray | None = None
 
 
 def gradient(
@@ -72,61 +71,46 @@ def gradient(
     Args:
         bonds: of a point set without broken bonds.
         evaluation: what evaluate(bonds, *arrays) returned.
-        arrays: u, λ, μ, α, D and, with two influence functions, D of the dilatation.
+        arrays: u, λ, μ, α and D.
         g: shape [S, I] of vectors.
         displacement: whether to return the derivative to u.
         parameters: whether to return those to λ, μ, α, D.
     """
-    u, lam, mu, alpha, *coefficients = arrays
+    u, lam, mu, alpha, D = arrays
     kernels = adjoints(bonds.scalar, bonds.dimension)
     e = evaluation
-    law = filled(kernels.Law, e.kw, e.m, e.kd, e.md, lam, mu)
+    law = filled(kernels.Law, e.kw, e.m, lam, mu)
     u_bar = empty(*u.shape, dtype=bonds.vec, device=bonds.device) if displacement else None
     sums, fields = None, None
     if bonds.laid_out is not None:
         of = (u, evaluation.theta) if parameters else None
         sums = _by_rows(bonds, bonds.laid_out, law, g, u_bar, of)
     else:
-        scaled, tau = _scaled(bonds, evaluation, g), bonds.zeros(*u.shape)
-        _by_bonds(bonds, law, scaled, tau, u_bar)
-        fields = filled(kernels.Fields, u, evaluation.theta, *scaled, tau)
+        h, tau = bonds.zeros(len(g), bonds.nodes, dtype=bonds.vec), bonds.zeros(*u.shape)
+        inputs = (bonds.rows, bonds.arrays, e.m, g)
+        launch_slices(kernels.scaled, len(bonds.rows), inputs, (h,), samples=len(g))
+        _by_bonds(bonds, law, h, tau, u_bar)
+        fields = filled(kernels.Fields, u, evaluation.theta, h, tau)
     if not parameters:
         return Gradient(u_bar)
     c1, c2 = bonds.dimension, 2 * bonds.dimension * (bonds.dimension + 2)
-    tables = _Tables(bonds, law, alpha, coefficients)
+    tables = _Tables(bonds, law, alpha, D)
     shear, bulk = tables.run(fields) if sums is None else tables.take(sums)
     by_D, by_alpha = tables.gradients()
-    return Gradient(u_bar, -c1 * bulk, c1 * bulk - c2 * shear, by_alpha, *by_D)
-
-
-def _scaled(
-    bonds: Bonds, evaluation: Evaluation, g: wp.array[Any]
-) -> tuple[wp.array[Any], wp.array[Any]]:
-    """h = g/m and hd = g/md on all nodes, one array where they are the same."""
-    scaled = []
-    for m in (evaluation.m, evaluation.md)[: 1 + (evaluation.md is not evaluation.m)]:
-        scaled.append(bonds.zeros(len(g), bonds.nodes, dtype=bonds.vec))
-        inputs = (bonds.rows, bonds.arrays, m, g)
-        kernel = adjoints(bonds.scalar, bonds.dimension).scaled
-        launch_slices(kernel, len(bonds.rows), inputs, (scaled[-1],), samples=len(g))
-    return scaled[0], scaled[-1]
+    return Gradient(u_bar, -c1 * bulk, c1 * bulk - c2 * shear, by_alpha, by_D)
 
 
 def _by_bonds(
-    bonds: Bonds,
-    law: Any,
-    scaled: tuple[wp.array[Any], wp.array[Any]],
-    tau: wp.array[Any],
-    u_bar: wp.array[Any] | None,
+    bonds: Bonds, law: Any, h: wp.array[Any], tau: wp.array[Any], u_bar: wp.array[Any] | None
 ) -> None:
     """τ, and ∂/∂u where an array is given, through the lists of neighbours."""
     kernels, links = adjoints(bonds.scalar, bonds.dimension), (bonds.arrays, bonds.reverse)
     inputs: tuple[Any, ...]
-    inputs = (bonds.full, *links, law.kd, law.md, law.lam, law.mu, scaled[1])
+    inputs = (bonds.full, *links, law.kw, law.m, law.lam, law.mu, h)
     count, samples = len(bonds.full), len(tau)
     launch_slices(kernels.dilatation_adjoint, count, inputs, (tau,), samples=samples)
     if u_bar is not None:
-        inputs = (*links, law.kw, law.kd, law.mu, scaled[0], tau)
+        inputs = (*links, law.kw, law.mu, h, tau)
         launch_slices(kernels.displacement_adjoint, bonds.nodes, inputs, (u_bar,), samples=len(tau))
 
 
@@ -139,18 +123,15 @@ def _by_rows(
     fields: tuple[wp.array[Any], wp.array[Any]] | None,
 ) -> np.ndarray | None:
     """∂/∂u, where an array is given, on a lattice laid out in rows; with u and θ the sums of
-    Rows.by_pair, of hd where the dilatation has volumes of its own."""
+    Rows.by_pair."""
     kernels, pieces = rows.kernels, rows.pieces
     planes, dilatation = rows.planes("backward", len(g))
-    alike, asked = law.m is law.md, None if u_bar is None else pieces.nodes
     given = bonds.arrays, law, g, planes, dilatation, g if u_bar is None else u_bar
-    phases = pieces.row_images, pieces.needed, asked if alike else None
-    rows.shared(kernels.backward, phases, law.md, *given)()
+    phases = pieces.row_images, pieces.needed, None if u_bar is None else pieces.nodes
+    rows.shared(kernels.backward, phases, law.m, *given)()
     sums = None
     if fields is not None:
         sums = rows.by_pair(bonds.arrays, bonds.pairs, *fields, planes, dilatation)
-    if not alike:
-        rows.shared(kernels.backward, (pieces.row_images, None, asked), law.m, *given)()
     rows.give_back("backward", planes, dilatation)
     return sums
 
@@ -158,38 +139,29 @@ def _by_rows(
 class _Tables:
     """The sums over bonds behind ∂/∂(K W), block by block, and from there to α and D."""
 
-    def __init__(
-        self, bonds: Bonds, law: Any, alpha: wp.array[Any], coefficients: Sequence[wp.array[Any]]
-    ) -> None:
+    def __init__(self, bonds: Bonds, law: Any, alpha: wp.array[Any], D: wp.array[Any]) -> None:
         self.bonds, self.law = bonds, law
-        self.coefficients = coefficients
         self.parts = bonds.zeros(BLOCKS, 2)
         self.blocks = bonds.blocks
         self.kernel = adjoints(bonds.scalar, bonds.dimension).table_adjoint
-        self.backwards, self.sums = [], []
-        for D in coefficients:
-            kernel = influence_kernels.by_lanes(len(D) - 1, bonds.scalar).adjoint
-            self.backwards.append((kernel, powers(bonds, alpha, D)))
-            self.sums.append(bonds.zeros(BLOCKS, len(D) + 1))
-        self.by_class: list[np.ndarray] = []
+        self.to_D = influence_kernels.by_lanes(len(D) - 1, bonds.scalar).adjoint
+        self.powers, self.sums = powers(bonds, alpha, D), bonds.zeros(BLOCKS, len(D) + 1)
+        self.by_class = np.zeros(0)
 
     def run(self, fields: Any) -> Any:
         """All blocks: ∂/∂(K W) of their bonds; on scattered points onwards to α and D. Returns what
         ∂/∂λ and ∂/∂μ are made of, (47)."""
         bonds, blocks = self.bonds, self.blocks
         reads = (bonds.full, bonds.arrays, bonds.r, self.law, fields)
-        inputs = (blocks.spans, *reads, int(len(self.coefficients) == 1))
+        inputs = (blocks.spans, *reads)
         if bonds.lattice:
-            size = BLOCKS * len(bonds.families.pattern)
-            bars = [bonds.zeros(size) for _ in self.coefficients]
-            outputs = (bars[0], bars[-1], self.parts)
+            bar = bonds.zeros(BLOCKS * len(bonds.families.pattern))
             weight = max(len(bonds.full) // BLOCKS, 1)
-            launch_slices(self.kernel, BLOCKS, inputs, outputs, weight=weight)
-            for each in bars:
-                by_bond = each.numpy().reshape(BLOCKS, -1).sum(axis=0, dtype=float)
-                self.by_class.append(np.bincount(bonds.families.classes.bond_class, by_bond))
+            launch_slices(self.kernel, BLOCKS, inputs, (bar, self.parts), weight=weight)
+            by_bond = bar.numpy().reshape(BLOCKS, -1).sum(axis=0, dtype=float)
+            self.by_class = np.bincount(bonds.families.classes.bond_class, by_bond)
         else:
-            for kernel in (self.kernel, *(kernel for kernel, *_ in self.backwards)):
+            for kernel in (self.kernel, self.to_D):
                 kernel.module.load(wp.get_device(bonds.device))  # not from two threads at once
             some = [n for n in range(BLOCKS) if blocks.ends[n] < blocks.ends[n + 1]]
             at_once([self._job(n, inputs) for n in some])
@@ -198,45 +170,37 @@ class _Tables:
     def take(self, sums: np.ndarray) -> tuple[float, float]:
         """The same of a lattice's sums by pairs of bonds, [3, H], (45–47)."""
         of, c1 = self.bonds.families.classes, self.bonds.dimension
-        names = "kw", "m", "kd", "md", "lam", "mu"
-        kw, m, kd, md, lam, mu = (getattr(self.law, name).numpy().astype(float) for name in names)
+        names = "kw", "m", "lam", "mu"
+        kw, m, lam, mu = (getattr(self.law, name).numpy().astype(float) for name in names)
         shear, bulk, pressed = (np.bincount(of.bond_class[self.bonds.pairs], one) for one in sums)
-        shear *= md / m / of.r**2
+        shear *= 1 / of.r**2
         factor, dilatational = 2 * c1 * (c1 + 2) * mu, c1 * (lam - mu)
         by_w, by_d = -factor * shear, pressed - dilatational * bulk
-        for each, k, volume in ((by_w, kw, m), (by_d, kd, md)):  # which divide all of them
-            each -= k @ each / volume * of.count * of.r**2
-        self.by_class = [by_w + by_d] if len(self.coefficients) == 1 else [by_w, by_d]
-        return float(kw @ shear), float(kd @ bulk)
+        for each in (by_w, by_d):  # the volume divides all of them
+            each -= kw @ each / m * of.count * of.r**2
+        self.by_class = by_w + by_d
+        return float(kw @ shear), float(kw @ bulk)
 
     def _job(self, block: int, inputs: tuple[Any, ...]) -> Callable[[], None]:
         """One block of scattered points, whose bonds take memory while it runs."""
         first, last = self.blocks.bonds[block]
 
         def run() -> None:
-            bars = [self.bonds.zeros(last - first) for _ in self.coefficients]
-            outputs = (bars[0], bars[-1], self.parts)
-            launch(self.kernel, 1, (block, *inputs), outputs)
-            for n, bar in enumerate(bars):
-                self._backward(n, block, first, last, bar)
+            bar = self.bonds.zeros(last - first)
+            launch(self.kernel, 1, (block, *inputs), (bar, self.parts))
+            self._backward(block, first, last, bar)
 
         return run
 
-    def _backward(self, n: int, block: int, first: int, last: int, bar: wp.array[Any]) -> None:
-        kernel, of = self.backwards[n]
-        launch(kernel, 1, (block, first, last, of, bar), (self.sums[n],))
+    def _backward(self, block: int, first: int, last: int, bar: wp.array[Any]) -> None:
+        launch(self.to_D, 1, (block, first, last, self.powers, bar), (self.sums,))
 
-    def gradients(self) -> tuple[list[np.ndarray], float]:
-        """∂/∂D of each influence function and ∂/∂α, after all blocks."""
-        bonds, by_D, by_alpha = self.bonds, [], 0.0
-        for n, sums in enumerate(self.sums):
-            if bonds.lattice:
-                by_class = self.by_class[n]
-                self._backward(n, 0, 0, len(by_class), bonds.floats(by_class))
-            total = sums.numpy().sum(axis=0, dtype=float)
-            by_D.append(total[:-1])
-            by_alpha += float(total[-1])
-        return by_D, by_alpha
+    def gradients(self) -> tuple[np.ndarray, float]:
+        """∂/∂D and ∂/∂α, after all blocks."""
+        if self.bonds.lattice:
+            self._backward(0, 0, len(self.by_class), self.bonds.floats(self.by_class))
+        total = self.sums.numpy().sum(axis=0, dtype=float)
+        return total[:-1], float(total[-1])
 
 
 class _Force(torch.autograd.Function):
@@ -276,7 +240,7 @@ class _Force(torch.autograd.Function):
             parameters=any(wanted[1:]),
         )
         by_u = None if by.u is None else wp.to_torch(by.u, requires_grad=False)
-        parts = (by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
+        parts = (by.lam, by.mu, by.alpha, by.D)
         return (
             None,
             None,
@@ -408,10 +372,7 @@ class NodeOperator(OnPoints):
         g = floats(np.ascontiguousarray(w)[None], bonds.vec)
         by = gradient(bonds, found, (field, *self._evaluated[0]), g)
         by_u: Any = by.u
-        slopes = dict(vars(by))
-        if "D_dilatation" not in self.learnable and by.D_dilatation is not None:
-            slopes["D"] = by.D + by.D_dilatation  # one function is both
-        return by_u.numpy()[0], slopes
+        return by_u.numpy()[0], dict(vars(by))
 
     @property
     def gathers(self) -> bool:
@@ -471,7 +432,7 @@ class NodeOperator(OnPoints):
                 learns = any(array.requires_grad for array in numbers)
                 by = gradient(bonds, found, of, out.grad, parameters=learns)
                 by_u: Any = by.u
-                parts = (by_u.numpy(), by.lam, by.mu, by.alpha, by.D, by.D_dilatation)
+                parts = (by_u.numpy(), by.lam, by.mu, by.alpha, by.D)
             for array, part in zip((u, *numbers), parts):
                 if array.requires_grad:
                     array.grad.numpy()[:] += part
@@ -480,7 +441,7 @@ class NodeOperator(OnPoints):
 
     @property
     def learnable(self) -> dict[str, Any]:
-        """λ, μ, α, D and D_dilatation by name; no D_dilatation where it is D."""
+        """λ, μ, α and D by name."""
         return self.model.learnable
 
     def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:

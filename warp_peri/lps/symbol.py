@@ -1,8 +1,7 @@
 """The symbol of the LPS operator on the infinite lattice (theory, 18–21).
 
-With stiffnesses v_c = μ w_c of the deviatoric part and z_c = μ p_c of the dilatation [TPa/Å²],
-equal when both have one influence function, and κ = (λ−μ)/μ² [1/TPa], it is
-D(k) = Γ(k) + κ φ(k) φ(k)ᵗ, Γ linear in v, φ linear in z, and free of the scale of K.
+With stiffnesses v_c = μ w_c [TPa/Å²] and κ = (λ−μ)/μ² [1/TPa] it is
+D(k) = Γ(k) + κ φ(k) φ(k)ᵗ, Γ and φ linear in v, and free of the scale of K.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ class Symbol:
 
     Attributes:
         gamma: Γ of unit v per class, entries 11, 22, 12, shape [K, 3, C].
-        phi: φ of unit z per class, shape [K, 2, C].
+        phi: φ of unit v per class, shape [K, 2, C].
         laplacian: s(k) = (4/h²) Σ_a sin²(k_a h/2) [1/Å²], shape [K].
     """
 
@@ -30,36 +29,33 @@ class Symbol:
     phi: np.ndarray
     laplacian: np.ndarray
 
-    def entries(self, v: np.ndarray, z: np.ndarray, kappa: float) -> tuple[np.ndarray, ...]:
+    def entries(self, v: np.ndarray, kappa: float) -> tuple[np.ndarray, ...]:
         """D11, D22, D12 [TPa/Å²], each of shape [K]; κ = 0 gives μΓ alone."""
         g11, g22, g12 = (self.gamma @ v).T
-        p1, p2 = (self.phi @ z).T
+        p1, p2 = (self.phi @ v).T
         return g11 + kappa * p1 * p1, g22 + kappa * p2 * p2, g12 + kappa * p1 * p2
 
-    def ratio(self, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
+    def ratio(self, v: np.ndarray, kappa: float) -> np.ndarray:
         """Λmin D(k) / s(k) [TPa], shape [K]."""
-        d11, d22, d12 = self.entries(v, z, kappa)
+        d11, d22, d12 = self.entries(v, kappa)
         smallest = (d11 + d22) / 2 - np.hypot((d11 - d22) / 2, d12)
         ratio: np.ndarray = smallest / self.laplacian
         return ratio
 
-    def softest(self, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
+    def softest(self, v: np.ndarray, kappa: float) -> np.ndarray:
         """Unit vectors e of Λmin D = e·D e, shape [K, 2]."""
-        d11, d22, d12 = self.entries(v, z, kappa)
+        d11, d22, d12 = self.entries(v, kappa)
         angle = np.arctan2(2 * d12, d11 - d22) / 2  # of the larger eigenvalue's vector
         return np.stack([-np.sin(angle), np.cos(angle)], axis=1)
 
-    def ratio_gradient(
-        self, v: np.ndarray, z: np.ndarray, kappa: float
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of Λmin D / s to v and z, each of shape [K, C], and to κ, shape [K]."""
-        e = self.softest(v, z, kappa)
-        e_phi = np.einsum("ka,kac->kc", e, self.phi)  # e·φ of unit z
-        along = e_phi @ z
+    def ratio_gradient(self, v: np.ndarray, kappa: float) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of Λmin D / s to v, shape [K, C], and to κ, shape [K]."""
+        e = self.softest(v, kappa)
+        e_phi = np.einsum("ka,kac->kc", e, self.phi)  # e·φ of unit v
+        along = e_phi @ v
         by_v = np.einsum("kg,kgc->kc", quadratic(e), self.gamma)
-        by_z = 2 * kappa * along[:, None] * e_phi
-        s = self.laplacian
-        return by_v / s[:, None], by_z / s[:, None], along**2 / s
+        by_v += 2 * kappa * along[:, None] * e_phi
+        return by_v / self.laplacian[:, None], along**2 / self.laplacian
 
 
 def quadratic(e: np.ndarray) -> np.ndarray:
@@ -70,7 +66,7 @@ def quadratic(e: np.ndarray) -> np.ndarray:
 def symbol(classes: BondClasses, k: np.ndarray) -> Symbol:
     """Tables at the wave vectors k [1/Å], shape [K, 2], none of them a reciprocal lattice vector.
 
-    Γ(k) = 16 Σ v (1 − cos k·ξ) ξ⊗ξ/r², φ(k) = 2 Σ z sin(k·ξ) ξ, sums over the bonds of a family.
+    Γ(k) = 16 Σ v (1 − cos k·ξ) ξ⊗ξ/r², φ(k) = 2 Σ v sin(k·ξ) ξ, sums over the bonds of a family.
     """
     xi = classes.xi
     r2 = (xi**2).sum(1)
@@ -117,7 +113,7 @@ def long_wave_moduli(
 
 def moduli(model: Model, classes: BondClasses) -> dict[str, float]:
     """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory, 22)."""
-    v, _, kappa = stiffnesses(model, classes)
+    v, kappa = stiffnesses(model, classes)
     return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, v, kappa)))
 
 
@@ -135,19 +131,16 @@ def stencil(classes: BondClasses, solid: Solid) -> torch.Tensor:
     reach = int(np.abs(classes.steps).max())
     d, size = classes.steps.shape[1], 2 * reach + 1
     place = torch.from_numpy((classes.steps + reach) @ size ** np.arange(d)[::-1])
-    normalised = []
-    for coefficients in (solid.D, solid.dilatation):
-        basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(coefficients) - 1))
-        kw = weight * r**-alpha * (basis @ coefficients)
-        normalised.append((kw / (count @ (kw * r**2)))[classes.bond_class])
-    w, p = normalised
+    basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(solid.D) - 1))
+    kw = weight * r**-alpha * (basis @ solid.D)
+    w = (kw / (count @ (kw * r**2)))[classes.bond_class]
     bonds = -2 * d * (d + 2) * mu * w / (xi**2).sum(dim=1) * torch.einsum("na,nb->abn", xi, xi)
     gamma = torch.zeros(d, d, size**d, dtype=r.dtype).index_add(2, place, bonds)
     middle, box = torch.tensor([size**d // 2]), d * (size,)
     gamma = gamma.index_add(2, middle, -bonds.sum(dim=2, keepdim=True)).reshape(d, d, *box)
     if lam == mu and not (lam.requires_grad or mu.requires_grad):
         return gamma
-    phi = torch.zeros(d, size**d, dtype=r.dtype).index_add(1, place, d * p * xi.T)
+    phi = torch.zeros(d, size**d, dtype=r.dtype).index_add(1, place, d * w * xi.T)
     phi = phi.reshape(d, 1, *box)
     convolved = {2: torch.nn.functional.conv2d, 3: torch.nn.functional.conv3d}[d]
     bulk = convolved(phi, phi.flip(*range(2, 2 + d)), padding=2 * reach)

@@ -28,7 +28,6 @@ SMALLEST_MODULUS, LARGEST_ALPHA = 1e-3, 3 - 1e-3
 class Parameters:
     """λ, μ [TPa], α, D of one stage, inside their bounds, and the loss on the way there.
 
-    D_dilatation holds the coefficients of the dilatation's own influence function, if it has one;
     shape is the influence function that D stands for, if its parameters are what is learned.
     """
 
@@ -37,13 +36,7 @@ class Parameters:
     alpha: float
     D: np.ndarray
     losses: list[float] = field(default_factory=list, repr=False)
-    D_dilatation: np.ndarray | None = None
     shape: InfluenceFunction | None = None
-
-    @property
-    def dilatation(self) -> np.ndarray:
-        """Coefficients of the dilatation's influence function, shape [M + 1]."""
-        return self.D if self.D_dilatation is None else self.D_dilatation
 
 
 class Variables:
@@ -60,47 +53,42 @@ class Variables:
     """
 
     def __init__(self, start: Parameters, *, positive: bool, parametrisation: str) -> None:
-        values = [start.lam, start.mu, start.alpha, start.D]
-        if start.D_dilatation is not None:
-            values.append(start.D_dilatation)
+        values = start.lam, start.mu, start.alpha, start.D
         self.leaves = [torch.tensor(value, dtype=torch.float64) for value in values]
         for leaf in self.leaves:
             leaf.requires_grad_()
         self.positive, self.relu = positive, parametrisation == "relu"
 
     def bounded(self) -> list[torch.Tensor]:
-        """λ, μ, α, D and, if it is learned, D of the dilatation, as the loss sees them."""
+        """λ, μ, α and D, as the loss sees them."""
         if not self.relu:
             return self.leaves
-        lam, mu, alpha, *kernels = self.leaves
+        lam, mu, alpha, D = self.leaves
         stiff = torch.relu(mu)
-        if self.positive:
-            kernels = [torch.relu(D) for D in kernels]
-        return [torch.relu(lam + mu) - stiff, stiff, 3 - torch.relu(3 - alpha), *kernels]
+        D = torch.relu(D) if self.positive else D
+        return [torch.relu(lam + mu) - stiff, stiff, 3 - torch.relu(3 - alpha), D]
 
     def project(self) -> None:
         """Move the leaves back inside their bounds; nothing to do under the ReLU."""
         if self.relu:
             return
-        lam, mu, alpha, *kernels = self.leaves
+        lam, mu, alpha, D = self.leaves
         with torch.no_grad():
             mu.clamp_(min=SMALLEST_MODULUS)
             lam.clamp_(min=SMALLEST_MODULUS - mu)
             alpha.clamp_(max=LARGEST_ALPHA)
             if self.positive:
-                for D in kernels:
-                    D.clamp_(min=0.0)
+                D.clamp_(min=0.0)
 
     def loss(self, terms: Sequence[ReducedLoss | FullLoss]) -> torch.Tensor:
         """The loss over all training sets."""
         values = self.bounded()
         return torch.stack([term.loss(*values) for term in terms]).sum()
 
-    def weights(self, lattices: Sequence[BondClasses]) -> list[tuple[torch.Tensor, torch.Tensor]]:
-        """Class weights (w, p) of the deviatoric part and the dilatation on each lattice."""
-        _, _, alpha, *kernels = self.bounded()
-        tables = [[class_weights(classes, alpha, D) for D in kernels] for classes in lattices]
-        return [(table[0], table[-1]) for table in tables]
+    def weights(self, lattices: Sequence[BondClasses]) -> list[torch.Tensor]:
+        """Class weights w on each lattice."""
+        _, _, alpha, D = self.bounded()
+        return [class_weights(classes, alpha, D) for classes in lattices]
 
     def parameters(self, losses: list[float]) -> Parameters:
         """Their values strictly inside the bounds, with the loss on the way."""
@@ -108,8 +96,7 @@ class Variables:
         lam, mu, alpha = (float(value) for value in values[:3])
         mu = max(mu, SMALLEST_MODULUS)
         lam, alpha = max(lam, SMALLEST_MODULUS - mu), min(alpha, LARGEST_ALPHA)
-        own = values[4] if len(values) > 4 else None
-        return Parameters(lam, mu, alpha, values[3], losses, own)
+        return Parameters(lam, mu, alpha, values[3], losses)
 
 
 RANK_TOLERANCE = 1e-11
@@ -124,8 +111,8 @@ class Point:
     Attributes:
         kappa, alpha: κ = (λ−μ)/μ² [1/TPa] and α.
         mu: μ [TPa]; dmu its derivative, shape [Y].
-        v, z: stiffnesses of the deviatoric part and of the dilatation on each lattice [TPa/Å²].
-        dv, dz: their derivatives, each of shape [C, Y].
+        v: stiffnesses on each lattice [TPa/Å²].
+        dv: their derivatives, each of shape [C, Y].
         limits: what must not be negative for y to be within its bounds; dlimits its derivative.
     """
 
@@ -134,33 +121,22 @@ class Point:
     mu: float
     dmu: np.ndarray
     v: list[np.ndarray]
-    z: list[np.ndarray]
     dv: list[np.ndarray]
-    dz: list[np.ndarray]
     limits: np.ndarray
     dlimits: np.ndarray
 
 
 class Coordinates:
-    """y = (κ, q of the deviatoric kernel[, q of the dilatation's kernel][, α]).
+    """y = (κ, q[, α]).
 
     Args:
         lattices: bond classes of each lattice; the first sets the scale of the kernels.
         alpha: exponent to start from, or to keep.
         degree: M.
-        two_functions: whether the dilatation has coefficients of its own.
     """
 
-    def __init__(
-        self,
-        lattices: Sequence[BondClasses],
-        alpha: float,
-        degree: int,
-        *,
-        two_functions: bool = False,
-    ) -> None:
+    def __init__(self, lattices: Sequence[BondClasses], alpha: float, degree: int) -> None:
         self.lattices, self.alpha = lattices, alpha
-        self.two_functions = two_functions
         tables = np.concatenate([_tables(classes, alpha, degree) for classes in lattices])
         scale = np.abs(tables).max()
         left, size, right = np.linalg.svd(tables / scale)
@@ -168,7 +144,7 @@ class Coordinates:
         lengths = np.concatenate([classes.r for classes in lattices])
         reached = np.abs(tables).max(axis=1) > RANK_TOLERANCE * scale
         self.free_alpha = rank < len(np.unique(lengths[reached].round(9)))
-        self.rank = rank
+        self.rank, self._q = rank, slice(1, 1 + rank)
         ends = np.cumsum([len(classes.r) for classes in lattices])
         self._basis = np.split(left[:, :rank], ends[:-1])  # tables of unit q
         self._q_of_D = size[:rank, None] * right[:rank] * scale
@@ -183,53 +159,38 @@ class Coordinates:
 
     def start(self, parameters: Parameters) -> np.ndarray:
         """y of given parameters."""
-        kernels = [parameters.D]
-        if self.two_functions:
-            kernels.append(parameters.dilatation)
-        parts = [np.array([(parameters.lam - parameters.mu) / parameters.mu**2])]
-        for D in kernels:
-            q = self._q_of_D @ D
-            parts.append(q * parameters.mu / (self._sigma[0] @ (self._basis[0] @ q)))
-        if self.free_alpha:
-            parts.append(np.array([self.alpha]))
-        return np.concatenate(parts)
+        q = self._q_of_D @ parameters.D
+        q = q * parameters.mu / (self._sigma[0] @ (self._basis[0] @ q))
+        kappa = (parameters.lam - parameters.mu) / parameters.mu**2
+        return np.concatenate([[kappa], q, [self.alpha] * self.free_alpha])
 
     def point(self, y: np.ndarray) -> Point:
-        """v, z, κ and μ at y, with their derivatives."""
+        """v, κ and μ at y, with their derivatives."""
         # Constraints bound α; on its way SLSQP may look where r^(−α) overflows.
         alpha = float(np.clip(y[-1], *ALPHA_IN_SIGHT)) if self.free_alpha else self.alpha
-        deviatoric = slice(1, 1 + self.rank)
-        dilatation = slice(1 + self.rank, 1 + 2 * self.rank) if self.two_functions else deviatoric
-        v, dv = self._kernels(y, alpha, deviatoric)
+        v, dv = self._kernels(y, alpha)
         mu, dmu = float(self._sigma[0] @ v[0]), self._sigma[0] @ dv[0]
-        z, dz = (v, dv) if dilatation == deviatoric else self._kernels(y, alpha, dilatation)
-        # Σ n r² v = μ on every lattice, and for z.
-        for tables, slopes, kept in ((v, dv, 1), (z, dz, 0)):
-            for number in range(kept, len(tables)):
-                tables[number], slopes[number] = scaled(
-                    tables[number], slopes[number], self._sigma[number], mu, dmu
-                )
+        for number in range(1, len(v)):  # Σ n r² v = μ on every lattice
+            v[number], dv[number] = scaled(v[number], dv[number], self._sigma[number], mu, dmu)
         limits, dlimits = np.zeros(0), np.zeros((0, len(y)))
         if self.free_alpha:
             limits = np.array([LARGEST_ALPHA - alpha, alpha - SMALLEST_ALPHA])
             dlimits = np.zeros((2, len(y)))
             dlimits[:, -1] = (-1, 1)
-        return Point(float(y[0]), alpha, mu, dmu, v, z, dv, dz, limits, dlimits)
+        return Point(float(y[0]), alpha, mu, dmu, v, dv, limits, dlimits)
 
     def directions(self, y: np.ndarray) -> np.ndarray:
         """Directions that change a stiffness, shape [Y, Y]: here all."""
         return np.eye(len(y))
 
-    def _kernels(
-        self, y: np.ndarray, alpha: float, part: slice
-    ) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    def _kernels(self, y: np.ndarray, alpha: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Tables K W of each lattice and their derivatives to y, before any scaling."""
         values, slopes = [], []
         for basis, log_r in zip(self._basis, self._log_r):
             tilted = np.exp((self.alpha - alpha) * log_r)[:, None] * basis
-            values.append(tilted @ y[part])
+            values.append(tilted @ y[self._q])
             slope = np.zeros((len(basis), len(y)))
-            slope[:, part] = tilted
+            slope[:, self._q] = tilted
             if self.free_alpha:
                 slope[:, -1] = -log_r * values[-1]
             slopes.append(slope)
@@ -241,35 +202,26 @@ class Coordinates:
         terms = self._sigma[0] * classes.weight * np.exp(-alpha * log_r)
         return float(terms.sum()), float(-log_r @ terms)
 
-    def _coefficients(self, point: Point, q: np.ndarray) -> np.ndarray:
-        """The smoothest D of a kernel, scaled to the weighted volume of K = r^(−α), D = 1."""
-        tilt = np.exp((self.alpha - point.alpha) * self._log_r[0])
-        volume = self._sigma[0] @ (tilt * (self._basis[0] @ q))
-        D: np.ndarray = self._D_of_q @ q * (self._plain_volume(point.alpha)[0] / volume)
-        return D
-
     def roughness(self, y: np.ndarray, point: Point) -> tuple[np.ndarray, np.ndarray]:
-        """Second differences of the deviatoric D, and their derivative to y."""
-        q = slice(1, 1 + self.rank)
+        """Second differences of D, and their derivative to y."""
         volume, dvolume = self._plain_volume(point.alpha)
         plain = self._second @ self._D_of_q  # second differences of unit q
-        values = plain @ y[q] * (volume / point.mu)
+        values = plain @ y[self._q] * (volume / point.mu)
         slopes = np.zeros((len(values), len(y)))
-        slopes[:, q] = plain * (volume / point.mu)
+        slopes[:, self._q] = plain * (volume / point.mu)
         slopes -= np.outer(values, point.dmu / point.mu)
         if self.free_alpha:
             slopes[:, -1] += values * (dvolume / volume)
         return values, slopes
 
     def parameters(self, y: np.ndarray, losses: list[float]) -> Parameters:
-        """λ, μ, α and the smoothest coefficients at y."""
-        point = self.point(y)
+        """λ, μ, α and the smoothest coefficients at y, of the weighted volume of K = r^(−α)."""
+        point, q = self.point(y), y[self._q]
         mu, kappa = point.mu, point.kappa
-        D = self._coefficients(point, y[1 : 1 + self.rank])
-        own = None
-        if self.two_functions:
-            own = self._coefficients(point, y[1 + self.rank : 1 + 2 * self.rank])
-        return Parameters(mu + kappa * mu**2, mu, point.alpha, D, losses, own)
+        tilt = np.exp((self.alpha - point.alpha) * self._log_r[0])
+        volume = self._sigma[0] @ (tilt * (self._basis[0] @ q))
+        D = self._D_of_q @ q * (self._plain_volume(point.alpha)[0] / volume)
+        return Parameters(mu + kappa * mu**2, mu, point.alpha, D, losses)
 
 
 def _tables(classes: BondClasses, alpha: float, degree: int) -> np.ndarray:
@@ -331,7 +283,7 @@ class ShapeCoordinates:
         return np.concatenate([[kappa, size], shape.vector])
 
     def point(self, y: np.ndarray) -> Point:
-        """v, z, κ and μ at y, with their derivatives."""
+        """v, κ and μ at y, with their derivatives."""
         shape = self.shape.at(np.clip(y[2:], *self._ends))
         v, dv = [], []
         for classes in self.lattices:
@@ -345,7 +297,7 @@ class ShapeCoordinates:
         for number in range(1, len(v)):
             v[number], dv[number] = scaled(v[number], dv[number], self._sigma[number], mu, dmu)
         limits, dlimits = self._limits(y)
-        return Point(float(y[0]), 0.0, mu, dmu, v, v, dv, dv, limits, dlimits)
+        return Point(float(y[0]), 0.0, mu, dmu, v, dv, limits, dlimits)
 
     def directions(self, y: np.ndarray) -> np.ndarray:
         """Directions that change a stiffness, shape [Y, F]; the scale of a table's K does not."""

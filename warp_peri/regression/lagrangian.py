@@ -99,7 +99,6 @@ def augmented_lagrangian(
     *,
     steps: int,
     rounds: int,
-    two_functions: bool = False,
     tick: Callable[[float], None] = lambda loss: None,
 ) -> Reached:
     """Minimise the reduced loss under the conditions over the whole zone, from one start.
@@ -111,12 +110,9 @@ def augmented_lagrangian(
         method: moduli to hold, and the smoothness.
         steps: of Adam in a round.
         rounds: at most, each with its own multipliers, coordinates and waves to keep.
-        two_functions: give the dilatation coefficients of its own.
         tick: called with the loss after every step.
     """
-    coordinates = coordinates_of(
-        [grid.classes for grid in grids], start, two_functions=two_functions
-    )
+    coordinates = coordinates_of([grid.classes for grid in grids], start)
     problem = ConstrainedProblem(grids, conditions, coordinates, method.held, method.smoothness)
     zeta, y = problem.asked[0].zeta, _equal(problem, coordinates.start(start))
     damping, penalty, slack, before = DAMPING, PENALTY, SLACK, np.inf

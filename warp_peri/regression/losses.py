@@ -99,17 +99,11 @@ class ReducedLoss:
     pairs: np.ndarray
 
     def loss(
-        self,
-        lam: torch.Tensor,
-        mu: torch.Tensor,
-        alpha: torch.Tensor,
-        D: torch.Tensor,
-        D_dilatation: torch.Tensor | None = None,
+        self, lam: torch.Tensor, mu: torch.Tensor, alpha: torch.Tensor, D: torch.Tensor
     ) -> torch.Tensor:
         """Σ_s weight_s ‖L u − b‖² = ‖R c‖², c of (17); differentiable."""
         w = class_weights(self.classes, alpha, D)
-        p = w if D_dilatation is None else class_weights(self.classes, alpha, D_dilatation)
-        products = torch.cat([mu * w, (lam - mu) * p[self.pairs[0]] * p[self.pairs[1]], _ONE])
+        products = torch.cat([mu * w, (lam - mu) * w[self.pairs[0]] * w[self.pairs[1]], _ONE])
         residual = torch.from_numpy(self.R) @ products
         return residual @ residual
 
@@ -225,7 +219,7 @@ def with_rows(R: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def symbol_rows(table: Symbol) -> np.ndarray:
-    """D11, D22, D12 at the wave vectors of a table by the products (v, κ z z), shape [K, 3, F]."""
+    """D11, D22, D12 at the wave vectors of a table by the products (v, κ v v), shape [K, 3, F]."""
     i, j = class_pairs(table.phi.shape[2])
     twice = np.where(i == j, 1.0, 2.0)
     p1, p2 = table.phi[:, 0], table.phi[:, 1]

@@ -89,20 +89,18 @@ class LatticeConditions:
         }
         return [forms[name] for name in self.names]
 
-    def margins(self, table: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
+    def margins(self, table: Symbol, v: np.ndarray, kappa: float) -> np.ndarray:
         """Λmin / s minus the level [TPa] of each condition, shape [J, K]; ≥ 0 where it holds."""
-        return np.array(
-            [table.ratio(v, z, form) - level for form, _, level in self.forms(v, kappa)]
-        )
+        return np.array([table.ratio(v, form) - level for form, _, level in self.forms(v, kappa)])
 
-    def gradients(self, table: Symbol, v: np.ndarray, z: np.ndarray, kappa: float) -> np.ndarray:
-        """Derivatives of the margins to (κ, v, z), shape [J, K, 1 + 2 C]."""
+    def gradients(self, table: Symbol, v: np.ndarray, kappa: float) -> np.ndarray:
+        """Derivatives of the margins to (κ, v), shape [J, K, 1 + C]."""
         out = []
         for form, chain, _ in self.forms(v, kappa):
-            by_v, by_z, by_form = table.ratio_gradient(v, z, form)
+            by_v, by_form = table.ratio_gradient(v, form)
             gradient = by_form[:, None] * chain
             gradient[:, 1:] += by_v
-            out.append(np.concatenate([gradient, by_z], axis=1))
+            out.append(gradient)
         return np.array(out)
 
 
@@ -116,18 +114,18 @@ class ZoneSearch:
         self.step = np.pi / conditions.classes.spacing / intervals
 
     def worst(
-        self, v: np.ndarray, z: np.ndarray, kappa: float, candidates: int = 8
+        self, v: np.ndarray, kappa: float, candidates: int = 8
     ) -> tuple[np.ndarray, np.ndarray]:
         """Smallest margin of each condition, shape [J], and wave vectors near the minima.
 
         The wave vectors [1/Å], shape [J · candidates, 2], are the ones to add to a fit.
         """
-        margins = self.conditions.margins(self.table, v, z, kappa)
+        margins = self.conditions.margins(self.table, v, kappa)
         smallest, minima = [], []
         for number, values in enumerate(margins):
             best = values.min()
             for start in self._apart(values, candidates):
-                k, value = self._zoom(start, number, v, z, kappa)
+                k, value = self._zoom(start, number, v, kappa)
                 minima.append(k)
                 best = min(best, value)
             smallest.append(best)
@@ -144,7 +142,7 @@ class ZoneSearch:
         return found
 
     def _zoom(
-        self, k: np.ndarray, number: int, v: np.ndarray, z: np.ndarray, kappa: float
+        self, k: np.ndarray, number: int, v: np.ndarray, kappa: float
     ) -> tuple[np.ndarray, float]:
         """Follow one minimum down through three grids, each ten times finer."""
         patch = np.stack(np.meshgrid(*2 * [np.linspace(-1, 1, 11)]), axis=-1).reshape(-1, 2)
@@ -153,7 +151,7 @@ class ZoneSearch:
         for _ in range(3):
             near = np.append(k[None], np.clip(k + reach * patch, 1e-6 * edge, edge), axis=0)
             table = symbol(self.conditions.classes, near)
-            values = self.conditions.margins(table, v, z, kappa)[number]
+            values = self.conditions.margins(table, v, kappa)[number]
             k, value = near[np.argmin(values)], float(values.min())
             reach /= 5
         return k, value
@@ -193,8 +191,6 @@ def constrained_optimum(
     start: Parameters,
     conditions: Sequence[LatticeConditions],
     method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
-    *,
-    two_functions: bool = False,
 ) -> Reached:
     """Minimise the reduced loss under the conditions over the whole zone, from one start.
 
@@ -203,11 +199,8 @@ def constrained_optimum(
         start: where to begin.
         conditions: what must hold on each of the lattices.
         method: moduli to hold, and how many rounds of cutting planes there may be.
-        two_functions: give the dilatation coefficients of its own.
     """
-    coordinates = coordinates_of(
-        [grid.classes for grid in grids], start, two_functions=two_functions
-    )
+    coordinates = coordinates_of([grid.classes for grid in grids], start)
     problem = ConstrainedProblem(grids, conditions, coordinates, method.held, method.smoothness)
     zeta = problem.asked[0].zeta if conditions else 0.0
     if start.mu < zeta:  # from where the moduli keep what is asked
@@ -224,13 +217,12 @@ def constrained_optimum(
 
 
 def coordinates_of(
-    lattices: Sequence[BondClasses], start: Parameters, *, two_functions: bool
+    lattices: Sequence[BondClasses], start: Parameters
 ) -> Coordinates | ShapeCoordinates:
     """Coordinates of the kernels that a fit from `start` can reach."""
     if start.shape is not None:
         return ShapeCoordinates(lattices, start.shape)
-    degree = len(start.D) - 1
-    return Coordinates(lattices, start.alpha, degree, two_functions=two_functions)
+    return Coordinates(lattices, start.alpha, len(start.D) - 1)
 
 
 class ConstrainedProblem:
@@ -279,7 +271,7 @@ class ConstrainedProblem:
         )  # fmt: skip
 
     def residual(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """R (v, κ z⊗z, 1) of all grids, then the roughness, and the derivative to y."""
+        """R (v, κ v⊗v, 1) of all grids, then the roughness, and the derivative to y."""
         point = self.coordinates.point(y)
         return self.values(y, point), self.slopes(y, point)
 
@@ -296,7 +288,7 @@ class ConstrainedProblem:
         return np.concatenate(parts)
 
     def products(self, point: Point) -> list[np.ndarray]:
-        """(v, κ z⊗z, 1) of each grid, shape [F + 1]."""
+        """(v, κ v⊗v, 1) of each grid, shape [F + 1]."""
         return [
             np.append(self._products(point, number, point.kappa), 1.0)
             for number in range(len(self.grids))
@@ -311,15 +303,15 @@ class ConstrainedProblem:
         return [np.vstack([slope, np.zeros(len(by_kappa))]) for slope in slopes]
 
     def _products(self, point: Point, number: int, kappa: float) -> np.ndarray:
-        """(v, κ z⊗z) of a lattice, with the κ of a form, shape [F]."""
-        (i, j), z = self.grids[number].pairs, point.z[number]
-        return np.concatenate([point.v[number], kappa * z[i] * z[j]])
+        """(v, κ v⊗v) of a lattice, with the κ of a form, shape [F]."""
+        (i, j), v = self.grids[number].pairs, point.v[number]
+        return np.concatenate([v, kappa * v[i] * v[j]])
 
     def _slopes(self, point: Point, number: int, kappa: float, by_kappa: np.ndarray) -> np.ndarray:
         """Their derivatives to y, [F, Y], with that of κ."""
-        (i, j), z, dz = self.grids[number].pairs, point.z[number], point.dz[number]
-        bent = kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
-        return np.concatenate([point.dv[number], bent + np.outer(z[i] * z[j], by_kappa)])
+        (i, j), v, dv = self.grids[number].pairs, point.v[number], point.dv[number]
+        bent = kappa * (v[i][:, None] * dv[j] + v[j][:, None] * dv[i])
+        return np.concatenate([dv, bent + np.outer(v[i] * v[j], by_kappa)])
 
     def look(self, point: Point) -> float:
         """The smallest margin over the zones [stress]; waves below zero become cuts.
@@ -329,14 +321,14 @@ class ConstrainedProblem:
         smallest = np.inf
         for number, search in enumerate(self.searches):
             conditions = search.conditions
-            v, z = point.v[number], point.z[number]
-            least, where = search.worst(v, z, point.kappa)
+            v = point.v[number]
+            least, where = search.worst(v, point.kappa)
             smallest = min(smallest, float(least.min()))
             waves = where.reshape(len(least), -1, 2)
             for form, (kappa, _, level) in enumerate(conditions.forms(v, point.kappa)):
                 table = symbol(conditions.classes, waves[form])
-                some = table.ratio(v, z, kappa) < level
-                parts = quadratic(table.softest(v, z, kappa))
+                some = table.ratio(v, kappa) < level
+                parts = quadratic(table.softest(v, kappa))
                 rows = np.einsum("kp,kpf->kf", parts, symbol_rows(table)) / table.laplacian[:, None]
                 self.cuts[number][form] = np.concatenate([self.cuts[number][form], rows[some]])
         return smallest
@@ -349,7 +341,7 @@ class ConstrainedProblem:
         return Reached(parameters, loss, margin, departure, sum(self.blocks[1:]), kept)
 
     def loss(self, state: Linearised) -> float:
-        """‖R (v, κ z⊗z, 1)‖² of all grids, without the roughness."""
+        """‖R (v, κ v⊗v, 1)‖² of all grids, without the roughness."""
         rows = sum(len(grid.R) for grid in self.grids)
         return float(state.residual[:rows] @ state.residual[:rows])
 

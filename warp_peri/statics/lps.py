@@ -160,23 +160,9 @@ class PlacedLPS(LPSOperator):
                 f"quadrature_degree: expected that of the operator, {self.quadrature_degree}, for "
                 f"a gradient, got {solver.quadrature_degree}"
             )
-        if isinstance(parameters, Solid):
-            parameters = self._own(parameters)
-        solution: Solution = super().rest_in_torch(b, u, solver, parameters)
+        named = vars(parameters) if isinstance(parameters, Solid) else parameters
+        solution: Solution = super().rest_in_torch(b, u, solver, named)
         return solution
-
-    def _own(self, solid: Solid) -> dict[str, Any]:
-        """Numbers of a solid by name, without those that are others of its own here."""
-        named = {name: value for name, value in vars(solid).items() if value is not None}
-        if "D_dilatation" in self.learnable or (given := named.pop("D_dilatation", None)) is None:
-            return named
-        pair = [np.ravel(v.detach() if is_tensor(v) else v) for v in (given, named["D"])]
-        lost = given is not named["D"] and getattr(given, "requires_grad", False)
-        if lost or not np.array_equal(pair[0], pair[1]):
-            raise InputError(
-                "parameters: expected D itself for D_dilatation, which it is in this solid"
-            )
-        return named
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period under a load whose mean is removed; u has zero mean.
@@ -336,8 +322,7 @@ def solid_stencil(nodes: Points, solid: Solid, horizon: float, degree: int = DEG
     """The stencil of numbers, arrays or tensors that make a linear peridynamic solid."""
     numbers = solid.map(lambda value: np.asarray(value, dtype=float).ravel())
     lam, mu, alpha = (float(value[0]) for value in (numbers.lam, numbers.mu, numbers.alpha))
-    own, d = numbers.dilatation, nodes.dimension
-    model = Model(lam, mu, alpha, numbers.D, horizon, D_dilatation=own, dimension=d)
+    model = Model(lam, mu, alpha, numbers.D, horizon, dimension=nodes.dimension)
     return lps_stencil(model, nodes.spacing, degree=degree)
 
 

@@ -294,14 +294,10 @@ def _fitted(
     target = dispersion(home.model, home.spacing, k) * length**2 / unit
     loss = wave_loss(target, k * length, classes, weight)
     terms = len(classes.r) + 1
-    two = not np.array_equal(home.model.D, home.model.dilatation)
     start = Parameters(home.model.lam / unit, 1.0, 1.0, np.ones(terms))
     asked_of = [LatticeConditions(classes, Conditions(zeta=home.zeta / unit))]
     method = Optimum(smoothness=SMOOTHNESS)
     best = constrained_optimum([loss], start, asked_of, method)
-    if two:  # from the best single function: from plain ones the search can stop far above it
-        start = dataclasses.replace(best.parameters, D_dilatation=best.parameters.D)
-        best = constrained_optimum([loss], start, asked_of, method, two_functions=True)
     if not best.converged:
         return None
     parameters = best.parameters
@@ -311,7 +307,6 @@ def _fitted(
         parameters.alpha,
         parameters.D,
         horizon,
-        D_dilatation=parameters.D_dilatation,
         units=home.model.units,
     )
     waves = rings(asked * (np.arange(RADII) + 1) / RADII)
