@@ -1,9 +1,8 @@
-"""A material, not a lattice: one model of graphene on other grids and on any points.
+"""A material, not a lattice: one model of graphene on other grids.
 
 The model of the main job, learned on nodes 5 Å apart, is used where it never saw data: on lattices
-from 2.5 to 10 Å, turned ones, with fewer bonds at home, on scattered nodes; a model is learned from
-scattered fields; one influence function is fitted for many lattices. Displacement errors are
-against molecular statics, smoothed at those nodes.
+from 2.5 to 10 Å, turned ones, with fewer bonds at home. Displacement errors are against molecular
+statics, smoothed at those nodes.
 """
 
 import functools
@@ -22,7 +21,6 @@ import matplotlib
 
 matplotlib.use("Agg")
 import numpy as np
-from scipy.spatial import cKDTree
 
 import warp_peri as wp
 from examples import prose
@@ -33,18 +31,15 @@ from tools.options import Options
 from warp_peri import Bernstein, Model, Points, Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json, write_text
-from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer import cache as kept
-from warp_peri.transfer.lattice import dispersion, new_lattice, rings, wave_errors
-from warp_peri.transfers import on_lattice, one_kernel
+from warp_peri.transfer.lattice import new_lattice
+from warp_peri.transfers import on_lattice
 
 LATTICES = ((5.0, 15.0), (4.0, None), (2.5, None), (7.5, 22.5), (10.0, 25.0))
 """Spacing and horizon [Å]; None for the fewest bonds that meet the tolerance."""
 TURNS = (15.0, 30.0, 45.0)
 """Of a lattice of 4 Å [degrees]."""
 REDUCED = ((5.0, 15.0), (5.0, 20.0), (2.5, 7.5))
-SYMBOL_TO = 0.25
-"""|k| [1/Å] that one kernel for many lattices is compared to."""
 SETS = {"disks": "test", "smooth": "val", "short": "train"}
 
 
@@ -89,25 +84,6 @@ def lattice(spacing: float, degrees: float = 0.0) -> Points:
     return Points(x[kept], size[kept] <= INTERIOR * (1 + 1e-9), spacing)
 
 
-def clouds(seed: int = 1) -> dict[str, Points]:
-    """Nodes shifted by parts of 5 Å, and blue noise as dense."""
-    nodes = lattice(5.0).x
-    random = np.random.default_rng(seed)
-    places = {
-        f"shifted by {part}": nodes + 5 * part * random.uniform(-1, 1, nodes.shape)
-        for part in (0.2, 0.45)
-    }
-    x = random.uniform(-REACH, REACH, nodes.shape)
-    for _ in range(60):  # nodes that are too close push each other away
-        r, near = cKDTree(x).query(x, 7)
-        away = (x[:, None] - x[near[:, 1:]]) / r[:, 1:, None]
-        x = x + 0.15 * (away * np.maximum(5.25 - r[:, 1:], 0)[..., None]).sum(axis=1)
-        x = np.clip(x, -REACH, REACH)
-    places["blue noise"] = x
-    size = {name: np.asarray(np.abs(x).max(axis=1)) for name, x in places.items()}
-    return {name: Points(x, size[name] <= INTERIOR, 0.0) for name, x in places.items()}
-
-
 def errors(model: Model, atoms: SmoothedAtoms, points: Points) -> dict[str, float]:
     """E_u in % of the sets."""
     return {
@@ -138,46 +114,6 @@ def transferred(
     }
 
 
-def scattered(
-    model: Model, atoms: SmoothedAtoms, data: wp.Dataset, points: Points
-) -> dict[str, Any]:
-    """Solves on scattered nodes, b on the lattice or at the nodes; learning from their fields."""
-    operator = ThroughLattice(model, points)
-    row: dict[str, Any] = {}
-    for key in ("smooth", "short"):
-        u, b = atoms.at(points.x, SETS[key])
-        for where, load in (("lattice", atoms.at(operator.x, SETS[key])[1]), ("nodes", b)):
-            wrong = (operator.solve(load, u) - u)[:, points.interior]
-            size = np.linalg.norm(u[:, points.interior], axis=(1, 2))
-            row[f"{key}_b_on_{where}"] = 100 * float(
-                (np.linalg.norm(wrong, axis=(1, 2)) / size).mean()
-            )
-    figures = operator.figures()
-    row |= {"asymmetry": figures.asymmetry, "smallest_eigenvalue": figures.smallest_eigenvalue}
-    row |= {"condition": figures.condition, "sigma_min": figures.smallest_singular_value}
-    carried = wp.transfers.onto_lattice(Samples(points, *atoms.at(points.x, "train")), spacing=5.0)
-    learned = wp.fit(carried, wp.LPS(20.0, Bernstein(10))).material
-    row["learned_disks"] = 100 * wp.evaluate(learned, data["test"])["E_u"]
-    return row
-
-
-def many(model: Model, atoms: SmoothedAtoms) -> dict[str, Any]:
-    """One influence function for lattices of h/δ from 0.11 to 0.3."""
-    kernel = one_kernel(model, horizon=20.0)
-    record = kernel.provenance["many_lattices"]
-    waves = rings(SYMBOL_TO * (np.arange(12) + 1) / 12)
-    target = dispersion(model, record["from_spacing"], waves)
-    symbol = [
-        100 * float(wave_errors(dispersion(kernel, 20.0 * ratio, waves), target).mean())
-        for ratio in record["h_over_horizon"]
-    ]
-    rows = {f"{h:g}": float("nan") for h in (5.0, 4.0, 2.5)}
-    for h in rows:
-        points = atoms.on(lattice(float(h)), "test")
-        rows[h] = 100 * wp.evaluate(kernel, points, allow_uncertified=True)["E_u"]
-    return {**record, "symbol": symbol, "disks": rows}
-
-
 def measure(
     model: Model, data: wp.Dataset, cache: Path, part: Callable[..., Any]
 ) -> dict[str, Any]:
@@ -202,12 +138,6 @@ def measure(
             part(f"reduced_{h:g}_{d:g}", lambda h=h, d=d: transferred(rich(), atoms, h, d))
             for h, d in REDUCED
         ],
-        "scattered": [
-            {"nodes": name} | part(f"on {name}", scattered, model, atoms, data, points)
-            for name, points in clouds().items()
-        ],
-        "one_kernel": part("one_kernel", many, model, atoms),
-        "one_kernel_rich": part("one_kernel_rich", lambda: many(rich(), atoms)),
     }
 
 
@@ -233,16 +163,9 @@ def report(tables: dict[str, Any]) -> str:
     lines = ["# One model, learned at 5 Å, elsewhere", "", "Displacement errors in %.", ""]
     for name in ("home", "rich_teacher"):
         lines += [f"**{name}**", "", table([tables[name]]), ""]
-    for name in ("lattices", "turned_4", "reduced", "scattered"):
+    for name in ("lattices", "turned_4", "reduced"):
         lines += [f"**{name}**", "", table(tables[name]), ""]
     lines += [f"- {row['agreement']}" for row in tables["lattices"]]
-    for name, home in (("one_kernel", "home"), ("one_kernel_rich", "rich_teacher")):
-        kernel = tables[name]
-        rows = zip(kernel["h_over_horizon"], kernel["symbol"])
-        lines += ["", f"**one kernel for many lattices, of {home}**", ""]
-        lines.append(table([{"h/δ": ratio, f"|k| ≤ {SYMBOL_TO}": error} for ratio, error in rows]))
-        disks = ", ".join(f"{e:.2f} at {h} Å" for h, e in kernel["disks"].items())
-        lines += ["", f"Mean {np.mean(kernel['symbol']):.2f}. Disks: {disks}."]
     return "\n".join([*lines, ""])
 
 

@@ -67,7 +67,7 @@ def unconstrained(grid: ReducedLoss, degree: int) -> tuple[Parameters, float, fl
     cost, y, coordinates = best
     point = coordinates.point(y)
     search = ZoneSearch(LatticeConditions(grid.classes, Conditions("direct", 1.0)))
-    smallest = float(search.worst(point.v[0], point.z[0], point.kappa)[0][0]) + 1.0
+    smallest = float(search.worst(point.v[0], point.kappa)[0][0]) + 1.0
     return coordinates.parameters(y, []), float(np.sqrt(2 * cost)), smallest
 
 
@@ -225,7 +225,7 @@ def plain_symbol(alpha: float, ratio: float) -> tuple[float, float, float]:
     x1, x2 = classes.xi.T
     shear = 8 * v[classes.bond_class] @ (x1**2 * x2**2 / (x1**2 + x2**2))
     search = ZoneSearch(LatticeConditions(classes, Conditions("direct", 1.0)))
-    smallest = search.worst(v, v, kappa)[0][0] + 1.0
+    smallest = search.worst(v, kappa)[0][0] + 1.0
     return shear / MU, smallest / MU, classes.count[0] * v[0] / MU
 
 

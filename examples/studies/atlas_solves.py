@@ -228,7 +228,7 @@ def scattered_points() -> Entry:
         "rows": rows_of([name, *cells(row)] for name, row in rows.items()),
     }  # fmt: skip
     seen = (
-        lambda: solid().on(base, transfer=False),
+        lambda: solid().on(base),
         lambda: families_of(replace(base, x=twice), REACH),
         lambda: families_of(perturbed(6, 2.0, 0.5, 0), 2.0),
     )
@@ -310,8 +310,7 @@ def free_edge(number: int, lam: float, *, corrected: bool) -> float:
         bonds.cut = ints(np.zeros(0))  # dilatation as at whole nodes, (6), its bonds broken
     scalar = torch.ones(1, dtype=torch.float64)
     alpha, D = (bonds.floats(scalar.numpy()) for _ in range(2))
-    tables = 2 * influence(bonds, alpha, D)
-    L = assemble(bonds, tables).operator(lam, MU)
+    L = assemble(bonds, *influence(bonds, alpha, D)).operator(lam, MU)
     unknown = np.repeat(body.interior, 2)
     given = np.where(outside[:, None], 0.0, exact).ravel()
     u = spsolve(sp.csc_array(L[:, unknown]), -L[:, ~unknown] @ given[~unknown])

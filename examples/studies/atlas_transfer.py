@@ -1,6 +1,5 @@
 """Stability atlas: what a transfer, a family, and a supercell cannot give."""
 
-import warnings
 from typing import Any
 
 import ase.build
@@ -14,7 +13,6 @@ from warp_peri import Model, Points
 from warp_peri.core.elastic import voigt
 from warp_peri.points.samples import part
 from warp_peri.prediction import Family
-from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.transfer.lattice import dispersion, home_of, new_lattice, rings, wave_errors
 
 SPACINGS = (2.5, 4.0, 7.5, 10.0)
@@ -60,7 +58,6 @@ def transfers(model: Model) -> Entry:
     seen = (
         lambda: new_lattice(model, spacing=SPACINGS[0], shortest_wave=10.0),
         lambda: new_lattice(model, spacing=SPACINGS[-1], tolerance=1e-3),
-        lambda: through(model, 8),
         lambda: model.on(nodes(20), allow_uncertified=True),
     )
     figure, ax = panels(6.8, 4.2)
@@ -81,12 +78,6 @@ def nodes(half: int, interior: float = 20.0) -> Points:
     shift = np.random.default_rng(0).uniform(-SHIFT, SHIFT, lattice.shape)
     x = NODES * (lattice + shift)
     return Points(x, np.abs(x).max(axis=1) <= interior, 0.0)
-
-
-def through(model: Model, half: int) -> ThroughLattice:
-    """The operator on scattered nodes whose collar is as wide as `half` leaves."""
-    with warnings.catch_warnings(action="ignore"):  # the transfer says so
-        return ThroughLattice(model, nodes(half))
 
 
 def short_waves(data: wp.Dataset) -> Entry:

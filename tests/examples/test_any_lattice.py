@@ -26,9 +26,6 @@ def test_every_kind_of_nodes():
     assert (len(points.x), points.interior.sum()) == (1681, 441)
     turned = any_lattice.lattice(5.0, 30.0)
     assert turned.interior.sum() == pytest.approx(441, rel=0.1)
-    for cloud in any_lattice.clouds().values():
-        assert len(cloud.x) == 1681
-        assert cloud.spacing == 0
 
 
 @pytest.mark.slow
@@ -49,16 +46,3 @@ def test_the_tables(graphene, tmp_path):
     assert max(row["disks"] for row in tables["turned_4"]) <= home["disks"] + 0.1
     assert tables["reduced"][0]["disks"] <= 0.7
     assert tables["reduced"][0]["smooth"] <= 0.8
-    for row in tables["scattered"]:
-        assert row["asymmetry"] <= 1e-12
-        assert row["smallest_eigenvalue"] > 0
-        assert row["smooth_b_on_lattice"] <= 0.65
-        assert row["smooth_b_on_nodes"] <= 0.65
-        assert row["short_b_on_lattice"] <= 2.1
-        assert row["short_b_on_nodes"] <= 3.38
-    learned = [row["learned_disks"] for row in tables["scattered"]]
-    assert all(error <= most for error, most in zip(learned, (1.3, 1.7, 1.4)))
-    for name in ("one_kernel", "one_kernel_rich"):
-        assert sum(tables[name]["symbol"]) / 10 <= 4.0
-    assert max(tables["one_kernel"]["disks"].values()) <= home["disks"] + 0.1
-    assert max(tables["one_kernel_rich"]["disks"].values()) <= 0.88

@@ -96,7 +96,7 @@ def errors(value, leaves, step, networks=()):
 def steps(leaves, own, name=""):
     """Steps of differences by name: `own` of fields, one of numbers, less of many; of a kernel of
     scattered points, whose coefficients are large, the least."""
-    D = 0.01 if name == "scattered" else 0.1
+    D = 0.01 if name.startswith("scattered") else 0.1
     many = {"D": D, "tensors": 0.02, "networks": 1e-4}
     fields = dict.fromkeys(("b", "u", "v", "signal", "collar"), own)
     return {name: (fields | many).get(name, 1.0) for name in leaves}
@@ -188,7 +188,6 @@ REFUSED = {
     "neural operator": NO_STEP,
     "neural operator, frozen": NO_STEP,
     "hyperelastic": NO_STEP,
-    "scattered": "expected a lattice, got scattered points",
     "scattered, own weights": "expected a lattice, got scattered points",
     "cut": "move: expected a Cracked of a BrittleSolid",
 }

@@ -21,8 +21,8 @@ def made():
     return lambda name: kept.setdefault(name, OPERATORS[name]())
 
 
-FORCED_LONG = ("hyperelastic", "LPS in space", "scattered")
-SOLVED_LONG = ("scattered", "LPS in space", "third order, filtered",
+FORCED_LONG = ("hyperelastic", "LPS in space")
+SOLVED_LONG = ("LPS in space", "third order, filtered",
                "neural operator", "coupled", "scattered, own weights",
                "third order, energy", "hyperelastic", "LPS, bond-based",
                "neural operator, frozen")  # fmt: skip

@@ -200,7 +200,7 @@ def test_what_a_fit_refuses(options, message):
 def test_scattered_points_are_refused():
     points = manufactured(kernel("1/r", HORIZON), lattice(3, HORIZON), 1)
     scattered = with_nodes(points, spacing=0.0)
-    with pytest.raises(InputError, match="scattered points need"):
+    with pytest.raises(InputError, match="got scattered points; transfers.onto_lattice"):
         fit(scattered, horizon=HORIZON, kernel=SHAPES["gaussian"])
 
 

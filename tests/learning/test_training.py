@@ -282,7 +282,7 @@ def test_sets_that_cannot_be_learned_from_are_refused():
     for change, words in (
         ({"u": none, "b": none}, "no samples"),
         ({"b": 0 * points.b}, "no loads"),
-        ({"points": replace(points.points, spacing=0.0)}, "scattered points need"),
+        ({"points": replace(points.points, spacing=0.0)}, "got scattered points"),
     ):
         with pytest.raises(InputError, match=words):
             fit(replace(points, **change), 2.0, Bernstein(2))

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 27_136,
-    "tokens": 321_349,
-    "lines of warp_peri": 44_354,
-    "lines of kernels": 5_013,
-    "lines of warp_peri, kernels, examples and tools": 81_271,
+    "code lines": 26_577,
+    "tokens": 315_403,
+    "lines of warp_peri": 43_492,
+    "lines of kernels": 4_971,
+    "lines of warp_peri, kernels, examples and tools": 80_189,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -32,28 +32,28 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1216,
-    "core": 1559,
-    "damage": 2018,
+    "core": 1557,
+    "damage": 2013,
     "diffusion": 337,
-    "dynamics": 525,
+    "dynamics": 524,
     "edges": 967,
     "face": 930,
     "files": 513,
-    "learning": 1999,
-    "lps": 1549,
+    "learning": 1959,
+    "lps": 1472,
     "micromodulus": 1322,
     "neural": 1015,
     "points": 1968,
     "prediction": 1013,
     "ranks": 958,
-    "regression": 918,
+    "regression": 861,
     "sources": 936,
     "stability": 140,
-    "statics": 1329,
+    "statics": 1232,
     "structures": 1936,
     "third_order": 875,
     "tissue": 2386,
-    "transfer": 678,
+    "transfer": 403,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -23,7 +23,7 @@ from warp_peri.points.families import families_of
 from warp_peri.regression.optimum import Conditions
 from warp_peri.sources.dump_files import dump_frames
 from warp_peri.third_order.smoothing import Smoothing
-from warp_peri.transfers import one_kernel, onto_lattice
+from warp_peri.transfers import onto_lattice
 
 HORIZON = 2.5
 TRUE = kernel("positive", HORIZON)
@@ -245,7 +245,6 @@ def test_training_prints_errors_in_percent_as_evaluate_does(samples, tmp_path, c
 def test_a_model_that_is_not_in_angstrom_is_not_told_of_angstrom(samples):
     points = replace(samples.points, units=("mm", "GPa"))
     for call in (
-        lambda: one_kernel(replace(TRUE, certified_on=(1.0,), units=("mm", "GPa")), horizon=0.0),
         lambda: Smoothing(radius=0.0),
         lambda: Conditions(zeta=-1.0),
         lambda: families_of(replace(points, spacing=0.0), -1.0),

@@ -23,13 +23,12 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, check_units, factors
 from warp_peri.shapes import InfluenceFunction
-from warp_peri.statics.scattered import ThroughLattice
 from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.tissue.energy_fit import fit_energy
 from warp_peri.tissue.equilibrium import StaticProblem
 from warp_peri.tissue.from_displacement import fit_displacement
 from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.transfers import on_lattice, one_kernel
+from warp_peri.transfers import on_lattice
 
 UNITS = [("nm", "Pa"), ("m", "Pa"), ("mm", "GPa")]
 AGREE = 1e-6
@@ -78,11 +77,6 @@ def transfer(spacing, model=HOME, **asked):
         return np.concatenate([numbers(found, spacing), record["error"], [bound]])
 
     return run
-
-
-def shared(units, _):
-    asked = {"horizon": 3.0 * length_of(units), "ratios": (0.28, 0.3), "degree": 4}
-    return numbers(one_kernel(HOME.in_units(units), **asked), 0.9)
 
 
 def body(units, _):
@@ -163,8 +157,8 @@ def scattered(units, _):
     loose = dataclasses.replace(points, x=x, spacing=0.0)
     u = 1e-3 * smooth(x, 1, 0, wave_number=0.6)
     given = there(Samples(loose, u, 0.01 * u), units)
-    found = ThroughLattice(HOME.in_units(units), given).solve(given.b, given.u)
-    return found / length_of(units)
+    op = HOME.in_units(units).on(given, allow_uncertified=True)
+    return op.rest(given.b, given.u).u / length_of(units)
 
 
 def errors(units, _):
@@ -212,7 +206,6 @@ CASES = {
     "given horizon": transfer(1.3, horizon=3.9),
     "given tolerance": transfer(0.8, tolerance=0.003),
     "given waves": transfer(0.7, shortest_wave=4.0, largest_horizon=2.9),
-    "one kernel": shared,
     "body": body,
     "fit": learned(),
     "fit, paper": learned(conditions=Conditions("paper")),

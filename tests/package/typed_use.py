@@ -194,7 +194,6 @@ def main(folder: Path) -> None:
     print(cracked(test.points, test.u[0]))
     fine = assert_type(transfers.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)
     print(fine.transferred_from, model.on(test).model.horizon)
-    print(transfers.one_kernel(model, horizon=3 * SPACING).certified_on)
     assert_type(transfers.onto_lattice(test, spacing=SPACING), warp_peri.Samples)
     x = SPACING * np.argwhere(np.ones((41, 41), bool)) - 20 * SPACING
     wide = warp_peri.Points(x, np.abs(x).max(axis=1) <= 3, SPACING)

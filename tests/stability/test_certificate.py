@@ -54,11 +54,10 @@ def test_a_violation_in_the_dilatation_alone_is_reported():
 
 
 def test_what_holds_is_what_is_stated():
-    """Γ is indefinite and D(k) is not: with or without a training domain the proof is the same."""
-    model = Model(lam=20.0, mu=0.5, alpha=1.0, D=[0.22, -0.47, 0.51], horizon=4.0)
-    points = lattice(11, 4.0)
+    """(iii) of the paper fails and D(k) is positive: with a domain the proof is the same."""
+    model, points = kernel("sign-changing", 3.0, lam=20.0), lattice(11, 3.0)
     bare, dense = certify(model, spacing=1.0), certify(model, spacing=1.0, points=points)
-    assert dense.gamma_min < -0.1
+    assert dense.gamma_minus_2phi_min < -0.04
     assert dense.statement == bare.statement
     assert "exactly one solution" in dense.statement
     assert bare.holds

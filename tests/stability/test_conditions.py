@@ -16,9 +16,9 @@ every_kernel = pytest.mark.parametrize("name", KERNELS)
 every_kind = pytest.mark.parametrize("kind", CONDITIONS)
 
 
-def eigenvalues(wave, v, z, kappa):
+def eigenvalues(wave, v, kappa):
     """Of Γ + κ φφᵗ at each wave vector."""
-    d11, d22, d12 = wave.entries(v, z, kappa)
+    d11, d22, d12 = wave.entries(v, kappa)
     return np.linalg.eigvalsh(np.stack([d11, d12, d12, d22], -1).reshape(-1, 2, 2))
 
 
@@ -26,12 +26,11 @@ def eigenvalues(wave, v, z, kappa):
 @pytest.mark.parametrize("lam", [-0.2, 0.9])
 def test_gradient_of_the_ratio(name, lam):
     wave = symbol(CLASSES, K)
-    v, z, kappa = stiffnesses(kernel(name, 3.0, lam=lam), CLASSES)
-    gradients = wave.ratio_gradient(v, z, kappa)
+    v, kappa = stiffnesses(kernel(name, 3.0, lam=lam), CLASSES)
+    gradients = wave.ratio_gradient(v, kappa)
     expected = (
-        difference(lambda v: wave.ratio(v, z, kappa), v, 1e-3 * np.abs(v).max()).T,
-        difference(lambda z: wave.ratio(v, z, kappa), z, 1e-3 * np.abs(z).max()).T,
-        difference(lambda x: wave.ratio(v, z, x[0]), [kappa], 1e-3)[0],
+        difference(lambda v: wave.ratio(v, kappa), v, 1e-3 * np.abs(v).max()).T,
+        difference(lambda x: wave.ratio(v, x[0]), [kappa], 1e-3)[0],
     )
     for gradient, reference in zip(gradients, expected):
         assert np.abs(gradient - reference).max() <= GRADIENT * np.abs(reference).max()
@@ -41,36 +40,30 @@ def test_gradient_of_the_ratio(name, lam):
 @every_kind
 def test_gradients_of_the_margins(name, kind):
     wave, conditions = symbol(CLASSES, K), LatticeConditions(CLASSES, Conditions(kind, 0.02))
-    v, z, kappa = stiffnesses(kernel(name, 3.0), CLASSES)
+    v, kappa = stiffnesses(kernel(name, 3.0), CLASSES)
 
     def margins(x):
-        v, z = np.split(x[1:], 2)
-        return conditions.margins(wave, v, z, x[0])
+        return conditions.margins(wave, x[1:], x[0])
 
     scale = 1e-3 * np.abs(v).max()
-    expected = np.moveaxis(difference(margins, np.concatenate([[kappa], v, z]), scale), 0, -1)
-    gradients = conditions.gradients(wave, v, z, kappa)
-    assert gradients.shape == (len(conditions.names), len(K), 1 + 2 * len(v))
+    expected = np.moveaxis(difference(margins, np.concatenate([[kappa], v]), scale), 0, -1)
+    gradients = conditions.gradients(wave, v, kappa)
+    assert gradients.shape == (len(conditions.names), len(K), 1 + len(v))
     assert np.abs(gradients - expected).max() <= GRADIENT * np.abs(expected).max()
 
 
 @every_kernel
 def test_margins_are_the_printed_conditions(name):
     model = kernel(name, 3.0, lam=0.1, mu=0.6)
-    v, z, kappa = stiffnesses(model, CLASSES)
+    v, kappa = stiffnesses(model, CLASSES)
     wave = symbol(CLASSES, K)
     s = wave.laplacian
-    margins = LatticeConditions(CLASSES, Conditions("paper", 0.02)).margins(wave, v, z, kappa)
-    np.testing.assert_allclose(
-        margins[0], eigenvalues(wave, v, z, kappa)[:, 0] / s - 0.02, atol=1e-12
-    )
-    np.testing.assert_allclose(
-        margins[1], eigenvalues(wave, v, z, 0.0)[:, 0] / s - 0.02, atol=1e-12
-    )
-    w, p = v / 0.6, z / 0.6  # Γ − 2φφᵗ of w, times μ
-    expected = 0.6 * eigenvalues(wave, w, p, -2.0)[:, 0] / s
+    margins = LatticeConditions(CLASSES, Conditions("paper", 0.02)).margins(wave, v, kappa)
+    np.testing.assert_allclose(margins[0], eigenvalues(wave, v, kappa)[:, 0] / s - 0.02, atol=1e-12)
+    np.testing.assert_allclose(margins[1], eigenvalues(wave, v, 0.0)[:, 0] / s - 0.02, atol=1e-12)
+    expected = 0.6 * eigenvalues(wave, v / 0.6, -2.0)[:, 0] / s  # Γ − 2φφᵗ of w, times μ
     np.testing.assert_allclose(margins[2], expected, atol=1e-12)
-    direct = LatticeConditions(CLASSES, Conditions("direct", 0.02)).margins(wave, v, z, kappa)
+    direct = LatticeConditions(CLASSES, Conditions("direct", 0.02)).margins(wave, v, kappa)
     assert np.array_equal(direct, margins[:1])
 
 

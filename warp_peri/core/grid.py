@@ -110,8 +110,6 @@ def grid_of(points: Points, steps: np.ndarray, *, why: str = "", least: int | No
     d = steps.shape[1]
     if points.x.shape[1] != d:
         raise InputError(f"points: expected {d} coordinates, got {points.x.shape[1]}")
-    if not points.spacing > 0:
-        raise InputError("points: expected a lattice, got scattered points (spacing 0)")
     grid, axes = lattice_steps(points)
     reach = int(np.abs(steps).max())
     if points.box is not None:

@@ -81,7 +81,7 @@ def largest_stiffness(model: Model, classes: BondClasses) -> float:
     w = bond_weights(model, classes)
     v = np.bincount(classes.bond_class, w) / classes.count
     d = model.dimension
-    gamma = largest(stencil_of(classes, v, v, 0.0), lattice_group(d))
+    gamma = largest(stencil_of(classes, v, 0.0), lattice_group(d))
     return energy_bounds(model)[1] / (d * (d + 2) / 2) * gamma
 
 

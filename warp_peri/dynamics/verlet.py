@@ -25,6 +25,7 @@ from warp_peri.launch import shared_by
 from warp_peri.lps.model import lps_stencil
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.arrays import checked as read
+from warp_peri.points.lattice import check_lattice
 from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.transfer.cache import model_at
 
@@ -263,8 +264,7 @@ def started(
     points: Any = operator.points
     nodes: Any = points if hasattr(points, "comm") else AllNodes(len(points.x))
     with agreed(nodes.comm):
-        if points.spacing == 0:
-            raise InputError("points: expected a lattice, got scattered points; see onto_lattice")
+        check_lattice(points)
         shape = points.x.shape
         start = {
             name: np.zeros(shape) if field is None else read(name, field, float, shape).copy()

@@ -32,8 +32,7 @@ from warp_peri.points.samples import edge_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.stability.certificate import with_proof
 from warp_peri.statics.direct import definite_factors
-from warp_peri.statics.scattered import warn_beyond
-from warp_peri.statics.solution import TOLERANCE
+from warp_peri.statics.solution import TOLERANCE, warn_beyond
 from warp_peri.statics.solution import Coupling as Coupling
 from warp_peri.transfer.cache import model_at
 from warp_peri.transfer.lattice import LARGEST

@@ -57,8 +57,7 @@ def evaluate(
         and of a transferred model
         transferred_from, the spacing [Å] of the lattice that it comes from. For a nonlinear model
         also linear_solves and largest_gradient, the most linear solves that a sample took and its
-        largest |H|, and unique, whether all answers are proven to be the only ones. On
-        scattered points the residual is Tᵗ (L T u − b) of (M7), against Tᵗ b.
+        largest |H|, and unique, whether all answers are proven to be the only ones.
 
     Samples whose interior carries no load, or one that is rounding, have no E_res, and those that
     move as a rigid body no E_shape: None, and the means are those of the others; None where there

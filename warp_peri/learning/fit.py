@@ -27,7 +27,7 @@ from warp_peri.learning.training_data import (
 from warp_peri.lps.shapes import InfluenceFunction, shapes_of
 from warp_peri.lps.symbol import moduli as moduli_of
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.lattice import largest_strain
+from warp_peri.points.lattice import check_lattice, largest_strain
 from warp_peri.points.samples import Samples, largest_wave_number
 from warp_peri.points.unit_names import symbols
 from warp_peri.regression.coordinates import SMALLEST_MODULUS, Parameters
@@ -116,6 +116,8 @@ def learn(
     sets, quiet = listed(samples), listed(noise, "noise")
     shapes = check_choices(kernel, method, conditions)
     carrier = method.lattice_spacing if isinstance(method, TwoStage) else None
+    for each in sets if carrier is None else ():
+        check_lattice(each)
     given, steps = (sets, horizon, conditions, quiet, carrier), not isinstance(method, TwoStage)
     data, scale = scaled_data(*given, normalise=normalise, lengths=not shapes, steps=steps)
     method = scale.method(method)

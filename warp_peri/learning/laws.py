@@ -17,6 +17,7 @@ from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import listed
 from warp_peri.micromodulus.learning import Micromodulus, one_set
 from warp_peri.points.dataset import Dataset
+from warp_peri.points.lattice import check_lattice
 from warp_peri.points.samples import Samples
 from warp_peri.regression.optimum import Conditions
 from warp_peri.regression.settings import Optimum
@@ -72,6 +73,7 @@ class LPS:
         """
         sets = listed(samples, space=True)
         if any(each.points.dimension == 3 for each in sets):
+            check_lattice(sets[0])
             return learn_in_space(sets[0], self.horizon, **self._in_space(sets, noise))
         return learn(samples, **vars(self), noise=noise, progress=progress)
 

@@ -111,13 +111,8 @@ def training_data(
             raise InputError("lattice_spacing: only for scattered points")
         grids = [reduce(each, horizon, weight) for each, weight in zip(sets, weights)]
         spacings = [each.spacing for each in sets]
-    elif lattice_spacing is not None:
-        spacings = [lattice_spacing]
     else:
-        raise InputError(
-            "points: scattered points need method=TwoStage(lattice_spacing=…) with constraints "
-            "'symbol', and a spacing whose symbol keeps the conditions"
-        )
+        spacings = [lattice_spacing or 0.0]
     asked = [LatticeConditions(bond_classes(h, horizon), conditions) for h in spacings]
     if unloaded and not grids:
         raise InputError("noise: fields of noise are for lattices; scattered points take none")

@@ -267,6 +267,11 @@ class Model(Record, format="warp_peri.model"):
             f"spacing: the model is certified on {known}, not on {here}, where its static "
             "problems may have no solution or a wrong one"
         )
+        if not (allow_uncertified or spacing):
+            message += (
+                "; transfers.onto_lattice(samples, spacing=…) carries samples to a lattice, "
+                "allow_uncertified=True takes the model's own weights on these points"
+            )
         if not allow_uncertified:
             raise InputError(message)
         warnings.warn(message, stacklevel=3)

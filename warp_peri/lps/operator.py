@@ -378,8 +378,7 @@ class NodeOperator(OnPoints):
     def gathers(self) -> bool:
         """Whether `felt` and `pulls` are had: with dilatations, no broken bonds, on the
         processor."""
-        own = not self.bonds.bond_based and self.shape[0] == self.bonds.nodes
-        return own and gathers(self.bonds)
+        return not self.bonds.bond_based and gathers(self.bonds)
 
     def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
         """L u of Warp arrays, on the tape that records, if one does.
@@ -391,7 +390,7 @@ class NodeOperator(OnPoints):
             out: takes L u [TPa/Å], shape [S, I] of such vectors.
             parameters: λ, μ, α and D, of shape [1] and [M + 1]; the model's own by default.
 
-        Raises InputError for other arrays, another device, and scattered points through a lattice.
+        Raises InputError for other arrays and another device.
         """
         with unrecorded() as tape:
             back, arrays = self._launched(u, out, parameters, recorded=tape is not None)
@@ -403,8 +402,8 @@ class NodeOperator(OnPoints):
     ) -> tuple[Any, list[Any]]:
         """The pass backwards, and the arrays whose gradients it reads and adds to."""
         bonds, d = self.bonds, self.bonds.dimension
-        if bonds.device != DEVICE or self.shape[0] != bonds.nodes:
-            raise InputError(f"launch: expected a lattice, or own weights, on {DEVICE}")
+        if bonds.device != DEVICE:
+            raise InputError(f"launch: expected an operator on {DEVICE}, got {bonds.device}")
         for name, array, nodes in (("u", u, bonds.nodes), ("out", out, len(bonds.rows))):
             fits = isinstance(array, wp.array) and array.is_contiguous and array.ndim == 2
             seen = array.numpy() if fits and len(u) else np.zeros(0)

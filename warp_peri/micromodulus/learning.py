@@ -26,7 +26,7 @@ from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import law_of, solved
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.lattice import check_lattice, lattice_steps
 from warp_peri.points.samples import Samples, part
 from warp_peri.points.unit_names import symbols
 
@@ -282,4 +282,5 @@ def one_set(samples: Any) -> Samples:
         return given.obvious("train")
     if not isinstance(given, Samples):
         raise InputError(f"samples: expected Samples, got {type(given).__name__}")
+    check_lattice(given)
     return given

@@ -19,8 +19,6 @@ EXACT = 1e-6
 AT_ONCE = 2**24
 """Entries of the small systems that are solved together."""
 SPACING_NEIGHBOURS = 12
-FINER = 2.0
-"""Lattice spacings to one spacing of the nodes."""
 FULL = 1.5
 """Distance to the nearest node, in spacings, beyond which a place counts as outside the points."""
 
@@ -89,11 +87,6 @@ def mean_spacing(points: PointsLike) -> float:
     count = min(SPACING_NEIGHBOURS, len(points.x) - 1)
     r, _ = cKDTree(points.x).query(points.x[points.interior], count + 1)
     return float(np.median(r[:, -1]) * np.sqrt(np.pi / (count + 0.5)))
-
-
-def fitting_spacing(dense: float) -> float:
-    """Of a lattice for nodes of a mean spacing, to two digits."""
-    return float(f"{dense / FINER:.2g}")
 
 
 def onto_lattice(samples: Samples, *, spacing: float, neighbours: int = FOR_DATA) -> Samples:

@@ -26,11 +26,22 @@ LARGEST_TABLE = 2**30
 """Places that can be numbered, with room for a margin."""
 
 
+def check_lattice(points: PointsLike) -> None:
+    """Raise InputError for scattered points, saying what carries samples from there."""
+    if points.spacing == 0:
+        raise InputError(
+            "points: expected a lattice, got scattered points; "
+            "transfers.onto_lattice(samples, spacing=…) carries samples to one"
+        )
+
+
 def lattice_steps(points: PointsLike) -> tuple[np.ndarray, np.ndarray]:
     """Steps of the nodes of a lattice from its corner, shape [N, d] int32, and its axes as columns.
 
-    Raises InputError naming points off the lattice, and for nodes too far apart to be one body.
+    Raises InputError naming points off the lattice, for nodes too far apart to be one body, and as
+    check_lattice.
     """
+    check_lattice(points)
     x, h = points.x, points.spacing
     _refuse_far(x, h)
     return _steps(x, h, _axes(x, h), " " + symbols(nodes_of(points).units)[0])

@@ -38,8 +38,15 @@ from warp_peri.statics.linear import (
     cheapest_method,
     smallest_ratio,
 )
-from warp_peri.statics.scattered import ThroughLattice, warn_beyond
-from warp_peri.statics.solution import TOLERANCE, Direct, Krylov, Solution, Solver, refuse_solver
+from warp_peri.statics.solution import (
+    TOLERANCE,
+    Direct,
+    Krylov,
+    Solution,
+    Solver,
+    refuse_solver,
+    warn_beyond,
+)
 from warp_peri.transfer.operator import LPSOperator
 
 T = TypeVar("T")
@@ -71,19 +78,12 @@ class PlacedLPS(LPSOperator):
         model = self.model.having(numbers)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # said of this one
-            made = PlacedLPS(
-                model, self.points, allow_uncertified=True, device=self.device, carrier=self.carrier
-            )
+            made = PlacedLPS(model, self.points, allow_uncertified=True, device=self.device)
         if model.bond_based or not self.bonds.bond_based:
             made.__dict__["bonds"] = self.bonds
         if self.nodes.is_plain_lattice or self.nodes.box is not None:
             made.linear.check_definite()
         return made
-
-    @cached_property
-    def through(self) -> ThroughLattice:
-        """The assembled operator on scattered points."""
-        return ThroughLattice(self.model, self.points, carrier=self.carrier)
 
     @cached_property
     def linear(self) -> Linear:
@@ -93,7 +93,7 @@ class PlacedLPS(LPSOperator):
     @property
     def proven(self) -> str | None:
         """What the certificate of the lattice says, if it holds."""
-        spacing = self.carrier.spacing if self.carrier else self.points.spacing
+        spacing = self.points.spacing
         if not self.model.is_certified_on(spacing):
             return None
         figures = self.model.certificate.get(f"{self.model.nominal_spacing(spacing):g}", {})
@@ -101,14 +101,10 @@ class PlacedLPS(LPSOperator):
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""
-        if self.carrier is not None or self.points.spacing == 0:
-            return None
-        return self.quadratic(u)
+        return None if self.points.spacing == 0 else self.quadratic(u)
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
-        """σ [TPa] at the interior nodes, [..., I, d, d]; None on scattered points."""
-        if self.carrier is not None:
-            return None
+        """σ [TPa] at the interior nodes, [..., I, d, d]."""
         stress = node_fields(self.model, self.points, u).stress
         return stress if np.ndim(u) == 3 else stress[0]
 
@@ -132,8 +128,6 @@ class PlacedLPS(LPSOperator):
         if is_tensor(b) or is_tensor(u) or parameters is not None:
             return self.rest_in_torch(b, u, solver, parameters)
         load, field = checked_fields(self.points, b, u)
-        if self.carrier is not None:
-            return self._through_lattice(load, field, solver)
         records: list[SolveRecord] = []
         nodes = self.nodes
         flat_load, flat = (f.reshape(-1, *nodes.x.shape) for f in (load, field))
@@ -197,9 +191,7 @@ class PlacedLPS(LPSOperator):
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of what the operator equals on the interior [I, d], to a relative residual; set up
-        once for so many loads, on scattered points by a factorisation."""
-        if self.carrier is not None:
-            return self.through.problem.inverse
+        once for so many loads."""
         if self.nodes.is_plain_lattice and self.quadrature_degree == DEGREE:
             return self.linear.cheapest_inverse(
                 loads, bonds_within(self.model.horizon, self.nodes.spacing)
@@ -266,9 +258,7 @@ class PlacedLPS(LPSOperator):
         return self._problems[degree]
 
     def stiffness_at(self, u: Any) -> Any:
-        """L between interior nodes, sparse [d I, d I]; of scattered ones Tᵗ L T."""
-        if self.carrier is not None:
-            return self.through.problem.stiffness
+        """L between interior nodes, sparse [d I, d I]."""
         return self._problem(self.quadrature_degree).stiffness
 
     def _iterated(
@@ -291,17 +281,6 @@ class PlacedLPS(LPSOperator):
         where one would have been possible."""
         few = np.count_nonzero(self.points.interior) <= DIRECT
         return Krylov(tolerance=RESIDUAL / 10 if few else TOLERANCE)
-
-    def _through_lattice(self, load: np.ndarray, u: np.ndarray, solver: Solver) -> Solution:
-        """The solution on scattered points by the operator of a certified lattice."""
-        if solver is not None and solver != Direct():
-            raise InputError(
-                f"solver: expected Direct() on scattered points, got {solver!r}, which is for the "
-                "model's own numbers there (allow_uncertified)"
-            )
-        flat = u.reshape(-1, len(self.points.x), 2)
-        answer = self.through.solve(load.reshape(flat.shape), flat)
-        return self._told(answer.reshape(u.shape), self.load(load), "lu", [])
 
 
 def lps_linear(points: PointsLike, solid: Solid, horizon: float, *, degree: int = DEGREE) -> Linear:

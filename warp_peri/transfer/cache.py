@@ -121,14 +121,6 @@ def _proven(model: Model, spacing: float) -> Model:
     return _memory[key]
 
 
-def carried(model: Model, spacing: float) -> Model:
-    """As model_at, for a lattice that carries scattered points: one certified nowhere is proven.
-
-    Raises InputError where that is not so.
-    """
-    return model_at(model if model.certified_on else with_proof(model), spacing)
-
-
 def _places(model: Model, home: str, name: str) -> list[Path]:
     """Where a transfer may lie, the best place first; none for a model without a file."""
     if model.file is None:
