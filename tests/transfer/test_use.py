@@ -8,10 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.problems import kernel, lattice, manufactured
+import warp_peri as wp
+from tests.support.clouds import cloud
+from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Points, evaluate
 from warp_peri.lps.model import Model
+from warp_peri.methods import Smoothing
 from warp_peri.points.families import carried_horizon, families_of
 from warp_peri.proofs import critical_time_step
 from warp_peri.statics.solution import Direct
@@ -158,3 +161,25 @@ def test_nodes_around_a_free_edge_are_told_of_it(file, spacing):
     holed = Points(x=x, interior=inside, spacing=spacing)
     with pytest.raises(InputError, match=r"edges.* Body"):
         solve(Model.load(file), holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))
+
+
+def test_scattered_points_are_refused_with_both_ways_on():
+    points = cloud(5, 3.0)
+    both = r"not on scattered points, .*transfers\.onto_lattice\(samples, spacing=…\).*allow_unc"
+    with pytest.raises(InputError, match=both):
+        HOME.on(points)
+    with pytest.warns(UserWarning, match="not on scattered points"):
+        assert HOME.on(points, allow_uncertified=True).model is HOME
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    "law",
+    [wp.LPS(3.0), wp.Micromodulus(3.0), wp.ThirdOrder(wp.Micromodulus(3.0), Smoothing(2.0))],
+    ids=lambda law: type(law).__name__,
+)
+def test_a_fit_of_scattered_points_names_what_carries_them(law):
+    points = cloud(5, 3.0)
+    u = noise(points, 2)
+    with pytest.raises(InputError, match=r"got scattered points; transfers\.onto_lattice"):
+        wp.fit(wp.Samples(points, u, u), law)
