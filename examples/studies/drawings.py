@@ -27,12 +27,13 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, Polygon, Rectangle
 
 import warp_peri as wp
+from examples.predict import rich_law
 from examples.studies.atlas_cracks import SHARES, negative_as_broken
 from examples.studies.atlas_kernels import unconstrained
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
 from warp_peri.damage import lattice_body, positive_kernel, rectangle
 from warp_peri.damage.operator import bond_weights
-from warp_peri.methods import Optimum, Smoothing
+from warp_peri.methods import Optimum
 from warp_peri.points.families import bond_classes
 from warp_peri.prediction import Family
 from warp_peri.regression.losses import reduce, sample_weights
@@ -474,8 +475,7 @@ PART_NAMES = {
 
 def error_bar(data: wp.Dataset, path: Path) -> None:
     """A held-out disk: the answer along its diameter, its likely and its true error, its parts."""
-    law = wp.ThirdOrder(wp.Micromodulus(15.0), Smoothing(SMOOTHING_RADIUS, 0.2), "energy")
-    family = wp.fit(data["train"], Family(law), validation=data["val"]).material
+    family = wp.fit(data["train"], Family(rich_law()), validation=data["val"]).material
     disk = data["test"]
     inside, truth = disk.points.interior, disk.u[0]
     collar = np.where(inside[:, None], 0.0, truth)

@@ -92,9 +92,9 @@ def test_one_placed_elsewhere_is_refused(family):
 
 def test_what_data_hold_nothing_of_is_named(family):
     points = lattice(9, HORIZON)
-    strained = replace(family, strain=1e-6)
+    strained = replace(family, strain=1e-6, quadratic=7 * (0.1,))
     answer = wp.predict(strained, asked(points), 1.0)
-    assert "strain: the rich member is linear" in answer.uncovered[0]
+    assert "of the data of a linear law" in answer.uncovered[0]
     assert not answer.kept
     law = wp.LPS(HORIZON, wp.Bernstein(1))
     long = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 6, wave_number=0.25)
@@ -102,6 +102,11 @@ def test_what_data_hold_nothing_of_is_named(family):
     short = manufactured(kernel("positive", HORIZON), lattice(16, HORIZON), 1, wave_number=2.0)
     answer = wp.predict(learned, wp.Dirichlet(short, short.b[0], short.u[0]), None)
     assert any(one.startswith("short waves") for one in answer.uncovered)
+    assert np.isnan(answer.error)
+    assert "likely error" in repr(answer)
+    assert "unknown" in repr(answer)
+    assert np.isnan(answer.map()[short.interior]).all()
+    assert not answer.kept
 
 
 def test_laws_that_cannot_doubt_are_refused():

@@ -1,4 +1,4 @@
-"""Loads that hold every wave of a periodic body at once (theory, Q10)."""
+"""Loads that hold every wave of a periodic body at once (theory, Q11)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from warp_peri.points.samples import PointsLike
 def mixed_waves(
     x: np.ndarray, box: tuple[float, ...] | np.ndarray, shortest: float, *, seed: int = 0
 ) -> np.ndarray:
-    """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory, Q10).
+    """Σ |k| e cos(k·x + φ) over the waves of a period with |k| ≤ 2π/shortest (theory, Q11).
 
     Args:
         x: positions [length], shape [N, 2].

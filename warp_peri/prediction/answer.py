@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -156,6 +156,11 @@ WORDS = {
 }
 
 
+def said(error: float, form: str = "{:.2f}%") -> str:
+    """An error in %, or that it is unknown."""
+    return "unknown" if np.isnan(error) else form.format(100 * error)
+
+
 @dataclass(frozen=True)
 class Quantity:
     """A quantity of an answer.
@@ -178,7 +183,8 @@ class Answer(Shown):
     Attributes:
         u: displacement [length] on all nodes, shape [N, d].
         error: likely error of u on the interior over u, a fraction: with the factors as they were
-            calibrated nine of ten answers are closer (theory, Q4).
+            calibrated nine of ten answers are closer (theory, Q4). Not a number where it is
+            unknown, as of waves shorter than any of the data.
         parts: the same by origin: left, waves, data, strain, noise, and axis where the direction of
             a crystal is not stated; error is the root of the sum of their squares.
         kept: whether the error is within the tolerance and nothing is uncovered.
@@ -203,11 +209,12 @@ class Answer(Shown):
     @cached_property
     def fields(self) -> Parts:
         """Errors by origin as fields on the interior; computed now where a screen sufficed."""
-        if self.known is not None:
-            return self.known
-        placed, load = self._placed()
-        left = placed.correction(load, self.u)
-        return placed.doubts(self.u, left, placed.recorded(self.u)[0])
+        known = self.known
+        if known is None:
+            placed, load = self._placed()
+            left = placed.correction(load, self.u)
+            known = placed.doubts(self.u, left, placed.recorded(self.u)[0])
+        return replace(known, pull=np.nan) if np.isnan(self.error) else known
 
     @property
     def corrected(self) -> np.ndarray:
@@ -259,7 +266,7 @@ class Answer(Shown):
 
     @cached_property
     def local(self) -> float | None:
-        """What a local solid of the same long waves is off by, over u, by the answer's waves (Q16).
+        """What a local solid of the same long waves is off by, over u, by the answer's waves (Q10).
 
         Of the linear part of the rich member; None but on whole lattices of one process.
         """
@@ -294,8 +301,8 @@ class Answer(Shown):
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
-        parts = ", ".join(f"{name} {value:.2%}" for name, value in self.parts.items() if value)
-        rows = [("likely error", f"{self.error:.2%}"), ("of it", parts or "nothing")]
+        parts = ", ".join(f"{name} {said(value)}" for name, value in self.parts.items() if value)
+        rows = [("likely error", said(self.error)), ("of it", parts or "nothing")]
         if self.operator is not None and getattr(self.operator.points, "axis", None) is not None:
             rows.append(("axis", "stated, believed"))
         rows += [("not covered", one) for one in self.uncovered]

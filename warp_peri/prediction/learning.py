@@ -9,15 +9,11 @@ from typing import Any
 import numpy as np
 
 from warp_peri.contract import offered
-from warp_peri.core.grid import grid_of
 from warp_peri.errors import InputError
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.every_second import APART, EverySecond
 from warp_peri.points.lattice import largest_strain
-from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, part
 from warp_peri.prediction.placed import (
-    GROWN,
     HALF_PERIOD,
     KNOTS,
     Factors,
@@ -25,13 +21,13 @@ from warp_peri.prediction.placed import (
     PlacedMembers,
     pulled,
     recorded,
+    second_order,
     spread,
 )
 from warp_peri.prediction.predict import MOST
 
-CLAMPED, ROUNDED, SAFELY = 21, 1e-3, 1.2
-"""Nodes a side of a clamped square, an odd number, which is worst; residual of its solves; and what
-others may do beyond."""
+SAFELY = 1.2
+"""Of a linear member, which the forces of second order know of isotropic stresses alone."""
 COVERED, NEARLY = 0.9, 0.95
 """Shares of the samples that the factors are set to cover; that of what is left to correct, which
 varies little, is set higher."""
@@ -85,7 +81,6 @@ class Family:
             (halves[0].material, halves[1].material),
             strain=strain,
             temperature=temperature,
-            coarse=carried(fits["rich"].material, samples.points),
             axis_off=off_axis(fits["rich"].material, samples),
         )
         family = calibrated(family, samples, validation)
@@ -135,7 +130,10 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
 
     The factors are quantiles of what was true over what was computed.
     """
+    nonlinear = family.linear is not family.rich
     bare = replace(family, factors=Factors(1.0, 1.0, 1.0), record=None)
+    if not nonlinear:
+        bare = replace(bare, quadratic=quadratic(bare, samples))
     sets = [samples] if validation is None else [samples, validation]
     found = [_measured(bare, one) for one in sets]
     rows = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
@@ -148,53 +146,15 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
     def quantile(above: np.ndarray, below: np.ndarray, share: float = COVERED) -> float:
         return float(np.quantile(above / np.maximum(below, ROUNDING), share))
 
-    nonlinear = family.linear is not family.rich
     bends = nonlinear and bool(np.any(rows["gradient"] > 0))
     screen = quantile(rows["gone"], rows["gradient"]) if bends else 0.0
-    floor = np.hypot(members, screen * rows["series"])
-    left = max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else 1.0
-    factors = Factors(
-        left=left,
-        floor=quantile(rows["true"], floor),
-        screen=screen,
-        short=1.0
-        if family.coarse is None
-        else short_where_held(bare, family.coarse.horizon, left, samples.points),
-        stretch=0.0 if nonlinear else SAFELY * quantile(*_missed(bare, samples)),
-    )
-    return replace(family, factors=factors, record=record)
-
-
-def short_where_held(family: Members, horizon: float, left: float, points: Points) -> float:
-    """By how much what every second node does not see is more in a clamped square (Q15).
-
-    No data tell: they go on smoothly into their collar. Twice the horizon holds a body elsewhere.
-    """
-    h, collar = points.spacing, np.ceil(2 * horizon / points.spacing) + APART
-    x = h * np.argwhere(np.ones((CLAMPED + 2 * int(collar),) * 2)).astype(float)
-    away = (x - x.mean(axis=0)) / (h * CLAMPED)
-    inside = (np.abs(away) < 0.5).all(axis=1)
-    placed = family.with_doubts(Points(x, inside, h, axis=0.0, units=points.units))
-    coarse: Any = placed.coarse  # there is room for it
-    factor = 1.0
-    for wave in (0.0, 2 * np.pi):
-        b = np.cos(wave * away) * family.linear.mu / h
-        load = placed.load(b)
-        u, full = coarse.start(b, np.zeros_like(x), ROUNDED), placed.inverse(load, ROUNDED)
-        e, missed = coarse.correction(load - placed.straight(u))
-        rest = placed.norm(u[inside] - full) ** 2 - (GROWN * left * coarse.norm(e)) ** 2
-        factor = max(factor, SAFELY * float(np.sqrt(max(rest, 0.0))) / missed)
-    return factor
-
-
-def carried(rich: Any, points: Points) -> Any:
-    """The rich member on every second node, where its law is carried there; else None."""
-    if not (points.is_plain_lattice and points.dimension == 2):
-        return None
-    try:
-        return rich.on(EverySecond(points).nodes).model
-    except InputError:  # a law that no other lattice has, or a collar that does not carry it
-        return None
+    floor = np.hypot(members, (screen if nonlinear else 1.0) * rows["series"])
+    least, known = 1.0, quantile(rows["true"], floor)
+    if not nonlinear:  # which may have taken up some of what it cannot hold
+        least, known = SAFELY, SAFELY * max(known, 1.0)
+    left = max(quantile(rows["gone"], rows["left"], NEARLY), 1.0) if bends else least
+    factors = Factors(left=left, floor=known, screen=screen)
+    return replace(bare, factors=factors, record=record)
 
 
 def off_axis(rich: Any, samples: Samples) -> float:
@@ -229,47 +189,19 @@ def off_axis(rich: Any, samples: Samples) -> float:
     return turn
 
 
-def _missed(family: Members, samples: Samples) -> tuple[np.ndarray, np.ndarray]:
-    """What a linear member misses of each sample since it is not linear, over it; and its strain.
+def quadratic(family: Members, samples: Samples) -> tuple[float, ...]:
+    """Constants of forces of second order in the strain, of what a linear rich member misses.
 
-    Force of second order in the strain is fitted to what the half that has not seen a sample leaves
-    of its load: the member itself has taken up some of it. Off lattices all that is left counts.
+    They are fitted to what the half that has not seen a sample leaves of its load: the member
+    itself has taken up some of it.
     """
-    placed, inside = PlacedMembers(family, samples.points), samples.interior
-    left = np.empty((len(samples), inside.sum(), samples.u.shape[2]))
-    for n, (b, u) in enumerate(zip(samples.loads, samples.u)):  # even ones are the first half's
-        left[n] = placed.load(b) - placed.others[2 - n % 2](u)
-    if samples.spacing > 0:
-        rows = _second_order(samples)
-        c = np.linalg.lstsq(rows.reshape(len(rows), -1).T, left.ravel())[0]
-        left = np.tensordot(c, rows, 1)
-    gone = [np.linalg.norm(placed.inverse(one, 3e-3)) for one in left]
-    size = np.linalg.norm(samples.u[:, inside].reshape(len(left), -1), axis=1)
-    return np.array(gone) / size, np.array([placed.gradient(u) for u in samples.u])
-
-
-def _second_order(samples: Samples) -> np.ndarray:
-    """Forces of all isotropic stresses that are quadratic in ∇u, by differences, [m, S, I, d]."""
-    d = samples.points.dimension
-    grid = grid_of(samples.points, 2 * np.eye(d, dtype=int))
-    axes, one = tuple(range(2, 2 + d)), np.eye(d)
-
-    def slopes(planes: np.ndarray) -> np.ndarray:
-        return np.stack(np.gradient(planes, samples.spacing, axis=axes), axis=-1)
-
-    H = np.moveaxis(slopes(grid.scatter(samples.u)), 1, -2)
-    E = (H + H.swapaxes(-1, -2)) / 2
-    W = H - E
-    trace = np.trace(E, axis1=-2, axis2=-1)[..., None, None]
-    squares = ((F * F).sum(axis=(-1, -2))[..., None, None] * one for F in (E, W))
-    stresses = (trace**2 * one, *squares, trace * E, E @ E, H @ H.swapaxes(-1, -2), E @ W - W @ E)
-    crop: tuple[Any, ...] = (..., *grid.core) if grid.periodic else (...,)
-
-    def force(P: np.ndarray) -> np.ndarray:
-        bent = [slopes(np.moveaxis(P[..., j], -1, 1))[..., j] for j in range(d)]
-        return grid.gather(np.sum(bent, axis=0)[crop])
-
-    return np.array([force(P) for P in stresses])
+    placed = PlacedMembers(family, samples.points)
+    left = [
+        placed.load(b) - placed.others[2 - n % 2](u)  # even ones are the first half's
+        for n, (b, u) in enumerate(zip(samples.loads, samples.u))
+    ]
+    rows = second_order(samples.points, samples.u)
+    return tuple(np.linalg.lstsq(rows.reshape(len(rows), -1).T, np.ravel(left))[0].tolist())
 
 
 def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:

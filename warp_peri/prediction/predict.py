@@ -16,23 +16,18 @@ from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked_fields, is_positive
 from warp_peri.points.samples import Samples, nodes_of
-from warp_peri.prediction.answer import WORDS, Answer, combined
-from warp_peri.prediction.placed import GROWN, ROUGH, Factors, Members, Parts, PlacedMembers
+from warp_peri.prediction.answer import WORDS, Answer, combined, said
+from warp_peri.prediction.placed import Factors, Members, Parts, PlacedMembers
 
 SOLVED, SHARE = 0.03, 0.3
 """The first linear solve goes to this relative residual, or to this share of the tolerance; the
 correction sees what it leaves."""
 MOST = 8
 """Corrections at most."""
-SETTLED = 0.1
+SETTLED = 0.01
 """Without a tolerance corrections end where what is left is this share of all other parts."""
 STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
-HALVED = 0.5
-"""On every second node one more correction is worth its price if the last was so much smaller."""
-ASTRAY = 0.3
-"""An answer on every second node that is as wrong as this is no start: short waves may pose as long
-ones there."""
 MOVED = 0.02
 """By how much more of it an answer was corrected since, what members do not know is asked again."""
 SHORTER, STRAINED = 0.01, 1.2
@@ -47,29 +42,18 @@ AXIS = "axis: the points do not state the direction of the crystal; its largest 
 
 @dataclass
 class _Stage:
-    """One displacement and what is known of it.
-
-    `unseen` is the share of waves shorter than the data's, `on` says which nodes. `answers`: more
-    than a start of other nodes' answer, which is to know the size of the nonlinear part, `bent`,
-    and the second correction over the first, `slowed`, 0 where there was none.
-    """
+    """One displacement and what is known of it; `unseen` is the share of waves shorter than the
+    data's."""
 
     u: np.ndarray
     parts: dict[str, float]
     fields: Parts | None
     corrections: int
     unseen: float = 0.0
-    on: str = ""
-    answers: bool = True
-    bent: float | None = None
-    slowed: float = 0.0
 
     @property
     def error(self) -> float:
         return _size(self.parts)
-
-    def bar(self) -> float:
-        return self.error
 
 
 def predict(
@@ -129,71 +113,22 @@ def _predict(
     uncovered: tuple[str, ...],
     noise: float,
 ) -> Answer:
-    """The answer for one load: on every second node if that will do, else on all of them."""
+    """The answer for one load: a linear solve, and corrections."""
     inside, load = placed.points.interior, placed.load(b)
     share = SOLVED if tolerance is None else min(SOLVED, SHARE * tolerance)
-    coarse = _on_coarse(placed, load, b, given, share, tolerance, noise)
-    stage, known = coarse, np.inf if coarse is None else coarse.error
-    if stage is None or (not stage.answers and known > min(share / ROUGH, ASTRAY)):
-        start = np.where(inside[:, None], 0.0, given)
-        start[inside] = placed.inverse(load - placed.straight(start), share)
-        stage = _corrected(placed, load, start, tolerance, noise)
+    start = np.where(inside[:, None], 0.0, given)
+    start[inside] = placed.inverse(load - placed.straight(start), share)
+    stage = _corrected(placed, load, start, tolerance, noise)
+    beyond = _beyond(placed, stage)
+    stage.parts |= {part: math.nan for part, _ in beyond if part}
     kept = tolerance is None or stage.error <= tolerance
-    near = known <= min(SOLVED / ROUGH, ASTRAY) and (stage is coarse or not kept)
-    if coarse is not None and not coarse.answers and near:  # a strict tolerance is not to do worse
-        other = _corrected(placed, load, coarse.u, tolerance, noise, coarse)
-        other.corrections += coarse.corrections
-        other.on = "from every second node, "
-        stage = other if stage is coarse else min(stage, other, key=_Stage.bar)
-        kept = tolerance is None or stage.error <= tolerance
-    uncovered += _beyond(placed, stage)
+    uncovered += tuple(why for _, why in beyond)
     why = _reason(stage, tolerance, kept, uncovered)
     only_axis = all(one == AXIS for one in uncovered)
     return Answer(
         stage.u, stage.error, stage.parts, kept and only_axis, why, uncovered, stage.corrections,
         tolerance, placed, load, stage.fields,
     )  # fmt: skip
-
-
-def _on_coarse(
-    placed: PlacedMembers,
-    load: np.ndarray,
-    b: np.ndarray,
-    given: np.ndarray,
-    share: float,
-    tolerance: float | None,
-    noise: float,
-) -> _Stage | None:
-    """An answer on every second node, or what one on all may start from; None without (Q14)."""
-    coarse, inside = placed.coarse, placed.points.interior
-    if coarse is None:
-        return None
-    u = coarse.start(b, given, share)
-    told, unseen = coarse.recorded(u)
-    before, taken, gone, slowed = np.inf, 0, np.zeros(1), 0.0
-    while True:
-        size = placed.norm(np.compress(inside, u, axis=0))
-        if size == 0:  # every load lies between these nodes, or there is none
-            return None
-        left, missed = coarse.correction(load - placed.rich(u))
-        moved, bent = (GROWN * coarse.norm(e) / size for e in (left, gone + left))
-        rest = 1 / max(1 - moved / before, HALVED)  # what later corrections add up to
-        slowed = moved / before if taken == 1 else slowed
-        parts = _screened(placed, coarse.gradient(u), moved, bent, told, slowed)
-        parts["noise"] = noise
-        parts["left"] = max(parts["left"], rest * moved)
-        short = placed.family.factors.short * missed / size
-        parts["waves"] = float(np.hypot(parts["waves"], short))
-        answers = tolerance is not None and _size(parts) <= tolerance
-        if answers:
-            break
-        u = u.copy()
-        u[inside] += coarse.spread(left)
-        taken += 1
-        if tolerance is None or _rest(parts) > tolerance or moved > HALVED * before:
-            break
-        before, gone = moved, gone + left
-    return _Stage(u, parts, None, taken, unseen, "on every second node, ", answers, bent, slowed)
 
 
 def _screened(
@@ -212,40 +147,31 @@ def _screened(
     if told is None or placed.turned is not None:
         return {"left": np.inf, "waves": np.inf}
     factors = placed.family.factors
-    strain = factors.stretch * gradient
-    if placed.nonlinear:
-        strain = factors.floor * placed.series(gradient, slowed) * bent
+    strain = factors.floor * placed.series(gradient, slowed) * bent
     waves = factors.floor * told
     data = placed.family.moduli_error
     return {"left": factors.left * moved, "waves": waves, "data": data, "strain": strain}
 
 
 def _corrected(
-    placed: PlacedMembers,
-    load: np.ndarray,
-    u: np.ndarray,
-    tolerance: float | None,
-    noise: float,
-    known: _Stage | None = None,
+    placed: PlacedMembers, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
 ) -> _Stage:
-    """Correct until the tolerance is kept, or cannot be.
-
-    `known` tells the size of the nonlinear part, where u is not the linear answer that does, and
-    how corrections shrank before.
-    """
+    """Correct until the tolerance is kept, or cannot be; without one until nothing improves."""
     factors, first = placed.family.factors, u
     inside, (told, unseen) = placed.points.interior, placed.recorded(u)
     fields: Parts | None = None
     before, since, held = np.inf, 0.0, 0.0
+    if not placed.nonlinear:
+        added = placed.bent(u)
+        bent = 0.0 if added is None else placed.norm(added) / (placed.norm(u[inside]) or 1.0)
     best, least = (u, u[inside], 0), np.inf
-    slowed = 0.0 if known is None else known.slowed
+    slowed = 0.0
     for done in range(MOST + 1):
         size = placed.norm(u[inside]) or 1.0
         left = placed.correction(load, u)
         moved = placed.norm(left) / size
         slowed = max(slowed, moved / before) if done == 1 else slowed
-        bent = None if known is None else known.bent
-        if bent is None:
+        if placed.nonlinear:
             bent = placed.norm((first - u)[inside] - left) / size
         gradient = placed.gradient(u)
         series = placed.series(gradient, slowed)
@@ -256,7 +182,7 @@ def _corrected(
         judged = _size(screen) if np.isfinite(screen["left"]) else moved
         if judged < least:
             best, least = (u, left, done), judged
-        last = done == MOST or moved > STALLED * before or not placed.nonlinear
+        last = done == MOST or moved > STALLED * before
         # waves and strain that a screen sees say where an answer with no tolerance settles
         goal = SETTLED * _rest(screen) if tolerance is None else tolerance
         if factors.left * moved <= goal or last:
@@ -278,7 +204,9 @@ def _corrected(
                     u, left, done = best
                     fields = placed.doubts(u, left, told, slowed)
                     parts = _parts(fields, placed, placed.norm(u[inside]) or 1.0, noise)
-                    stage = min(stage, _Stage(u, parts, fields, done, unseen), key=_Stage.bar)
+                    stage = min(
+                        stage, _Stage(u, parts, fields, done, unseen), key=lambda one: one.error
+                    )
                 return stage
         u = u.copy()
         u[inside] += left
@@ -297,10 +225,10 @@ def _parts(fields: Parts, placed: PlacedMembers, size: float, noise: float) -> d
 def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple[str, ...]) -> str:
     """One sentence."""
     n = stage.corrections
-    way = stage.on + "linear" + (f" and {n} nonlinear correction{'s' * (n != 1)}" if n else "")
+    way = "linear" + (f" and {n} nonlinear correction{'s' * (n != 1)}" if n else "")
     way = way.replace(" 1 ", " one ")
-    largest = max(stage.parts, key=lambda name: stage.parts[name])
-    told = f"{way}; {100 * stage.error:.2g} %, most of it {WORDS[largest]}"
+    largest = max(stage.parts, key=lambda name: (math.isnan(stage.parts[name]), stage.parts[name]))
+    told = f"{way}; {said(stage.error, '{:.2g} %')}, most of it {WORDS[largest]}"
     if tolerance is not None and not kept:
         told += f"; {100 * tolerance:g} % is not kept"
     return told + "".join(f"; not covered: {one.split(':')[0]}" for one in uncovered)
@@ -320,20 +248,20 @@ def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
     return tuple(found)
 
 
-def _beyond(placed: PlacedMembers, stage: _Stage) -> tuple[str, ...]:
-    """What the family's data say nothing of, and no part does."""
+def _beyond(placed: PlacedMembers, stage: _Stage) -> list[tuple[str, str]]:
+    """What the family's data say nothing of, and the part that is unknown by it."""
     found = []
     if stage.unseen > SHORTER:
-        found.append("short waves: shorter than any that the ensemble learned from")
+        found.append(("waves", "short waves: shorter than any that the ensemble learned from"))
     known = placed.family.strain
     if not placed.nonlinear and known > 0:
         strain = placed.gradient(stage.u)
-        if strain > STRAINED * known or not placed.family.factors.stretch:
-            found.append(
-                f"strain: the rich member is linear, and {strain:.2%} is beyond the {known:.2%} of "
-                "its data, or nothing in the ensemble tells what it misses"
-            )
-    return tuple(found)
+        if not (placed.family.quadratic and placed.points.spacing):
+            found.append(("strain", "strain: nothing in the ensemble tells what its law misses"))
+        elif strain > STRAINED * known:
+            words = f"strain: {strain:.2%} is beyond the {known:.2%} of the data of a linear law"
+            found.append(("", words))
+    return found
 
 
 def _noise(points: Any, count: int) -> list[float]:

@@ -16,7 +16,6 @@ from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.ranks import problems
-from warp_peri.ranks.every_second import TilesEverySecond
 from warp_peri.ranks.halo import Tiles, cut, strain_on_ranks
 from warp_peri.ranks.processes import Comm, fingerprint, inner, total, world
 from warp_peri.statics.conjugate_gradients import Inner
@@ -116,10 +115,6 @@ class Subdomain:
     def largest_strain(self, u: np.ndarray) -> float:
         """Between neighbours, of u [n, d], over all ranks."""
         return strain_on_ranks(self, u)
-
-    def every_second(self) -> Any:
-        """Every second node of a box in tiles: TilesEverySecond."""
-        return TilesEverySecond(self)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""
@@ -282,7 +277,7 @@ def _slab(rows: int) -> tuple[int]:
 
 def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:
     """Nodes of a tile along the axes that are cut, of a box of this shape."""
-    d, unit = len(shape), 4  # which predict halves once more
+    d, unit = len(shape), 4  # two levels of multigrid at least
     if min(shape[:2]) < TILED[d]:
         return _slab(shape[0])
     while np.prod(shape) > FEW * unit**d and unit < LONGEST[d] // 3:
