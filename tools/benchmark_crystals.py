@@ -120,9 +120,10 @@ def crossing(*, quick: bool) -> dict[str, list[tuple[int, float]]]:
     """Time of a force by FFT over that by rows, by processor in turns, one thread: by bonds."""
     found: dict[str, list[tuple[int, float]]] = {}
     set_threads(1)
-    rounds, cases = 5, ((2, 256, (3, 6, 8, 10, 14)), (3, 48, (2, 6**0.5, 3, 4, 5)))
+    cases: list[tuple[int, int, list[float]]]
+    rounds, cases = 5, [(2, 256, [3, 6, 8, 10, 14]), (3, 48, [2, 6**0.5, 3, 4, 5])]
     if quick:
-        rounds, cases = 1, ((2, 32, (3,)), (3, 12, (2,)))
+        rounds, cases = 1, [(2, 32, [3]), (3, 12, [2])]
     for d, side, reaches in cases:
         found[f"{d} dimensions"] = rows = []
         for reach in reaches:

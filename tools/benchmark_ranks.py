@@ -49,8 +49,8 @@ def ranks(*, quick: bool) -> None:
             words = ("--shape", shape, "--tolerance", "1e-8", "--sides", *those)
             found = run(count, "large_plate.py", *words)
             bits.add(json.dumps(found["bits"]))
-            counts = " ".join(str(number) for number in found["iterations"].values())
-            print(f"{count:6d}  {counts:>20}  {found['memory_mb']:6d}", flush=True)
+            iterations = " ".join(str(number) for number in found["iterations"].values())
+            print(f"{count:6d}  {iterations:>20}  {found['memory_mb']:6d}", flush=True)
         print("  the same bits" if len(bits) == 1 else "  DIFFERENT BITS", flush=True)
     if quick:
         return

@@ -44,14 +44,14 @@ def unconstrained(grid: ReducedLoss, degree: int) -> tuple[Parameters, float, fl
 
         def residual(y: np.ndarray, space: Coordinates = coordinates) -> np.ndarray:
             point = space.point(y)
-            v, z = point.v[0], point.z[0]
-            return grid.R @ np.concatenate([v, point.kappa * z[i] * z[j], [1.0]])
+            v = point.v[0]
+            return grid.R @ np.concatenate([v, point.kappa * v[i] * v[j], [1.0]])
 
         def slope(y: np.ndarray, space: Coordinates = coordinates) -> np.ndarray:
             point = space.point(y)
-            z, dv, dz = point.z[0], point.dv[0], point.dz[0]
-            by_pairs = point.kappa * (z[i][:, None] * dz[j] + z[j][:, None] * dz[i])
-            by_pairs[:, 0] += z[i] * z[j]  # y₀ is κ
+            v, dv = point.v[0], point.dv[0]
+            by_pairs = point.kappa * (v[i][:, None] * dv[j] + v[j][:, None] * dv[i])
+            by_pairs[:, 0] += v[i] * v[j]  # y₀ is κ
             return grid.R[:, :-1] @ np.concatenate([dv, by_pairs])
 
         start = coordinates.start(Parameters(-0.2, 0.7, alpha, np.ones(degree + 1)))

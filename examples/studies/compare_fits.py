@@ -117,7 +117,7 @@ def dense_seconds(points: Samples) -> float:
     seconds = []
     for _ in range(3):
         begin = time.perf_counter()
-        margins(scalar, scalar, [(w, w)]).sum().backward()
+        margins(scalar, scalar, [w]).sum().backward()
         seconds.append(time.perf_counter() - begin)
     return float(np.median(seconds))
 

@@ -146,7 +146,7 @@ class _Tables:
         self.kernel = adjoints(bonds.scalar, bonds.dimension).table_adjoint
         self.to_D = influence_kernels.by_lanes(len(D) - 1, bonds.scalar).adjoint
         self.powers, self.sums = powers(bonds, alpha, D), bonds.zeros(BLOCKS, len(D) + 1)
-        self.by_class = np.zeros(0)
+        self.by_class: np.ndarray = np.zeros(0)
 
     def run(self, fields: Any) -> Any:
         """All blocks: ∂/∂(K W) of their bonds; on scattered points onwards to α and D. Returns what
@@ -173,9 +173,8 @@ class _Tables:
         names = "kw", "m", "lam", "mu"
         kw, m, lam, mu = (getattr(self.law, name).numpy().astype(float) for name in names)
         shear, bulk, pressed = (np.bincount(of.bond_class[self.bonds.pairs], one) for one in sums)
-        shear *= 1 / of.r**2
         factor, dilatational = 2 * c1 * (c1 + 2) * mu, c1 * (lam - mu)
-        by_w, by_d = -factor * shear, pressed - dilatational * bulk
+        by_w, by_d = -factor * shear / of.r**2, pressed - dilatational * bulk
         for each in (by_w, by_d):  # the volume divides all of them
             each -= kw @ each / m * of.count * of.r**2
         self.by_class = by_w + by_d

@@ -316,7 +316,8 @@ class PlacedMembers:
                 )
         except InputError:  # a narrow collar
             pass
-        return self.most_bent * self.gradient(u) * u[self.points.interior]
+        bent: np.ndarray = self.most_bent * self.gradient(u) * u[self.points.interior]
+        return bent
 
     @cached_property
     def most_bent(self) -> float:
