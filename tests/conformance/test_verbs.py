@@ -6,8 +6,8 @@ import pytest
 import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.plates import plate
+from warp_peri.core import pointwise
 from warp_peri.lps import bonds
-from warp_peri.third_order import sweeps
 from warp_peri.tissue import operator as tissue
 from warp_peri.transfer import operator as transferred
 
@@ -53,7 +53,7 @@ def test_no_samples_have_no_answers(name):
     ("name", "resolved", "linked"),
     [
         ("LPS", (transferred, "model_for"), ((bonds, "families_of"),)),
-        ("third order, energy", None, ((sweeps, "families_of"),)),
+        ("third order, energy", None, ((pointwise, "grid_of"),)),
         ("hyperelastic", None, ((tissue, "lattice_bonds"),)),
     ],
 )

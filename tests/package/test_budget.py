@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_297,
-    "tokens": 311_570,
-    "lines of warp_peri": 43_067,
-    "lines of kernels": 4_971,
-    "lines of warp_peri, kernels, examples and tools": 79_767,
+    "code lines": 26_242,
+    "tokens": 311_074,
+    "lines of warp_peri": 42_988,
+    "lines of kernels": 4_424,
+    "lines of warp_peri, kernels, examples and tools": 79_141,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -32,7 +32,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1216,
-    "core": 1557,
+    "core": 1781,
     "damage": 2013,
     "diffusion": 337,
     "dynamics": 524,
@@ -40,18 +40,18 @@ ROOMS = {
     "face": 930,
     "files": 513,
     "learning": 1958,
-    "lps": 1472,
+    "lps": 1471,
     "micromodulus": 1323,
     "neural": 1015,
     "points": 1922,
-    "prediction": 885,
+    "prediction": 886,
     "ranks": 896,
     "regression": 861,
     "sources": 936,
     "stability": 140,
     "statics": 1232,
     "structures": 1936,
-    "third_order": 875,
+    "third_order": 596,
     "tissue": 2386,
     "transfer": 403,
 }

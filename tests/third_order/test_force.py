@@ -1,7 +1,6 @@
 """The nonlinear solid: its energy, invariants, gradient and tangent."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -10,15 +9,11 @@ import torch
 from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, psi, rotation, solid
 from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, periodic, smooth
-from warp_peri import InputError, Points
-from warp_peri.launch import set_threads, threads
+from warp_peri import InputError
 from warp_peri.third_order.operator import PlacedThirdOrder
-from warp_peri.third_order.sweeps import third_order_force
 
 HORIZON = 3.0
 DIFFERENCES = 1e-8
-STEPS = {"p_in": 1e-5}
-"""Of differences, 0.002 elsewhere: clipping has a kink, and H moves with u and p_in."""
 
 
 def strained(points, size=0.05, seed=0):
@@ -101,80 +96,48 @@ def test_tangent(form):
     assert asymmetry <= 1e-14 if form == "energy" else asymmetry > 1e-5
 
 
-class Problem:
-    """A scalar of L u as a function of the field, and of every parameter by name."""
-
-    def __init__(self, form, radius=0.0):
-        points = lattice(2, HORIZON)
-        placed = PlacedThirdOrder(solid(form), points)
-        self.sweeps, self.radius = placed.sweeps, radius
-        self.seed = torch.from_numpy(noise(points, 2, seed=4)[:, points.interior])
-        tables = placed.numbers.tables
-        self.leaves = {"u": 0.05 * noise(points, 2), "tensors": tables[:3], "p_in": tables[3]}
-        self.leaves |= {"p_out": tables[4], "cubic": placed.numbers.cubic}
-
-    def scalar(self, u, tensors, p_in, p_out, cubic):
-        tables = torch.cat([tensors, p_in[None], p_out[None]])
-        Lu = third_order_force(self.sweeps, u, tables, cubic, radius=self.radius)
-        return (self.seed * Lu).sum() + (Lu**2).sum() / 100
-
-    def gradient(self):
-        given = [torch.tensor(leaf, requires_grad=True) for leaf in self.leaves.values()]
-        gradients = torch.autograd.grad(self.scalar(*given), given)
-        return {name: gradient.numpy() for name, gradient in zip(self.leaves, gradients)}
-
-    def value(self, name, leaf):
-        leaves = self.leaves | {name: leaf.reshape(self.leaves[name].shape)}
-        with torch.no_grad():
-            return float(self.scalar(*map(torch.from_numpy, leaves.values())))
-
-
-@pytest.mark.parametrize("radius", [0.0, 0.15])
 @pytest.mark.parametrize("form", FORMS)
-def test_gradient_against_differences(form, radius):
-    problem = Problem(form, radius)
-    for name, gradient in problem.gradient().items():
-        leaf = problem.leaves[name].ravel()
-        if name == "u":
-            directions = noise(Points(leaf.reshape(-1, 2), np.ones(len(leaf) // 2, bool), 0.0), 3)
-            directions = directions.reshape(3, -1)
-            value = lambda amounts, name=name, leaf=leaf, d=directions: problem.value(
-                name, leaf + amounts @ d
-            )
-            expected, gradient = difference(value, np.zeros(3), 1e-5), directions @ gradient.ravel()
-        else:
-            step = STEPS.get(name, 0.002)
-            expected = difference(partial(problem.value, name), leaf, step)
-        scale = np.abs(expected).max()
-        assert np.abs(gradient.ravel() - expected).max() <= DIFFERENCES * scale, name
-
-
-def test_results_do_not_depend_on_threads():
-    before = threads()
-    gradients = []
-    try:
-        for count in (1, 2, 3):
-            set_threads(count)
-            gradients.append(Problem("filtered").gradient())
-    finally:
-        set_threads(before)
-    for name, first in gradients[0].items():
-        assert all(np.array_equal(first, other[name]) for other in gradients[1:]), name
+def test_gradients_to_the_constants_are_those_of_differences(form):
+    points, names = lattice(2, HORIZON), ("t3", "tq2", "q3")
+    op, u = PlacedThirdOrder(solid(form), points), 0.05 * noise(points, 2)
+    seed = noise(points, 2, seed=4)[:, points.interior]
+    slopes = {name: op.by_numbers(name, u, seed) for name in names}
+    for name in names:
+        value = op.learnable[name]
+        ends = [op.at(op.learnable | {name: value * (1 + e)})(u) for e in (0.5, -0.5)]
+        expected = (seed * (ends[0] - ends[1])).sum() / value
+        assert float(slopes[name]) == pytest.approx(expected, rel=1e-10)
+    numbers = {n: torch.tensor(op.learnable[n], dtype=torch.float64) for n in names}
+    field = torch.from_numpy(u).requires_grad_()
+    force = op.force_with(field, {n: one.requires_grad_() for n, one in numbers.items()})
+    back = torch.autograd.grad(force, [field, *numbers.values()], torch.from_numpy(seed))
+    np.testing.assert_array_equal(back[0], op.product_transpose(u, seed))
+    assert [float(one) for one in back[1:]] == [float(slopes[n]) for n in names]
 
 
 def test_clipping_projects_the_gradient():
     points, model = lattice(2, HORIZON), solid("energy")
     u = smooth(points.x, 1, wave_number=0.3)[0] * 0.2
-    free, clipped = (PlacedThirdOrder(model, points, radius=radius) for radius in (0.0, 0.05))
-    H, _ = free.gradients(u)
-    size = np.linalg.norm(H, axis=(-2, -1))
+    op = PlacedThirdOrder(model, points)
+    size = np.linalg.norm(op.gradients(u)[0], axis=(-2, -1))
     assert size.min() < 0.05 < size.max()
-    assert clipped.largest_gradient(u) == pytest.approx(size.max())
+    assert op.largest_gradient(u) == pytest.approx(size.max())
+    uniform = points.x @ np.array([[0.05, 0.03], [-0.02, -0.06]]).T
+    rough = 0.01 * noise(points)
+    # of a uniform gradient the stress beyond the ball is that on it, wherever it is uniform
+    for field in (uniform, 4 * uniform):
+        assert np.abs(op.force(field, radius=0.05)).max() <= 1e-12
+    assert np.array_equal(op.force(rough, radius=9.0), op(rough))
+    assert np.abs(op.force(u, radius=0.05) - op(u)).max() > 1e-4 * np.abs(op(u)).max()
+    H, _ = op.gradients(u)
     near = H * np.minimum(1, 0.05 / size)[:, None, None]
     energy = lambda entries: psi(near + entries.reshape(2, 2), model)
-    by_energy = difference(energy, np.zeros(4), 1e-4).T.reshape(-1, 2, 2)
-    assert np.abs(clipped.gradients(u)[1] - by_energy).max() < 1e-6
-    assert np.array_equal(clipped(0.01 * u), free(0.01 * u))
+    P = difference(energy, np.zeros(4), 1e-4).T.reshape(-1, 2, 2)
+    gap = P - op.gradients(u)[1]
+    moved = op.force(u, radius=0.05) - op(u)
+    v = np.where(points.interior[:, None], noise(points, seed=3), 0.0)
+    work = (gap * op.gradients(v)[0]).sum()  # the weights of both sides are the same
+    assert (moved * v[points.interior]).sum() == pytest.approx(work, rel=1e-5)
 
 
 def test_what_is_refused():

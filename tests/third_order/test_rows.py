@@ -1,15 +1,15 @@
-"""The nonlinear solid's sweeps over rows of pairs of bonds: every layout, against plain sums."""
+"""A third-order crystal on every layout of nodes, against plain sums over bonds."""
 
 import numpy as np
 import pytest
-import torch
 
 from tests.lps.test_rows import SETS, numbered
 from tests.support.nonlinear import solid
-from tests.support.problems import ROUNDING, difference, lattice, noise
-from warp_peri.third_order import sweeps
+from tests.support.problems import ROUNDING, lattice, noise
+from warp_peri.core import pointwise
+from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.third_order.operator import PlacedThirdOrder
-from warp_peri.third_order.sweeps import third_order_force
 
 HORIZON = 3.0
 
@@ -30,73 +30,55 @@ def apart():
 LAYOUTS = SETS | {"shuffled": shuffled, "mostly empty": apart}
 
 
-def by_lists(op, points, u):
-    """L u from the linear solid, P at the nodes and sums over neighbours, (N2)."""
-    sweeps = op.sweeps
-    p_out = op.numbers.tables[4, sweeps.pair]
-    stress = np.zeros((len(points.x), 2, 2))
-    stress[sweeps.full] = op.gradients(u)[1]
-    ends = sweeps.neighbour.reshape(len(points.x), -1)[sweeps.rows]
-    both = stress[sweeps.rows][:, None] + stress[ends]
-    linear = op.straight(u)
-    return linear - np.einsum("ipkl,pl,p->ik", both, sweeps.xi, p_out)
-
-
-def gradients_by_lists(op, points, u):
-    """H at the nodes `full`, (N1)."""
-    sweeps = op.sweeps
-    p_in = op.numbers.tables[3, sweeps.pair]
-    ends = sweeps.neighbour.reshape(len(points.x), -1)[sweeps.full]
-    eta = u[ends] - u[sweeps.full][:, None]
-    return np.einsum("ipk,pl,p->ikl", eta, sweeps.xi, p_in)
-
-
-def tensors(of):
-    return [torch.tensor(each, dtype=torch.float64) for each in (of.tables, of.cubic)]
+def far_ends(op, points, at):
+    """Bonds ξ [B, 2] of the gradient and the nodes that they lead to from some, [n, B]."""
+    steps, (_, axes) = op._steps, lattice_steps(points)
+    xi = points.spacing * steps @ axes.T
+    box = np.full(2, np.inf) if points.box is None else np.asarray(points.box)
+    ends = []
+    for x in points.x[at][:, None] + xi:
+        away = x[:, None] - points.x
+        away -= np.where(np.isfinite(box), box, 0) * np.rint(away / box)
+        ends.append(np.abs(away).max(axis=2).argmin(axis=1))
+    return xi, np.array(ends)
 
 
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_force_and_derivatives(kind):
-    """Of every layout; ∂/∂u by the sparse tangent, the parameters' by differences."""
-    points = LAYOUTS[kind]()
-    op = PlacedThirdOrder(solid("filtered"), points)
+    """∂/∂u by the sparse tangent, which has no FFT."""
+    points, model = LAYOUTS[kind](), solid("filtered")
+    op = PlacedThirdOrder(model, points)
     u = 0.05 * noise(points)
-    H = gradients_by_lists(op, points, u)
-    assert np.abs(op.gradients(u)[0] - H).max() <= ROUNDING * np.abs(H).max()
-    force = by_lists(op, points, u)
-    assert np.abs(op(u) - force).max() <= 2 * ROUNDING * np.abs(force).max()
-    seed = noise(points, seed=3)[points.interior]
-    given = tensors(op.numbers)
-    leaves = [torch.tensor(value, requires_grad=True) for value in (u, *(t.numpy() for t in given))]
-    Lu = third_order_force(op.sweeps, *leaves)
-    by_u, *others = torch.autograd.grad((torch.from_numpy(seed) * Lu).sum(), leaves)
-    expected = (op.tangent(u).T @ seed.ravel()).reshape(-1, 2)
-    assert np.abs(by_u.numpy() - expected).max() <= 1e-12 * np.abs(expected).max()
-    for n, gradient in enumerate(others):
-        direction = given[n] * torch.linspace(0.5, 1.5, given[n].numel()).reshape(given[n].shape)
-
-        def value(amount, n=n, direction=direction):
-            moved = [*given[:n], given[n] + float(amount[0]) * direction, *given[n + 1 :]]
-            field = third_order_force(op.sweeps, torch.from_numpy(u), *moved)
-            return float((torch.from_numpy(seed) * field).sum())
-
-        slope = difference(value, np.zeros(1), 1e-2)[0]
-        along = float((gradient * direction).sum())
-        assert along == pytest.approx(slope, rel=1e-8)
+    classes = bond_classes(model.spacing, model.reach)
+    p_in, p_out = (2 * p[classes.bond_class] for p in model.weights(classes))
+    xi, ends = far_ends(op, points, op.full)
+    H = np.einsum("ipk,pl,p->ikl", u[ends] - u[op.full][:, None], xi, p_in)
+    found, P = op.gradients(u)
+    assert np.abs(found - H).max() <= ROUNDING * np.abs(H).max()
+    stress = np.zeros((len(points.x), 2, 2))
+    stress[op.full] = P
+    ends = far_ends(op, points, points.interior)[1]
+    force = op.straight(u) - np.einsum("ipkl,pl,p->ik", stress[ends], xi, p_out)
+    assert np.abs(op(u) - force).max() <= 4 * ROUNDING * np.abs(force).max()
+    v, w = noise(points, seed=2), noise(points, seed=3)[points.interior]
+    tangent = op.tangent(u)
+    for rate, expected in (
+        (op.product(u, v), tangent @ v.ravel()),
+        (op.product_transpose(u, w), tangent.T @ w.ravel()),
+    ):
+        assert np.abs(rate.ravel() - expected).max() <= 1e-12 * np.abs(expected).max()
 
 
 def test_samples_one_after_another(monkeypatch):
-    """The force to the bit; sums over samples are the same for all that memory holds at once."""
     points = lattice(4, HORIZON)
-    op = PlacedThirdOrder(solid("energy"), points)
-    u = torch.from_numpy(0.05 * noise(points, 5)).requires_grad_()
-    tables, cubic = tensors(op.numbers)
-    cubic.requires_grad_()
-    found = []
-    for most in (sweeps.AT_ONCE, 1):
-        monkeypatch.setattr(sweeps, "AT_ONCE", most)
-        Lu = third_order_force(op.sweeps, u, tables, cubic)
-        found.append([Lu.detach(), *torch.autograd.grad((Lu**2).sum(), [u, cubic])])
-    for one, other in zip(*found):
-        assert (one - other).abs().max() <= 1e-13 * one.abs().max()
-    assert torch.equal(found[0][0], found[1][0])
+    op, u = PlacedThirdOrder(solid("energy"), points), 0.05 * noise(points, 5)
+    w = noise(points, 5, seed=1)[:, points.interior]
+
+    def found():
+        slopes = op.by_numbers("t3", u, w)
+        return op(u), op.product(u, 2 * u), op.product_transpose(u, w), op.energy(u), slopes
+
+    first = found()
+    monkeypatch.setattr(pointwise, "MOST", 1)
+    for one, other in zip(first, found()):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-13 * np.abs(one).max())

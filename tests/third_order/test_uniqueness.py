@@ -78,10 +78,8 @@ class Iteration:
     """u ← u + L_LPS⁻¹ (b − L u) with clipping, under a random load and collar."""
 
     def __init__(self, model, strain, points, seed):
-        self.operator, self.inside = (
-            PlacedThirdOrder(model, points, radius=strain),
-            points.interior,
-        )
+        self.operator, self.inside = PlacedThirdOrder(model, points), points.interior
+        self.strain = strain
         tangent = self.operator.tangent(0 * points.x)
         self.stiffness = tangent[:, np.repeat(self.inside, 2)].tocsc()
         self.factors = splu(self.stiffness)
@@ -94,7 +92,7 @@ class Iteration:
         return field
 
     def __call__(self, field):
-        left = self.load - self.operator(field)
+        left = self.load - self.operator.force(field, radius=self.strain)
         moved = field.copy()
         moved[self.inside] += self.factors.solve(left.ravel()).reshape(-1, 2)
         return moved

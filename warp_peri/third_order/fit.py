@@ -6,6 +6,7 @@ import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy.optimize import root
@@ -13,9 +14,9 @@ from scipy.optimize import root
 from warp_peri.core.elastic import allowed_tensors, from_voigt, turned
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import Symmetry, checked_orientation, point_group, shared_with_nodes
-from warp_peri.core.stencil import Basis, central_weights, invariant_basis
+from warp_peri.core.pointwise import Pointwise
+from warp_peri.core.stencil import Basis, Stencil, central_weights, invariant_basis
 from warp_peri.errors import InputError
-from warp_peri.launch import floats
 from warp_peri.micromodulus import regression
 from warp_peri.micromodulus.learning import ENOUGH
 from warp_peri.micromodulus.regression import Learned
@@ -25,8 +26,8 @@ from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import Samples, axis_of
 from warp_peri.regression.search import compressed
 from warp_peri.third_order.material import ThirdOrderCrystal
+from warp_peri.third_order.operator import energy_density, gradient_stencil
 from warp_peri.third_order.smoothing import Smoothing, gradient_weights
-from warp_peri.third_order.sweeps import GradientSweeps, Numbers
 
 SETTLED = 1e-9
 """Relative, of moduli that are found."""
@@ -38,34 +39,27 @@ NOTHING = 1e-13
 """Of equations of size one, that is rounding."""
 
 
-class NonlinearFeatures:
-    """What t3, tq2, q3, λ and μ of Ψ do to L u, each at 1, on one lattice.
+def nonlinear_features(
+    points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """The force of t3, tq2, q3, λ and μ of Ψ, each at 1, shape [S, I, 5, 2].
 
     Args:
-        points: the lattice, which states the axis of the crystal.
+        points: the samples, whose points state the axis of the crystal.
         horizon: δ [Å].
         weights: p_in and p_out by class, each of shape [C].
     """
-
-    def __init__(
-        self, points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
-    ) -> None:
-        self.sweeps = GradientSweeps(points, horizon)
-        own = 2 * np.stack(weights)[:, self.sweeps.classes.bond_class[self.sweeps.half]]
-        self.tables = np.concatenate([np.zeros((3, own.shape[1])), own])
-        turned = np.exp(-6j * axis_of(points))
-        self.numbers = np.zeros((5, 6))
-        self.numbers[[0, 1, 3, 4], [2, 3, 0, 1]] = 1.0
-        self.numbers[2, 4:] = turned.real, turned.imag
-
-    def __call__(self, u: np.ndarray) -> np.ndarray:
-        """Columns of u [Å], shape [S, N, 2], in the order above: shape [S, I, 5, 2]."""
-        sweeps = self.sweeps
-        field = floats(np.ascontiguousarray(u), sweeps.kernels.vec)
-        columns = []
-        for numbers in self.numbers:
-            columns.append(sweeps.force(field, Numbers(self.tables, numbers)).numpy())
-        return np.stack(columns, axis=2)
+    (steps, into), (_, out) = (gradient_stencil(points, horizon, p) for p in weights)
+    energy, none = partial(energy_density, axis=axis_of(points)), np.zeros((2, 2, 2))
+    numbers, columns = dict.fromkeys(("t3", "tq2", "q3", "lam", "mu"), 0.0), []
+    operator = Pointwise(
+        points, horizon, energy, steps, into, back=out, numbers=numbers,
+        stencil=Stencil(points.spacing, np.eye(2, dtype=int), none),
+    )  # fmt: skip
+    for name in numbers:
+        operator.take(numbers | {name: 1.0})
+        columns.append(operator.force(points.u))
+    return np.stack(columns, axis=2)
 
 
 @dataclass(frozen=True)
@@ -290,8 +284,8 @@ def fit_third_order(
     shared = shared_with_nodes(group, turn)
     bonds = invariant_basis(horizon / samples.spacing, shared)
     weights = gradient_weights(smoothing, form, bond_classes(samples.spacing, horizon))
-    extra = NonlinearFeatures(samples, horizon, weights)(samples.u).transpose(0, 1, 3, 2)
-    extra = np.einsum("siam,ak->sikm", extra, axes)
+    extra = nonlinear_features(samples, horizon, weights)
+    extra = np.einsum("sima,ak->sikm", extra, axes)
     misfit = None
     if isinstance(moduli, str):
         allowed = allowed_tensors(symmetry, group, turn)

@@ -18,14 +18,12 @@ from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.micromodulus.waves import transferred
-from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.families import BondClasses
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import check_same, shown_moduli
 from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.third_order.smoothing import Smoothing, gradient_weights
-from warp_peri.third_order.sweeps import GradientSweeps
 from warp_peri.third_order.uniqueness import check_strain, uniqueness
 
 FORMS = ("filtered", "energy")
@@ -99,30 +97,12 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
 
     @property
     def numbers(self) -> np.ndarray:
-        """λ, μ, t3, tq2, q3 and 0 [stress], shape [6]: of a crystal along x."""
-        return self.numbers_at(0.0)
-
-    def numbers_at(self, axis: float) -> np.ndarray:
-        """λ, μ, t3, tq2, Re and Im of q3 e^(−6ia) [stress], shape [6], of a crystal at a [rad]."""
-        turned = self.q3 * np.exp(-6j * axis)
-        return np.array([*self.lame, self.t3, self.tq2, turned.real, turned.imag])
+        """λ, μ, t3, tq2 and q3 [stress], shape [5]."""
+        return np.array([*self.lame, self.t3, self.tq2, self.q3])
 
     def weights(self, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
         """p_in and p_out of the bond classes of a lattice [1/length²], each of shape [C]."""
         return gradient_weights(self.smoothing, self.form, classes)
-
-    def tables(self, sweeps: GradientSweeps, points: Points) -> np.ndarray:
-        """Tables of Numbers, in the coordinates of the points."""
-        axes, law = lattice_steps(points)[1], self.linear
-        inner = bond_classes(self.spacing, self.reach)
-        p = 2 * np.stack(self.weights(inner))[:, inner.bond_class].T
-        known = _of_steps(np.rint(inner.xi / self.spacing).astype(int), p)
-        turned = (axes @ law.tensors @ axes.T).reshape(-1, 4)[:, [0, 1, 3]]
-        tensors = _of_steps(np.concatenate([law.steps, -law.steps]), np.tile(turned, (2, 1)))
-        steps = np.rint(sweeps.xi[sweeps.half] @ axes / points.spacing).astype(int).tolist()
-        none = (np.zeros(3), np.zeros(2))
-        rows = [(*tensors.get(tuple(s), none[0]), *known.get(tuple(s), none[1])) for s in steps]
-        return np.array(rows).T.copy()
 
     def on(
         self, points: PointsLike, *, transfer: bool = True, allow_uncertified: bool = False
@@ -197,11 +177,6 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
         if self.proven.get("strain"):
             rows.append(("proven", f"one solution up to |H| = {self.proven['strain']:.2%}"))
         return rows + self.linear.rows()
-
-
-def _of_steps(steps: np.ndarray, values: np.ndarray) -> dict[tuple[int, ...], np.ndarray]:
-    """Values by the step of their bond."""
-    return {tuple(step): value for step, value in zip(steps.tolist(), values)}
 
 
 def _anisotropy(C: np.ndarray) -> float:

@@ -1,11 +1,11 @@
-"""A solid of third order on a lattice: force, tangent, energy, stress, equilibria (N1–N12, N24)."""
+"""A crystal of third order on a lattice: energy density, equilibria (N1–N12, N24)."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,24 +13,45 @@ import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
 
-from warp_peri.contract import OnPoints, stencil_of
+from warp_peri.contract import stencil_of
+from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError
-from warp_peri.launch import floats
-from warp_peri.points.arrays import checked_fields, plain
+from warp_peri.points.arrays import checked_fields
+from warp_peri.points.families import bond_classes
+from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
 from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
 from warp_peri.statics.linear import DIRECT, Inverse
 from warp_peri.statics.lps import bonds_within
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
-from warp_peri.third_order.sweeps import GradientSweeps, Numbers, TangentMatrices, third_order_force
 
 if TYPE_CHECKING:
     from warp_peri.third_order.material import ThirdOrderCrystal
 
 
-class PlacedThirdOrder(OnPoints):
+def energy_density(
+    E: torch.Tensor, *, axis: float, lam: Any, mu: Any, t3: Any, tq2: Any, q3: Any
+) -> Any:
+    """The energy (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
+    e00, b, _, e11 = E.flatten(-2).movedim(-1, 0).unbind()
+    t, a = e00 + e11, (e00 - e11) / 2
+    aa, bb = a * a, b * b
+    c, s = q3 * np.cos(6 * axis), q3 * np.sin(6 * axis)
+    sixfold = a * (c * (aa - 3 * bb)) + b * (s * (3 * aa - bb))
+    return t * t * ((lam + mu) / 2 + t3 * t) + (aa + bb) * (2 * mu + tq2 * t) + sixfold
+
+
+def gradient_stencil(
+    points: PointsLike, reach: float, p: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Steps [B, 2] and weights 2 p ξ [1, B, 2] of H (N1), of p by class, in the points' axes."""
+    classes, (_, axes) = bond_classes(points.spacing, reach), lattice_steps(nodes_of(points))
+    return classes.steps, 2 * p[classes.bond_class, None] * (classes.xi @ axes.T)[None]
+
+
+class PlacedThirdOrder(Pointwise):
     """Minus the internal force density of a solid of third order; b in equilibrium.
 
     Args:
@@ -40,12 +61,10 @@ class PlacedThirdOrder(OnPoints):
             is said once.
         transfer: False refuses lattices that the material itself is not certified on.
         allow_uncertified: take what holds no certificate, with a warning.
-        radius: largest |H| that the stress sees, projected to it from beyond (N10); 0 for none.
 
     Attributes:
         home: the material that was given.
         model: the one that is used, its linear part transferred where need be.
-        numbers: of the solid on these nodes.
 
     Raises InputError for scattered points, nodes without the collar, other units, and an
     uncertified spacing.
@@ -58,98 +77,53 @@ class PlacedThirdOrder(OnPoints):
         *,
         transfer: bool = True,
         allow_uncertified: bool = False,
-        radius: float = 0.0,
     ) -> None:
-        self.home, self.points = material, nodes_of(points)
+        self.home = material
         given = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-        self.model = here = material.at(self.points, **given)
-        self.sweeps = GradientSweeps(self.points, here.horizon)
-        axis = axis_of(self.points) if here.q3 else 0.0
-        tables = here.tables(self.sweeps, self.points)
-        self.numbers = Numbers(tables, here.numbers_at(axis), float(radius))
+        self.model = here = material.at(nodes_of(points), **given)
+        axis = axis_of(points) if here.q3 else 0.0
+        p_in, p_out = here.weights(bond_classes(here.spacing, here.reach))
+        steps, weights = gradient_stencil(points, here.reach, p_in)
+        back = None if p_in is p_out else gradient_stencil(points, here.reach, p_out)[1]
+        lam, mu = here.lame
+        super().__init__(
+            points,
+            here.horizon,
+            partial(energy_density, lam=lam, mu=mu, axis=axis),
+            steps,
+            weights,
+            back=back,
+            stencil=here.linear.stencil,
+            numbers={name: getattr(here, name) for name in ("t3", "tq2", "q3")},
+        )
 
     @cached_property
     def straight(self) -> Any:
         """The linear part alone, on the same nodes."""
         return self.model.linear.on(self.points)
 
-    @cached_property
-    def _matrices(self) -> TangentMatrices:
-        return TangentMatrices(self.sweeps, self.numbers)
-
-    def force(self, u: ArrayLike) -> np.ndarray:
-        """L u [stress/length] on the interior nodes, shape [..., I, 2]."""
-        Lu = self.sweeps.force(self._flat(u), self.numbers).numpy()
-        return np.asarray(Lu.reshape(*np.shape(u)[:-2], -1, 2))
-
-    @property
-    def learnable(self) -> dict[str, float]:
-        """The constants of third order [stress]."""
-        return {name: getattr(self.model, name) for name in ("t3", "tq2", "q3")}
-
-    def force_with(self, u: torch.Tensor, numbers: dict[str, torch.Tensor]) -> torch.Tensor:
-        """The force of fields [S, N, 2] with other constants, differentiable once in all."""
-        of, turned = self.numbers, np.exp(-6j * axis_of(self.points))
-        t3, tq2, q3 = (numbers[name] for name in self.learnable)
-        lame = torch.from_numpy(of.cubic[:2].copy())
-        constants = torch.stack([t3, tq2, q3 * turned.real, q3 * turned.imag])
-        given = torch.from_numpy(of.tables), torch.cat([lame, constants])
-        return third_order_force(self.sweeps, u, *given, radius=of.radius)
-
     def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
         """The same with other constants, of which nothing is proven."""
-        own = {name: float(value) for name, value in numbers.items()}
-        model: Any = self.model
-        return self._of(replace(model, **own, proven={}))
-
-    def clipped(self, radius: float) -> PlacedThirdOrder:
-        """The same with stresses of gradients clipped to a radius (N10)."""
-        return self._of(self.model, radius=radius)
-
-    def _of(self, model: Any, **more: Any) -> PlacedThirdOrder:
-        """Another model of the same linear part on the same nodes."""
+        own: dict[str, Any] = {name: float(value) for name, value in numbers.items()}
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # said of this one
             given: dict[str, Any] = {"transfer": False, "allow_uncertified": True}
-            return PlacedThirdOrder(model, self.points, **given, **more)
+            return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points, **given)
 
-    def gradients(self, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """H and P [stress] at the nodes `sweeps.full`, each of shape [..., F, 2, 2]."""
-        field = _array(u)
-        H, P = self.sweeps.gradients(self._flat(field), self.numbers)
-        shape = (*field.shape[:-2], len(self.sweeps.full), 2, 2)
-        return H.reshape(shape), P.reshape(shape)
-
-    def largest_gradient(self, u: ArrayLike) -> np.ndarray:
-        """Largest |H| of each field over the nodes within δ of the interior, shape [...]."""
-        H, _ = self.gradients(u)
-        largest: np.ndarray = np.linalg.norm(H, axis=(-2, -1)).max(axis=-1)
-        return largest
-
-    def tangent(self, u: ArrayLike) -> sp.csr_array:
-        """∂(L u)/∂u at a field [N, 2], without clipping: sparse, shape [2 I, 2 N] (N5)."""
-        return self._matrices.tangent(self.sweeps.curvatures(self._flat(u), self.numbers))
-
-    def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
-        """The derivative at u along v, shape [..., I, 2]."""
-        rate = self.sweeps.product(self._flat(u), self._flat(v), self.numbers).numpy()
-        return np.asarray(rate.reshape(*np.shape(u)[:-2], -1, 2))
-
-    def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
-        """The transposed product with w on the interior [..., I, 2], on all nodes [..., N, 2]."""
-        g = floats(_array(w).reshape(-1, len(self.sweeps.rows), 2), self.sweeps.kernels.vec)
-        by_u, _ = self.sweeps.adjoint(self._flat(u), self.numbers, g, parameters=False)
-        return np.asarray(by_u.numpy().reshape(np.shape(u)))
-
-    def energy(self, u: np.ndarray) -> np.ndarray | None:
+    def energy(self, u: ArrayLike) -> np.ndarray | None:
         """Of the linear part, and h² Σ Ψ(H) [stress · length²], shape [...], up to what the collar
         alone has: its derivative to the interior displacement is h² L u (N1, N24). None of the
         filtered form."""
-        if self.model.form != "energy":
-            return None
-        H, _ = self.gradients(u)
-        own = energy_density(H, self.numbers.cubic).sum(axis=-1)
-        return np.asarray(self.straight.energy(u) + self.points.spacing**2 * own)
+        own = super().energy(u)
+        return None if own is None else np.asarray(own + self.straight.energy(u))
+
+    def stress(self, u: ArrayLike) -> np.ndarray:
+        """σ of the linear part and P of Ψ [stress] at the interior nodes, [..., I, 2, 2] (N2)."""
+        return np.asarray(self.straight.stress(u) + super().stress(u))
+
+    def tangent(self, u: ArrayLike) -> sp.csr_array:
+        """∂(L u)/∂u at a field [N, 2]: sparse, shape [2 I, 2 N] (N5)."""
+        return sp.csr_array(self.straight.matrix() + super().tangent(u))
 
     def stiffest_wave(self) -> float:
         """A bound on the eigenvalues of the tangent [stress / length²] up to the proven strain, for
@@ -163,12 +137,6 @@ class PlacedThirdOrder(OnPoints):
                 "waves would gain or lose energy"
             )
         return 2 * largest(*stencil_of(self.model.linear, self.points.spacing, "move"))
-
-    def stress(self, u: np.ndarray) -> np.ndarray:
-        """σ of the linear part and P of Ψ [stress] at the interior nodes, [..., I, 2, 2] (N2)."""
-        _, P = self.gradients(u)
-        inside = self.points.interior[self.sweeps.full]
-        return np.asarray(self.straight.stress(u) + P[..., inside, :, :])
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of the linear part, of a load on the interior: factorised, or by iteration."""
@@ -200,7 +168,7 @@ class PlacedThirdOrder(OnPoints):
         inside, nodes = self.points.interior, len(self.points.x)
         answers = field.reshape(-1, nodes, 2)
         proven = self.model.proven_strain(self.points.spacing)
-        clipped = (lambda: self.clipped(proven)) if proven > 0 else None
+        clipped = partial(partial, self.force, radius=proven) if proven > 0 else None
         way = Equilibria(self, self.straight, self.inverse(len(answers)), inside, clipped)
         few = asked.eigenvalues and np.count_nonzero(inside) <= DIRECT
         smallest = self._smallest if few else None
@@ -221,35 +189,5 @@ class PlacedThirdOrder(OnPoints):
 
     def _smallest(self, field: np.ndarray) -> float:
         """Smallest eigenvalue of the symmetric part of the tangent on the unknowns."""
-        rows = self.sweeps.rows
-        unknown = np.stack([2 * rows, 2 * rows + 1], axis=1).ravel()
-        tangent = sp.csr_array(self.tangent(field).tocsc()[:, unknown])
+        tangent = sp.csr_array(self.stiffness_at(field))
         return smallest_eigenvalue(sp.csc_array((tangent + tangent.T) / 2))
-
-    def _flat(self, u: ArrayLike) -> Any:
-        """Fields as the kernels read them, shape [S, N] of vectors."""
-        self.check(field := _array(u))
-        return floats(field.reshape(-1, *self.shape), self.sweeps.kernels.vec)
-
-
-def _array(u: ArrayLike) -> np.ndarray:
-    return np.require(plain("u", u), float, ["C", "W"])
-
-
-def energy_density(H: np.ndarray, numbers: np.ndarray) -> np.ndarray:
-    """Ψ of (N3) [stress] at displacement gradients of shape [..., 2, 2].
-
-    `numbers` are λ, μ, t3, tq2, Re and Im of q3 e^(−6ia), as ThirdOrderCrystal.numbers_at.
-    """
-    lam, mu, t3, tq2, *turned = numbers
-    small = (H + H.swapaxes(-1, -2)) / 2
-    square = H.swapaxes(-1, -2) @ H / 2
-    E = small + square
-    trace, added = (np.trace(of, axis1=-2, axis2=-1) for of in (small, square))
-    # of the harmonic part only what the square adds: the linear solid has the rest
-    density = lam / 2 * added * (2 * trace + added)
-    density += mu * (square * (2 * small + square)).sum(axis=(-2, -1))
-    t = trace + added
-    q = (E[..., 0, 0] - E[..., 1, 1]) / 2 + 1j * E[..., 0, 1]
-    cubic = t3 * t**3 + tq2 * t * np.abs(q) ** 2 + (complex(*turned) * q**3).real
-    return np.asarray(density + cubic)

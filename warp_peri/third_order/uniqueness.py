@@ -133,7 +133,7 @@ def largest_parts(model: Any) -> list[float]:
     m = np.stack([zero + 1, t, t**2 / 4 + w**2])
     s = _product(np.stack([zero, zero, q**2]), m)
     square = _product(e, e)
-    lam, mu, t3, tq2, q3, _ = model.numbers
+    lam, mu, t3, tq2, q3 = model.numbers
     terms = [(lam + mu, square / 2), (2 * mu, s), (t3, _product(e, square)), (tq2, _product(e, s))]
     parts = []
     size = np.hypot(t / 2, w)

@@ -1,1 +1,0 @@
-"""The nonlinear solid: energy of a nodal displacement gradient, force, adjoint, tangent."""

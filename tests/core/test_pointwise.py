@@ -1,0 +1,109 @@
+"""An energy density of strain on a lattice: in space, of several gradients, on one thread."""
+
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
+import numpy as np
+import pytest
+import torch
+
+from warp_peri.core.pointwise import Pointwise, one_thread
+from warp_peri.core.stencil import Stencil, half_ball
+from warp_peri.points.points import Points
+
+LAM, MU = 0.4, 0.9
+
+
+def quartic(E, *, lam, mu, more):
+    t = E.diagonal(dim1=-2, dim2=-1).sum(-1)
+    square = (E * E).sum((-1, -2))
+    return lam / 2 * t**2 + mu * square + more * square * square
+
+
+def operator(d, sides=2, **options):
+    """Gradients of one side each on a cube, with a shorter linear part where it is asked for."""
+    n = 9 if d == 2 else 7
+    x = np.argwhere(np.ones((n,) * d)) - n // 2
+    points = Points(0.5 * x, np.abs(x).max(axis=1) <= n // 2 - 2, 0.5)
+    steps = np.concatenate([np.zeros((1, d), int), np.eye(d, dtype=int), -np.eye(d, dtype=int)])
+    weights = np.zeros((sides, 1 + 2 * d, d))
+    for q, sign in enumerate((1, -1)[:sides]):
+        weights[q, 0] = -sign / 0.5
+        weights[q, (1 if sign > 0 else 1 + d) + np.arange(d), np.arange(d)] = sign / 0.5
+    numbers = {"lam": LAM, "mu": MU, "more": 2.0}
+    return Pointwise(points, 0.5, quartic, steps, weights, numbers=numbers, **options)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+@pytest.mark.parametrize("linear", [False, True])
+def test_force_is_the_gradient_of_the_energy_and_products_are_those_of_the_tangent(d, linear):
+    steps = half_ball(1.0, d)
+    stencil = Stencil(0.5, steps, np.stack([(1.0 + n) * np.eye(d) for n in range(len(steps))]))
+    op = operator(d, stencil=stencil if linear else None)
+    points, rng = op.points, np.random.default_rng(0)
+    u, v = 0.05 * rng.normal(size=(2, 2, *points.x.shape))
+    w = rng.normal(size=(2, points.interior.sum(), d))
+    inner = np.where(points.interior[:, None], v, 0.0)
+    step = 1e-4
+    ends = [op.force(u + s * step * v) for s in (1, -1)]
+    np.testing.assert_allclose(op.product(u, v), (ends[0] - ends[1]) / (2 * step), atol=1e-5)
+    back = (op.product_transpose(u, w) * v).sum(axis=(1, 2))
+    np.testing.assert_allclose((op.product(u, v) * w).sum(axis=(1, 2)), back, rtol=1e-12)
+    ends = [op.energy(u + s * step * inner) for s in (1, -1)]
+    bent = op.force(u) - (0 if not linear else op.force(1e-9 * u) / 1e-9)
+    work = 0.5**d * (bent * inner[:, points.interior]).sum(axis=(1, 2))
+    np.testing.assert_allclose((ends[0] - ends[1]) / (2 * step), work, rtol=1e-5, atol=1e-9)
+    if not linear:
+        tangent = op.tangent(u[0])
+        np.testing.assert_allclose(tangent @ v[0].ravel(), op.product(u, v)[0].ravel(), atol=1e-12)
+
+
+def test_stress_of_a_uniform_gradient_is_that_of_the_density():
+    op = operator(3)
+    H = 0.1 * np.random.default_rng(1).normal(size=(3, 3))
+    E = (H + H.T + H.T @ H) / 2
+    square = (E * E).sum()
+    S = LAM * np.trace(E) * np.eye(3) + (2 * MU + 8.0 * square) * E
+    P = op.stress(op.points.x @ H.T)
+    np.testing.assert_allclose(P, np.broadcast_to((np.eye(3) + H) @ S, P.shape), rtol=1e-12)
+    assert np.abs(op.force(op.points.x @ H.T)).max() < 1e-12
+
+
+def test_slopes_to_numbers_are_those_of_differences():
+    op = operator(2)
+    rng = np.random.default_rng(2)
+    u = 0.1 * rng.normal(size=(3, *op.points.x.shape))
+    w = rng.normal(size=(3, op.points.interior.sum(), 2))
+    for name, value in op.numbers.items():
+        slope = op.by_numbers(name, u, w)
+        op.numbers = op.numbers | {name: value + 0.1}
+        more = (w * op.force(u)).sum()
+        op.numbers = op.numbers | {name: value}
+        assert slope == pytest.approx((more - (w * op.force(u)).sum()) / 0.1, rel=1e-10)
+
+
+def test_one_thread_is_given_back_by_the_last_of_four_and_after_an_error():
+    before, meet = torch.get_num_threads(), Barrier(4)
+    torch.set_num_threads(3)
+    try:
+
+        def task(number):
+            meet.wait()
+            for _ in range(50):
+                with one_thread():
+                    inside = torch.get_num_threads()
+            meet.wait()
+            return inside, torch.get_num_threads()
+
+        with ThreadPoolExecutor(4) as pool:
+            assert set(pool.map(task, range(4))) == {(1, 3)}
+        with one_thread(), one_thread():
+            assert torch.get_num_threads() == 1
+        assert torch.get_num_threads() == 3
+        with pytest.raises(ZeroDivisionError), one_thread():
+            1 / 0  # noqa: B018
+        assert torch.get_num_threads() == 3
+        with one_thread(False):
+            assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
