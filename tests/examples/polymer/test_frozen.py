@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from examples.polymer import FENEP, Giesekus, PlaneFlow, load
+from examples.polymer import FENEP, Giesekus, PlaneFlow, homogeneous, load, shear
+from examples.polymer.learned import OutsideWarning
 
 FILE = Path(__file__).with_name("flow.json")
 
@@ -33,6 +34,17 @@ def test_a_plane_flow_is_what_it_was(law, norm, largest):
     channel = PlaneFlow(De=1.0, Re=1.0, cells=16, force=lambda t: 1.0)
     u = wp.move(law, channel, until=0.5, dt=0.01)["u"]
     np.testing.assert_allclose([np.linalg.norm(u), np.abs(u).max()], [norm, largest], rtol=1e-10)
+
+
+def test_a_run_says_once_that_it_left_the_data():
+    fast = shear(np.full((30, 1), 30.0))
+    with pytest.warns(OutsideWarning) as found:
+        homogeneous(load(FILE), fast, 0.1)
+    assert len([one for one in found if one.category is OutsideWarning]) == 1
+    flow = PlaneFlow(De=1.0, Re=1.0, cells=8, force=lambda t: 300.0)
+    with pytest.warns(OutsideWarning) as again:
+        wp.move(load(FILE), flow, until=0.3, dt=0.005)
+    assert len([one for one in again if one.category is OutsideWarning]) == 1
 
 
 def test_the_library_alone_refuses_a_law_of_flow():
