@@ -173,8 +173,9 @@ class _Tables:
         names = "kw", "m", "lam", "mu"
         kw, m, lam, mu = (getattr(self.law, name).numpy().astype(float) for name in names)
         shear, bulk, pressed = (np.bincount(of.bond_class[self.bonds.pairs], one) for one in sums)
+        shear = shear * (1 / of.r**2)
         factor, dilatational = 2 * c1 * (c1 + 2) * mu, c1 * (lam - mu)
-        by_w, by_d = -factor * shear / of.r**2, pressed - dilatational * bulk
+        by_w, by_d = -factor * shear, pressed - dilatational * bulk
         for each in (by_w, by_d):  # the volume divides all of them
             each -= kw @ each / m * of.count * of.r**2
         self.by_class = by_w + by_d
