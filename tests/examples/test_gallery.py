@@ -100,7 +100,7 @@ def test_a_missing_figure_is_named_with_its_command(tmp_path):
 
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory):
-    model = kernel("sign-changing", 2.5)
+    model = kernel("positive", 2.5)
     points = manufactured(model, lattice(6, 2.5), 1)
     return write_fields(tmp_path_factory.mktemp("fields"), model, points, points.u)[0]
 

@@ -27,7 +27,7 @@ HORIZON = 2.5
 
 @pytest.fixture
 def model():
-    return kernel("sign-changing", HORIZON)
+    return kernel("positive", HORIZON)
 
 
 @pytest.fixture

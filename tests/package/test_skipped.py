@@ -61,14 +61,6 @@ def test_another_model_on_the_same_bonds_is_computed(launched):
     np.testing.assert_array_equal(operator(noise(points)), expected)
 
 
-def test_no_dilatation_is_swept_where_the_constants_are_equal(launched):
-    points = lattice(4, HORIZON)
-    LPSOperator(kernel("positive", HORIZON, lam=0.8), points)(noise(points))
-    assert not any("_swept" in name for name in launched)  # θ, in rows
-    LPSOperator(kernel("positive", HORIZON), points)(noise(points))
-    assert any("_swept" in name for name in launched)
-
-
 def test_a_pattern_is_weighted_once(monkeypatch):
     own = bond_classes(1.0, 3.7)
     own.weight[:] = np.nan  # what a caller does to its own copy
