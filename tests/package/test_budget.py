@@ -40,7 +40,7 @@ ROOMS = {
     "face": 930,
     "files": 513,
     "learning": 1958,
-    "lps": 1471,
+    "lps": 1472,
     "micromodulus": 1323,
     "neural": 1015,
     "points": 1922,
