@@ -85,11 +85,11 @@ class Term:
     """
 
     kind: str
-    angle: Annotated[float, Entry(later=True)] = 0.0
-    exponent: Annotated[float, Entry(later=True)] = 0.0
-    ripple: Annotated[bool, Entry(later=True)] = False
-    across: Annotated[tuple[int, int] | None, Entry(later=True)] = None
-    corner: Annotated[bool, Entry(later=True)] = False
+    angle: float = 0.0
+    exponent: float = 0.0
+    ripple: bool = False
+    across: tuple[int, int] | None = None
+    corner: bool = False
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
