@@ -137,9 +137,10 @@ def test_help_is_a_sentence_an_example_and_phrases_in_groups(name):
 def test_training_says_what_there_is_how_good_and_what_next(data, tmp_path, capsys):
     words = ["train", str(data), "--out", str(tmp_path), "--horizon", "2.5", "--degree", "3"]
     assert main([*words, "--loss", "residual"]) == 0
-    what, good, proof, further, line, *details = capsys.readouterr().out.splitlines()
+    what, sheet, good, proof, further, line, *details = capsys.readouterr().out.splitlines()
     error = json.loads((tmp_path / "metrics.json").read_text())["E_u"]["test"]
     assert what.startswith(f"{tmp_path}/model.json: linear peridynamic solid (LPS), horizon 2.5 Å")
+    assert sheet == "moduli: of a sheet 3.35 Å thick, of 2200 kg/m³, as the data file says"
     assert good.startswith(f"error of displacement: {100 * error:.2g} % on set 'test'")
     assert proof == "proven: exactly one equilibrium for every load"
     assert set(line) == {"-"}

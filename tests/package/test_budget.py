@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_242,
-    "tokens": 311_074,
-    "lines of warp_peri": 42_988,
+    "code lines": 26_240,
+    "tokens": 311_000,
+    "lines of warp_peri": 42_983,
     "lines of kernels": 4_424,
-    "lines of warp_peri, kernels, examples and tools": 79_141,
+    "lines of warp_peri, kernels, examples and tools": 79_136,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -32,7 +32,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1216,
-    "core": 1781,
+    "core": 1778,
     "damage": 2013,
     "diffusion": 337,
     "dynamics": 524,
