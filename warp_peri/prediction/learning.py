@@ -137,11 +137,9 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
     sets = [samples] if validation is None else [samples, validation]
     found = [_measured(bare, one) for one in sets]
     rows = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
-    record, members = None, rows["members"]
-    if samples.spacing > 0:
-        record = recorded(samples.spacing * KNOTS, rows["shares"], rows["true"])
-        told = np.array([record.of(one) for one in rows["shares"]])
-        members = members * [pulled(*pair) for pair in zip(members, told)]
+    record = recorded(samples.spacing * KNOTS, rows["shares"], rows["true"])
+    told = np.array([record.of(one) for one in rows["shares"]])
+    members = rows["members"] * [pulled(*pair) for pair in zip(rows["members"], told)]
 
     def quantile(above: np.ndarray, below: np.ndarray, share: float = COVERED) -> float:
         return float(np.quantile(above / np.maximum(below, ROUNDING), share))
@@ -229,6 +227,6 @@ def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
         row["series"] = 0.0 if fields.strain is None else norm(fields.strain)
         row["members"] = spread(placed.norm(fields.waves), placed.norm(fields.data)) / size
         row["gradient"] = placed.gradient(u)
-        row["shares"] = placed.spectrum.shares(u) if samples.spacing > 0 else np.zeros(1)
+        row["shares"] = placed.spectrum.shares(u)
         rows.append(row)
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
