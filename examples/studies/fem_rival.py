@@ -73,25 +73,24 @@ def elastic_solver(
     factors = splu(sp.csc_matrix(K[free][:, free]))
     collar = K[free][:, ~free]
 
-    def bent(start: np.ndarray, load: np.ndarray) -> np.ndarray:
+    def bent(start: np.ndarray, load: np.ndarray, pull: np.ndarray) -> np.ndarray:
         """All unknowns of one load in third-order elasticity, by repeated linear solves."""
-        found, size = start.copy(), None
+        found = start.copy()
         for _ in range(STEPS):
             left = load - work.assemble(basis, u=basis.interpolate(found))[free]
-            size = size or np.linalg.norm(left)
-            if np.linalg.norm(left) <= SETTLED * size:
+            if np.linalg.norm(left) <= SETTLED * np.linalg.norm(load - pull):
                 return found
             found[free] += factors.solve(left)
         raise InputError("b: third-order elasticity finds no equilibrium under this load")
 
     def solve(b: np.ndarray, u: np.ndarray) -> np.ndarray:
         load, given = b[..., node, component].T, u[..., node, component].T
-        right = (M @ load)[free]
-        solution = factors.solve(right - collar @ given[~free])
+        right, pull = (M @ load)[free], collar @ given[~free]
+        solution = factors.solve(right - pull)
         if third is not None:
             start = given.copy()
             start[free] = solution
-            columns = zip(start.reshape(len(start), -1).T, right.reshape(len(right), -1).T)
+            columns = zip(*(each.reshape(len(each), -1).T for each in (start, right, pull)))
             solution = np.stack([bent(*column)[free] for column in columns], axis=-1)
             solution = solution.reshape(right.shape)
         inner = np.empty((*b.shape[:-2], np.count_nonzero(points.interior), 2))

@@ -64,11 +64,12 @@ def test_third_order_elements_hold_a_strained_crystal_and_turn_with_it():
     turn = np.array([[np.cos(0.05), -np.sin(0.05)], [np.sin(0.05), np.cos(0.05)]])
     u = samples.x @ (turn @ (np.eye(2) + 0.2 * H) - np.eye(2)).T
     moduli = plane_isotropic(0.3, 0.7)
-    for inner in (
-        local_solver(samples.points, moduli, third)(0 * u, u),
-        elastic_solver(samples.points, order=1, C=moduli, third=third)(0 * u, u),
+    for solve, rounding in (
+        (local_solver(samples.points, moduli, third), 3e-7),  # of the interpolation's weights
+        (elastic_solver(samples.points, order=1, C=moduli, third=third), 1e-14),
     ):
-        np.testing.assert_allclose(inner, u[samples.interior], atol=1e-7)
+        wrong = solve(0 * u, u) - u[samples.interior]
+        assert np.abs(wrong).max() <= rounding * np.abs(u).max()
 
 
 def test_one_load_and_a_stack_are_solved_alike():

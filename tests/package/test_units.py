@@ -125,12 +125,13 @@ def swept(units, path):
 def constants(form):
     def run(units, _):
         h = length_of(units)
-        u = 0.02 * smooth(LATTICE.x, 6, 0, wave_number=0.8)
+        points = lattice(9, 2.5)
+        u = 0.02 * smooth(points.x, 6, 0, wave_number=0.8)
         b = np.zeros_like(u)
-        b[:, LATTICE.interior] = PlacedThirdOrder(solid(form, 2.5), LATTICE)(u)
+        b[:, points.interior] = PlacedThirdOrder(solid(form, 2.5), points)(u)
         b *= 1 + 1e-4 * np.random.default_rng(0).normal(size=b.shape)
         law = ThirdOrder(Micromodulus(2.5 * h), Smoothing(2.0 * h, 0.2), form)
-        found = law.learn(there(Samples(LATTICE, u, b), units)).material
+        found = law.learn(there(Samples(points, u, b), units)).material
         strain = found.proven_strain(h)
         return np.concatenate([found.in_units(USUAL).numbers, [strain]])
 
