@@ -169,14 +169,13 @@ class _Tables:
 
     def take(self, sums: np.ndarray) -> tuple[float, float]:
         """The same of a lattice's sums by pairs of bonds, [3, H], (45–47)."""
-        of, c1 = self.bonds.families.classes, self.bonds.dimension
-        names = "kw", "m", "lam", "mu"
-        kw, m, lam, mu = (getattr(self.law, name).numpy().astype(float) for name in names)
-        shear, bulk, pressed = (np.bincount(of.bond_class[self.bonds.pairs], one) for one in sums)
-        shear = shear * (1 / of.r**2)
-        factor, dilatational = 2 * c1 * (c1 + 2) * mu, c1 * (lam - mu)
-        by_w, by_d = -factor * shear, pressed - dilatational * bulk
-        for each in (by_w, by_d):  # the volume divides all of them
+        of, law, c1 = self.bonds.families.classes, self.law, self.bonds.dimension
+        kw, m, lam, mu = (x.numpy().astype(float) for x in (law.kw, law.m, law.lam, law.mu))
+        bent, bulk, pressed = (np.bincount(of.bond_class[self.bonds.pairs], one) for one in sums)
+        shear = bent / of.r**2
+        by_w = -2 * c1 * (c1 + 2) * mu * shear
+        by_d = pressed - c1 * (lam - mu) * bulk
+        for each in by_w, by_d:  # the volume divides all of them
             each -= kw @ each / m * of.count * of.r**2
         self.by_class = by_w + by_d
         return float(kw @ shear), float(kw @ bulk)
