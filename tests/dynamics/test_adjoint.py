@@ -220,10 +220,11 @@ def test_few_states_are_kept(steps, made, monkeypatch):
     motion["u"].square().sum().backward()
     assert most[0] <= PIECES + BATCH + 3
     del motion
-    assert len(alive) <= 1
+    kept = len(alive)  # the field that the operator swept last
+    assert kept <= 1
     most[0] = 0
     wp.move(op, problem, **options | {"steps": 100})["u"].square().sum().backward()
-    assert most[0] <= 4
+    assert most[0] <= 4 + kept
 
 
 def test_what_has_no_gradient_says_so(made):
