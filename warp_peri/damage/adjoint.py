@@ -32,7 +32,7 @@ def bond_force(
     """L u of (C4) on all nodes, [S, N, d], of a model with other numbers; has every derivative.
 
     Args:
-        model: one influence function.
+        model: whose influence function has the form of other numbers.
         body, neighbour: nodes and their bonds, broken ones are −1.
         u: displacement, shape [S, N, d].
         numbers: lam, mu, alpha and D as tensors.

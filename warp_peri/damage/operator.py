@@ -42,7 +42,7 @@ class SplitBonds(NamedTuple):
 
 
 def bonds_of(model: Model, classes: BondClasses) -> SplitBonds:
-    """Of the bonds of a ball; InputError as bond_weights."""
+    """Of the bonds of a ball."""
     d, w, r = model.dimension, bond_weights(model, classes), classes.r[classes.bond_class]
     return SplitBonds(d * (d + 2) * model.mu * w / r**2, d * w, model.lam - model.mu)
 
@@ -218,7 +218,7 @@ class CutOperator:
     """Forces and energies of a lattice body over its unbroken bonds, by rows in Warp.
 
     Args:
-        model: one influence function for both parts.
+        model: a linear solid.
         body: the nodes and their bonds.
         limits: by bond of the ball, of the criterion, shape [B]; none breaks by default.
         by_energy: the criterion is the bond's energy density instead of e = s r².

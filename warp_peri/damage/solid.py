@@ -31,7 +31,7 @@ def check_breakable(model: Model, classes: BondClasses) -> None:
     """Refuse a model whose bonds must not break (theory, C3).
 
     Raises InputError with what positive and negative bonds across a line carry, for an influence
-    function that changes sign on the lattice, or two of them.
+    function that changes sign on the lattice.
     """
     w = bond_weights(model, classes)
     if (w >= -ROUNDING * np.abs(w).max()).all():
