@@ -1,4 +1,4 @@
-"""A model on another lattice: a fit to its own waves, proven there (theory, M2–M7)."""
+"""A model on another lattice: a fit to its own waves, proven there (theory, M2–M6)."""
 
 from __future__ import annotations
 
