@@ -301,9 +301,8 @@ class PlacedMembers:
     def bent(self, u: np.ndarray) -> np.ndarray | None:
         """What the body moves by since its force is not linear at u, [I, d] (Q3).
 
-        Of a linear member by the forces of second order that its data show; on ranks and behind a
-        narrow collar by the most that any uniform strain gives; None off lattices, and where no
-        data showed any.
+        Of a linear member by the forces of second order of its data; on ranks and behind a narrow
+        collar by the most that any uniform strain gives; None off lattices and without such data.
         """
         if self.nonlinear:
             return self.inverse(self.rich(u) - self.straight(u), ROUGH)
