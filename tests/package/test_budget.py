@@ -32,7 +32,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1216,
-    "core": 1778,
+    "core": 1781,
     "damage": 2013,
     "diffusion": 337,
     "dynamics": 524,

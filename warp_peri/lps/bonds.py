@@ -201,8 +201,7 @@ class Bonds:
             prepared.forget()
 
     def force(self, u: Any, values: Sequence[Any], Lu: Any) -> None:
-        """L u of tensors [..., N, d] and [..., I, d], and λ, μ, α, D, on a lattice laid out in
-        rows."""
+        """L u of tensors [..., N, d] and [..., I, d], on a lattice laid out in rows."""
         numbers = [
             one.detach().numpy().reshape(-1) if hasattr(one, "detach") else np.ravel(one)
             for one in values
@@ -332,7 +331,6 @@ def evaluate(
         dilatation: whether θ is wanted by node, and not only for the force.
     """
     samples, kernels, arrays = u.shape[0], lps.sweeps(bonds.scalar, bonds.dimension), bonds.arrays
-    inputs: tuple[Any, ...]
     kw, m = influence(bonds, alpha, D, gradient=gradient)
     Lu = _forces(bonds, samples, gradient=gradient)
     if bonds.laid_out is not None and not gradient:
@@ -341,7 +339,7 @@ def evaluate(
         _by_rows(bonds, bonds.laid_out, law, u, Lu, theta if dilatation else None)
         return Evaluation(kw, m, theta, Lu)
     theta = bonds.zeros(samples, bonds.nodes, gradient=gradient)
-    inputs = (bonds.whole, arrays, kw, m, u)
+    inputs: Any = (bonds.whole, arrays, kw, m, u)
     _launch(gradient, kernels.dilatation, len(bonds.whole), inputs, theta, samples)
     if len(bonds.cut):
         shape = surface_shape(bonds, kw, gradient=gradient)

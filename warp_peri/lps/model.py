@@ -310,7 +310,7 @@ class Model(Record, format="warp_peri.model"):
     @classmethod
     def today(cls, content: dict[str, Any]) -> dict[str, Any]:
         """Without the dilatation's own coefficients of before; InputError where they differ."""
-        if (own := content.pop("D_dilatation", None)) is not None and own != content.get("D"):
+        if content.pop("D_dilatation", D := content.get("D")) != D:
             raise InputError(
                 "D_dilatation: expected that of D, got an influence function of its own, which "
                 "left the library; commit 60f8a38d is the last that reads it"

@@ -105,10 +105,8 @@ def _by_bonds(
 ) -> None:
     """τ, and ∂/∂u where an array is given, through the lists of neighbours."""
     kernels, links = adjoints(bonds.scalar, bonds.dimension), (bonds.arrays, bonds.reverse)
-    inputs: tuple[Any, ...]
-    inputs = (bonds.full, *links, law.kw, law.m, law.lam, law.mu, h)
-    count, samples = len(bonds.full), len(tau)
-    launch_slices(kernels.dilatation_adjoint, count, inputs, (tau,), samples=samples)
+    inputs: Any = (bonds.full, *links, law.kw, law.m, law.lam, law.mu, h)
+    launch_slices(kernels.dilatation_adjoint, len(bonds.full), inputs, (tau,), samples=len(tau))
     if u_bar is not None:
         inputs = (*links, law.kw, law.mu, h, tau)
         launch_slices(kernels.displacement_adjoint, bonds.nodes, inputs, (u_bar,), samples=len(tau))
@@ -375,8 +373,7 @@ class NodeOperator(OnPoints):
 
     @property
     def gathers(self) -> bool:
-        """Whether `felt` and `pulls` are had: with dilatations, no broken bonds, on the
-        processor."""
+        """Whether `felt` and `pulls` are had: whole bonds with dilatations, on the processor."""
         return not self.bonds.bond_based and gathers(self.bonds)
 
     def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
