@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_237,
-    "tokens": 310_968,
-    "lines of warp_peri": 42_980,
+    "code lines": 26_240,
+    "tokens": 310_994,
+    "lines of warp_peri": 42_983,
     "lines of kernels": 4_424,
-    "lines of warp_peri, kernels, examples and tools": 79_070,
+    "lines of warp_peri, kernels, examples and tools": 79_073,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -32,7 +32,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1216,
-    "core": 1781,
+    "core": 1783,
     "damage": 2013,
     "diffusion": 337,
     "dynamics": 524,
@@ -40,7 +40,7 @@ ROOMS = {
     "face": 930,
     "files": 513,
     "learning": 1958,
-    "lps": 1471,
+    "lps": 1468,
     "micromodulus": 1323,
     "neural": 1015,
     "points": 1922,
@@ -51,7 +51,7 @@ ROOMS = {
     "stability": 140,
     "statics": 1232,
     "structures": 1936,
-    "third_order": 596,
+    "third_order": 597,
     "tissue": 2386,
     "transfer": 403,
 }

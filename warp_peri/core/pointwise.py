@@ -139,7 +139,9 @@ class Pointwise(OnPoints):
         self.full, self._full, self._full_at = grid.near[whole], place[whole], at[whole]
         into, out = (self._symbol(steps, each.swapaxes(1, 2)) for each in self._weights)
         self._symbols = into, out / len(out)
-        self._straight = self._linear = self.at_rest = None
+        self._straight: Any = None
+        self._linear: Any = None
+        self.at_rest: Any = None
         if stencil is not None:
             C = (grid.axes @ stencil.tensors @ grid.axes.T).transpose(1, 2, 0)
             both = np.concatenate([stencil.steps, -stencil.steps, 0 * stencil.steps[:1]])
@@ -341,9 +343,9 @@ class Pointwise(OnPoints):
             one = torch.zeros(d, d, 1, dtype=torch.float64)
             one[c, e] = 1
             P = self._curved(H, one.expand_as(H)) - self._linear_stress(one.expand_as(H))
-            P = P[0].numpy() / len(into)
+            rows = P[0].numpy() / len(into)
             for q, (a, b) in itertools.product(range(len(into)), pairs):
-                bent = out[q][b].T @ (sp.diags_array(P[q, a, b]) @ into[q][e])
+                bent = out[q][b].T @ (sp.diags_array(rows[q, a, b]) @ into[q][e])
                 place = sp.coo_array(([1.0], ([a], [c])), shape=(d, d))
                 found = found + sp.kron(bent.tocsr()[inside], place)
         return sp.csr_array(found)

@@ -81,7 +81,8 @@ class PlacedThirdOrder(Pointwise):
         self.home = material
         given = {"transfer": transfer, "allow_uncertified": allow_uncertified}
         self.model = here = material.at(nodes_of(points), **given)
-        axis = axis_of(points) if here.q3 else 0.0
+        stated = here.q3 or nodes_of(points).axis is not None
+        axis = axis_of(points) if stated else 0.0
         p_in, p_out = here.weights(bond_classes(here.spacing, here.reach))
         steps, weights = gradient_stencil(points, here.reach, p_in)
         back = None if p_in is p_out else gradient_stencil(points, here.reach, p_out)[1]
