@@ -23,38 +23,14 @@ ROWS = 6
 HOW_TO = ("tutorials/", "how-to/")
 """Folders whose pages say how to do something."""
 ARCHIVE = "archive/"
-"""Studies behind the pages: not counted, but for words to avoid."""
+"""Studies behind the pages: not counted."""
 NO_CODE = ("papers/", "theory")
 """Pages that need no code."""
-AVOIDED = {
-    "law": r"laws?(?!\.\w)",
-    "carry": r"carr(?:y|ies|ied|ying) (?:to|onto|over)|carried",
-    "even, uneven": r"(?:an?|the|of) even (?:solid|sheet|one|body)|uneven",
-    "beside": r"beside",
-    "stands": r"stands?",
-    "told, given, held moduli": r"(?:told|given|held) moduli|moduli (?:are )?(?:told|given|held)",
-    "home": r"home",
-    "turned": r"turned",
-    "torn": r"torn",
-    "at rest": r"at rest",
-    "numbers of a model": r"(?:more|fewer|its|few|two|three|four|six|nine|\d+) numbers",
-    "says otherwise": r"says? otherwise",
-    "scene": r"scenes?",
-    "read out": r"read out",
-    "% off": r"% off|off by",
-    "corners of cells": r"corners of cells",
-    "tells": r"tells?",
-    "speaks of": r"speaks? of",
-    "say nothing": r"says? nothing",
-    "read this if, whoever": r"read this if|whoever|look here",
-}
-"""What the style of the pages avoids, and how it is found."""
 NONE = (
     f"sentences above {MOST} words",
     "sentences of how-tos with more than two numbers",
     f"tables of how-tos above {ROWS} rows",
     "equations of one tag twice",
-    "words to avoid",
     "figures without a page",
     "broken links",
     "pages not in the menu, or missing",
@@ -194,14 +170,6 @@ def by_folder(texts: dict[str, str]) -> dict[str, int]:
     return found
 
 
-def words_to_avoid(prose: str) -> dict[str, int]:
-    """How often each stands in sentences."""
-    return {
-        word: len(re.findall(rf"\b(?:{how})\b" if "%" not in how else how, prose, re.IGNORECASE))
-        for word, how in AVOIDED.items()
-    }
-
-
 def counted() -> dict[str, float]:
     """All numbers by name."""
     every = pages()
@@ -210,7 +178,6 @@ def counted() -> dict[str, float]:
     plain = {name: text for name, text in texts.items() if not name.startswith(NO_CODE)}
     code = "".join(found for text in plain.values() for found in FENCED.findall(text))
     code_lines = sum(bool(line.strip()) for line in code.splitlines())
-    prose = "\n".join(said)
     guides = {name: text for name, text in texts.items() if name.startswith(HOW_TO)}
     told = [sentence for text in guides.values() for sentence in sentences(text)]
     theory = equations.theory(texts)
@@ -224,9 +191,7 @@ def counted() -> dict[str, float]:
         for text in theory.values()
     ]
     anchored = {name for html in drawn for name in re.findall(r'id="eq-([^"]*)"', html)}
-    avoided = words_to_avoid(prose)
     kept = {name: text for name, text in every.items() if name.startswith(ARCHIVE)}
-    studies = "\n".join(sentence for text in kept.values() for sentence in sentences(text))
     return {
         "pages": len(texts),
         "words": sum(map(words, texts.values())),
@@ -256,9 +221,6 @@ def counted() -> dict[str, float]:
         "equations of one tag only": len({*tags}),
         "equations of one tag twice": len(tags) - len({*tags}),
         "equations with an anchor": len(anchored),
-        "words to avoid": sum(avoided.values()),
-        **{f"to avoid: {word}": count for word, count in avoided.items()},
-        "words to avoid in the archive": sum(words_to_avoid(studies).values()),
         "figures without a page": len(figures_without_a_page(every)),
         "broken links": len(broken_links(every)),
         "pages not in the menu, or missing": len(not_in_the_menu(every)),
