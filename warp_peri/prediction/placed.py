@@ -322,7 +322,8 @@ class PlacedMembers:
     @cached_property
     def most_bent(self) -> float:
         """The strain that forces of second order give, over the square of a uniform strain."""
-        linear, d = linear_part(self.rich, "predict"), self.points.dimension
+        law, d = self.rich.model, self.points.dimension
+        linear = getattr(law, "linear", law)  # on ranks a crystal
         stencil, _ = stencil_of(linear, self.points.spacing, "predict")
         C = elastic_from_brackets(stencil.brackets).reshape(d * d, d * d)
         E = np.random.default_rng(0).normal(size=(100, d, d))
