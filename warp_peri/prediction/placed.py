@@ -12,7 +12,7 @@ import scipy.fft
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.contract import linear_part, placed, stencil_of, taken
+from warp_peri.contract import placed, stencil_of, taken
 from warp_peri.core.elastic import acoustic, elastic_from_brackets
 from warp_peri.core.grid import grid_of
 from warp_peri.core.record import Entry, OnLinear
@@ -261,7 +261,8 @@ class PlacedMembers:
         points, d = self.points, self.points.dimension
         if self.on_ranks or not points.is_plain_lattice:
             return None
-        stencil, _ = stencil_of(linear_part(self.rich, "predict"), points.spacing, "predict")
+        law = getattr(self.rich.model, "linear", self.rich.model)
+        stencil, _ = stencil_of(law, points.spacing, "predict")
         along, error = directions(DIRECTIONS[d], d), []
         local = np.linalg.inv(acoustic(stencil.brackets, along))
         for length in KNOTS:
