@@ -180,8 +180,9 @@ def cut_at_edges(data: Dataset) -> Entry:
         )
         errors.append(float(100 * wrong / whole))
     figure, ax = panels()
-    table, axes = {"learned bonds, cut": errors}, {"ylabel": "error of displacement [%]"}
-    curves(ax, "loglog", SIDES, table, "C3o-", xlabel="nodes a side", **axes)
+    table = {"learned bonds, cut": errors}
+    axes = {"ylabel": "error of displacement [%]", "ylim": (0, 65)}
+    curves(ax, "semilogx", SIDES, table, "C3o-", xlabel="nodes a side", **axes)
     ticks(ax, SIDES)
     numbers = {"cut": errors[1], "side": SIDES[1], "bonds": law.bonds}
     return entry("edges", numbers, (lambda: law.on(points),), figure, table)
