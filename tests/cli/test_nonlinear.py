@@ -51,7 +51,7 @@ def test_export_has_the_stress_of_the_energy(files, capsys):
     h5py = pytest.importorskip("h5py")
     folder, model, points, u = files
     out = folder / "fields"
-    words = ("--data", folder / "d.h5", "--set", "test", "--format", "xdmf", "--out", out)
+    words = (folder / "d.h5", "--set", "test", "--format", "xdmf", "--out", out)
     assert printed(capsys, "export", folder / "m.json", *words)["files"]
     with h5py.File(out / "samples.h5") as file:
         stress = file["sample_0000/stress"][:]

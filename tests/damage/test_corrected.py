@@ -220,8 +220,8 @@ def test_what_is_not_corrected_where_it_breaks():
     ):
         with pytest.raises(InputError, match=f"corrected: .*{said}"):
             move(law, problem, **given)
-    tensor = dataclasses.replace(problem, b=torch.zeros(x.shape))
-    with pytest.raises(InputError, match="corrected: expected arrays of NumPy"):
+    tensor = dataclasses.replace(problem, b=torch.zeros(x.shape).requires_grad_())
+    with pytest.raises(InputError, match="expected tensors without a gradient"):
         move(solid(), tensor, **how)
 
 

@@ -127,30 +127,24 @@ def test_files_without_units_say_that_they_are_taken_for_granted(kind, tmp_path)
         load(path)
 
 
-def test_an_older_brittle_solid_says_what_it_does_not_know(tmp_path):
-    path = tmp_path / "old.json"
-    old = {"format": "warp_peri.brittle_solid", "version": 1, "lambda": 0.5, "mu": 1.0, "D": [1.0]}
-    old |= {"alpha": 1.0, "horizon": 3.0, "density": 1.0, "toughness": 3.0, "tension_only": True}
-    old |= {"critical_stretch": None, "critical_energy": None}
-    path.write_text(json.dumps(old))
-    with pytest.warns(UserWarning, match="it names no units: taken as Å and TPa"):
-        solid = BrittleSolid.load(path)
-    assert (solid.model.lam, solid.toughness) == (0.5, 3.0)
-    path.write_text(json.dumps({**old, "version": 3}))
-    with pytest.raises(InputError, match="version: expected 2, got 3"):
-        BrittleSolid.load(path)
+def test_the_model_of_an_influence_function_is_in_the_units_that_are_said():
+    shape = InfluenceFunction(lambda r: 1 / r)
+    numbers = {"lam": 1e9, "mu": 1e9, "horizon": 2e-3, "spacings": [1e-3]}
+    assert shape.model(**numbers, units=("m", "Pa")).units == ("m", "Pa")
+
+
+def test_a_brittle_solid_of_a_wrong_file_is_refused(tmp_path):
+    path = tmp_path / "solid.json"
     brittle(("m", "Pa"), toughness=1.0).save(path)
     new = json.loads(path.read_text())
+    for version in (1, 3):
+        path.write_text(json.dumps({**new, "version": version}))
+        with pytest.raises(InputError, match=f"version: expected 2, got {version}"):
+            BrittleSolid.load(path)
     path.write_text(json.dumps({**new, "tension_only": "no"}))
     with pytest.raises(InputError, match="tension_only: expected true or false, got 'no'"):
         BrittleSolid.load(path)
     new["model"]["mu"] *= 2
     path.write_text(json.dumps(new))
-    with pytest.raises(InputError, match=r"old.json: model: sha256: the contents are not"):
+    with pytest.raises(InputError, match=r"solid.json: model: sha256: the contents are not"):
         BrittleSolid.load(path)
-
-
-def test_the_model_of_an_influence_function_is_in_the_units_that_are_said():
-    shape = InfluenceFunction(lambda r: 1 / r)
-    numbers = {"lam": 1e9, "mu": 1e9, "horizon": 2e-3, "spacings": [1e-3]}
-    assert shape.model(**numbers, units=("m", "Pa")).units == ("m", "Pa")

@@ -45,7 +45,7 @@ def test_every_force_is_that_of_lammps_with_its_volumes():
     kw = floats(classes.weight / classes.r)
     m = floats(np.array([classes.count @ (classes.weight * classes.r)]))
     model = peri_lps.solid(HORIZON)
-    L = assemble(Bonds(points, HORIZON), (kw, m, kw, m)).operator(model.lam, model.mu)
+    L = assemble(Bonds(points, HORIZON), kw, m).operator(model.lam, model.mu)
     ours = -(L @ u[there].ravel()).reshape(-1, 3)
     assert np.abs(theirs - ours).max() < 1e-5 * np.abs(ours).max()
 

@@ -18,7 +18,7 @@ import numpy as np
 import warp_peri
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import finite, locked, plain, whole_file, write_json, write_text
+from warp_peri.files.atomic import finite, locked, parsed, plain, whole_file, write_json, write_text
 from warp_peri.files.foreign import check_xml, content
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL
@@ -139,6 +139,8 @@ def read_structure(path: Path) -> Any:
                 raise InputError(
                     f"expected another format than {form}, whose reader runs a program"
                 )
+            if form == "json":  # brackets within brackets end the process
+                parsed(whole)
             found: Any = ase.io.read(str(readable), -1, form, do_not_split_by_at_sign=True)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None

@@ -528,6 +528,8 @@ def _body_of(read: Any) -> Mesh | Tetrahedra:
     """The body of a meshio mesh; InputError for one with cells of other kinds."""
     points = np.asarray(read.points, dtype=float)
     kinds = {block.type for block in read.cells if block.dim > 1}
+    if not all(np.size(block.data) for block in read.cells):
+        raise InputError("expected cells in every block, got one without")
     if not kinds or not kinds <= set(CORNERS):
         kinds = kinds - set(CORNERS) or {block.type for block in read.cells}
         raise InputError(

@@ -77,17 +77,15 @@ class LatticeConditions:
 
     def forms(self, v: np.ndarray, kappa: float) -> list[tuple[float, np.ndarray, float]]:
         """For each condition: κ of its form Γ + κφφᵗ, its derivative to (κ, v), and the level."""
-        sigma = self.classes.count * self.classes.r**2
-        mu = sigma @ v  # Σ w r² = 1
         by_kappa = np.zeros(1 + len(v))
         by_kappa[0] = 1.0
-        schwarz = np.concatenate([[0.0], 2 * sigma / mu**2])
-        forms = {
-            "D": (kappa, by_kappa, self.zeta),
-            "gamma": (0.0, 0 * by_kappa, self.zeta),
-            "gamma_minus_2phi": (-2 / mu, schwarz, 0.0),
-        }
-        return [forms[name] for name in self.names]
+        forms = [(kappa, by_kappa, self.zeta)]
+        if self.kind == "paper":
+            sigma = self.classes.count * self.classes.r**2
+            mu = sigma @ v  # Σ w r² = 1
+            schwarz = np.concatenate([[0.0], 2 * sigma / mu**2])
+            forms += [(0.0, 0 * by_kappa, self.zeta), (-2 / mu, schwarz, 0.0)]
+        return forms
 
     def margins(self, table: Symbol, v: np.ndarray, kappa: float) -> np.ndarray:
         """Λmin / s minus the level [TPa] of each condition, shape [J, K]; ≥ 0 where it holds."""

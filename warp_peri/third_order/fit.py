@@ -276,6 +276,8 @@ def fit_third_order(
     have no load.
     """
     begin = time.perf_counter()
+    if samples.points.dimension != 2:
+        raise InputError("samples: expected a sheet; in space LPS and Micromodulus are learned")
     axes = grid_of(
         samples.points, invariant_basis(horizon / samples.spacing, np.eye(2)[None]).steps
     ).axes
