@@ -547,8 +547,8 @@ def test_an_interrupt_says_whether_anything_is_kept(data, tmp_path, capsys, monk
 def test_info_of_a_mesh(tmp_path, capsys):
     mesh = plate(3.0, 12.0, 6, 24)
     cells = [("triangle", mesh.triangles)]
-    mesh = meshio.Mesh(np.pad(mesh.x, ((0, 0), (0, 1))), cells)
-    mesh.write(tmp_path / "plate.msh", file_format="gmsh")
+    made = meshio.Mesh(np.pad(mesh.x, ((0, 0), (0, 1))), cells)
+    made.write(tmp_path / "plate.msh", file_format="gmsh")
     told = answer(capsys, "info", tmp_path / "plate.msh")
     assert told["format"] == "mesh"
     assert (told["corners"], told["triangles"]) == (len(mesh.x), len(mesh.triangles))

@@ -10,6 +10,7 @@ import itertools
 import lzma
 import pickle
 import shutil
+import sys
 import tracemalloc
 from pathlib import Path
 
@@ -91,9 +92,18 @@ PARSERS = {
 }
 
 
+@pytest.fixture
+def deep():
+    """Python's limit of recursion as symfc sets it, where nested brackets end the process."""
+    before = sys.getrecursionlimit()
+    sys.setrecursionlimit(100_000)
+    yield
+    sys.setrecursionlimit(before)
+
+
 @pytest.mark.filterwarnings("ignore")  # parsers leave files open
 @pytest.mark.parametrize("name", PARSERS)
-def test_no_file_runs_or_passes(name, tmp_path, monkeypatch):
+def test_no_file_runs_or_passes(name, deep, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     packers = itertools.cycle([*PACKERS.items()][1:])
     for n, content in enumerate(HOSTILE.values()):

@@ -528,8 +528,9 @@ def _body_of(read: Any) -> Mesh | Tetrahedra:
     """The body of a meshio mesh; InputError for one with cells of other kinds."""
     points = np.asarray(read.points, dtype=float)
     kinds = {block.type for block in read.cells if block.dim > 1}
-    if not all(np.size(block.data) for block in read.cells):
-        raise InputError("expected cells in every block, got one without")
+    for block in read.cells:
+        if not np.size(block.data) or np.shape(block.data)[1] < CORNERS.get(block.type, 1):
+            raise InputError(f"expected whole cells, got a block of {block.type} that is cut off")
     if not kinds or not kinds <= set(CORNERS):
         kinds = kinds - set(CORNERS) or {block.type for block in read.cells}
         raise InputError(
