@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_240,
-    "tokens": 310_994,
-    "lines of warp_peri": 42_983,
+    "code lines": 26_247,
+    "tokens": 311_073,
+    "lines of warp_peri": 42_990,
     "lines of kernels": 4_424,
-    "lines of warp_peri, kernels, examples and tools": 79_073,
+    "lines of warp_peri, kernels, examples and tools": 79_081,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -31,7 +31,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "cli": 1216,
+    "cli": 1218,
     "core": 1783,
     "damage": 2013,
     "diffusion": 337,
@@ -43,15 +43,15 @@ ROOMS = {
     "lps": 1468,
     "micromodulus": 1323,
     "neural": 1015,
-    "points": 1922,
-    "prediction": 884,
+    "points": 1925,
+    "prediction": 886,
     "ranks": 896,
-    "regression": 861,
+    "regression": 859,
     "sources": 936,
     "stability": 140,
     "statics": 1232,
     "structures": 1936,
-    "third_order": 597,
+    "third_order": 599,
     "tissue": 2386,
     "transfer": 403,
 }
