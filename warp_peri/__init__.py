@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from warp_peri.learning.laws import LPS, ThirdOrder, fit
     from warp_peri.learning.methods import Bernstein
     from warp_peri.lps.model import Model
+    from warp_peri.materials.density import Density, DensityMaterial
     from warp_peri.micromodulus.learning import Micromodulus
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.mesh import Mesh
@@ -57,6 +58,8 @@ __all__ = [
     "Body",
     "Cracked",
     "Dataset",
+    "Density",
+    "DensityMaterial",
     "Direct",
     "Dirichlet",
     "InputError",
@@ -96,6 +99,7 @@ _NAMES = {
     "learning.methods": ("Bernstein",),
     "micromodulus.learning": ("Micromodulus",),
     "lps.model": ("Model",),
+    "materials.density": ("Density", "DensityMaterial"),
     "points.dataset": ("Dataset",),
     "points.mesh": ("Mesh",),
     "points.points": ("Points",),

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_247,
-    "tokens": 311_073,
-    "lines of warp_peri": 42_990,
+    "code lines": 26_393,
+    "tokens": 312_736,
+    "lines of warp_peri": 43_258,
     "lines of kernels": 4_424,
-    "lines of warp_peri, kernels, examples and tools": 79_081,
+    "lines of warp_peri, kernels, examples and tools": 79_349,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -32,15 +32,16 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1218,
-    "core": 1783,
+    "core": 1784,
     "damage": 2013,
     "diffusion": 337,
     "dynamics": 524,
     "edges": 967,
-    "face": 930,
+    "face": 933,
     "files": 513,
     "learning": 1958,
     "lps": 1468,
+    "materials": 142,
     "micromodulus": 1323,
     "neural": 1015,
     "points": 1925,

@@ -54,6 +54,7 @@ PROVEN: set[tuple[type, str]] = set()
 HOMES = {
     "warp_peri.model": "lps.model",
     "warp_peri.third_order_crystal": "third_order.material",
+    "warp_peri.density": "materials.density",
     "warp_peri.brittle_solid": "damage.solid",
     "warp_peri.soft_solid": "damage.softening",
     "warp_peri.micromodulus": "micromodulus.law",

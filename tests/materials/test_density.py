@@ -1,0 +1,142 @@
+"""A material of one's own: two energies against closed solutions, through every verb."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.integrate import quad
+from scipy.optimize import brentq
+
+import warp_peri as wp
+from warp_peri import InputError
+
+LAM, MU = 0.4, 0.9
+
+
+def saint_venant(E, lam, mu):
+    return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
+
+
+def blatz_ko(E, mu):
+    """In plane stress: the thickness stretch is J^(−1/3) of the J of the plane."""
+    C = torch.eye(2, dtype=E.dtype) + 2 * E
+    square = C[..., 0, 0] * C[..., 1, 1] - C[..., 0, 1] * C[..., 1, 0]
+    return mu / 2 * ((C[..., 0, 0] + C[..., 1, 1]) / square + 3 * square ** (1 / 3) - 5)
+
+
+def box(n, d, h, collar=2):
+    x = np.argwhere(np.ones((n,) * d)) - n // 2
+    return wp.Points(h * x, np.abs(x).max(axis=1) <= n // 2 - collar, h)
+
+
+SOLIDS = {
+    "Saint Venant-Kirchhoff": (
+        saint_venant, {"lam": LAM, "mu": MU}, 3,
+        lambda h: (1 + h) * (LAM + 2 * MU) * (h + h * h / 2),
+    ),
+    "Blatz-Ko": (
+        blatz_ko, {"mu": MU}, 2, lambda h: MU * ((1 + h) ** (-1 / 3) - (1 + h) ** -3.0)
+    ),
+}  # fmt: skip
+"""Energy, parameters, dimension, and the first Piola stress of a stretch 1 + h along x alone."""
+
+
+def stretched(points, stress, load=0.02):
+    """u along x alone in equilibrium with a uniform load: P(u′) = P₀ + load x, and the load."""
+
+    def slope(x):
+        return brentq(lambda h: stress(h) - (0.1 + load * x), -0.5, 0.9)
+
+    at = np.unique(points.x[:, 0])
+    value = dict(zip(at, (quad(slope, 0, x, epsabs=1e-13)[0] for x in at)))
+    u, b = np.zeros_like(points.x), np.zeros_like(points.x)
+    u[:, 0], b[:, 0] = [value[x] for x in points.x[:, 0]], -load
+    return u, b
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_a_stretched_block_is_solved_to_second_order(name):
+    energy, parameters, d, stress = SOLIDS[name]
+    errors = []
+    for n in (9, 17):
+        points = box(n, d, 8 / (n - 1))
+        u, b = stretched(points, stress)
+        material = wp.DensityMaterial.of(energy, points.spacing, parameters, dimension=d)
+        answer = wp.solve(material, wp.Dirichlet(points, b, u))
+        inner = np.abs(points.x).max(axis=1) <= 2
+        errors.append(np.abs(answer.u - u)[inner].max() / np.abs(u).max())
+        middle = np.abs(points.x[points.interior]).max(axis=1) < 1e-9
+        P = answer.stress[middle][0] if not callable(answer.stress) else answer.stress()[middle][0]
+        assert P[0, 0] == pytest.approx(0.1, rel=2e-3)
+    assert errors[1] < errors[0] / 2 < 1e-5
+
+
+@pytest.mark.parametrize("loss", ["forces", "displacement"])
+@pytest.mark.parametrize("name", SOLIDS)
+def test_parameters_are_found_again(name, loss):
+    energy, parameters, d, _ = SOLIDS[name]
+    points = box(9 if d == 2 else 7, d, 0.5)
+    rng = np.random.default_rng(0)
+    true = wp.DensityMaterial.of(energy, 0.5, parameters, dimension=d)
+    u = 0.02 * rng.normal(size=(2, *points.x.shape)) + 0.05 * points.x
+    b = np.zeros_like(u)
+    b[:, points.interior] = true.on(points)(u)
+    samples = wp.Samples(points, u, b)
+    start = {key: 1.3 * value for key, value in parameters.items()}
+    found = wp.fit(samples, wp.Density(energy, 0.5, start, loss)).material
+    for key, value in parameters.items():
+        assert found.parameters[key] == pytest.approx(value, rel=1e-5)
+    assert wp.evaluate(found, samples)["E_u"] < 1e-4
+
+
+def test_a_wave_keeps_its_energy_to_second_order():
+    points = box(21, 2, 0.5)
+    material = wp.DensityMaterial.of(blatz_ko, 0.5, {"mu": MU})
+    u = 0.05 * np.exp(-(points.x**2).sum(axis=1, keepdims=True) / 4) * [1.0, 0.5]
+    problem = wp.Dirichlet(points, None, u)
+    drifts = [
+        wp.move(material, problem, density=2000.0, step=step, steps=round(0.02 / step)).drift
+        for step in (2e-4, 1e-4)
+    ]
+    assert drifts[1] < 1e-3
+    assert drifts[0] / drifts[1] == pytest.approx(4, rel=0.02)
+
+
+def test_the_answer_is_differentiable_in_parameters():
+    points = box(9, 2, 0.5)
+    material = wp.DensityMaterial.of(saint_venant, 0.5, {"lam": LAM, "mu": MU})
+    b, u = np.zeros_like(points.x), 0.05 * points.x
+    b[points.interior, 0] = 0.05
+
+    def size(mu):
+        answer = wp.solve(
+            material, wp.Dirichlet(points, torch.from_numpy(b), torch.from_numpy(u)),
+            solver=wp.Newton(tolerance=1e-12), parameters={"mu": mu},
+        ).u  # fmt: skip
+        return (answer**2).sum()
+
+    mu = torch.tensor(MU, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(size(mu), mu)
+    ends = [float(size(torch.tensor(MU + e, dtype=torch.float64))) for e in (1e-4, -1e-4)]
+    assert float(slope) == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-6)
+
+
+def test_a_file_has_the_parameters_and_asks_for_the_energy(tmp_path):
+    material = wp.DensityMaterial.of(blatz_ko, 0.5, {"mu": MU})
+    wp.save(tmp_path / "own.json", material)
+    with pytest.raises(InputError, match="energy: the file has the parameters of 'blatz_ko'"):
+        wp.load(tmp_path / "own.json")
+    again = wp.DensityMaterial.read(tmp_path / "own.json", blatz_ko)
+    assert again.parameters == material.parameters
+    with pytest.raises(InputError, match="'blatz_ko', got 'saint_venant'"):
+        wp.DensityMaterial.read(tmp_path / "own.json", saint_venant)
+
+
+def test_energies_that_cannot_be_used_are_refused():
+    points = box(9, 2, 0.5)
+    pulled = wp.DensityMaterial.of(lambda E: E[..., 0, 0] + (E * E).sum((-1, -2)), 0.5, {})
+    with pytest.raises(InputError, match="energy: expected no stress at rest"):
+        pulled.on(points)
+    with pytest.raises(InputError, match="loss: expected one of forces, displacement"):
+        wp.fit(None, wp.Density(blatz_ko, 0.5, {"mu": 1.0}, "energy"))
+    with pytest.raises(InputError, match="expected all bonds of every interior node"):
+        wp.DensityMaterial.of(blatz_ko, 0.5, {"mu": 1.0}).on(box(9, 2, 0.5, 1))

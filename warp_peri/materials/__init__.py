@@ -1,0 +1,1 @@
+"""Materials that are written by those who use them."""

@@ -1,0 +1,262 @@
+"""A material of one's own: the energy of a node as a function of torch, its parameters by name."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+from scipy.optimize import least_squares
+
+from warp_peri.contract import MaterialFit
+from warp_peri.core.pointwise import Pointwise
+from warp_peri.core.proof import largest
+from warp_peri.core.record import Entry, Length, Record
+from warp_peri.core.stencil import half_ball
+from warp_peri.errors import InputError
+from warp_peri.files.atomic import parsed
+from warp_peri.micromodulus.learning import one_set
+from warp_peri.points.arrays import checked_fields
+from warp_peri.points.lattice import lattice_steps
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import USUAL, Units, check_same
+from warp_peri.statics.equilibria import SOLVES, Equilibria, probed
+from warp_peri.statics.linear import Inverse, Linear
+from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
+
+Energy = Callable[..., torch.Tensor]
+"""Energy per volume [stress] of Green strains E [..., d, d] and of parameters by name, [...]."""
+REST = 1e-9
+"""Stress at rest, over the stiffness there, that counts as rounding."""
+DIFFERENCE = 1e-4
+"""Relative step of differences of solved displacements."""
+LOSSES = ("forces", "displacement")
+
+
+def sided_gradients(points: Any, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+    """Steps [B, d] and weights [2^d, B, d] of gradients by least squares over one corner each.
+
+    A corner is the part of the family with coordinates of given signs, or zero. Unlike the gradient
+    of a whole family the gradients of all corners vanish together for rigid fields alone.
+    """
+    d, (_, axes) = points.dimension, lattice_steps(points)
+    half = half_ball(horizon / points.spacing, d)
+    steps = np.concatenate([0 * half[:1], half, -half])
+    xi, weights = points.spacing * steps, []
+    for signs in itertools.product((1, -1), repeat=d):
+        corner = np.where((steps * signs >= 0).all(axis=1, keepdims=True), xi, 0.0)
+        w = corner @ np.linalg.inv(corner.T @ corner)
+        w[0] = -w.sum(axis=0)
+        weights.append(w @ axes.T)
+    return steps, np.array(weights)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class DensityMaterial(Record, format="warp_peri.density"):
+    """A material whose energy density is a function of the Green strain.
+
+    Attributes:
+        horizon: of the gradients [length].
+        parameters: numbers of the energy, by name.
+        dimension: 2 or 3.
+        name: of the energy's function.
+        energy: W(E, **parameters) [stress], E the Green strain [..., d, d]. It is in no file.
+        units: names of the units of length and stress.
+        provenance: of the data and the fit; plain JSON values.
+
+    Raises InputError for an energy with a stress at rest, or that is not stiff there.
+    """
+
+    horizon: Length
+    parameters: dict[str, Any]
+    dimension: int
+    name: str
+    units: Units = USUAL
+    provenance: dict[str, Any] = field(default_factory=dict)
+    energy: Annotated[Any, Entry(kept=False)] = None
+
+    @classmethod
+    def of(
+        cls, energy: Energy, horizon: float, parameters: Mapping[str, float], **more: Any
+    ) -> Self:
+        """A material of an energy, in the plane unless `dimension` is 3."""
+        named = {name: float(value) for name, value in parameters.items()}
+        name = getattr(energy, "__name__", type(energy).__name__)
+        return cls(horizon, named, more.pop("dimension", 2), name, energy=energy, **more)
+
+    certificate = None
+    """Nothing is proven of it."""
+
+    def _read_from(self, path: Path | None) -> Self:
+        raise InputError(
+            f"energy: the file has the parameters of {self.name!r}, whose function is in no file; "
+            f"give it: DensityMaterial.read(path, {self.name})"
+        )
+
+    @classmethod
+    def read(cls, path: Any, energy: Energy) -> Self:
+        """The material of a file, of the energy that it was saved with.
+
+        Raises InputError for an energy of another name, and as Record.of_content.
+        """
+        made = cls.of_content(parsed(Path(path).read_text(encoding="utf-8")))
+        if (name := getattr(energy, "__name__", "")) != made.name:
+            raise InputError(f"energy: the file has the parameters of {made.name!r}, got {name!r}")
+        return replace(made, energy=energy)
+
+    def in_units(self, units: Any) -> Self:
+        """The same where the units are its own; InputError for others, whose parameters only who
+        wrote the energy could convert."""
+        if tuple(units) != tuple(self.units):
+            raise InputError("units: parameters of an energy of one's own are not converted")
+        return self
+
+    def on(self, points: PointsLike) -> DensityOperator:
+        """The operator on a lattice whose interior has a collar of twice the horizon."""
+        return DensityOperator(self, points)
+
+    def at(self, numbers: Mapping[str, Any]) -> Self:
+        """The same energy with other parameters."""
+        own = {name: float(value) for name, value in numbers.items()}
+        return replace(self, parameters=self.parameters | own)
+
+    def proven_strain(self, spacing: float) -> float:
+        """0: nothing is proven of it."""
+        return 0.0
+
+
+class DensityOperator(Pointwise):
+    """A material of one's own on a lattice; as Pointwise."""
+
+    def __init__(self, material: DensityMaterial, points: PointsLike) -> None:
+        nodes = nodes_of(points)
+        check_same(material.units, nodes.units)
+        if not nodes.spacing > 0:
+            raise InputError("points: an energy density is for lattices, got scattered points")
+        if nodes.dimension != material.dimension:
+            raise InputError(f"points: expected {material.dimension} coordinates")
+        steps, weights = sided_gradients(nodes, material.horizon)
+        self.model = self.material = material
+        numbers = material.parameters
+        super().__init__(nodes, material.horizon, material.energy, steps, weights, numbers=numbers)
+        none = torch.zeros(nodes.dimension, nodes.dimension, 1, dtype=torch.float64)
+        stress, stiff = self._slope(none).abs().max(), self.stiffness().abs().max()
+        if not stress <= REST * stiff:
+            raise InputError(
+                f"energy: expected no stress at rest, got {float(stress):.2e} of a stiffness of "
+                f"{float(stiff):.2e}; subtract its linear part"
+            )
+
+    @cached_property
+    def linear(self) -> Linear:
+        """The tangent at rest on the same nodes."""
+        return Linear(probed(self), self.points)
+
+    def straight(self, u: ArrayLike) -> np.ndarray:
+        """The force of the tangent at rest, shape [..., I, d]."""
+        force = self.linear(np.reshape(u, (-1, *self.shape)))
+        return np.asarray(force.reshape(*np.shape(u)[:-2], *force.shape[1:]))
+
+    def at(self, numbers: Mapping[str, Any]) -> DensityOperator:
+        """The same with other parameters."""
+        return DensityOperator(self.material.at(numbers), self.points)
+
+    def stiffest_wave(self) -> float:
+        """Twice the largest eigenvalue of the tangent at rest [stress / length²], for time steps of
+        small strain."""
+        d = self.points.dimension
+        return 2 * largest(self.linear.stencil, np.eye(d, dtype=int)[None])
+
+    def inverse(self, loads: int) -> Inverse:
+        """Of the tangent at rest, of a load on the interior: factorised, or by iteration."""
+        return self.linear.cheapest_inverse(SOLVES * loads, len(self.linear.stencil.steps))
+
+    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+        """Equilibrium with b on the interior, u given on the collar, [N, d] or [S, N, d].
+
+        Raises InputError for arrays that do not fit, and a sample without an equilibrium.
+        """
+        refuse_solver(solver, (Newton,), "an energy density")
+        asked = solver if isinstance(solver, Newton) else Newton()
+        load, given = checked_fields(self.points, b, u)
+        inside, answers = self.points.interior, given.reshape(-1, *self.shape)
+        way = Equilibria(self, self.straight, self.inverse(len(answers)), inside)
+        records = []
+        for number, (one, right) in enumerate(zip(answers, load.reshape(answers.shape))):
+            try:
+                one[:], record = way.solve(right[inside], one, asked.tolerance)
+            except InputError as error:
+                raise InputError(f"sample {number}: {error}") from None
+            records.append(record)
+        return Solution(
+            answers.reshape(given.shape),
+            self.points,
+            self,
+            self.load(load),
+            records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
+            tuple(record.solves for record in records),
+            None,
+            details=tuple(records),
+            measured=max((record.residual for record in records), default=None),
+        )
+
+
+@dataclass(frozen=True)
+class Density:
+    """An energy of one's own, its parameters to be fitted.
+
+    Attributes:
+        energy: W(E, **parameters) [stress] of Green strains E [..., d, d], in torch, shape [...].
+        horizon: of the gradients [length], at least one spacing.
+        parameters: where the fit starts, by name.
+        loss: "forces" fits L u = b; "displacement" solves for u, for noise or few loads.
+
+    >>> def svk(E, lam, mu):
+    ...     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
+    >>> wp.fit(samples, wp.Density(svk, 5.0, {"lam": 0.1, "mu": 1.0})).material.parameters["mu"]
+    0.7
+    """
+
+    energy: Energy
+    horizon: float
+    parameters: Mapping[str, float]
+    loss: str = "forces"
+
+    def learn(self, samples: Any) -> MaterialFit:
+        """The fit by least squares, each sample over its load or displacement.
+
+        Raises InputError for another loss, and samples without loads or displacement.
+        """
+        if self.loss not in LOSSES:
+            raise InputError(f"loss: expected one of {', '.join(LOSSES)}, got {self.loss!r:.50}")
+        given = one_set(samples)
+        points, inside = given.points, given.interior
+        material = DensityMaterial.of(
+            self.energy, self.horizon, self.parameters,
+            dimension=points.dimension, units=points.units,
+        )  # fmt: skip
+        operator, names = material.on(points), list(material.parameters)
+        by_force = self.loss == "forces"
+        right = (given.loads if by_force else given.u)[:, inside]
+        size = np.linalg.norm(right.reshape(len(right), -1), axis=1)[:, None, None]
+        if not (size > 0).all():
+            raise InputError(f"samples: expected some that are not zero, got {int(size.argmin())}")
+        scale = np.array([abs(value) or 1.0 for value in material.parameters.values()])
+
+        def left(x: np.ndarray) -> np.ndarray:
+            op = operator.at(dict(zip(names, scale * x)))
+            found = op(given.u) if by_force else op.rest(given.loads, given.u).u[:, inside]
+            return np.asarray(((found - right) / size).ravel())
+
+        start = np.array(list(material.parameters.values())) / scale
+        found = least_squares(left, start, x_scale="jac", diff_step=DIFFERENCE, method="lm")
+        loss = float(np.sqrt(2 * found.cost / len(right)))
+        record = {"loss": loss, "by": self.loss, "evaluations": int(found.nfev)}
+        law = replace(material.at(dict(zip(names, scale * found.x))), provenance={"fit": record})
+        return MaterialFit(law, record)
