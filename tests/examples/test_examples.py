@@ -253,7 +253,7 @@ def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(snippet, {})
     error, statement = capsys.readouterr().out.split(maxsplit=1)
-    printed = re.search(r"small fit reaches (\S+) % on", (ROOT / "README.md").read_text())[1]
+    printed = re.search(r"This fit errs by (\S+) %", (ROOT / "README.md").read_text())[1]
     assert f"{100 * float(error):.2f}" == printed
     assert statement.startswith("Every static problem on any finite set of nodes")
     assert Model.load("model.json").certified_on == (5.0,)

@@ -331,11 +331,16 @@ def test_a_linear_family_tells_what_is_not_linear(family, law, trained):
     seen = held_in(family.rich, 0.04, 6, seed=5)
     given = np.where(seen.interior[:, None], 0.0, seen.u)
     answers = wp.predict(learned, wp.Dirichlet(seen.points, seen.b, given), None)
+    true, placed = family.rich.on(seen.points), learned.with_doubts(seen.points)
     for answer, truth in zip(answers, seen.u):
         beyond = any(one.startswith("strain") for one in answer.uncovered)
         assert beyond == (trained < 0.02)
         assert not answer.error < far(answer.u, truth, seen.points) / 1.2  # or unknown
-        assert answer.parts["strain"] > 0.02
+        even = placed.inverse((true(truth) + true(-truth)) / 2, 1e-4)  # what no linear law holds
+        missed = placed.norm(even) / placed.norm(truth[seen.interior])
+        assert 0.8 < answer.parts["strain"] / missed < 2
+        told = placed.bent(answer.u)
+        assert np.vdot(told, even) > 0.7 * placed.norm(told) * placed.norm(even)
     unknown = replace(learned, quadratic=())  # an older file
     answer = wp.predict(unknown, wp.Dirichlet(seen.points, seen.b[0], given[0]), None)
     assert any("nothing in the ensemble tells" in one for one in answer.uncovered)

@@ -420,10 +420,6 @@ def pulled(members: float, told: float | None) -> float:
     return float(np.clip(np.sqrt(told / members), 1 / PULLED, PULLED))
 
 
-LEFT = ("short", "stretch")
-"""Factors of files of before that say nothing now."""
-
-
 @dataclass(frozen=True)
 class Factors:
     """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).
@@ -488,8 +484,9 @@ class Members(OnLinear, format="warp_peri.family", version=2):
         """Files of before have a member on every second node, which only answers began at, its
         factor, and one for the strain of linear members that told too little."""
         content.pop("coarse", None)
-        factors = dict(content.get("factors") or {})
-        return content | {"factors": {k: factors[k] for k in factors if k not in LEFT}}
+        if isinstance(factors := content.get("factors"), dict):
+            content["factors"] = {k: factors[k] for k in factors if k not in ("short", "stretch")}
+        return content
 
     @property
     def horizon(self) -> float:
