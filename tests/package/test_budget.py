@@ -17,10 +17,10 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 26_393,
-    "tokens": 312_736,
-    "lines of warp_peri": 43_258,
+    "tokens": 312_734,
+    "lines of warp_peri": 43_263,
     "lines of kernels": 4_424,
-    "lines of warp_peri, kernels, examples and tools": 79_349,
+    "lines of warp_peri, kernels, examples and tools": 79_354,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,

@@ -135,6 +135,18 @@ def crystal(train: warp_peri.Samples) -> None:
     print(material.moduli("GPa"))
 
 
+def sheared(E: torch.Tensor, mu: torch.Tensor) -> torch.Tensor:
+    """An energy of one's own: of Green strains, by torch."""
+    return mu * (E * E).sum((-1, -2))
+
+
+def own(train: warp_peri.Samples) -> None:
+    """Its parameter, learned from forces."""
+    material = warp_peri.DensityMaterial.of(sheared, SPACING, {"mu": 0.7})
+    fit = warp_peri.fit(train, warp_peri.Density(sheared, SPACING, material.parameters))
+    print(fit.material.parameters)
+
+
 def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
     """Three more numbers, and up to which strain solutions are unique."""
     with warnings.catch_warnings():
@@ -190,6 +202,7 @@ def main(folder: Path) -> None:
     test = data["test"]
     nonlinear(data["train"], folder)
     crystal(data["train"])
+    own(data["train"])
     print(use(model, test))
     print(cracked(test.points, test.u[0]))
     fine = assert_type(transfers.on_lattice(model, spacing=SPACING / 2), warp_peri.Model)

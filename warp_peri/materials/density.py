@@ -70,7 +70,12 @@ class DensityMaterial(Record, format="warp_peri.density"):
         units: names of the units of length and stress.
         provenance: of the data and the fit; plain JSON values.
 
-    Raises InputError for an energy with a stress at rest, or that is not stiff there.
+    `on` raises InputError for an energy with a stress at rest, or that is not stiff there.
+
+    >>> def shear(E, mu):
+    ...     return mu * (E * E).sum((-1, -2))
+    >>> wp.DensityMaterial.of(shear, 5.0, {"mu": 0.7}).parameters
+    {'mu': 0.7}
     """
 
     horizon: Length
@@ -217,10 +222,13 @@ class Density:
         parameters: where the fit starts, by name.
         loss: "forces" fits L u = b; "displacement" solves for u, for noise or few loads.
 
+    `fit` raises InputError for another loss, and samples without loads or displacement.
+
     >>> def svk(E, lam, mu):
     ...     return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
-    >>> wp.fit(samples, wp.Density(svk, 5.0, {"lam": 0.1, "mu": 1.0})).material.parameters["mu"]
-    0.7
+    >>> fit = wp.fit(samples, wp.Density(svk, 5.0, {"lam": 0.1, "mu": 1.0}))
+    >>> sorted(fit.material.parameters)
+    ['lam', 'mu']
     """
 
     energy: Energy
