@@ -13,9 +13,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import breadth_first_order
 
-from tools.cracked_sheet import longer_cutoff
 from tools.graphene import THICKNESS, area_per_atom
-from tools.lammps_session import LammpsSession
+from tools.lammps_session import POTENTIAL, LammpsSession, potential_file
 from tools.loads import Load, atom_force
 from tools.samples import Piece, Sample
 from tools.statics import ConvergenceError, Statics, find_bonds
@@ -29,6 +28,18 @@ LARGEST_CHANGE = 0.03
 """Of the largest bond strain in a step: more is another state, of atoms that have come apart."""
 TOLERANCE = 1e-6
 """Largest force component left on an atom [eV/Å]."""
+
+
+def longer_cutoff(folder: Path) -> Path:
+    """The wheel's potential with the cut-off moved, one carbon, as a file in a folder."""
+    for line in potential_file(POTENTIAL).read_text().splitlines():
+        words = line.split()
+        if words[:3] == ["C", "C", "C"]:
+            words[13], words[14] = str(MIDDLE), str(WIDTH)
+            path = folder / "carbon.tersoff"
+            path.write_text(" ".join(words) + "\n")
+            return path
+    raise LookupError("the potential has no line for carbon")
 
 
 def to_failure(body: Piece, load: Load, start: Sample) -> list[Sample]:
@@ -49,7 +60,7 @@ def to_failure(body: Piece, load: Load, start: Sample) -> list[Sample]:
     shape = load.shape(reference, body.box)
     unit = atom_force(shape, area_per_atom(body.bond), THICKNESS)
     with tempfile.TemporaryDirectory() as folder:
-        potential = longer_cutoff(Path(folder), middle=MIDDLE, width=WIDTH)
+        potential = longer_cutoff(Path(folder))
         elements = ("C", "C")
         with LammpsSession(
             reference, box=body.box, potential=potential, elements=elements

@@ -6,7 +6,6 @@ A case yields entries: name, class, value and, where the class has none for it, 
 import hashlib
 import itertools
 import json
-import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
@@ -337,15 +336,12 @@ def fits() -> Entries:
     yield "neural: curve", "refitted", np.array(found.history.curve)
 
 
-ROWS = {
-    "three more numbers": "LPS with third-order elastic constants",
-    "tensors on 20 bonds": "crystal model, 20 bonds",
-}
-"""Rows of the page that have other names than their entries in the record."""
+ROWS = {"tensors on 20 bonds": "crystal model, 20 bonds"}
+"""Rows of the record that have other names than their entries in the record."""
 
 
 def graphene() -> Entries:
-    """What docs/archive/learning.md prints, from the data, and the other laws on them."""
+    """What docs/record/graphene.json has, from the data, and the other laws on them."""
     if not DATA.exists():
         raise Absent("data/graphene_0K.h5 is not there; make graphene makes it")
     data = wp.load(DATA)
@@ -379,12 +375,11 @@ def graphene() -> Entries:
             yield f"{name}: dense conditions", "refitted", certificate.gamma_min
         else:
             yield f"{name}: proven constant", "proven", found.certificate.proven
-    page = (ROOT / "docs" / "archive" / "learning.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| \**([^|*]+?)\** \|((?: [*\d.]+ \|){5})$", page, re.M)
-    shown = {name: " ".join(re.findall(r"[\d.]+", cells)) for name, cells in rows}
+    record = json.loads((ROOT / "docs" / "record" / "graphene.json").read_text(encoding="utf-8"))
+    shown = {name: " ".join(f"{n:.2f}" for n in row if n) for name, *row in record["rows"]}
     for name, numbers in printed.items():
         printed_row = shown.get(ROWS.get(name, name))
-        yield f"{name}: row of learning.md", "moved", f"{numbers}, printed {printed_row}"
+        yield f"{name}: row of the record", "moved", f"{numbers}, printed {printed_row}"
     if not METRICS.exists():
         raise Absent("runs/graphene_0K/metrics.json is not there; make graphene makes it")
     run = json.loads(METRICS.read_text(encoding="utf-8"))  # whatever code it ran

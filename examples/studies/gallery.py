@@ -1,10 +1,10 @@
-"""The gallery: nine cards, and in the archive every figure with the command that makes it.
+"""Figures of the pages with the commands that make them, and the gallery: nine cards.
 
     python examples/studies/gallery.py
 
 Collects what the other examples left in runs/, draws the stress of a held-out disk from exported
-fields, and writes docs/gallery.md, docs/archive/gallery.md and docs/gallery/. Figures that other
-pages show stay where they are. A missing figure is named with its command, and nothing is written.
+fields, and writes docs/gallery.md and docs/gallery/. Figures that other pages show stay where they
+are. A missing figure is named with its command, and nothing is written.
 Needs meshio (the extra `export`).
 """
 
@@ -72,26 +72,7 @@ def cards() -> str:
         "",
         table([" "] * COLUMNS, rows),
         "",
-        "[Every figure](archive/gallery.md), with its command, is in the archive.",
-        "",
     ])  # fmt: skip
-
-
-def page() -> str:
-    """The page of all figures in Markdown."""
-    lines = [
-        "# Studies: every figure with its command",
-        "",
-        "Study behind the [gallery](../gallery.md).",
-        "",
-        "Every figure is made by the commands below it, from the root of the repository.",
-        "`python examples/studies/gallery.py` puts them here.",
-    ]
-    for figure in FIGURES:
-        lines += ["", f"## {figure.title}", "", figure.shows, ""]
-        lines += [f"![{figure.title}](../{figure.path})", "", "```"]
-        lines += [*figure.commands, "```"]
-    return "\n".join(lines) + "\n"
 
 
 def collect(source: Path, path: Path) -> None:
@@ -156,8 +137,6 @@ def main(arguments: list[str] | None = None) -> int:
     for figure in FIGURES:
         if figure.source:
             collect(given.runs / figure.source, given.out / figure.path)
-    (given.out / "archive").mkdir(exist_ok=True)
-    write_text(given.out / "archive" / "gallery.md", page())
     write_text(given.out / "gallery.md", cards())
     return 0
 

@@ -28,7 +28,7 @@ RESULTS = ("model.json", "metrics.json", "report.md", "influence.png", "loss.png
 
 @pytest.fixture(scope="module")
 def main_run(graphene, tmp_path_factory):
-    """The main job, as it stands in docs/archive/learning.md."""
+    """The main job, as it stands in docs/record/graphene.json."""
     out = tmp_path_factory.mktemp("runs") / "graphene_0K"
     with redirect_stdout(io.StringIO()) as printed:
         assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
@@ -112,30 +112,24 @@ def test_defaults_reach_the_figures_of_the_pages(main_run):
     assert min(numbers["conditions"].values()) > 0  # (i) to (iii) of (4.6), by dense eigenvalues
     for local in numbers["local"].values():  # never worse than a solid without a horizon
         assert all(numbers["E_u"][role] <= local[role] for role in local)
-    page = (ROOT / "docs" / "archive" / "learning.md").read_text(encoding="utf-8")
-    row = re.search(r"\*\*this library\*\* \|(.*)\|", page)[1]
-    printed = [float(cell.strip(" *")) for cell in row.split("|")]
-    measured = [percent["E_res"][r] for r in ("train", "val")]
-    measured += [percent["E_u"][r] for r in ("train", "val", "test")]
-    assert printed == pytest.approx(measured, abs=0.02)
+    record = json.loads((ROOT / "docs" / "record" / "graphene.json").read_text(encoding="utf-8"))
+    rows_of = {name: cells for name, *cells in record["rows"]}
+    columns = [("E_res", r) for r in ("train", "val")]
+    columns += [("E_u", r) for r in ("train", "val", "test")]
+    recorded = {"this library": numbers, "crystal model, 20 bonds": numbers["micromodulus"]}
     third = {"with energy": ("energy", 0.055), "deconvolved": ("filtered", 0.035)}
     for said, (form, strain) in third.items():
         beside = numbers["third_order"][form]
         assert 100 * beside["E_u"]["test"] <= 0.1
         assert 100 * beside["E_u"]["val"] <= 0.13
         assert beside["proven_strain"] >= strain
-        row = re.search(rf"\| third-order model, 28 bonds, {said} \|(.*)\|", page)[1]
-        measured = [100 * beside["E_res"][r] for r in ("train", "val")]
-        measured += [100 * beside["E_u"][r] for r in ("train", "val", "test")]
-        assert [float(cell) for cell in row.split("|")] == pytest.approx(measured, abs=0.02)
-    crystal = numbers["micromodulus"]
-    row = re.search(r"\| crystal model, 20 bonds \|(.*)\|", page)[1]
-    measured = [100 * crystal["E_res"][r] for r in ("train", "val")]
-    measured += [100 * crystal["E_u"][r] for r in ("train", "val", "test")]
-    assert [float(cell) for cell in row.split("|")] == pytest.approx(measured, abs=0.02)
+        recorded[f"third-order model, 28 bonds, {said}"] = beside
+    for name, found in recorded.items():
+        measured = [100 * found[error][role] for error, role in columns]
+        assert rows_of[name] == pytest.approx(measured, abs=0.02), name
     for name, errors in (
         ("linear peridynamic solid (LPS)", numbers["E_u"]),
-        ("crystal model, a stiffness matrix for each bond", crystal["E_u"]),
+        ("crystal model, a stiffness matrix for each bond", numbers["micromodulus"]["E_u"]),
         ("third order on a crystal, with energy", numbers["third_order"]["energy"]["E_u"]),
         ("third order on a crystal, deconvolved", numbers["third_order"]["filtered"]["E_u"]),
         ("local elasticity, constants exact or learned", numbers["local"]["true"]),
@@ -144,9 +138,8 @@ def test_defaults_reach_the_figures_of_the_pages(main_run):
         measured = [100 * errors[r] for r in ("val", "test")]
         assert of_the_readme(name) == pytest.approx(measured, abs=0.02), name
     for name, local in (("true moduli", "true"), ("moduli as learned", "learned")):
-        row = re.search(rf"\| local elasticity, {name} \|(.*)\|", page)[1].split("|")
         measured = [100 * numbers["local"][local][r] for r in ("train", "val", "test")]
-        assert [float(cell) for cell in row[-3:]] == pytest.approx(measured, abs=0.02), name
+        assert rows_of[f"local elasticity, {name}"][2:] == pytest.approx(measured, abs=0.02), name
     table = json.loads((ROOT / "examples" / "studies" / "speed_accuracy.json").read_text())
     (shipped,) = (row for row in table["rows"] if "local elasticity, true" in row["label"])
     measured = [numbers["local"]["true"][r] for r in ("val", "test")]

@@ -5,14 +5,11 @@ import json
 
 import numpy as np
 import pytest
-import torch
 
 pytest.importorskip("skfem")
 
 from examples import neural_operator, neural_sets
 from examples.neural_sets import mirrored
-from examples.studies import neural_adjoint
-from examples.studies.neural_speed import plain
 from tests.examples.test_paper_rows import held, rows
 from tests.support.problems import lattice
 from tools.make_hgo import SQUARES, square_points
@@ -44,24 +41,6 @@ def test_equations_stand_where_surroundings_are_data(square, side):
     assert len(points.x) == side**2
     assert points.interior.sum() == 81
     NeuralOperator(SQUARES[square] * points.spacing, (2, 2), (2, 2), units="reduced").on(points)
-
-
-def test_the_plain_version_is_the_same_force():
-    placed = NeuralOperator(3.0, (6, 8), (10, 12)).double().on(lattice(4, 3.0))
-    u = torch.tensor(0.05 * np.random.default_rng(0).normal(size=(2, len(placed.points.x), 2)))
-    torch.testing.assert_close(plain(placed, u), placed(u), rtol=0, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_both_derivatives_of_an_equilibrium(monkeypatch):
-    """docs/archive/neural.md's table on fewer nodes: through more steps, nearer to the adjoint."""
-    monkeypatch.setattr(neural_adjoint, "SIDE", 5)
-    monkeypatch.setattr(neural_adjoint, "STEPS", (5, 40))
-    found = neural_adjoint.measured()
-    short, long = found["unrolled"]
-    assert long["gap"] < 1e-6 < short["gap"]
-    assert long["MB"] > 4 * short["MB"] > 4 * found["adjoint"]["MB"]
-    assert found["steps_from"]["neighbour"] < found["steps_from"]["zeros"]
 
 
 def test_a_training_from_the_command_line(graphene, tmp_path, capsys, monkeypatch):
@@ -133,7 +112,7 @@ def test_the_shipped_weights_of_graphene_on_two_loads(graphene):
 
 @pytest.mark.slow
 def test_the_shipped_weights_of_graphene(graphene):
-    """Held to what docs/archive/neural.md says; the training set by every tenth of its solves."""
+    """Held to what docs/papers/jafarzadeh_2024.md says; every tenth solve of training."""
     material = load(neural_operator.WEIGHTS / "graphene.json")
     assert material.widths == {"influence": (256, 512), "state": (512, 512)}
     given = argparse.Namespace(json=True, solved=None)
@@ -154,7 +133,7 @@ SHEET = {
     4: {"E_res": (0.0420, 0.0411, 0.0798), "E_u": (0.0023, 0.0025, 0.0046)},
     5: {"E_res": (0.0410, 0.0396, 0.0440), "E_u": (0.0017, 0.0018, 0.0017)},
 }
-"""What docs/archive/neural.md says of validation, test and disks, at each horizon."""
+"""What docs/papers/jafarzadeh_2024.md says of validation, test and disks, at each horizon."""
 
 
 @pytest.mark.slow

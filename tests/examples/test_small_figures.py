@@ -23,7 +23,7 @@ WITHIN = 1.3
 
 @pytest.mark.slow
 def test_a_sheet_with_fibres(tmp_path):
-    """docs/archive/tissue.md, linear elements, read out, from 30 squares for 200."""
+    """Tissue on the papers' pages, linear elements, read out, from 30 squares for 200."""
     sets = make_hgo(tmp_path, counts=(30, 0, 8, 1), jobs=1, progress=False)
     train = sets["train"]
     read = read_material(train, stiffness=hgo_square.STIFFNESS)
@@ -37,7 +37,7 @@ def test_a_sheet_with_fibres(tmp_path):
 
 
 def test_a_leaflet_by_the_shipped_network(tmp_path):
-    """docs/archive/neural.md, displacement of frames: two of a protocol for twenty of seven."""
+    """docs/papers/jafarzadeh_2024.md, frames: two of a protocol for twenty of seven."""
     u, _ = leaflet.protocol(tmp_path, leaflet.Leaflet(), 3, levels=2)
     steps = np.argwhere(np.ones(2 * [leaflet.NODES]))
     deep = (

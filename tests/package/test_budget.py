@@ -20,7 +20,7 @@ BUDGET = {
     "tokens": 312_734,
     "lines of warp_peri": 43_263,
     "lines of kernels": 4_424,
-    "lines of warp_peri, kernels, examples and tools": 79_354,
+    "lines of warp_peri, kernels, examples and tools": 74_559,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,

@@ -7,8 +7,6 @@ in NOT_HERE with its reason; what a page takes as the reader's own is made in GI
 import ast
 import re
 import shlex
-import subprocess
-import sys
 from glob import glob
 from pathlib import Path
 
@@ -25,18 +23,11 @@ from warp_peri.cli.main import main
 
 NOT_HERE = {
     r"(make|pip|source|python3 -m venv|\.venv/bin/pip) ": "sets up an environment",
-    r"(\.venv/bin/)?python examples/": "of minutes: a test imports it, or it stands in UNTRIED",
+    r"(\.venv/bin/)?python examples/": "of minutes: a test imports it",
     r"(\.venv/bin/)?python -m pytest": "this very suite",
     r"mpiexec ": "tests/ranks starts it",
     r"(ase|tail) ": "a program of others",
 }
-UNTRIED = {
-    "crystals": "nine crystals, minutes each; what it calls is tested in tests/micromodulus",
-    "structures": "seventeen crystals; tests/structures runs two of them by the same call",
-    "predict": "150 scenes; what it calls is tested in tests/prediction",
-    "which_law": "a table of times; its laws are those of tests/conformance",
-}
-"""Scripts that no test runs, and why; here only their --help."""
 CHEAP = ("how-to/arrays", "how-to/influence", "how-to/paraview")
 """Pages whose commands take a second; the others are slow."""
 
@@ -49,13 +40,10 @@ def commands(text):
     return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
-GALLERY = "archive/gallery"
-"""Has the command of every figure, and is tried though it lies in the archive."""
 TYPED = {
     name: found
     for name, text in TEXT.items()
-    if (name == GALLERY or not name.startswith(("archive/", "papers/")))
-    and (found := commands(text))
+    if not name.startswith(("archive/", "papers/")) and (found := commands(text))
 }
 ELSEWHERE = ("tutorials/graphene",)
 """Run by tests/examples/test_examples.py, on graphene's own data."""
@@ -101,7 +89,7 @@ def scripts():
     return sorted({found[1] for found in typed if found})
 
 
-def test_scripts_that_pages_type_are_run_by_a_test_or_say_why_not():
+def test_scripts_that_pages_type_are_run_by_a_test():
     named = set()
     for path in (ROOT / "tests").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
@@ -109,14 +97,7 @@ def test_scripts_that_pages_type_are_run_by_a_test_or_say_why_not():
                 named |= {node.module.split(".")[-1], *(alias.name for alias in node.names)}
             elif isinstance(node, ast.Constant) and re.fullmatch(r"\w+\.py", str(node.value)):
                 named.add(Path(node.value).stem)
-    assert {Path(script).stem for script in scripts()} - named == set(UNTRIED)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("script", [path for path in scripts() if Path(path).stem in UNTRIED])
-def test_scripts_that_no_test_runs_start(script):
-    line = [sys.executable, script, "--help"]
-    assert subprocess.run(line, cwd=ROOT, capture_output=True, check=False).returncode == 0
+    assert {Path(script).stem for script in scripts()} - named == set()
 
 
 def of_atoms(folder):
@@ -129,7 +110,7 @@ def of_atoms(folder):
 
 def of_bodies(folder):
     """A learned model, and a plate with a hole as Gmsh writes it."""
-    of_gallery(folder)
+    wp.save("runs/graphene_0K/model.json", wp.load("runs/first/model.json"))
     mesh = plate(7.0, 60.0, 10, 48)
     left = [e for e in mesh.parts["sides"] if np.allclose(mesh.middle[e, 0], -60.0)]
     right = [e for e in mesh.parts["sides"] if np.allclose(mesh.middle[e, 0], 60.0)]
@@ -151,10 +132,6 @@ def of_any(folder):
     )
 
 
-def of_gallery(folder):
-    wp.save("runs/graphene_0K/model.json", wp.load("runs/first/model.json"))
-
-
 def of_arrays(folder):
     """The data set that the page's code saves."""
     samples = manufactured(wp.load("runs/first/model.json"), lattice(8, 12.5, 5.0), 8, 0, 0.2)
@@ -167,7 +144,6 @@ GIVEN = {
     "how-to/free_edges": of_bodies,
     "how-to/influence": of_any,
     "how-to/paraview": of_any,
-    GALLERY: of_gallery,
     "tutorials/crystal": of_atoms,
     "tutorials/dumps": lambda of: own_material.make_dumps(of / "runs" / "boron_nitride" / "dumps"),
 }
