@@ -1,7 +1,9 @@
 """What a file beside a run says of the run: every field of points, samples, settings, functions."""
 
 from dataclasses import replace
+from functools import partial
 
+import h5py
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ import torch
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.files.checkpoint import fingerprint
+from warp_peri.micromodulus import tensors_of
 from warp_peri.tissue.sheet_choice import KeptFits
 
 
@@ -69,3 +72,71 @@ def test_materials_settings_and_functions_count_by_what_they_hold():
     assert fingerprint(above(0.3)) == fingerprint(above(0.3)) != fingerprint(above(0.4))
     first, second = (lambda field: field.max(), lambda field: field.min())
     assert fingerprint(first) != fingerprint(second)
+
+    class Above:
+        def __init__(self, limit):
+            self.limit = limit
+
+        def __call__(self, field):
+            return (field > self.limit).sum()
+
+    def by(counted):
+        return lambda field: counted(field) + 1
+
+    pairs = [
+        (by(above(0.3)), by(above(0.4))),
+        (Above(0.3), Above(0.4)),
+        (Above(0.3).__call__, Above(0.4).__call__),
+        (partial(above, 0.3), partial(above, 0.4)),
+        (lambda f: sum(x > 1 for x in f), lambda f: sum(x > 2 for x in f)),
+    ]
+    for one, other in pairs:
+        assert fingerprint(one) == fingerprint(one) != fingerprint(other)
+
+
+def test_a_second_fit_of_the_same_numbers_is_the_same_material():
+    solid = kernel("positive", 2.5)
+    again = replace(solid, provenance={"seconds": 3.0})
+    assert fingerprint(solid) == fingerprint(again)
+
+
+def materials(points):
+    """Pairs of materials that differ in one number, each with options of its motion."""
+    linear = kernel("positive", 2.5)
+    crystal = tensors_of(linear, points.spacing)
+    stiffer = replace(crystal, tensors=1.01 * crystal.tensors, certificate=None)
+    wave = {"density": 2000.0, "step": 0.003}
+    yield linear, replace(linear, mu=1.01 * linear.mu), wave
+    yield crystal, stiffer, wave
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_motion_from_rest_is_of_one_material(number, tmp_path):
+    """A body without displacement or load feels none of its moduli."""
+    steps = np.argwhere(np.ones((16, 16)))
+    points = wp.Points(1.0 * steps, ((steps > 4) & (steps < 11)).all(axis=1), 1.0)
+    one, other, how = list(materials(points))[number]
+    at_rest = wp.Dirichlet(points, None, np.zeros_like(points.x))
+    kept = {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1}
+    wp.move(one, at_rest, **how, steps=2, **kept)
+    wp.move(one, at_rest, **how, steps=3, **kept)
+    with pytest.raises(wp.InputError, match="expected a checkpoint of this motion"):
+        wp.move(other, at_rest, **how, steps=4, **kept)
+
+
+def test_contents_of_a_checkpoint_are_those_that_were_written(tmp_path):
+    path, points = tmp_path / "run.h5", lattice(6, 2.5)
+    u = np.where(points.interior[:, None], 0.01 * points.x, 0.0)
+    how = {"density": 2000.0, "step": 0.003, "checkpoint": path, "checkpoint_every": 1}
+    wp.move(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=2, **how)
+    whole = path.read_bytes()
+    with h5py.File(path, "r+") as file:
+        file["u"][points.interior] *= 1.5
+    with pytest.raises(wp.InputError, match="the contents are not what was written"):
+        wp.move(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=3, **how)
+    path.write_bytes(whole)
+    with h5py.File(path, "r+") as file:
+        del file["u"]
+        file.create_dataset("u", (10**11, 2), "f8", chunks=(10, 2))
+    with pytest.raises(wp.InputError, match="not a readable checkpoint"):
+        wp.move(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=3, **how)

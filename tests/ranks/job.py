@@ -31,6 +31,7 @@ from warp_peri.ranks import gather, lattice, partition, together
 from warp_peri.ranks.processes import total, world
 
 H = 0.5
+PAUSE = [0.0]
 
 
 def digest(values):
@@ -246,8 +247,10 @@ def rest(folder):
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["grid"] = points.tiles.grid
     found["unfit"] = unfit(folder / "unfit.h5")
+    found["door"] = at_the_door() if comm.size > 1 else {}
     kept(folder, "transferred", SimpleNamespace(comm=comm, gather=np.asarray), transferred())
     full = lattice((52, 52), H, lambda x: x[:, 0] >= 0)
+    everywhere = H * np.argwhere(np.ones((52, 52)))
     found["refused"] = [told_by(wrong) for wrong in (
         lambda: solid(3).on(points)(u),
         lambda: wp.solve(solid(2), wp.Dirichlet(full, *fields(full.x))),
@@ -258,12 +261,51 @@ def rest(folder):
         lambda: wp.solve(nonlinear(), wp.Dirichlet(sheet, *fields(sheet.x))),
         lambda: wp.solve(solid(2), wp.Dirichlet(sheet, *map(torch.tensor, fields(sheet.x))),
                          parameters={"mu": torch.tensor(0.4, requires_grad=True)}),
-        lambda: partition(wp.Points(0.9 * sheet.x, sheet.interior, 0.0)),
+        lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
         lambda: wp.move(BrittleSolid(solid(2), 2.5, toughness=1.0),
                         wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
     return found
+
+
+def at_the_door():
+    """What is said where rank 1 was given something else than the others, by what it was."""
+    one = int(world().rank == 1)
+    x = H * np.argwhere(np.ones((52, 52)))
+    sheet, plate = partition(wp.Points(x, inside(x), H)), rectangle(20.0, 20.0, 1.0)
+    plate = partition(wp.Points(plate, np.ones(len(plate), bool), 1.0))
+    b, u = fields(sheet.x)
+    law = replace(solid(2), mu=0.4 + 1e-9 * one)
+
+    def moved(material=None, problem=None, **options):
+        problem = problem or wp.Dirichlet(sheet, b, u)
+        wp.move(material or solid(2), problem, **SWING | {"steps": 4} | options)
+
+    def broken(at=-5.0, toughness=1e-4, watched=1.0, **options):
+        glass = BrittleSolid(replace(solid(2), horizon=2.5, certified_on=()), 2.5, toughness)
+        body = Cracked(plate, cracks=[[(-10.5, 0.0), (at, 0.0)]])
+        watch = {"some": lambda phi: watched * phi.max()}
+        given = {"step": 0.5 * glass.longest_step(1.0), "steps": 4, "watch": watch}
+        wp.move(glass, body, **given | options)
+
+    cases = {
+        "material": [lambda: wp.solve(law, wp.Dirichlet(sheet, b, u)), partial(moved, law),
+                     partial(broken, toughness=1e-4 * (1 + one))],
+        "problem": [partial(moved, problem=wp.Dirichlet(sheet, None if one else b, u)),
+                    lambda: wp.solve(solid(2), wp.Dirichlet(sheet, b, u[None] if one else u))],
+        "density": [partial(moved, density=2000.0 + one)],
+        "step": [partial(moved, step=1e-3 / (1 + one)), partial(broken, step=0.01 / (1 + one))],
+        "steps": [partial(moved, steps=4 + one), partial(broken, steps=4 + one)],
+        "signal": [partial(moved, signal=np.arange(5.0 + one)[:5] + one)],
+        "solver": [lambda: wp.solve(solid(2), wp.Dirichlet(sheet, b, u),
+                                    solver=wp.Krylov(tolerance=1e-8 / (1 + one)))],
+        "cracks": [partial(broken, at=-5.0 + one)],
+        "watch": [partial(broken, watched=1.0 + one)],
+        "points": [lambda: partition(wp.Points(x + one, inside(x), H))],
+        "shape": [lambda: lattice((52 + one, 52), H, inside)],
+    }  # fmt: skip
+    return {name: [told_by(case) for case in some] for name, some in cases.items()}
 
 
 def crack(folder, by="rows", steps="60", pause="0"):
@@ -275,7 +317,7 @@ def crack(folder, by="rows", steps="60", pause="0"):
         wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")), 2.5, toughness=1e-4
     )
     ends = np.abs(x[:, 1]) > 9
-    wait = partial(time.sleep, float(pause))  # no part of what a checkpoint knows a run by
+    PAUSE[0] = float(pause)  # a global, so no part of what a checkpoint knows a run by
     if pause != "0":
         print("pids", *points.comm.allgather(os.getpid()), flush=True)
     motion = wp.move(
@@ -288,7 +330,7 @@ def crack(folder, by="rows", steps="60", pause="0"):
         no_fail=np.abs(x[:, 1]) > 7,
         regions={"top": x[:, 1] > 0},
         sections={"middle": [(-20.5, 6.0), (20.5, 6.0)]},
-        watch={"worst": lambda phi: wait() or phi.max()},
+        watch={"worst": lambda phi: time.sleep(PAUSE[0]) or phi.max()},
         checkpoint=folder / "state.h5",
         checkpoint_every=1,
         series=folder / "series",

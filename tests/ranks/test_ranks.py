@@ -233,6 +233,13 @@ def told_alone(folder):
     return unfit(folder / "alone.h5")
 
 
+def test_what_ranks_were_not_given_alike_is_named_before_anything_is_sent(jobs):
+    door = jobs[2]["door"]
+    assert len(door) == 11
+    for name, told in door.items():
+        assert told == len(told) * [f"{name}: expected the same on all ranks, rank 1 has another"]
+
+
 def test_a_solid_is_transferred_as_by_one_process(jobs, folder):
     with pytest.warns(UserWarning, match="transferred from 0.6"):
         alone = transferred()

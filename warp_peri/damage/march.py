@@ -252,19 +252,11 @@ class CrackRun:
 
     def _key(self) -> dict[str, str]:
         """What the run depends on, by name; its load history is kept by its values, `_applied`."""
-        body, solid, model = self.body, self.body.solid, self.body.solid.model
-        numbers = (model.lam, model.mu, model.alpha, *model.D, model.horizon, solid.density)
+        body = self.body
         return {
             "start": self._began,
             "nodes": self.nodes.mark(body.body.x),
-            "solid": fingerprint(
-                *numbers,
-                body.operator.limits,
-                solid.by_energy,
-                solid.tension_only,
-                model.units,
-                *[True] * body.corrected,
-            ),
+            "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
             "no_fail": self.nodes.mark(body.no_fail),
             "load": self.nodes.mark(body.load.numpy()),
             "held": self.nodes.mark(body.held.numpy()),

@@ -19,7 +19,7 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import AllNodes, RunFile, agreed
+from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
 from warp_peri.launch import shared_by
 from warp_peri.lps.model import lps_stencil
@@ -389,8 +389,9 @@ class KeptMotion:
         ahead = state.u + self.dt * v  # feels the law, wherever it begins
         fields = state.u, v, body.on_all(body.operator(ahead) - body.load)
         sizes = self.dt, body.inertia, self.every
-        signal = () if body.signal is None else (body.signal,)
-        self._mark = self.nodes.mark(*fields, body.interior, *sizes, *signal)
+        of: Any = body.operator
+        known = fingerprint(of.model, of.points.units, of.points.axis, body.signal)
+        self._mark = self.nodes.mark(*fields, of.points.x, body.interior, *sizes, known)
         if (kept := self.file.read("u", "v")) is None:
             return state, 0, []
         arrays, values = kept

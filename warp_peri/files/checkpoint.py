@@ -16,17 +16,23 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 
+from warp_peri import __version__
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import PART, destination, parsed, whole_file
 
 Placed = tuple[np.ndarray, np.ndarray | None, int]
 """Rows [n, ...], their rising places in the whole or None for all, and how many it has."""
+
+
+OF_A_FIT = ("sha256", "certificate", "proven", "provenance")
+"""Of a material's file, which a second fit of the same numbers has otherwise."""
 
 
 class Alone:
@@ -84,44 +90,60 @@ def fingerprint(*parts: Any) -> str:
 
     Arrays count with kind and shape; data classes (points, samples, settings, problems) with all
     their fields, so that none is forgotten; materials with what their file holds; functions with
-    their code and what it encloses; numbers alike whatever type they are of. What prints an address
-    counts without it.
+    their code and what it encloses; other objects with their attributes; numbers alike whatever
+    type they are of. The version of the library counts, too.
     """
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(__version__.encode())
     for text in _spelled(parts):
         digest.update(f"{len(text)}:".encode() + text)
     return digest.hexdigest()
 
 
-def _spelled(part: Any) -> Iterator[bytes]:
-    """What tells a value from others, bit by bit."""
+def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
+    """What tells a value from others, bit by bit; `above` are those that it is a part of."""
     if hasattr(part, "numpy") and not isinstance(part, type):  # of torch and Warp
         part = part.numpy()
-    code = getattr(part, "__code__", None)
+    inside = above | {id(part)}
     if isinstance(part, (bool, int, float, np.number, np.bool_)):
         yield repr(float(part) if isinstance(part, (float, np.floating)) else int(part)).encode()
     elif isinstance(part, np.ndarray) and part.dtype != object:
         yield from (part.dtype.str.encode(), repr(part.shape).encode(), part.tobytes())
+    elif id(part) in above:
+        yield b"above"
     elif isinstance(part, Mapping):
-        yield from _spelled(sorted((str(key), value) for key, value in part.items()))
+        yield from _spelled(sorted((str(key), value) for key, value in part.items()), inside)
     elif isinstance(part, (list, tuple, np.ndarray)):
         yield str(len(part)).encode()
         for one in part:
-            yield from _spelled(one)
-    elif code is not None:
+            yield from _spelled(one, inside)
+    elif inspect.iscode(part):
+        yield part.co_code
+        yield from _spelled([part.co_consts, part.co_names], inside)
+    elif inspect.isroutine(part) and hasattr(part, "__code__"):
         enclosed = inspect.getclosurevars(part).nonlocals  # of a bound method none
-        yield code.co_code
-        known = [one for one in code.co_consts if not inspect.iscode(one)]
-        yield from _spelled([known, code.co_names, getattr(part, "__defaults__", None)])
-        yield from _spelled({key: one for key, one in enclosed.items() if not callable(one)})
+        given = getattr(part, "__defaults__", None), getattr(part, "__kwdefaults__", None)
+        bound = getattr(part, "__self__", None)
+        yield from _spelled([part.__code__, given, enclosed, bound], inside)
+    elif isinstance(part, partial):
+        yield from _spelled([part.func, part.args, part.keywords], inside)
     elif not isinstance(part, type) and hasattr(part, "content"):
-        yield from _spelled(part.content())
+        yield from _spelled(_lasting(part.content()), inside)
     elif dataclasses.is_dataclass(part) and not isinstance(part, type):
         yield type(part).__name__.encode()
         fields = (field.name for field in dataclasses.fields(part))
-        yield from _spelled([(name, getattr(part, name)) for name in fields])
+        yield from _spelled([(name, getattr(part, name)) for name in fields], inside)
     else:
-        yield re.sub(r" at 0x[0-9a-f]+", "", repr(part)).encode()
+        text = repr(part)
+        yield re.sub(r" at 0x[0-9a-f]+", "", text).encode()
+        if " object at 0x" in text:
+            yield from _spelled(getattr(part, "__dict__", None), inside)
+
+
+def _lasting(content: Any) -> Any:
+    """Of what a material's file holds what makes the material."""
+    if not isinstance(content, dict):
+        return content
+    return {key: _lasting(one) for key, one in content.items() if key not in OF_A_FIT}
 
 
 @contextmanager
@@ -137,8 +159,22 @@ def agreed(comm: Any) -> Iterator[None]:
         raise mine or InputError(told[0])
 
 
+def same(comm: Any, **parts: Any) -> None:
+    """Refuse what the ranks do not all have alike, before anything else is sent.
+
+    Raises InputError on all, which names the first that differs and a rank that has another.
+    """
+    with agreed(comm):
+        mine = {name: fingerprint(part) for name, part in parts.items()}
+    first, *others = comm.allgather(mine)
+    for rank, theirs in enumerate(others, 1):
+        for name in [*first, *theirs]:
+            if first.get(name) != theirs.get(name):
+                raise InputError(f"{name}: expected the same on all ranks, rank {rank} has another")
+
+
 class RunFile:
-    """A run's file: arrays on the nodes of a body, and plain values.
+    """A run's file: arrays on the nodes of a body, and plain values, with a hash of all.
 
     Args:
         path: of the file, which need not be there yet.
@@ -157,7 +193,14 @@ class RunFile:
         mine = text if comm.rank == 0 else text[:0]
         placed: dict[str, Placed] = {k: (v, number, nodes.count) for k, v in nodal.items()}
         placed["values"] = mine, np.arange(len(mine)), len(text)
-        write_arrays(self.path, comm, placed, {"format": self.kind})
+        head = {"format": self.kind, "mark": self._mark(nodal, text)}
+        write_arrays(self.path, comm, placed, head)
+
+    def _mark(self, nodal: Mapping[str, np.ndarray], text: np.ndarray) -> str:
+        """A fingerprint of arrays on the own nodes, and of the values that the first rank has."""
+        own = getattr(self.nodes, "piece", self.nodes)
+        values = self.nodes.comm.bcast(fingerprint(text))
+        return str(own.mark(*(nodal[name] for name in sorted(nodal)), values))
 
     def read(self, *names: str) -> tuple[dict[str, np.ndarray], dict[str, Any]] | None:
         """Arrays on all nodes here by name, and the values; None where there is no file yet.
@@ -176,9 +219,13 @@ class RunFile:
                 for name in names:
                     if nodes.number is None and len(found[name]) != nodes.count:
                         raise ValueError(f"{name} is of another number of nodes")
-                return found, parsed(found.pop("values").tobytes())
+                text = found.pop("values")
+                values = parsed(text.tobytes())
             except ValueError as error:
                 raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
+        if attributes.get("mark") != self._mark({n: found[n][nodes.own] for n in found}, text):
+            raise InputError(f"{self.path}: the contents are not what was written")
+        return found, values
 
 
 def write_arrays(
@@ -263,9 +310,11 @@ def read_arrays(
                     for name in place:
                         one = file[name]
                         laid[name] = one.id.get_offset(), one.shape, one.dtype
+                        if laid[name][0] + one.nbytes > os.path.getsize(path):
+                            raise ValueError(f"{name} has more bytes than the file")
                         if comm is ALONE:
                             found[name] = one[()]
-            except (OSError, KeyError, AttributeError, TypeError) as error:
+            except (OSError, KeyError, AttributeError, TypeError, ValueError) as error:
                 raise InputError(f"{path}: not a readable checkpoint ({error})") from None
     if comm is ALONE:
         return found, attributes

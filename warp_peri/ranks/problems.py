@@ -9,6 +9,8 @@ there, and nothing else is sent.
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,7 +24,7 @@ from warp_peri.damage.problems import Cracked, broken, options_of_steps
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
 from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import RunFile, agreed
+from warp_peri.files.checkpoint import RunFile, agreed, fingerprint, same
 from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweep
@@ -51,8 +53,10 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
 
     Raises InputError for other problems and laws, and as RowOperator and `definite` do.
     """
+    piece = problem.points
+    alike(material, problem, options | {"solver": solver})
     (asked,) = taken(options, "solve", _asked)
-    piece, path = problem.points, _asked(**asked)
+    path = _asked(**asked)
     with agreed(piece.comm):
         if not hasattr(problem, "u") or hasattr(problem, "cracks"):
             raise InputError("solve: expected a Dirichlet(points, b, u) on ranks")
@@ -68,7 +72,7 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
     if path is not None:
         if len(flat[0]) > 1:
             raise InputError(f"checkpoint: expected one load, got {len(flat[0])}")
-        kept = Kept(path, piece, flat[0][0], flat[1][0])
+        kept = Kept(path, piece, material, flat[0][0], flat[1][0])
     answers, records = np.where(inside[:, None], 0.0, flat[1]), list[SolveRecord]()
     for field, load, given in zip(answers, *flat):
         field[:], record = solved(operator, load, given, tolerance, kept)
@@ -84,6 +88,24 @@ def solve(material: Any, problem: Any, solver: Solver, options: dict[str, Any]) 
         details=tuple(records),
         measured=max(record.residual for record in records),
     )
+
+
+NODAL = ("points", "b", "u", "free", "v", "no_fail", "grip", "record")
+"""Of what is given to a verb those that each rank has for its own nodes."""
+
+
+def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
+    """Refuse ranks that were given different things: a step, a material, a crack, a signal.
+
+    Raises InputError on all, before anything is sent that depends on what was given.
+    """
+    asked = {f.name: getattr(problem, f.name) for f in fields(problem)} | dict(options)
+    nodal = [name for name in NODAL if np.ndim(asked.get(name, 0)) > 0]
+    stacked = {name: np.shape(asked.pop(name))[:-2] for name in nodal}
+    regions = sorted(asked.pop("regions", None) or ())
+    asked = {name: one for name, one in asked.items() if name not in NODAL}
+    kind = type(problem).__name__
+    same(problem.points.comm, material=material, problem=(kind, stacked, regions), **asked)
 
 
 def solved(
@@ -139,15 +161,22 @@ class Kept:
     Args:
         path: of the file; it need not be there yet.
         piece: the nodes of this rank.
+        material: what is solved.
         b, u: what is given of the problem, shape [n, d]; a file of another one is refused.
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], piece: Subdomain, b: np.ndarray, u: np.ndarray
+        self,
+        path: str | os.PathLike[str],
+        piece: Subdomain,
+        material: Any,
+        b: np.ndarray,
+        u: np.ndarray,
     ) -> None:
         inside = piece.interior[:, None]
         self.file = RunFile(path, "warp_peri.rest", piece)
-        self._mark = piece.mark(np.where(inside, b, 0.0), np.where(inside, 0.0, u), inside)
+        parts = np.where(inside, b, 0.0), np.where(inside, 0.0, u), inside, piece.x
+        self._mark = piece.mark(*parts, fingerprint(material))
 
     def start(self) -> np.ndarray | None:
         """The displacement [n, d] that was kept; None before one was.
@@ -172,6 +201,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     Raises InputError for anything but steps, and for bonds that break by energy.
     """
     piece, comm = problem.points, problem.points.comm
+    alike(material, problem, options)
     if hasattr(problem, "b") and not isinstance(problem, Cracked):
         with agreed(comm):
             offered(material, "on", "move", MATERIAL)

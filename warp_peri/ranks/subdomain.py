@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError, optional
-from warp_peri.files.checkpoint import agreed
+from warp_peri.files.checkpoint import agreed, same
 from warp_peri.launch import ranks_started
 from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
 from warp_peri.points.points import Points
@@ -181,6 +181,7 @@ def lattice(
     interior node anywhere.
     """
     comm = world()
+    same(comm, shape=shape, spacing=spacing, origin=origin, block=block, units=units, axis=axis)
     sizes = _usual(shape) if block is None else tuple(np.atleast_1d(np.array(block)).tolist())
     tiles = cut(comm, shape, sizes)
     grid = np.indices(tiles.box(comm.rank), dtype=np.int32).reshape(len(shape), -1).T
@@ -238,6 +239,7 @@ def partition(points: Points, by: str = "rows") -> Any:
     if not ranks_started():
         return points
     comm = world()
+    same(comm, points=points, by=by)
     if by not in ("rows", "bisection", "metis"):
         raise InputError(f"by: expected rows, bisection or metis, got {by!r}")
     if not points.is_plain_lattice:
