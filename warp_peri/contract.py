@@ -181,13 +181,6 @@ class OnPoints(Remade):
         """Which components of fields a solve is given, of a shape that broadcasts to [N, d]."""
         return np.asarray(~self.points.interior.reshape(-1, *[1] * (len(self.shape) - 1)))
 
-    def stiffness_at(self, u: Any) -> Any:
-        """The derivative of the force at a field, between interior nodes, sparse [d I, d I]: of
-        what offers `tangent`, sparse [d I, d N]."""
-        one = int(np.prod(self.shape[1:]))
-        tangent: Any = getattr(self, "tangent")(u)  # noqa: B009
-        return tangent.tocsc()[:, np.repeat(self.points.interior, one)]
-
     def load_transpose(self, w: Any) -> np.ndarray:
         """`load` transposed, of w on the interior [..., I, d], on all nodes [..., N, d]."""
         return self.on_all(w)

@@ -334,3 +334,33 @@ def filled(struct: Any, *values: Any) -> Any:
 def floats(values: np.ndarray, dtype: Any = wp.float64, device: str = DEVICE) -> wp.array[Any]:
     """A Warp array of scalars or vectors; shares memory with `values` where it can."""
     return wp.array(values, dtype=dtype, device=device, copy=False)
+
+
+class _TorchThreads:
+    """Callers that are inside `one_thread`, and how many threads torch had before the first."""
+
+    lock, inside, before = Lock(), 0, 1
+
+
+@contextmanager
+def one_thread(wanted: bool = True) -> Iterator[None]:
+    """Keep torch on one thread, where that is wanted, until the last such call has left.
+
+    The number of threads is each caller's own, and that of new threads the one that was set last.
+    """
+    if not wanted:
+        yield
+        return
+    import torch
+
+    with _TorchThreads.lock:
+        if not _TorchThreads.inside:
+            _TorchThreads.before = torch.get_num_threads()
+        _TorchThreads.inside += 1
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        with _TorchThreads.lock:
+            _TorchThreads.inside -= 1
+            torch.set_num_threads(_TorchThreads.before)

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from tests.lps.test_rows import SETS, numbered
-from tests.support.nonlinear import solid
+from tests.support.nonlinear import far_ends, solid, tangent
 from tests.support.problems import ROUNDING, lattice, noise
 from warp_peri.core import pointwise
 from warp_peri.points.families import bond_classes
-from warp_peri.points.lattice import lattice_steps
 from warp_peri.third_order.operator import PlacedThirdOrder
 
 HORIZON = 3.0
@@ -30,41 +29,28 @@ def apart():
 LAYOUTS = SETS | {"shuffled": shuffled, "mostly empty": apart}
 
 
-def far_ends(op, points, at):
-    """Bonds ξ [B, 2] of the gradient and the nodes that they lead to from some, [n, B]."""
-    steps, (_, axes) = op._steps, lattice_steps(points)
-    xi = points.spacing * steps @ axes.T
-    box = np.full(2, np.inf) if points.box is None else np.asarray(points.box)
-    ends = []
-    for x in points.x[at][:, None] + xi:
-        away = x[:, None] - points.x
-        away -= np.where(np.isfinite(box), box, 0) * np.rint(away / box)
-        ends.append(np.abs(away).max(axis=2).argmin(axis=1))
-    return xi, np.array(ends)
-
-
 @pytest.mark.parametrize("kind", LAYOUTS)
 def test_force_and_derivatives(kind):
-    """∂/∂u by the sparse tangent, which has no FFT."""
+    """∂/∂u by the sparse tangent of sums over bonds."""
     points, model = LAYOUTS[kind](), solid("filtered")
     op = PlacedThirdOrder(model, points)
     u = 0.05 * noise(points)
     classes = bond_classes(model.spacing, model.reach)
     p_in, p_out = (2 * p[classes.bond_class] for p in model.weights(classes))
-    xi, ends = far_ends(op, points, op.full)
+    xi, ends = far_ends(classes.steps, points, op.full)
     H = np.einsum("ipk,pl,p->ikl", u[ends] - u[op.full][:, None], xi, p_in)
     found, P = op.gradients(u)
     assert np.abs(found - H).max() <= ROUNDING * np.abs(H).max()
     stress = np.zeros((len(points.x), 2, 2))
     stress[op.full] = P
-    ends = far_ends(op, points, points.interior)[1]
+    ends = far_ends(classes.steps, points, points.interior)[1]
     force = op.straight(u) - np.einsum("ipkl,pl,p->ik", stress[ends], xi, p_out)
     assert np.abs(op(u) - force).max() <= 4 * ROUNDING * np.abs(force).max()
     v, w = noise(points, seed=2), noise(points, seed=3)[points.interior]
-    tangent = op.tangent(u)
+    square = tangent(op, u)
     for rate, expected in (
-        (op.product(u, v), tangent @ v.ravel()),
-        (op.product_transpose(u, w), tangent.T @ w.ravel()),
+        (op.product(u, v), square @ v.ravel()),
+        (op.product_transpose(u, w), square.T @ w.ravel()),
     ):
         assert np.abs(rate.ravel() - expected).max() <= 1e-12 * np.abs(expected).max()
 

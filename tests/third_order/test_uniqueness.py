@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import splu
 
-from tests.support.nonlinear import FORMS, psi, solid
+from tests.support.nonlinear import FORMS, psi, solid, tangent
 from tests.support.problems import lattice, noise
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import uniqueness
@@ -80,8 +80,8 @@ class Iteration:
     def __init__(self, model, strain, points, seed):
         self.operator, self.inside = PlacedThirdOrder(model, points), points.interior
         self.strain = strain
-        tangent = self.operator.tangent(0 * points.x)
-        self.stiffness = tangent[:, np.repeat(self.inside, 2)].tocsc()
+        at_rest = tangent(self.operator, 0 * points.x)
+        self.stiffness = at_rest[:, np.repeat(self.inside, 2)].tocsc()
         self.factors = splu(self.stiffness)
         self.load = 0.02 * noise(points, seed=seed)[self.inside]
         self.collar = 0.02 * noise(points, seed=seed + 1)

@@ -252,7 +252,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     linear has every derivative to b and u; of others, and to numbers, the second is refused.
 
     Args:
-        operator: that offers `rest`, and `stiffness_at` where it is not symmetric.
+        operator: that offers `rest`, and `stiffness_at` or `inverse` where it is not symmetric.
         b, u: of all nodes, [N, d] or [S, N, d]; b counts on the interior, u on the collar.
         solver: of `rest`.
         parameters: some of the operator's `learnable` by name; the others stay as they are. The
@@ -352,7 +352,8 @@ def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
     """L′⁻ᵗ of each field's g on the interior, by a factorisation, or in steps where it is large."""
     right, factors, found = g.reshape(len(fields), -1), None, []
     many = np.count_nonzero(operator.points.interior) > DIRECT and hasattr(operator, "inverse")
-    inverse = operator.inverse(len(fields)) if many else None
+    steps = many or not hasattr(operator, "stiffness_at")
+    inverse = operator.inverse(len(fields)) if steps else None
     for field, one in zip(fields, right):
         if inverse is not None:
             found.append(in_steps(operator, field, one.reshape(-1, field.shape[-1]), inverse))

@@ -152,6 +152,10 @@ class CoupledOperator(OnPoints):
         """The force as a matrix, rows of the interior and columns of all nodes, [3 I, 3 N]."""
         return self._whole([[self._solid, self._pull], [None, self._flux]])
 
+    def stiffness_at(self, u: Any) -> sp.csc_array:
+        """The force between interior nodes, sparse [3 I, 3 I]."""
+        return self.tangent(u).tocsc()[:, np.repeat(self.points.interior, 3)]
+
     def _whole(self, blocks: list[list[Any]]) -> sp.csr_array:
         """A matrix of the blocks of displacement and φ, in the order of fields."""
         both = sp.block_array(blocks, format="csr")

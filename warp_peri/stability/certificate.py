@@ -226,14 +226,14 @@ def _negative_weights(model: Model, points: PointsLike, degree: int) -> float:
     return float(np.mean(weight < 0))
 
 
-def smallest_eigenvalue(symmetric: sp.csc_array) -> float:
-    """Smallest eigenvalue of a symmetric matrix; dense for few unknowns."""
-    if symmetric.shape[0] <= DENSE:
-        return float(np.linalg.eigvalsh(symmetric.toarray())[0])
+def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
+    """Smallest eigenvalue of what is symmetric; dense for few unknowns."""
+    if (size := symmetric.shape[0]) <= DENSE:
+        return float(np.linalg.eigvalsh(symmetric @ np.eye(size))[0])
     return float(eigsh(symmetric, which="SA", tol=1e-6, **_one(symmetric))[0])
 
 
-def _one(matrix: sp.csc_array) -> dict[str, Any]:
+def _one(matrix: sp.csc_array | LinearOperator) -> dict[str, Any]:
     """One eigenvalue, from the fixed start."""
     start = lanczos_start(matrix.shape[0])
     return {"k": 1, "ncv": 80, "v0": start, "return_eigenvectors": False}

@@ -5,13 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy.sparse as sp
 import torch
 from numpy.typing import ArrayLike
+from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.contract import stencil_of
 from warp_peri.core.pointwise import Pointwise
@@ -31,16 +31,28 @@ if TYPE_CHECKING:
     from warp_peri.third_order.material import ThirdOrderCrystal
 
 
+MEASURES = torch.tensor([[1, 0, 0, 1], [0.5, 0, 0, -0.5], [0, 0.5, 0.5, 0]], dtype=torch.float64)
+"""Of E00, E01, E10 and E11 the trace t and the deviator a, b."""
+
+
+@lru_cache(maxsize=64)
+def _moduli(axis: float) -> torch.Tensor:
+    """∂W/∂(t, a, b) as t, a, b times 1, t², a² and b² have it of λ, μ, t3, tq2, q3, [3, 4, 5]."""
+    moduli, c, s = torch.zeros(3, 4, 5, dtype=torch.float64), np.cos(6 * axis), np.sin(6 * axis)
+    moduli[0, 0, :2], moduli[1:, 0, 1] = 0.5, 2.0
+    moduli[0, 1, 2] = moduli[0, 2, 3] = moduli[0, 3, 3] = 1.0
+    moduli[1:, 2:, 4] = torch.tensor([[c, -3 * c], [3 * s, -s]])
+    return moduli
+
+
 def energy_density(
     E: torch.Tensor, *, axis: float, lam: Any, mu: Any, t3: Any, tq2: Any, q3: Any
 ) -> Any:
     """The energy (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
-    e00, b, _, e11 = E.flatten(-2).movedim(-1, 0).unbind()
-    t, a = e00 + e11, (e00 - e11) / 2
-    aa, bb = a * a, b * b
-    c, s = q3 * np.cos(6 * axis), q3 * np.sin(6 * axis)
-    sixfold = a * (c * (aa - 3 * bb)) + b * (s * (3 * aa - bb))
-    return t * t * ((lam + mu) / 2 + t3 * t) + (aa + bb) * (2 * mu + tq2 * t) + sixfold
+    numbers = [torch.as_tensor(n, dtype=torch.float64) for n in (lam, mu, t3, tq2, q3)]
+    moduli = _moduli(axis) @ torch.stack(numbers)
+    v = MEASURES @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)
+    return (v * (moduli[:, :1] * v + moduli[:, 1:] @ (v * v))).sum(0).reshape(E.shape[:-2])
 
 
 def gradient_stencil(
@@ -122,10 +134,6 @@ class PlacedThirdOrder(Pointwise):
         """σ of the linear part and P of Ψ [stress] at the interior nodes, [..., I, 2, 2] (N2)."""
         return np.asarray(self.straight.stress(u) + super().stress(u))
 
-    def tangent(self, u: ArrayLike) -> sp.csr_array:
-        """∂(L u)/∂u at a field [N, 2]: sparse, shape [2 I, 2 N] (N5)."""
-        return sp.csr_array(self.straight.matrix() + super().tangent(u))
-
     def stiffest_wave(self) -> float:
         """A bound on the eigenvalues of the tangent [stress / length²] up to the proven strain, for
         time steps: twice that of the linear part (N15).
@@ -190,5 +198,13 @@ class PlacedThirdOrder(Pointwise):
 
     def _smallest(self, field: np.ndarray) -> float:
         """Smallest eigenvalue of the symmetric part of the tangent on the unknowns."""
-        tangent = sp.csr_array(self.stiffness_at(field))
-        return smallest_eigenvalue(sp.csc_array((tangent + tangent.T) / 2))
+        inside = self.points.interior
+
+        def product(x: np.ndarray) -> np.ndarray:
+            w = x.T.reshape(-1, np.count_nonzero(inside), 2)
+            u = np.broadcast_to(field, (len(w), *self.shape))
+            across = self.product_transpose(u, w)[:, inside]
+            return np.asarray((self.product(u, self.on_all(w)) + across).reshape(x.T.shape).T / 2)
+
+        shape = 2 * (2 * np.count_nonzero(inside),)
+        return smallest_eigenvalue(LinearOperator(shape, product, matmat=product, dtype=float))
