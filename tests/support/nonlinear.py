@@ -74,7 +74,7 @@ def bent_tangent(op, u, steps, into, out):
 
     def energy(H):
         E = (H + H.T + H.T @ H) / 2
-        at_rest = 0 if op.at_rest is None else (H * torch.tensordot(op.at_rest, H)).sum() / 2
+        at_rest = (H * torch.tensordot(op.at_rest, H)).sum() / 2
         return op.density(E[None], **op.numbers)[0] - at_rest
 
     total = 0

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from warp_peri.contract import OnPoints
 from warp_peri.core.grid import grid_of
 from warp_peri.core.stencil import Stencil, half_ball
-from warp_peri.launch import one_thread, threads
+from warp_peri.launch import one_thread
 from warp_peri.points.arrays import plain
 from warp_peri.points.samples import PointsLike, nodes_of
 
@@ -41,14 +41,14 @@ def symmetric(A: torch.Tensor) -> torch.Tensor:
     return (A + A.transpose(0, 1)).div_(2)
 
 
-def strain(H: torch.Tensor) -> torch.Tensor:
-    """The Green strain (H + Hᵗ + HᵗH)/2 of gradients [d, d, ...]."""
-    return symmetric(times(H.transpose(0, 1), H).div_(2).add_(H))
-
-
 def strain_rate(H: torch.Tensor, X: torch.Tensor) -> torch.Tensor:
     """The derivative of the Green strain at H along X, each [d, d, ...]."""
     return symmetric(times(H.transpose(0, 1), X).add_(X))
+
+
+def strain(H: torch.Tensor) -> torch.Tensor:
+    """The Green strain (H + Hᵗ + HᵗH)/2 of gradients [d, d, ...]."""
+    return strain_rate(H / 2, H)
 
 
 class Pointwise(OnPoints):
@@ -106,19 +106,17 @@ class Pointwise(OnPoints):
         near, whole = reached(far), reached(ball)
         self._near, self._places = grid.near[near], place[near]
         self.full, self._full = grid.near[whole], place[whole]
-        self._node = np.full(asked.size, np.append(grid.near[inside], 0)[0])
-        self._node[self._places] = self._near
-        self._number = np.zeros(asked.size, int)
-        self._number[self._full] = np.arange(len(self.full))
-        self._felt, self._whole = np.zeros((2, asked.size))
+        size, number = asked.size, np.arange(len(self.full))
+        self._node, self._number = np.resize(self._near, size), np.resize(number, size)
+        self._node[self._places], self._number[self._full] = self._near, number
+        self._felt, self._whole = np.zeros((2, size))
         self._felt[self._places] = self._whole[self._full] = 1.0
         sides = weights, (weights if back is None else back) / len(weights)
         into, out = (self._symbol(steps, side.transpose(2, 0, 1)) for side in sides)
         self._symbols, self._mirrored = (into, out), (into.conj(), out.conj())
-        self._weighed = asked.size * d * d * len(weights)
-        self._straight: Any = None
-        self._linear: Any = None
-        self.at_rest: Any = None
+        self._size = size * d * d * len(weights)
+        self._straight = self._linear = None
+        self.at_rest = torch.zeros(4 * (d,), dtype=torch.float64)
         if stencil is not None:
             C = (grid.axes @ stencil.tensors @ grid.axes.T).transpose(1, 2, 0)
             both = np.concatenate([stencil.steps, -stencil.steps, 0 * stencil.steps[:1]])
@@ -138,11 +136,12 @@ class Pointwise(OnPoints):
     @torch.enable_grad()
     def stiffness(self) -> torch.Tensor:
         """∂²W/∂E² at rest [stress], shape [d, d, d, d]."""
-        none = torch.zeros(*self.shape[1:] * 2, dtype=torch.float64)
-        rest = torch.autograd.functional.hessian(
-            lambda E: self.density((E + E.T)[None] / 2, **self.numbers).sum(), none
-        )
-        return torch.as_tensor(rest)
+
+        def energy(E: torch.Tensor) -> torch.Tensor:
+            return self._energies((E + E.T)[..., None] / 2).sum()
+
+        rest = torch.zeros(self.shape[1], self.shape[1], dtype=torch.float64)
+        return torch.as_tensor(torch.autograd.functional.hessian(energy, rest))
 
     def _symbol(self, steps: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Of u ↦ Σ w(ξ) u(x + ξ), shape [..., *half a torus], of w [..., B]."""
@@ -152,14 +151,13 @@ class Pointwise(OnPoints):
 
     def _waves(self, planes: np.ndarray) -> np.ndarray:
         """Of planes [..., M], shape [..., *half a torus]."""
-        workers = threads() if planes.size >= FEW else 1
         planes = planes.reshape(*planes.shape[:-1], *self._torus)
-        return np.asarray(scipy.fft.rfftn(planes, axes=self._axes, workers=workers))
+        return np.asarray(scipy.fft.rfftn(planes, axes=self._axes))
 
-    def _planes(self, waves: np.ndarray) -> np.ndarray:
-        workers, axes = threads() if waves.size >= FEW // 2 else 1, self._axes
-        planes = scipy.fft.irfftn(waves, self._torus, axes, overwrite_x=True, workers=workers)
-        return np.asarray(planes.reshape(*waves.shape[: -len(axes)], -1))
+    def _planes(self, waves: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """At some places, shape [..., n]."""
+        planes = scipy.fft.irfftn(waves, self._torus, self._axes, overwrite_x=True)
+        return np.take(planes.reshape(*planes.shape[: -len(self._torus)], -1), places, axis=-1)
 
     def _field(self, u: np.ndarray) -> np.ndarray:
         """Waves of fields [S, N, d], [d, S, *half a torus]."""
@@ -168,7 +166,7 @@ class Pointwise(OnPoints):
     def _gradient(self, waves: np.ndarray, side: int = 0) -> torch.Tensor:
         """H of waves of fields at the nodes `full`, shape [d, d, S, Q, F]."""
         slopes = waves[:, None, :, None] * self._symbols[side][:, None]
-        return torch.from_numpy(np.take(self._planes(slopes), self._full, axis=-1))
+        return torch.from_numpy(self._planes(slopes, self._full))
 
     def _pulled(self, P: torch.Tensor, side: int, places: np.ndarray, field: Any) -> np.ndarray:
         """`_gradient` transposed, of P [d, d, S, Q, F], and the linear part, of the waves of a
@@ -178,7 +176,7 @@ class Pointwise(OnPoints):
         if self._linear is not None:
             linear = self._linear if side else self._linear.conj().swapaxes(0, 1)
             total += (linear[:, :, None] * field).sum(axis=1)
-        return np.take(self._planes(total), places, axis=-1).transpose(1, 2, 0)
+        return self._planes(total, places).transpose(1, 2, 0)
 
     def _energies(self, E: torch.Tensor, numbers: Any = None) -> torch.Tensor:
         """W of strains [d, d, ...]."""
@@ -191,30 +189,25 @@ class Pointwise(OnPoints):
         W = self._energies(E, numbers)
         return symmetric(torch.autograd.grad(W.sum(), E, create_graph=graph)[0])
 
-    def _linear_stress(self, H: torch.Tensor) -> torch.Tensor | float:
-        """Of the moduli that a linear part has taken over."""
-        if self.at_rest is None:
-            return 0.0
-        return torch.tensordot(self.at_rest, H, 2)
-
     def _stress(self, H: torch.Tensor) -> torch.Tensor:
         """P of gradients [d, d, ...] [stress]."""
         S = self._slope(strain(H))
         return times(H, S).add_(S)
 
-    def _curved(self, H: torch.Tensor, X: torch.Tensor) -> torch.Tensor:
-        """The derivative of P at H along X."""
-        E = strain(H).requires_grad_()
+    def _bent(self, u: np.ndarray, v: np.ndarray, side: int, places: np.ndarray) -> np.ndarray:
+        """The derivative of the force at fields u along v, or transposed (1), at some places."""
+        waves, H = self._field(v), self._gradient(self._field(u))
+        X, E = self._gradient(waves, side), strain(H).requires_grad_()
         S = self._slope(E, graph=True)
         bent = symmetric(torch.autograd.grad(S, E, strain_rate(H, X))[0])
-        return times(X, S.detach()).add_(times(H, bent)).add_(bent)
+        change = times(X, S.detach()).add_(times(H, bent)).add_(bent)
+        return self._pulled(change, 1 - side, places, waves)
 
     def _parts(self, sweep: Callable[..., Any], *fields: ArrayLike) -> list[np.ndarray]:
         """What a sweep makes of fields [S, N, d], a few samples at once, one after another."""
         given = [np.reshape(plain("u", f), (-1, *self.shape)) for f in fields]
-        size, count = self._weighed, len(given[0])
-        step = max(1, MOST // size)
-        with torch.enable_grad(), one_thread(size * min(step, count) < FEW):
+        step, count = max(1, MOST // self._size), len(given[0])
+        with torch.enable_grad(), one_thread(self._size * min(step, count) < FEW):
             parts = [slice(n, n + step) for n in range(0, count, step)]
             return [np.asarray(sweep(*(f[part] for f in given))) for part in parts]
 
@@ -229,35 +222,26 @@ class Pointwise(OnPoints):
         self.check(field := plain("u", u))
 
         def sweep(u: np.ndarray) -> np.ndarray:
-            waves = self._field(u)
-            H, far = self._gradient(waves), None
+            H = near = self._gradient(waves := self._field(u))
             if radius > 0:
-                far = H * (1 - (radius / H.norm(dim=(0, 1))).clamp(max=1))
-                H = H - far
-            P = self._stress(H)
-            if far is not None:  # at rest it is in the linear part, of all of H
-                P = P + self._linear_stress(far)
+                near = H * (radius / H.norm(dim=(0, 1))).clamp(max=1)
+            P = self._stress(near)
+            if radius > 0:  # at rest it is in the linear part, of all of H
+                P = P + torch.tensordot(self.at_rest, H - near, 2)
             return self._pulled(P, 1, self._inside, waves)
 
         return self._swept(sweep, field)
 
     def product(self, u: ArrayLike, v: ArrayLike) -> np.ndarray:
         """The derivative at u along v, shape [..., I, d]."""
-
-        def sweep(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-            waves = self._field(v)
-            change = self._curved(self._gradient(self._field(u)), self._gradient(waves))
-            return self._pulled(change, 1, self._inside, waves)
-
-        return self._swept(sweep, u, v)
+        return self._swept(lambda u, v: self._bent(u, v, 0, self._inside), u, v)
 
     def product_transpose(self, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """The transposed product with w on the interior [..., I, d], on all nodes [..., N, d]."""
 
         def sweep(u: np.ndarray, w: np.ndarray) -> np.ndarray:
-            waves, out = self._field(w), np.zeros_like(u)
-            change = self._curved(self._gradient(self._field(u)), self._gradient(waves, 1))
-            out[:, self._near] = self._pulled(change, 0, self._places, waves)
+            out = np.zeros_like(u)
+            out[:, self._near] = self._bent(u, w, 1, self._places)
             return out
 
         return self._swept(sweep, u, self.on_all(w))
@@ -276,14 +260,14 @@ class Pointwise(OnPoints):
             S = self._slope(strain(H).requires_grad_(), {**self.numbers, name: one}, graph=True)
             return torch.autograd.grad(S, one, strain_rate(H, X), materialize_grads=True)[0]
 
-        return np.sum(self._parts(sweep, u, self.on_all(w)), axis=0)
+        return np.asarray(np.sum(self._parts(sweep, u, self.on_all(w)), axis=0))
 
     def gradients(self, u: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """H and P [stress], means over q, at the nodes `full`, each [..., F, d, d]."""
 
         def sweep(u: np.ndarray) -> torch.Tensor:
             H = self._gradient(self._field(u))
-            P = self._stress(H) - self._linear_stress(H)
+            P = self._stress(H) - torch.tensordot(self.at_rest, H, 2)
             return torch.stack([H, P]).mean(4).permute(3, 0, 4, 1, 2)
 
         both = np.moveaxis(self._swept(sweep, u), -4, 0)
@@ -292,7 +276,7 @@ class Pointwise(OnPoints):
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes `full`, shape [...]."""
 
-        def sweep(u: np.ndarray) -> torch.Tensor:
+        def sweep(u: np.ndarray) -> Any:
             return self._gradient(self._field(u)).mean(3).norm(dim=(0, 1)).amax(-1)
 
         return self._swept(sweep, u)
@@ -303,11 +287,10 @@ class Pointwise(OnPoints):
         if not self.has_energy:
             return None
 
-        def sweep(u: np.ndarray) -> torch.Tensor:
+        def sweep(u: np.ndarray) -> Any:
             H = self._gradient(self._field(u))
-            linear = (self._linear_stress(H) * H).sum((0, 1)) / 2
-            W = self._energies(strain(H)) - linear
-            return W.mean(1).sum(-1)
+            linear = (torch.tensordot(self.at_rest, H, 2) * H).sum((0, 1)) / 2
+            return (self._energies(strain(H)) - linear).mean(1).sum(-1)
 
         return np.asarray(self.points.spacing**self.points.dimension * self._swept(sweep, u))
 
