@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_439,
-    "tokens": 313_382,
-    "lines of warp_peri": 43_337,
+    "code lines": 26_413,
+    "tokens": 313_042,
+    "lines of warp_peri": 43_318,
     "lines of kernels": 4_424,
-    "lines of warp_peri, kernels, examples and tools": 74_633,
+    "lines of warp_peri, kernels, examples and tools": 74_614,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -32,12 +32,12 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1218,
-    "core": 1784,
+    "core": 1732,
     "damage": 2005,
-    "diffusion": 337,
+    "diffusion": 339,
     "dynamics": 525,
     "edges": 967,
-    "face": 933,
+    "face": 947,
     "files": 546,
     "learning": 1958,
     "lps": 1468,
@@ -52,7 +52,7 @@ ROOMS = {
     "stability": 140,
     "statics": 1232,
     "structures": 1936,
-    "third_order": 599,
+    "third_order": 609,
     "tissue": 2386,
     "transfer": 403,
 }
