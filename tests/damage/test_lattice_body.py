@@ -115,5 +115,5 @@ def test_a_ring_of_cracks_has_no_tip():
 
 
 def test_corners_that_are_no_numbers_are_refused():
-    with pytest.raises(InputError, match="crack: expected corners of shape"):
+    with pytest.raises(InputError, match="crack: expected float values"):
         cracked(plate(), [[("a", 0), (1, 0)]])

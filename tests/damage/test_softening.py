@@ -202,7 +202,10 @@ def test_what_cannot_be_pulled_is_refused():
         ({"held": ends[:, 0]}, "held: expected shape"),
         ({"held": ends & False}, "against 0 of its 3 rigid motions"),
         ({"held": ends, "no_fail": np.ones(3, bool)}, "no_fail: expected shape"),
-        ({"held": ends, "no_fail": np.ones(len(ends), int)}, r"of bool, got \[192\] of int"),
+        (
+            {"held": ends, "no_fail": np.ones(len(ends), int)},
+            "no_fail: expected bool values, got int",
+        ),
     ):
         with pytest.raises(InputError, match=words):
             SoftBody(model, body, law, **options)
@@ -210,7 +213,7 @@ def test_what_cannot_be_pulled_is_refused():
         SoftBody(Model(1.0, 1.0, 1.0, np.ones(1), 4.0), body, law, ends)
     soft, u, line = SoftBody(model, body, law, ends), body.x * (0, 1), [(-7, 0.1), (7, 0.1)]
     for given, loads, across, words in (
-        (u, [], line, "one finite factor"),
+        (u, [], line, "one factor or more"),
         (u, [0.2, 0.1], line, "factors that rise"),
         (u[:, 0], [0.1], line, "u: expected shape"),
         (u * np.nan, [0.1], line, "u: expected finite"),

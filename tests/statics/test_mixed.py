@@ -188,7 +188,7 @@ def test_fluids_and_loads_that_make_no_sense_are_refused():
     points = Points(body.x, np.abs(body.x).max(axis=1) <= 5, 1.0)
     crack = [[(-3, 0), (3, 0)]]
     for stress, words in (
-        ([[0.0, 1.0], [0.0, 0.0]], "stress: expected a finite, symmetric one"),
+        ([[0.0, 1.0], [0.0, 0.0]], "stress: expected a symmetric one"),
         (np.full((2, 2), np.inf), "pressure: expected finite values, got inf"),
         (np.eye(3), "pressure: expected shape"),
     ):

@@ -185,6 +185,14 @@ def as_tensor(name: str, value: Any) -> torch.Tensor:
     raise InputError(f"{name}: expected an array of numbers, got {type(value).__name__}")
 
 
+def real(name: str, value: Any) -> torch.Tensor:
+    """A tensor of float64 on the processor; InputError for complex numbers and truth values."""
+    tensor = as_tensor(name, value)
+    if tensor.is_complex() or tensor.dtype == torch.bool:
+        raise InputError(f"{name}: expected real numbers, got {tensor.dtype}")
+    return tensor.to("cpu", torch.float64)
+
+
 def pair_of(operator: Any, b: Any, u: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Load and displacement on all nodes as tensors; InputError for what does not fit."""
     b, u = (as_tensor(name, field) for name, field in (("b", b), ("u", u)))
@@ -200,7 +208,9 @@ def with_numbers(operator: Any, numbers: dict[str, np.ndarray]) -> Any:
     known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
     names = ", ".join(f"{name} {list(np.shape(own))}" for name, own in known.items()) or "none"
     for name, value in numbers.items():
-        if value.size != np.size(known.get(name, ())) or not np.isfinite(value).all():
+        own = known.get(name, ())
+        fits = value.shape == np.shape(own) or value.size == np.size(own) == 1  # a number, as [1]
+        if not fits or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
             got = f"{name} {list(value.shape)}"
             raise InputError(f"parameters: expected finite numbers of shape {names}, got {got}")
     numbers = {name: value.reshape(np.shape(known[name])) for name, value in numbers.items()}
@@ -262,7 +272,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     forward mode of a number, or of what is not linear.
     """
     b, u = pair_of(operator, b, u)
-    named = {n: as_tensor(n, v).to("cpu", torch.float64) for n, v in (parameters or {}).items()}
+    named = {n: real(n, v) for n, v in (parameters or {}).items()}
     refuse_tangents(*named.values())
     operator = with_numbers(operator, {n: v.detach().numpy() for n, v in named.items()})
     fields, numbers = [b.cpu().double(), u.cpu().double()], [*named.values(), *operator.networks]

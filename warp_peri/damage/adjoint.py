@@ -11,7 +11,7 @@ import scipy.sparse as sp
 import torch
 from scipy.sparse.linalg import splu
 
-from warp_peri.core.tensors import as_tensor, differentiable_once, linear, refuse_tangents
+from warp_peri.core.tensors import as_tensor, differentiable_once, linear, real, refuse_tangents
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import stretch_matrix
 from warp_peri.damage.softening import BondLaw
@@ -57,7 +57,7 @@ def bond_force(
 
 def pressed(cut: Any, b: Any, stress: np.ndarray, parameters: Mapping[str, Any]) -> torch.Tensor:
     """b and cut_solid.crack_load of other numbers, [N, d], differentiable in all."""
-    numbers = {name: as_tensor(name, value).double() for name, value in parameters.items()}
+    numbers = {name: real(name, value) for name, value in parameters.items()}
     numbers = {n: torch.tensor(v, dtype=torch.float64) for n, v in cut.learnable.items()} | numbers
     lam, mu = numbers["lam"], numbers["mu"]
     even, sigma = torch.eye(cut.body.dimension, dtype=torch.float64), torch.from_numpy(stress)
@@ -107,7 +107,7 @@ def pulled(body: Any, u: Any, numbers: dict[str, Any], how: dict[str, Any]) -> M
     }
     if numbers:
         raise InputError(f"parameters: expected {', '.join(law)}, got {', '.join(numbers)}")
-    law = {name: as_tensor(name, value).double() for name, value in law.items()}
+    law = {name: real(name, value) for name, value in law.items()}
     for name, value in law.items():
         if value.numel() != 1:
             raise InputError(f"{name}: expected one number, got shape {list(value.shape)}")

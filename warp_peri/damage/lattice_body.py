@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 from warp_peri.points.lattice import neighbour_table, straight_steps
 
@@ -177,16 +178,13 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     and convex.
     """
     d = body.dimension
-    try:
-        corners = np.array(polyline, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(f"crack: expected corners of shape [P, {d}], got {polyline!r}") from None
+    corners = checked("crack", polyline)
     if corners.ndim != 2 or corners.shape[1:] != (d,) or len(corners) < d:
         raise InputError(
             f"crack: expected corners of shape [P ≥ {d}, {d}], got {list(corners.shape)}"
         )
-    if not np.isfinite(corners).all() or (np.diff(corners, axis=0) == 0).all(axis=1).any():
-        raise InputError("crack: expected finite corners, and segments with a length")
+    if (np.diff(corners, axis=0) == 0).all(axis=1).any():
+        raise InputError("crack: expected segments with a length")
     cut = np.zeros(body.neighbour.shape, bool)
     if d == 3:
         _cut_polygon(body, corners, cut)
@@ -309,6 +307,8 @@ def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
     neighbour = body.neighbour.copy()
     for polyline in cracks:
         cut = crossing_bonds(body, polyline)
+        if not cut.any():
+            warnings.warn("crack: cuts no bond of the body", stacklevel=4)
         neighbour[cut] = np.where(neighbour[cut] >= 0, -1 - neighbour[cut], neighbour[cut])
     return neighbour
 

@@ -17,7 +17,7 @@ from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, ste
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
-from warp_peri.points.arrays import check_whole
+from warp_peri.points.arrays import check_whole, checked
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""
@@ -83,7 +83,7 @@ class Section:
 
     def __init__(self, body: BreakingBody, line: ArrayLike, own: Any) -> None:
         cut = crossing_bonds(body.body, line)
-        self.ends = ends = np.asarray(line, dtype=float)
+        self.ends = ends = checked("section", line)
         if body.body.dimension == 2 and len(ends) != 2:
             raise no_section(ends)
         node, bond = np.nonzero(cut)
@@ -194,7 +194,7 @@ class CrackRun:
         if not self._began or state.steps == 0:
             self._first, self._ramp = (state.time, state.steps), []
             self._began = self._start_mark(state)
-        check_whole("steps", steps, 0)
+        steps = check_whole("steps", steps, 0)
         state = self._resumed(state, steps)
         if state.steps > steps:
             raise InputError(
@@ -269,9 +269,8 @@ class CrackRun:
         """All times up to so many steps, as `step` adds them up, and the ramp there."""
         begin, first = self._first
         times = np.cumsum([begin, *np.full(steps - first, self.dt)])
-        ramp = self.body.ramp
         new = times[len(self._ramp) :].tolist()
-        self._ramp += [1.0 if ramp is None else float(ramp(time)) for time in new]
+        self._ramp += [self.body.share(time) for time in new]
         return times, np.array(self._ramp[: len(times)])
 
     def _check(self, content: Mapping[str, Any], steps: int) -> None:

@@ -29,7 +29,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import AllNodes
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.launch import floats, launch_slices, zeros
-from warp_peri.points.arrays import check_positive
+from warp_peri.points.arrays import check_positive, checked
 
 
 @dataclass(eq=False)
@@ -183,11 +183,11 @@ class BreakingBody:
         if grip is not None and held is None:
             raise InputError("grip: expected held components too, whose velocity it is")
         d = body.dimension
-        held = np.zeros((count, d), bool) if held is None else np.asarray(held)
+        held = np.zeros((count, d), bool) if held is None else checked("held", held, bool)
         held = np.repeat(held[:, None], d, axis=1) if held.ndim == 1 else held
         self.load, self.held, self.grip = (
             self._padded(name, field)
-            for name, field in (("load", load), ("held", held), ("grip", grip))
+            for name, field in (("load", load), ("held", held.astype(float)), ("grip", grip))
         )
         self.longest_step = breaking_time_step(solid.model, body.classes, solid.density)
         self.corrected = corrected
@@ -204,11 +204,13 @@ class BreakingBody:
         count, d = self.body.x.shape
         values: np.ndarray = np.zeros((count, d))
         if field is not None:
-            given = np.asarray(field, dtype=float)
-            if given.shape != (count, d) or not np.isfinite(given).all():
-                raise InputError(f"{name}: expected finite values of shape [{count}, {d}]")
-            values[:] = given
+            values[:] = checked(name, field, float, (count, d))
         return floats(values, self.operator.vector)
+
+    def share(self, time: float) -> float:
+        """The ramp at a time; InputError where it is no number."""
+        value = 1.0 if self.ramp is None else self.ramp(time)
+        return float(checked(f"ramp at t = {time:g}", value, float, ()))
 
     def start(
         self,
@@ -351,8 +353,7 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     """
     operator, count = body.operator, len(body.body.x)
     density, kernels = body.solid.density, halves(body.body.dimension)
-    share = 1.0 if body.ramp is None else float(body.ramp(state.time))
-    later = 1.0 if body.ramp is None else float(body.ramp(state.time + dt))
+    share, later = (body.share(time) for time in (state.time, state.time + dt))
     launch_slices(
         kernels.kick_and_drift,
         count,

@@ -74,10 +74,7 @@ class Cracked:
         shape = self.points.x.shape
         if self.free is None:
             return np.repeat(~self.points.interior[:, None], shape[1], axis=1)
-        free = np.asarray(self.free)
-        if free.shape != shape or free.dtype != bool:
-            raise InputError(f"free: expected shape {list(shape)} of bool, got {list(free.shape)}")
-        return ~free
+        return ~checked("free", self.free, bool, shape)
 
     def body(self, material: Any, verb: str) -> LatticeBody:
         """Nodes and bonds; InputError for what has no linear part, and for other points."""

@@ -137,7 +137,7 @@ def grow(
 
     Raises InputError for a body that CutSolid refuses, and another `no_fail`.
     """
-    check_whole("events", events, 1)
+    events = check_whole("events", events, 1)
     check_breakable(model, body.classes)
     neighbour = cracked(body, cracks)
     xi, r = body.xi, body.r

@@ -26,7 +26,7 @@ from warp_peri.damage.solid import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
-from warp_peri.points.arrays import is_number, is_positive
+from warp_peri.points.arrays import checked, is_number, is_positive
 from warp_peri.points.families import bond_classes
 
 NEWTON = 40
@@ -239,7 +239,7 @@ class SoftBody:
     def section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Which bonds cross a straight line or flat polygon, bool, and its unit normal."""
         cut = crossing_bonds(self.body, line)[self.node, self.bond]
-        ends = np.asarray(line, dtype=float)
+        ends = checked("line", line)
         if self.body.dimension == 2 and len(ends) != 2:
             raise InputError(f"line: expected two ends, got {len(ends)} corners")
         if not cut.any():
@@ -289,9 +289,9 @@ class SoftBody:
         progress: bool = False,
     ) -> Motion:
         """As `pull`; `seen` takes the displacements that each load was settled through."""
-        loads = np.asarray(loads, dtype=float)
-        if not (loads.ndim == 1 and len(loads) and np.isfinite(loads).all()):
-            raise InputError("loads: expected one finite factor or more")
+        loads = checked("loads", loads, float, ("n",))
+        if not len(loads):
+            raise InputError("loads: expected one factor or more, got none")
         if loads[0] < 0 or (np.diff(loads) <= 0).any():
             raise InputError(f"loads: expected factors that rise from ≥ 0, got {loads.tolist()}")
         if np.shape(u) != self.held.shape:

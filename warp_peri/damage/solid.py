@@ -20,6 +20,7 @@ from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import bond_weights, stiffness_across
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model, stencil_of
+from warp_peri.points.arrays import checked
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.statics.direct import pivots, symmetric_factors
 
@@ -55,12 +56,7 @@ def check_horizon(model: Model, body: LatticeBody) -> None:
 
 def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
     """Nodes whose bonds do not break, shape [N] bool; InputError for numbers or another shape."""
-    safe = np.zeros(count, bool) if no_fail is None else np.asarray(no_fail)
-    if safe.shape != (count,) or safe.dtype != bool:
-        raise InputError(
-            f"no_fail: expected shape [{count}] of bool, got {list(safe.shape)} of {safe.dtype}"
-        )
-    return safe
+    return checked("no_fail", np.zeros(count, bool) if no_fail is None else no_fail, bool, (count,))
 
 
 def energy_bounds(model: Model) -> tuple[float, float]:

@@ -35,6 +35,7 @@ from warp_peri.core.tensors import (
     as_tensor,
     by_numbers,
     differentiable_once,
+    real,
     refuse_tangents,
     with_numbers,
 )
@@ -82,7 +83,7 @@ def moved(
     given = [*fields, pulse, *numbers.values()]
     refuse_tangents(*given)
     names = "u", "v", "b", "signal", *numbers
-    given = [as_tensor(*pair).to("cpu", torch.float64) for pair in zip(names, given)]
+    given = [real(*pair) for pair in zip(names, given)]
     values = {name: value.detach().numpy() for name, value in zip(numbers, given[4:])}
     seen = verlet.recorded_nodes(record, len(operator.points.x))
     waves = _Waves(with_numbers(operator, values), list(numbers), seen, sizes)
@@ -245,16 +246,16 @@ def stepped(
     check_positive("step", step)
     check_whole("steps", steps, 0)
     times, numbers, given = step * np.arange(steps + 1), dict(parameters or {}), list[Any]()
-    start = as_tensor("u", u).to("cpu", torch.float64)
+    start = real("u", u)
     for name, field in (("b", 0 * start.detach() if b is None else b), ("collar", collar or u)):
         each = list(map(field, times[1:])) if callable(field) else [field]
         given += each
-        each = [as_tensor(name, one).to("cpu", torch.float64) for one in each or [start]]
+        each = [real(name, one) for one in each or [start]]
         numbers[name] = torch.stack(each).expand(steps, *each[0].shape)
     loads, held = (numbers.pop(name) for name in ("b", "collar"))
     given += [u, *numbers.values()]
     refuse_tangents(*given)
-    values = [as_tensor(*pair).to("cpu", torch.float64) for pair in numbers.items()]
+    values = [real(*pair) for pair in numbers.items()]
     own = with_numbers(operator, {n: v.detach().numpy() for n, v in zip(numbers, values)})
     flow = Implicit(own, step, list(numbers))
     fields = _Stepped.apply(flow, start, loads, held, *values)  # type: ignore[no-untyped-call]

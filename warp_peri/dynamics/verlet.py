@@ -244,7 +244,7 @@ def march(
     kept = KeptMotion(nodes, body, step, every, checkpoint, checkpoint_every)
     if series is not None:
         kept.series = Series(series, nodes, operator.points.x)
-    return marched(body, state, step, steps, every, kept, seen)
+    return marched(body, state, step, int(steps), int(every), kept, seen)
 
 
 def started(
@@ -271,7 +271,7 @@ def started(
             for name, field in fields.items()
         }
         check_positive("step", step)
-        check_whole("steps", steps, 1)
+        steps = check_whole("steps", steps, 1)
         check_whole("every", every, 1)
         signal = None if signal is None else read("signal", signal, float, (steps + 1,))
     allowed = bool(getattr(operator, "allowed", False))

@@ -131,10 +131,11 @@ def check_positive(name: str, value: Any) -> None:
         raise InputError(f"{name}: expected a number > 0, got {value!r:.60}")
 
 
-def check_whole(name: str, value: Any, least: int) -> None:
-    """Raise InputError for what is no whole number from `least` on."""
+def check_whole(name: str, value: Any, least: int) -> int:
+    """The whole number that it is; InputError for what is none from `least` on."""
     if not (is_number(value) and value >= least and value % 1 == 0):
         raise InputError(f"{name}: expected a whole number ≥ {least}, got {value!r:.60}")
+    return int(value)
 
 
 def is_name(name: Any) -> bool:
