@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_413,
-    "tokens": 313_042,
-    "lines of warp_peri": 43_318,
+    "code lines": 26_408,
+    "tokens": 313_010,
+    "lines of warp_peri": 43_323,
     "lines of kernels": 4_424,
-    "lines of warp_peri, kernels, examples and tools": 74_614,
+    "lines of warp_peri, kernels, examples and tools": 74_619,
     "lines of the longest file": 735,
     "lines of the longest function": 97,
     "parameters of one function": 13,
@@ -32,8 +32,8 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1218,
-    "core": 1732,
-    "damage": 2005,
+    "core": 1739,
+    "damage": 1992,
     "diffusion": 339,
     "dynamics": 525,
     "edges": 967,
@@ -44,7 +44,7 @@ ROOMS = {
     "materials": 142,
     "micromodulus": 1323,
     "neural": 1015,
-    "points": 1925,
+    "points": 1926,
     "prediction": 886,
     "ranks": 916,
     "regression": 859,
