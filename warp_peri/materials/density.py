@@ -22,13 +22,12 @@ from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
 from warp_peri.micromodulus.learning import one_set
-from warp_peri.points.arrays import checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
-from warp_peri.statics.equilibria import SOLVES, Equilibria, probed
+from warp_peri.statics.equilibria import SOLVES, equilibria_of, probed
 from warp_peri.statics.linear import Inverse, Linear
-from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
+from warp_peri.statics.solution import Solution, Solver
 
 Energy = Callable[..., torch.Tensor]
 """Energy per volume [stress] of Green strains E [..., d, d] and of parameters by name, [...]."""
@@ -187,29 +186,7 @@ class DensityOperator(Pointwise):
 
         Raises InputError for arrays that do not fit, and a sample without an equilibrium.
         """
-        refuse_solver(solver, (Newton,), "an energy density")
-        asked = solver if isinstance(solver, Newton) else Newton()
-        load, given = checked_fields(self.points, b, u)
-        inside, answers = self.points.interior, given.reshape(-1, *self.shape)
-        way = Equilibria(self, self.straight, self.inverse(len(answers)), inside)
-        records = []
-        for number, (one, right) in enumerate(zip(answers, load.reshape(answers.shape))):
-            try:
-                one[:], record = way.solve(right[inside], one, asked.tolerance)
-            except InputError as error:
-                raise InputError(f"sample {number}: {error}") from None
-            records.append(record)
-        return Solution(
-            answers.reshape(given.shape),
-            self.points,
-            self,
-            self.load(load),
-            records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
-            tuple(record.solves for record in records),
-            None,
-            details=tuple(records),
-            measured=max((record.residual for record in records), default=None),
-        )
+        return equilibria_of(self, b, u, solver)
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,18 @@ from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
+from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.conjugate_gradients import HERE, newton, norm
-from warp_peri.statics.linear import Inverse
+from warp_peri.statics.linear import DIRECT, Inverse
+from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 
 NOTHING = 1e-12
 """Relative, of tensors that are rounding."""
@@ -346,6 +351,62 @@ def solve_each(
     return records, f"no other solution has |H| ≤ {proven:.2%}" if known else None
 
 
+def equilibria_of(
+    operator: Any, b: ArrayLike, u: ArrayLike, solver: Solver, proven: float | None = None
+) -> Solution:
+    """The Solution of a nonlinear operator: b [S, N, d] on the interior, u given on the collar.
+
+    Args:
+        operator: that offers `force(u, radius=)`, `largest_gradient`, products with its tangent,
+            and, of the solid at rest, `straight` and `inverse`.
+        b, u, solver: as of Operator.rest; the solver is a Newton.
+        proven: |H| up to which its answers are the only ones, 0 for none; beyond it a UserWarning
+            says so. None where nobody asks.
+
+    The details of the solution are one NonlinearRecord for each sample. Raises InputError for
+    arrays that do not fit, another solver, and a sample for which no equilibrium was found.
+    """
+    refuse_solver(solver, (Newton,), "a nonlinear solid")
+    asked = solver if isinstance(solver, Newton) else Newton()
+    load, field = checked_fields(operator.points, b, u)
+    inside, answers = operator.points.interior, field.reshape(-1, *operator.shape)
+    clipped = partial(partial, operator.force, radius=proven) if proven else None
+    way = Equilibria(operator, operator.straight, operator.inverse(len(answers)), inside, clipped)
+    few = asked.eigenvalues and np.count_nonzero(inside) <= DIRECT
+    smallest = partial(smallest_of, operator) if few else None
+    loads, largest = load.reshape(answers.shape)[:, inside], operator.largest_gradient
+    records, sure = solve_each(way, loads, answers, asked.tolerance, proven or 0, largest, smallest)
+    if proven is not None:
+        warn_beyond(records, proven)
+    return Solution(
+        answers.reshape(field.shape),
+        operator.points,
+        operator,
+        operator.load(load),
+        records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
+        tuple(record.solves for record in records),
+        sure,
+        details=tuple(records),
+        measured=max((record.residual for record in records), default=None),
+    )
+
+
+def smallest_of(operator: Any, field: np.ndarray) -> float:
+    """Smallest eigenvalue of the symmetric part of the tangent at a field, on the unknowns."""
+    inside = operator.points.interior
+    free = np.count_nonzero(inside), operator.shape[1]
+
+    def product(x: np.ndarray) -> np.ndarray:
+        w = x.T.reshape(-1, *free)
+        u = np.broadcast_to(field, (len(w), *operator.shape))
+        across = operator.product_transpose(u, w)[:, inside]
+        both = operator.product(u, operator.on_all(w)) + across
+        return np.asarray(both.reshape(x.T.shape).T / 2)
+
+    shape = 2 * (free[0] * free[1],)
+    return smallest_eigenvalue(LinearOperator(shape, product, matmat=product, dtype=float))
+
+
 def figures_of(records: tuple[NonlinearRecord, ...]) -> dict[str, Any]:
     """Most solves, largest gradient, and whether all answers are the only ones."""
     return {
@@ -365,5 +426,5 @@ def warn_beyond(records: list[NonlinearRecord], proven: float) -> None:
     warnings.warn(
         f"strain: solutions are proven unique up to {known}; {len(beyond)} of {len(records)} "
         f"samples go beyond it, to {largest:.2%}, where others may exist",
-        stacklevel=3,
+        stacklevel=4,
     )

@@ -11,21 +11,18 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from numpy.typing import ArrayLike
-from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.contract import stencil_of
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked_fields
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
-from warp_peri.stability.certificate import smallest_eigenvalue
-from warp_peri.statics.equilibria import SOLVES, Equilibria, figures_of, solve_each, warn_beyond
-from warp_peri.statics.linear import DIRECT, Inverse
+from warp_peri.statics.equilibria import SOLVES, equilibria_of, figures_of
+from warp_peri.statics.linear import Inverse
 from warp_peri.statics.lps import bonds_within
-from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
+from warp_peri.statics.solution import Solution, Solver
 
 if TYPE_CHECKING:
     from warp_peri.third_order.material import ThirdOrderCrystal
@@ -171,40 +168,5 @@ class PlacedThirdOrder(Pointwise):
         Raises InputError for arrays that do not fit, and a sample for which no equilibrium was
         found.
         """
-        refuse_solver(solver, (Newton,), "a nonlinear solid")
-        asked = solver if isinstance(solver, Newton) else Newton()
-        load, field = checked_fields(self.points, b, u)
-        inside, nodes = self.points.interior, len(self.points.x)
-        answers = field.reshape(-1, nodes, 2)
         proven = self.model.proven_strain(self.points.spacing)
-        clipped = partial(partial, self.force, radius=proven) if proven > 0 else None
-        way = Equilibria(self, self.straight, self.inverse(len(answers)), inside, clipped)
-        few = asked.eigenvalues and np.count_nonzero(inside) <= DIRECT
-        smallest = self._smallest if few else None
-        loads, largest = load.reshape(-1, nodes, 2)[:, inside], self.largest_gradient
-        records, sure = solve_each(way, loads, answers, asked.tolerance, proven, largest, smallest)
-        warn_beyond(records, proven)
-        return Solution(
-            answers.reshape(field.shape),
-            self.points,
-            self,
-            self.load(load),
-            records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
-            tuple(record.solves for record in records),
-            sure,
-            details=tuple(records),
-            measured=max((record.residual for record in records), default=None),
-        )
-
-    def _smallest(self, field: np.ndarray) -> float:
-        """Smallest eigenvalue of the symmetric part of the tangent on the unknowns."""
-        inside = self.points.interior
-
-        def product(x: np.ndarray) -> np.ndarray:
-            w = x.T.reshape(-1, np.count_nonzero(inside), 2)
-            u = np.broadcast_to(field, (len(w), *self.shape))
-            across = self.product_transpose(u, w)[:, inside]
-            return np.asarray((self.product(u, self.on_all(w)) + across).reshape(x.T.shape).T / 2)
-
-        shape = 2 * (2 * np.count_nonzero(inside),)
-        return smallest_eigenvalue(LinearOperator(shape, product, matmat=product, dtype=float))
+        return equilibria_of(self, b, u, solver, proven)
