@@ -23,7 +23,7 @@ from warp_peri.micromodulus import tensors_of
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 KINKED = ("neural operator",)
 """Of which a step of differences is short."""
-NONLINEAR = ("third order", "neural", "hyperelastic")
+NONLINEAR = ("third order", "neural", "hyperelastic", "density")
 
 
 def scattered():
@@ -383,6 +383,7 @@ MODULES = {
     "scattered, own weights": {"lam", "mu", "alpha", "D"},
     "third order, filtered": {"t3", "tq2", "q3"},
     "crystal": {"tensors"},
+    "density": {"lam", "mu"},
     "hyperelastic": {"coefficients"},
     "conductor": {"kappa", "alpha", "D"},
     "cut": {"lam", "mu", "alpha", "D"},
@@ -482,7 +483,9 @@ def test_what_a_solve_takes_and_tells(name, made):
         assert told.plot().get_title()
 
 
-@pytest.mark.parametrize("name", ["third order, energy", "hyperelastic", "neural operator"])
+@pytest.mark.parametrize(
+    "name", ["third order, energy", "density", "hyperelastic", "neural operator"]
+)
 def test_a_nonlinear_solve_is_differentiated_once(name, made):
     op = made(name)
     b, u = 0 * torch.from_numpy(field(op)), torch.from_numpy(0.01 * field(op)).requires_grad_()

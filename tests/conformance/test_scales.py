@@ -102,7 +102,7 @@ def test_a_force_a_solve_and_a_motion(law, scale):
     near(np.asarray(again.v), np.asarray(moved.v) * length / slower, 1e-6)
 
 
-NONLINEAR = ("third order, energy", "neural operator")
+NONLINEAR = ("third order, energy", "density", "neural operator")
 
 
 @pytest.mark.parametrize("name", NONLINEAR)

@@ -102,15 +102,23 @@ def test_a_second_fit_of_the_same_numbers_is_the_same_material():
 
 def materials(points):
     """Pairs of materials that differ in one number, each with options of its motion."""
+
+    def own(mu):
+        def energy(E, lam):
+            return lam / 2 * E.diagonal(dim1=-2, dim2=-1).sum(-1) ** 2 + mu * (E * E).sum((-1, -2))
+
+        return wp.DensityMaterial.of(energy, points.spacing, {"lam": 0.4})
+
     linear = kernel("positive", 2.5)
     crystal = tensors_of(linear, points.spacing)
     stiffer = replace(crystal, tensors=1.01 * crystal.tensors, certificate=None)
     wave = {"density": 2000.0, "step": 0.003}
     yield linear, replace(linear, mu=1.01 * linear.mu), wave
     yield crystal, stiffer, wave
+    yield own(0.7), own(0.71), wave | {"step": 0.001}  # the function is in no file
 
 
-@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_motion_from_rest_is_of_one_material(number, tmp_path):
     """A body without displacement or load feels none of its moduli."""
     steps = np.argwhere(np.ones((16, 16)))

@@ -127,7 +127,8 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
     elif isinstance(part, partial):
         yield from _spelled([part.func, part.args, part.keywords], inside)
     elif not isinstance(part, type) and hasattr(part, "content"):
-        yield from _spelled(_lasting(part.content()), inside)
+        # a function that is in no file is what makes a material of one's own
+        yield from _spelled([_lasting(part.content()), getattr(part, "energy", None)], inside)
     elif dataclasses.is_dataclass(part) and not isinstance(part, type):
         yield type(part).__name__.encode()
         fields = (field.name for field in dataclasses.fields(part))

@@ -62,10 +62,12 @@ class DensityMaterial(Record, format="warp_peri.density"):
 
     Attributes:
         horizon: of the gradients [length].
-        parameters: numbers of the energy, by name.
+        parameters: numbers of the energy, by name, in the units that it was written for.
         dimension: 2 or 3.
         name: of the energy's function.
-        energy: W(E, **parameters) [stress], E the Green strain [..., d, d]. It is in no file.
+        energy: W(E, **parameters), E the Green strain [..., d, d]. It is in no file.
+        scale: that the energy is of [stress]: 1 in the units that it was written for, which other
+            units change while `parameters` stay.
         units: names of the units of length and stress.
         provenance: of the data and the fit; plain JSON values.
 
@@ -84,6 +86,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
     units: Units = USUAL
     provenance: dict[str, Any] = field(default_factory=dict)
     energy: Annotated[Any, Entry(kept=False)] = None
+    scale: Annotated[float, Entry(stress=1, positive=True, later=True, omit=True)] = 1.0
 
     @classmethod
     def of(
@@ -114,12 +117,10 @@ class DensityMaterial(Record, format="warp_peri.density"):
             raise InputError(f"energy: the file has the parameters of {made.name!r}, got {name!r}")
         return replace(made, energy=energy)
 
-    def in_units(self, units: Any) -> Self:
-        """The same where the units are its own; InputError for others, whose parameters only who
-        wrote the energy could convert."""
-        if tuple(units) != tuple(self.units):
-            raise InputError("units: parameters of an energy of one's own are not converted")
-        return self
+    def rows(self) -> list[tuple[str, str]]:
+        """As a Record's, and the parameters, whose units only the energy knows."""
+        shown = ", ".join(f"{name} {value:.4g}" for name, value in self.parameters.items())
+        return [*super().rows(), ("parameters", shown)]
 
     def on(self, points: PointsLike) -> DensityOperator:
         """The operator on a lattice whose interior has a collar of twice the horizon."""
@@ -148,7 +149,8 @@ class DensityOperator(Pointwise):
         steps, weights = sided_gradients(nodes, material.horizon)
         self.model = self.material = material
         numbers = material.parameters
-        super().__init__(nodes, material.horizon, material.energy, steps, weights, numbers=numbers)
+        energy = lambda E, **numbers: material.scale * material.energy(E, **numbers)  # noqa: E731
+        super().__init__(nodes, material.horizon, energy, steps, weights, numbers=numbers)
         none = torch.zeros(nodes.dimension, nodes.dimension, 1, dtype=torch.float64)
         stress, stiff = self._slope(none).abs().max(), self.stiffness().abs().max()
         if not stress <= REST * stiff:
