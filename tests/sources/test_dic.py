@@ -207,6 +207,12 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
     (whole / "frame1.csv").unlink()
     with pytest.raises(InputError, match="4 frames, got 3; .*force.csv: expected columns"):
         frames_of_folder(whole, 7, radius=0.0)
+    for name in ("Ncorr.mat", "frame.npy"):
+        (whole / name).write_bytes(b"none")
+    for path in whole.glob("*.csv"):
+        path.unlink()
+    with pytest.raises(InputError, match=r"4 frames, got 0; not read: .mat, .npy files; write x"):
+        frames_of_folder(whole, 7, radius=0.0)
     unequal = folder_of(tmp_path / "unequal", [len(X)] * 3 + [100])
     with pytest.raises(InputError, match="frame3.csv has 100 nodes of 240, frame0.csv has 240"):
         frames_of_folder(unequal, 7, radius=0.0)
@@ -332,15 +338,19 @@ def test_every_column_has_its_unit(tmp_path, units, length, scale, options, how)
         np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6)
 
 
-@pytest.mark.parametrize("column", ["MATCH", "corrcoef", "converged", "valid", "none", "other"])
+@pytest.mark.parametrize(
+    "column", ["MATCH", "corrcoef", "converged", "valid", "none", "other", "u alone", "v alone"]
+)
 @pytest.mark.parametrize("noise", [0.0, 1e-3])
 def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column, noise):
-    """By a column, or as rows of 0, 0 or another number that fills in."""
+    """By a column, or by 0 or another number that fills in both components, or one of them."""
     rng = np.random.default_rng(3)
     x, y, u, v = linear()
     u, v = (values + noise * rng.standard_normal(len(x)) for values in (u, v))
     lost = rng.uniform(size=len(x)) < 0.1
     lost[:3] = [False, True, True]
+    if column.endswith("alone"):  # where 0 could not be what is there
+        lost &= np.abs(u if column[0] == "u" else v) > 0.02
     fill = {"other": -999.0, "converged": u, "valid": v}.get(column, 0.0)
     mark = {
         "MATCH": (0, -1),
@@ -348,7 +358,8 @@ def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column, noise):
         "converged": ("True", "False"),
         "valid": (1, 0),
     }
-    columns = [x, y, np.where(lost, fill, u), np.where(lost, fill, v)]
+    columns = [x, y, u if column == "v alone" else np.where(lost, fill, u)]
+    columns.append(v if column == "u alone" else np.where(lost, fill, v))
     if column in mark:
         columns.append(np.where(lost, *mark[column][::-1]))
     header = ",".join([*"xyuv", column][: len(columns)])
@@ -361,7 +372,9 @@ def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column, noise):
 def test_a_point_at_rest_is_kept(tmp_path):
     """u is 0, 0 at the middle of what is stretched, on a held edge, and before the test."""
     centred = BIG - BIG[12 * 25 + 12]
-    for field in (centred @ GRADIENT.T, centred**2 * 1e-3, 0 * centred):
+    held = np.maximum(0, BIG[:, 0] - 10)  # beside what moves, a part that does not
+    apart = np.stack([0.1 * BIG[:, 0], 1e-3 * held**2], axis=1)
+    for field in (centred @ GRADIENT.T, centred**2 * 1e-3, 0 * centred, apart, apart.round(3)):
         (tmp_path / "a.csv").write_text(plain(BIG, field))
         assert len(read_frame(tmp_path / "a.csv").x) == len(BIG)
 

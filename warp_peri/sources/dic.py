@@ -44,9 +44,9 @@ WORDS |= dict.fromkeys(("", "-", "na", "n/a", "#n/a", "null", "none", "nv"), np.
 LARGEST_FILE = 2**28
 BEFORE = 1000
 """Lines in which a header is looked for."""
-NEAR, OFF, TIMES = 12, 0.01, 6.0
+NEAR, OFF, TIMES, DEEP = 12, 0.01, 6.0, 1.6
 """Points that a value which fills in is held against, and how far it is off: as part of how they
-differ from it, and in times of what a plane leaves of them."""
+differ from it, and in times of what a plane leaves of them; spacings to the first of them."""
 
 
 def read_table(
@@ -189,29 +189,37 @@ def _factors(
 
 
 def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Points whose displacement is one number in both components, and not that of those around.
+    """Points where a component of the displacement is a number that stands for a lost point.
 
-    So programs fill in for points that they lost: 0, 0 or −1, −1. A plane through the nearest other
-    points tells what a point that is there shows.
+    So programs fill in what they lost, in both components or in one: 0, −1, or what stands there
+    most often. A plane through the nearest other points tells what a point that is there shows; deep
+    among others alike in one component it tells nothing: that may be a part at rest.
     """
-    same = u[:, 0] == u[:, 1]
-    values, counts = np.unique(u[same, 0], return_counts=True)
-    suspect = same & np.isin(u[:, 0], [0.0, -1.0, *values[counts == counts.max(initial=0)]])
-    if not suspect.any() or np.count_nonzero(~suspect) < NEAR:
+    suspect = np.zeros(u.shape, bool)
+    for own, values in zip(suspect.T, u.T):
+        there, counts = np.unique(values, return_counts=True)
+        own[:] = np.isin(values, [0.0, -1.0, there[np.argmax(counts)]])
+    some = suspect.any(axis=1)
+    if not some.any() or np.count_nonzero(~some) < NEAR:
         return np.zeros(len(x), bool)
-    near = cKDTree(x[~suspect]).query(x[suspect], NEAR)[1]
-    place, moved = x[~suspect][near] - x[suspect, None], u[~suspect][near] - u[suspect, None]
+    distance, near = cKDTree(x[~some]).query(x[some], NEAR)
+    place, moved = x[~some][near] - x[some, None], u[~some][near]
     place = place / np.abs(place).max(axis=(1, 2), keepdims=True)
     design = np.concatenate([np.ones_like(place[..., :1]), place], axis=2)
     plane = np.linalg.pinv(design) @ moved
     left = np.linalg.norm(moved - design @ plane, axis=2).max(axis=1)
-    size = np.median(np.linalg.norm(moved, axis=2), axis=1)
-    suspect[suspect] = np.linalg.norm(plane[:, 0], axis=1) > np.maximum(OFF * size, TIMES * left)
-    return np.asarray(suspect)
+    size = np.median(np.linalg.norm(moved - u[some, None], axis=2), axis=1)
+    off = np.linalg.norm((plane[:, 0] - u[some]) * suspect[some], axis=1)
+    told = (distance[:, 0] < DEEP * spacing_of(x)) | (u[some, 0] == u[some, 1])
+    some[some] = told & (off > np.maximum(OFF * size, TIMES * left))
+    return some
 
 
 LEAST = 4
 """Frames of a folder."""
+TABLES = {".csv", ".txt"}
+EXPORT = "write x, y, u and v of each frame to a .csv file, as the page on camera frames shows"
+"""What frames of a folder are, and what to do with those of Ncorr (.mat) and muDIC."""
 FIRST = 0.25
 """Frames of a folder before this part of a test are left: little moves there but errors."""
 ON_LATTICE = 0.02
@@ -385,15 +393,18 @@ def frames_of_folder(
     if not folder.is_dir():
         raise InputError(f"folder: expected one with frames, got {folder}")
     frames, others = [], []
-    paths = [path for path in folder.glob("[!.]*") if path.suffix in (".csv", ".txt")]
-    for path in sorted(paths, key=by_number):
-        try:
-            frames.append(read_frame(path, pixel=pixel))
-        except InputError as error:
-            others.append(str(error))
+    there = sorted((path for path in folder.glob("[!.]*") if path.is_file()), key=by_number)
+    for path in there:
+        if path.suffix in TABLES:
+            try:
+                frames.append(read_frame(path, pixel=pixel))
+            except InputError as error:
+                others.append(str(error))
     if len(frames) < LEAST:
-        why = f"; {others[0]}" if others else ""
-        raise InputError(f"{folder}: expected at least {LEAST} frames, got {len(frames)}{why}")
+        kinds = ", ".join(sorted({path.suffix or path.name for path in there} - TABLES))
+        why = "; ".join([*others[:1], *([f"not read: {kinds} files; {EXPORT}"] if kinds else [])])
+        got = f"{len(frames)}; {why}" if why else len(frames)
+        raise InputError(f"{folder}: expected at least {LEAST} frames, got {got}")
     for why in others:
         warnings.warn(f"passed over: {why}", stacklevel=2)
     last = len(frames) - 1
