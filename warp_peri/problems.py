@@ -23,6 +23,10 @@ from warp_peri.statics.solution import Coupling, Solution, refuse_solver
 
 GIVEN = ("displacement", "traction", "b", "edge", "coupling")
 """What a Body says itself, and no option may."""
+LINEAR = (
+    "a linear material for a Body; of another, displacement is given on a collar (wp.Dirichlet), "
+    "and free edges are for finite elements (a sheet: tissue.save_febio)"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +148,7 @@ class Body:
     def solved(self, material: Any, solver: Any, options: dict[str, Any]) -> Solution:
         """The material at rest; the details of the solution are a BodySolution."""
         if not hasattr(material, "tensors"):  # a crystal, which elements go on for at the edge
-            offered(material, "solid", "solve", "a linear material for a Body")
+            offered(material, "solid", "solve", LINEAR)
         refuse_solver(solver, (), "a Body, whose coupling says how it is solved")
         (options,) = taken(options, "solve", solve_body, given=GIVEN)
         body = solve_body(

@@ -134,13 +134,6 @@ def test_the_noise_is_estimated(tmp_path):
     assert noise_of(samples)[0] == pytest.approx(0.3, rel=0.15)
 
 
-def test_a_polygon_masks(tmp_path):
-    (tmp_path / "frame.csv").write_text(plain(X, field(X)))
-    corners = [[0, 0], [1000, 0], [1000, 350], [0, 350]]
-    samples = frames_on_lattice([read_frame(tmp_path / "frame.csv")], mask=np.array(corners))
-    assert samples.x[:, 1].max() <= 350
-
-
 @pytest.mark.parametrize(
     ("pixel", "header", "units", "spacing"),
     [
@@ -175,7 +168,7 @@ def test_what_is_no_frame_is_refused(tmp_path):
         read_frame(tmp_path / "bad.csv")
     with pytest.raises(InputError, match="pixel: expected a length > 0"):
         read_frame(tmp_path / "frame.csv", pixel=0.0)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="missing.csv: no such file"):
         read_frame(tmp_path / "missing.csv")
     (tmp_path / "small.csv").write_text(plain(X[:40], field(X[:40])))
     with pytest.raises(InputError, match="nodes a side"):
@@ -211,7 +204,7 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
         (whole / name).write_bytes(b"none")
     for path in whole.glob("*.csv"):
         path.unlink()
-    with pytest.raises(InputError, match=r"4 frames, got 0; not read: .mat, .npy files; write x"):
+    with pytest.raises(InputError, match=r"4 frames, got 0; of .mat, .npy files none; write x"):
         frames_of_folder(whole, 7, radius=0.0)
     unequal = folder_of(tmp_path / "unequal", [len(X)] * 3 + [100])
     with pytest.raises(InputError, match="frame3.csv has 100 nodes of 240, frame0.csv has 240"):

@@ -42,9 +42,9 @@ def test_what_is_no_thickness_is_refused():
     for degree in (7, 0, 2.0, True, "2"):
         with pytest.raises(InputError, match=f"degree: expected 1 to 6, got {degree!r}"):
             Thickness.over(X, degree)
-    with pytest.raises(InputError, match=r"x: expected positions of shape \[N, 2\], got \[2\]"):
+    with pytest.raises(InputError, match=r"x: expected shape \[N, 2\], got \[2\]"):
         Thickness.over(X, 2).at(X[0])
-    with pytest.raises(InputError, match="numbers: expected 5 finite numbers"):
+    with pytest.raises(InputError, match=r"numbers: expected shape \[5\], got \[4\]"):
         replace(Thickness.over(X, 2), numbers=np.ones(4))
     with pytest.raises(InputError, match="half: expected two lengths > 0"):
         Thickness.over(X[:1], 2)

@@ -85,11 +85,11 @@ input
   --positions reference|current  frame that the positions belong to (default: found from the tables)
   --count N =7  number of frames that are used
   --smooth R =0.0  radius of the fits that smooth the fields, in spacings
-  --stress S  mean nominal stress in the last frame [MPa], pull over width and thickness (default:
-    none, and stresses are scaled)
-  --along x|y =x  direction of the stress of --stress
+  --stress S+ =[]  pull over width, edge to edge, and mean thickness at rest [MPa], of the last
+    frame or of each (default: stresses are scaled)
+  --along x|y =x  direction of the pull of --stress
 model
-  --fibres N =0  number of fibre directions that are tried too
+  --fibres N =0  try families of fibres too, looked for in N directions, at least 8; 0 for none
   --even  do not try a thickness that varies over the sheet
 output
   --out FOLDER !  folder for material.json, dic.json, curves.png, curves.csv and material.feb""",

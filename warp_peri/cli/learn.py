@@ -20,7 +20,6 @@ from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, parsed, plain, whole_file, write_json, write_text
 from warp_peri.files.foreign import check_xml, content
-from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL
 from warp_peri.sources.dic import frames_of_folder, noise_of
 from warp_peri.sources.dump_files import MARKS, encoding_of
@@ -57,10 +56,7 @@ def run_learn(given: argparse.Namespace) -> dict[str, Any]:
         write_json(given.out / "learn.json", finite(plain(found.content())))
         given.first, given.told = _first(given, found), "\n".join(repr(found).split("\n")[1:])
         write_text(given.out / "report.txt", "\n".join([*given.first, "", given.told, ""]))
-        with whole_file(given.out / "law.png") as path:
-            drawn = io.BytesIO()
-            found.plot().savefig(drawn, format="png", dpi=110)
-            path.write_bytes(drawn.getvalue())
+        _save_figure(found.plot(), given.out / "law.png")
         keep(given, given.out / "learn.toml")
     seconds = time.perf_counter() - begin
     given.told += (
@@ -154,21 +150,22 @@ def read_structure(path: Path) -> Any:
 
 def run_dic(given: argparse.Namespace) -> dict[str, Any]:
     """Frames → material.json, curves.csv, curves.png and every candidate's file, in a folder."""
-    if given.stress is not None and not 0 < given.stress < np.inf:
-        raise InputError(f"stress: expected a number > 0 [MPa], got {given.stress}")
-
     frames = frames_of_folder(
-        given.folder, given.count, pixel=given.pixel, radius=given.smooth, positions=given.positions
+        given.folder,
+        given.count,
+        pixel=given.pixel,
+        radius=given.smooth,
+        positions=given.positions,
+        stress=given.stress,
+        along=given.along,
     )
     length_known = frames.points.units != USUAL  # what frames without a unit are taken for
-    if given.stress is not None and not length_known:
+    if given.stress and not length_known:
         raise InputError("stress: it needs a length; expected --pixel with a unit, as 0.012mm")
-    failed: list[str] = []
 
     def done(candidate: Any) -> None:
         """Each is kept as it ends."""
         if candidate.fit is None:
-            failed.append(candidate.why)
             warnings.warn(f"passed over: {candidate.why}", stacklevel=2)
             return
         name = candidate.name.replace(", ", "_").replace(" ", "_")
@@ -188,14 +185,14 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             done=done,
             progress=not given.json,
         )
-
-        def scaled(fit: Any) -> Any:
-            return fit.material if given.stress is None else _scaled(fit, frames, given)
-
-        material = scaled(choice.fit)
+        material = choice.material
         warp_peri.save(given.out / "material.json", material)
-        told = NO_FORCE if given.stress is None else "are in MPa, by the stress that was given"
-        words = [*warp_peri.tissue.in_words(material), *_beside(choice.fit, material)]
+        scatter = 100 * choice.fit.scatter
+        by_force = (
+            f"are in MPa by --stress; sections and frames scatter by {scatter:.2g} % around it"
+        )
+        told = by_force if given.stress else NO_FORCE
+        words = [*warp_peri.tissue.in_words(material), *_beside(choice.fit)]
         words.append(f"stresses and coefficients {told}")
         try:
             warp_peri.tissue.save_febio(material, given.out / "material.feb")
@@ -205,10 +202,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         top = max(1.05, material.stretch or 1.2)
         stretches = np.arange(1.0, top + 1e-9, STEP)[1:]
         try:
-            curves = {
-                f"{a:g} deg": choice.curves(stretches, np.radians(a), scaled=scaled)
-                for a in (0, 45, 90)
-            }
+            curves = {f"{a:g} deg": choice.curves(stretches, np.radians(a)) for a in (0, 45, 90)}
             _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
         except InputError as error:
             curves = {}
@@ -225,7 +219,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             "held_out_E_u": {
                 c.name: c.held_out for c in choice.candidates if np.isfinite(c.held_out)
             },
-            "passed_over": failed,
+            "passed_over": [c.why for c in choice.candidates if c.fit is None],
             "largest_stretch": float(material.stretch or np.nan),
             "tension_with_90_percent_band": {
                 f"along {name}": {
@@ -235,44 +229,31 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
                 for name, curve in curves.items()
             },
         }
-        result = dict(finite(result))
-        stress = [] if given.stress else ["; stresses in MPa need a force: --stress"]
+        stress = "" if given.stress else "; stresses in MPa need a force: --stress"
         given.first = [
             f"{given.out / 'material.json'}: material of a sheet, {choice.best.name}",
             f"error of displacement: {100 * choice.best.held_out:.2g} % on frames left out",
             f"curves: {given.out / 'curves.png'}, stress over stretch with a 90 % band"
             if curves
             else words[-1],
-            f"next: warp-peri info {shlex.quote(str(given.out / 'material.json'))}"
-            + "".join(stress),
+            f"next: warp-peri info {shlex.quote(str(given.out / 'material.json'))}{stress}",
         ]
+        result = dict(finite(result))
         write_json(given.out / "dic.json", result)
         keep(given, given.out / "dic.toml")
     return result
 
 
-def _beside(fit: Any, material: Any) -> list[str]:
+def _beside(fit: Any) -> list[str]:
     """What is in a sheet beside its material: deviations, which are the lattice's, a thickness."""
-    own = slice(material.dictionary.first_deviation, material.dictionary.first_term)
-    numbers = ", ".join(f"{value:.4g}" for value in material.coefficients[own])
+    own = slice(fit.material.dictionary.first_deviation, fit.material.dictionary.first_term)
+    numbers = ", ".join(f"{value:.4g}" for value in fit.material.coefficients[own])
     lines = [f"deviations, which belong to the lattice: {numbers}"]
     if fit.thickness is not None:
         pairs = zip(fit.thickness.names, fit.thickness.numbers)
         shown = ", ".join(f"{name}: {value:.4g}" for name, value in pairs)
         lines.append(f"logarithm of the thickness, positions from -1 to 1: {shown}")
     return lines
-
-
-def _scaled(fit: Any, frames: Samples, given: argparse.Namespace) -> Any:
-    """The material whose mean stress in the last frame is the one that was given."""
-    return warp_peri.tissue.scaled_by_force(
-        fit.material,
-        Samples(frames.points, frames.u[-1:]),
-        np.array([given.stress]),
-        width=1.0,
-        axis="xy".index(given.along),
-        thickness=None if fit.thickness is None else fit.thickness.at(frames.x),
-    )
 
 
 def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], unit: str) -> None:
@@ -290,9 +271,14 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
     said = f"Directions differ by {100 * (max(ends) / min(ends) - 1):.1f} % in stress"
     axes.set(xlabel="stretch", ylabel=f"nominal stress [{unit}]", title=said)
     axes.legend(frameon=False, title="tension along\n(90 % bands)")
+    _save_figure(figure, folder / "curves.png")
+    with whole_file(folder / "curves.csv") as path:
+        table = np.transpose(columns)
+        np.savetxt(path, table, "%.8g", ",", header=",".join(names), comments="")
+
+
+def _save_figure(figure: Any, path: Path) -> None:
     drawn = io.BytesIO()
     figure.savefig(drawn, format="png", dpi=110)
-    with whole_file(folder / "curves.png") as path:
-        path.write_bytes(drawn.getvalue())
-    rows = "\n".join(",".join(f"{value:.8g}" for value in row) for row in np.array(columns).T)
-    write_text(folder / "curves.csv", ",".join(names) + "\n" + rows + "\n")
+    with whole_file(path) as part:
+        part.write_bytes(drawn.getvalue())

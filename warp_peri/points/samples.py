@@ -19,6 +19,9 @@ from warp_peri.shown import Shown
 SEEN = "seen"
 """Array of frames that were measured: nodes whose displacement was, shape [S, N] bool; that of the
 others is filled in."""
+PULL = "pull"
+"""Array of frames: pull over width and mean thickness on sections across x, and across y, that go
+from edge to edge, shape [S, 2] [stress]; NaN where it was not measured."""
 FIELDS = ("x", "u", "b", "interior", "outside")
 """Names that no array of samples may bear."""
 

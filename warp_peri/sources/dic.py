@@ -15,9 +15,9 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked
+from warp_peri.files.foreign import content
 from warp_peri.points.points import Points
-from warp_peri.points.samples import SEEN, Samples
+from warp_peri.points.samples import PULL, SEEN, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, Units, check_units
 from warp_peri.sources.dump_files import encoding_of
 
@@ -41,7 +41,6 @@ UNITS |= dict.fromkeys(("px", "pixel", "pixels"), (None, 1.0))
 """Unit of LENGTHS by what a table says, none for pixels, and how many of it that is."""
 WORDS = {"true": 1.0, "false": 0.0}
 WORDS |= dict.fromkeys(("", "-", "na", "n/a", "#n/a", "null", "none", "nv"), np.nan)
-LARGEST_FILE = 2**28
 BEFORE = 1000
 """Lines in which a header is looked for."""
 NEAR, OFF, TIMES, DEEP = 12, 0.01, 6.0, 1.6
@@ -55,7 +54,7 @@ def read_table(
     """Positions in the reference and displacements, shape [P, 2], and their unit of length.
 
     Rows are left out where a number is missing or the correlation failed: by a column that says so,
-    or by a number in both components that fills in for lost points.
+    or by a number that fills in for lost points.
 
     Args:
         path: of a table whose header names its columns.
@@ -98,13 +97,9 @@ def read_table(
 
 def _text(path: Path) -> str:
     """A file's text: UTF-16 or UTF-8, else Latin-1."""
+    data = content(path)
     try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError(f"{path}: expected at most {LARGEST_FILE} bytes")
-        data = path.read_bytes()
         return data.decode(encoding_of(data))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror})") from None
     except UnicodeDecodeError:
         return data.decode("latin-1")
 
@@ -192,13 +187,11 @@ def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Points where a component of the displacement is a number that stands for a lost point.
 
     So programs fill in what they lost, in both components or in one: 0, −1, or what stands there
-    most often. A plane through the nearest other points tells what a point that is there shows; deep
-    among others alike in one component it tells nothing: that may be a part at rest.
+    most often. A plane through the nearest other points tells what a point that is there shows. Far
+    from those, one component alone tells nothing: that may be a part at rest.
     """
-    suspect = np.zeros(u.shape, bool)
-    for own, values in zip(suspect.T, u.T):
-        there, counts = np.unique(values, return_counts=True)
-        own[:] = np.isin(values, [0.0, -1.0, there[np.argmax(counts)]])
+    counted = [np.unique(values, return_counts=True) for values in u.T]
+    suspect = (u == 0) | (u == -1) | (u == [values[n.argmax()] for values, n in counted])
     some = suspect.any(axis=1)
     if not some.any() or np.count_nonzero(~some) < NEAR:
         return np.zeros(len(x), bool)
@@ -212,13 +205,13 @@ def filled_in(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     off = np.linalg.norm((plane[:, 0] - u[some]) * suspect[some], axis=1)
     told = (distance[:, 0] < DEEP * spacing_of(x)) | (u[some, 0] == u[some, 1])
     some[some] = told & (off > np.maximum(OFF * size, TIMES * left))
-    return some
+    return np.asarray(some)
 
 
 LEAST = 4
 """Frames of a folder."""
 TABLES = {".csv", ".txt"}
-EXPORT = "write x, y, u and v of each frame to a .csv file, as the page on camera frames shows"
+EXPORT = "write x, y, u and v of each frame to a table .csv, as the page on camera frames shows"
 """What frames of a folder are, and what to do with those of Ncorr (.mat) and muDIC."""
 FIRST = 0.25
 """Frames of a folder before this part of a test are left: little moves there but errors."""
@@ -292,7 +285,6 @@ def frames_on_lattice(
     spacing: float | None = None,
     radius: float = 0.0,
     reach: int = 3,
-    mask: np.ndarray | None = None,
     units: Units | str | None = None,
     positions: str | None = None,
 ) -> Samples:
@@ -307,7 +299,6 @@ def frames_on_lattice(
         radius: of the local quadratic fits that smooth, in spacings; 0 keeps points that lie on
             nodes as they are, and takes 1.6 for others.
         reach: horizon in spacings; nodes whose surroundings to twice that are there are interior.
-        mask: polygon, shape [M, 2], whose inside alone is used.
         units: of the samples' lengths and of the stresses to be learned; by default the length
             that the frames carry, with MPa, and Å and TPa where they carry none.
         positions: "reference" or "current", what the frames' positions are; None tells it: where
@@ -341,11 +332,6 @@ def frames_on_lattice(
     each = [on_nodes(frame, x, step, radius) for frame in frames]
     fields, seen = np.stack([u for u, _ in each]), np.stack([there for _, there in each])
     there = np.isfinite(fields).all(axis=(0, 2)) & (seen.mean(axis=0) >= OFTEN)
-    if mask is not None:
-        from matplotlib.path import Path as Polygon
-
-        corners = checked("mask", mask, shape=("M", 2))
-        there &= Polygon(corners).contains_points(x, radius=1e-9 * step)
     interior = surrounded(there.reshape(counts), reach).ravel()[there]
     if not interior.any():
         count = seen.sum(axis=1)
@@ -372,6 +358,8 @@ def frames_of_folder(
     pixel: float | str = 1.0,
     radius: float,
     positions: str | None = None,
+    stress: Sequence[float] = (),
+    along: str = "x",
 ) -> Samples:
     """So many frames of a folder, in the order of their names and numbers, on one lattice.
 
@@ -383,9 +371,10 @@ def frames_of_folder(
         count: of frames.
         pixel: as for `read_frame`.
         radius, positions: as for `frames_on_lattice`.
+        stress, along: a PULL, of the last frame or of every frame of the folder, and its axis.
 
-    Raises InputError for what is no folder, or has fewer than four frames; for a pixel, a count or
-    a radius of no sense.
+    Raises InputError for what is no folder, or has fewer than four frames; for a pixel, a count, a
+    radius or a stress of no sense.
     """
     length_of(pixel)
     if count < LEAST:
@@ -393,23 +382,30 @@ def frames_of_folder(
     if not folder.is_dir():
         raise InputError(f"folder: expected one with frames, got {folder}")
     frames, others = [], []
-    there = sorted((path for path in folder.glob("[!.]*") if path.is_file()), key=by_number)
-    for path in there:
-        if path.suffix in TABLES:
-            try:
-                frames.append(read_frame(path, pixel=pixel))
-            except InputError as error:
-                others.append(str(error))
+    paths = [path for path in folder.glob("[!.]*") if path.suffix in TABLES]
+    for path in sorted(paths, key=by_number):
+        try:
+            frames.append(read_frame(path, pixel=pixel))
+        except InputError as error:
+            others.append(str(error))
     if len(frames) < LEAST:
-        kinds = ", ".join(sorted({path.suffix or path.name for path in there} - TABLES))
-        why = "; ".join([*others[:1], *([f"not read: {kinds} files; {EXPORT}"] if kinds else [])])
-        got = f"{len(frames)}; {why}" if why else len(frames)
-        raise InputError(f"{folder}: expected at least {LEAST} frames, got {got}")
+        kinds = sorted({path.suffix for path in folder.iterdir()} - TABLES)
+        why = others[0] if others else f"of {', '.join(kinds)} files none; {EXPORT}"
+        raise InputError(f"{folder}: expected at least {LEAST} frames, got {len(frames)}; {why}")
     for why in others:
         warnings.warn(f"passed over: {why}", stacklevel=2)
     last = len(frames) - 1
     chosen = np.unique(np.linspace(FIRST * last, last, count).astype(int))
-    return frames_on_lattice([frames[n] for n in chosen], radius=radius, positions=positions)
+    samples = frames_on_lattice([frames[n] for n in chosen], radius=radius, positions=positions)
+    if not stress:
+        return samples
+    if len(stress) not in (1, len(frames)) or not (min(stress) >= 0 and 0 < stress[-1] < np.inf):
+        raise InputError(
+            f"stress: expected one number > 0, or {len(frames)}, one for each frame, got {stress}"
+        )
+    pull = np.full((len(frames), 2), np.nan)
+    pull[-len(stress) :, "xy".index(along)] = stress
+    return replace(samples, arrays=samples.arrays | {PULL: pull[chosen]})
 
 
 def in_reference(frames: Sequence[SheetFrame], positions: str | None) -> list[SheetFrame]:

@@ -12,12 +12,7 @@ from warp_peri.tissue.fibres import (
     with_directions,
     with_families,
 )
-from warp_peri.tissue.from_displacement import (
-    DisplacementFit,
-    Thickness,
-    fit_thickness,
-    scaled_by_force,
-)
+from warp_peri.tissue.from_displacement import DisplacementFit, Thickness, fit_thickness
 from warp_peri.tissue.placed import PlacedSheet, hyperelastic_errors
 from warp_peri.tissue.sheet_choice import SheetChoice, choose_sheet, uniaxial
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
@@ -43,7 +38,6 @@ __all__ = [
     "rose",
     "rose_of",
     "save_febio",
-    "scaled_by_force",
     "shortest_margin",
     "uniaxial",
     "with_corners",

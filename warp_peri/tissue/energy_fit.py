@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear, nnls
@@ -239,27 +241,51 @@ class Equations:
         return np.where(length > 0, length, 1.0)
 
 
-def equations(op: HyperelasticOperator, samples: Samples) -> Equations:
-    """Forces of single energies and loads of all samples, factored as they come.
+def triangle(blocks: Iterable[np.ndarray]) -> np.ndarray:
+    """Triangular factor of rows that come in blocks, shape [at most K, K]."""
+    stack: Any = None
+    for rows in blocks:
+        stack = rows if stack is None else np.concatenate([stack, rows])
+        if len(stack) > ROWS:
+            stack = np.linalg.qr(stack, mode="r")
+    return np.asarray(np.linalg.qr(stack, mode="r"))
+
+
+def columns(
+    op: HyperelasticOperator, u: np.ndarray, moving: Sequence[int] = (), c: Any = None
+) -> np.ndarray:
+    """Slopes of the interior's force at a field, shape [2 I, K + 2 M].
+
+    By all coefficients, and by angles and then exponents of the fibres at M places, where the
+    coefficients are c.
+    """
+    found = [op.features(u).reshape(-1, len(op.dictionary))]
+    for by in ("angle", "exponent") if len(moving) else ():
+        found.append(op.features(u, by=by).reshape(found[0].shape)[:, moving] * c[moving])
+    return np.concatenate(found, axis=1)
+
+
+def equations(
+    op: HyperelasticOperator, samples: Samples, moving: Sequence[int] = (), c: Any = None
+) -> Equations:
+    """Forces by the `columns` and loads of all samples, factored as they come.
 
     Raises InputError where there are no samples, or one without load.
     """
     if len(samples) == 0:
         raise InputError("samples: expected at least one, got none")
-    K = len(op.dictionary)
-    stack = np.zeros((0, K + 1))
-    for u, b in zip(samples.u, samples.loads[:, op.interior]):
-        size = np.linalg.norm(b)
-        if size == 0:
-            raise InputError(
-                "samples: expected a load on the interior of each, got one without; "
-                "without loads learn from displacement alone"
-            )
-        rows = np.concatenate([op.features(u).reshape(-1, K), b.reshape(-1, 1)], axis=1) / size
-        stack = np.concatenate([stack, rows])
-        if len(stack) > ROWS:
-            stack = np.asarray(np.linalg.qr(stack, mode="r"))
-    factor = np.linalg.qr(stack, mode="r") / np.sqrt(len(samples))
+    K = len(op.dictionary) + 2 * len(moving)
+    loads = samples.loads[:, op.interior].reshape(len(samples), -1, 1)
+    sizes = np.linalg.norm(loads, axis=1)[:, 0]
+    if not sizes.all():
+        raise InputError(
+            "samples: expected a load on the interior of each, got one without; "
+            "without loads learn from displacement alone"
+        )
+    factor = triangle(
+        np.concatenate([columns(op, u, moving, c), b], axis=1) / size
+        for u, b, size in zip(samples.u, loads, sizes)
+    ) / np.sqrt(len(samples))
     wide = np.zeros((K + 1, K + 1))
     wide[: len(factor)] = factor
     return Equations(wide[:K, :K], wide[:K, K], float(wide[K, K] ** 2))
@@ -272,30 +298,42 @@ def weighed(system: Equations, ridge: float) -> tuple[np.ndarray, np.ndarray]:
     return A, np.concatenate([system.y, np.zeros(K)])
 
 
+NONE = np.zeros((0, 1))
+
+
+def between(
+    J: np.ndarray, y: np.ndarray, now: np.ndarray, bounds: Any, damping: float, held: Any = NONE
+) -> np.ndarray:
+    """The x between two bounds of least |J x − y|², shape [K].
+
+    Steps from `now` are damped as Levenberg does, but for the products of x with the rows `held`,
+    which stay about what they are.
+    """
+    length = np.linalg.norm(J, axis=0)
+    length[length == 0] = 1.0
+    A = np.concatenate([J / length, np.sqrt(damping) * np.eye(len(now)), held / length])
+    y = np.concatenate([y, np.sqrt(damping) * length * now, (held * now).sum(axis=1)])
+    x = lsq_linear(A, y, [bound * length for bound in bounds], method="bvls").x / length
+    return np.asarray(x)
+
+
 def least_squares(
     system: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
 ) -> np.ndarray:
     """Coefficients of any sign, or not below `lower` (−∞ where there is no bound), shape [K]."""
-    scale = system.scale
+    if lower is not None:
+        return between(system.R, system.y, 0 * lower, (lower, np.full(len(lower), np.inf)), ridge)
     A, y = weighed(system, ridge)
-    if lower is None:
-        c: np.ndarray = np.linalg.lstsq(A, y, rcond=None)[0] / scale
-    else:
-        c = lsq_linear(A, y, (lower * scale, np.inf), method="bvls").x / scale
-    return c
+    return np.asarray(np.linalg.lstsq(A, y, rcond=None)[0] / system.scale)
 
 
 def non_negative(
     system: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
 ) -> np.ndarray:
     """Coefficients not below `lower`, zero where none is given, shape [K] (Lawson and Hanson)."""
-    scale = system.scale
-    K = len(scale)
-    least = np.zeros(K) if lower is None else lower
-    A = np.concatenate([system.R / scale, np.sqrt(ridge) * np.eye(K)])
-    y = np.concatenate([system.y - system.R @ least, np.zeros(K)])
-    c: np.ndarray = least + nnls(A, y, maxiter=50 * K)[0] / scale
-    return c
+    least = np.zeros(len(system.y)) if lower is None else lower
+    A, y = weighed(replace(system, y=system.y - system.R @ least), ridge)
+    return np.asarray(least + nnls(A, y, maxiter=50 * len(least))[0] / system.scale)
 
 
 def residual(system: Equations, c: np.ndarray) -> float:
@@ -353,20 +391,15 @@ def fit_energy(
         raise InputError("positive: expected energies that are convex and stress-free at rest only")
     op = HyperelasticOperator(dictionary, samples)
     system = equations(op, samples)
-    margin = None
+    lower, margin = (lower_bounds if positive else deviations_only)(dictionary, stiffness), None
     if stable is not None:
-        if positive:
-            lower: np.ndarray | None = lower_bounds(dictionary, stiffness)
-        else:
-            lower = deviations_only(dictionary, stiffness)
         tangents = UniformTangents.of(dictionary, samples.spacing, strains_of(op, samples, STRAINS))
         c, margin = stable_coefficients(
             *weighed(system, ridge), tangents, stable, scale=system.scale, lower=lower
         )
-    elif positive:
-        c = non_negative(system, lower=lower_bounds(dictionary, stiffness), ridge=ridge)
     else:
-        c = least_squares(system, lower=deviations_only(dictionary, stiffness), ridge=ridge)
+        solver = non_negative if positive else least_squares
+        c = solver(system, lower=lower, ridge=ridge)
     solid = HyperelasticSolid(
         dictionary, c, samples.spacing, largest_stretch(op, samples.u), units=samples.points.units
     )

@@ -16,7 +16,7 @@ COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress", "mooney"}
 
 
-def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = "sheet") -> str:
+def febio_material(solid: HyperelasticSolid) -> str:
     """The material as an XML element of FEBio's Material section.
 
     With neo_hookean and volumetric energies it is a mixture of "HGO unconstrained" without fibres
@@ -28,24 +28,19 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
 
     Args:
         solid: whose only other energies are fibre exponentials.
-        scale: stress that one unit of its coefficients stands for.
-        name: of the material.
 
     Raises InputError for a solid with bonds or with energies that FEBio has no name for.
     """
-    dictionary = solid.dictionary
-    c = scale * solid.coefficients
-    bonds = c[: dictionary.first_deviation]
-    if np.any(bonds):
+    if np.any(solid.coefficients[: solid.dictionary.first_deviation]):
         raise InputError("solid: expected no bond energies, which FEBio does not know")
-    active = [(term, scale * value) for term, value in material_terms(solid)]
+    active = material_terms(solid)
     matrix = {term.kind: value for term, value in active if term.kind != "fibre_exponential"}
     if not matrix or not (set(matrix) <= COMPRESSIBLE or set(matrix) <= INCOMPRESSIBLE):
         raise InputError(
             "solid: expected neo_hookean and volumetric, or plane_stress and mooney, and fibre "
             f"exponentials; got {', '.join(sorted({term.kind for term, _ in active}))}"
         )
-    root = _ground(matrix, name)
+    root = _ground(matrix)
     kind = "fiber-exp-pow-uncoupled" if set(matrix) <= INCOMPRESSIBLE else "fiber-exp-pow"
     for term, value in active:
         if term.kind == "fibre_exponential":
@@ -59,15 +54,15 @@ def febio_material(solid: HyperelasticSolid, *, scale: float = 1.0, name: str = 
     return ElementTree.tostring(root, encoding="unicode")
 
 
-def _ground(matrix: dict[str, float], name: str) -> ElementTree.Element:
+def _ground(matrix: dict[str, float]) -> ElementTree.Element:
     """The mixture with its matrix."""
     if set(matrix) <= INCOMPRESSIBLE:
         numbers = {"c1": matrix.get("plane_stress", 0.0), "c2": matrix.get("mooney", 0.0)}
-        root = ElementTree.Element("material", id="1", name=name, type="uncoupled solid mixture")
+        root = ElementTree.Element("material", id="1", name="sheet", type="uncoupled solid mixture")
         _number(root, "k", 2000 * sum(numbers.values()))
         ground = ElementTree.SubElement(root, "solid", type="Mooney-Rivlin")
     else:
-        root = ElementTree.Element("material", id="1", name=name, type="solid mixture")
+        root = ElementTree.Element("material", id="1", name="sheet", type="solid mixture")
         ground = ElementTree.SubElement(root, "solid", type="HGO unconstrained")
         numbers = {
             "c": 2 * matrix.get("neo_hookean", 0.0),
@@ -82,11 +77,9 @@ def _ground(matrix: dict[str, float], name: str) -> ElementTree.Element:
     return root
 
 
-def save_febio(
-    solid: HyperelasticSolid, path: str | os.PathLike[str], *, scale: float = 1.0
-) -> None:
+def save_febio(solid: HyperelasticSolid, path: str | os.PathLike[str]) -> None:
     """Write that element to a file, whole or not at all."""
-    write_text(path, febio_material(solid, scale=scale) + "\n")
+    write_text(path, febio_material(solid) + "\n")
 
 
 def material_terms(solid: HyperelasticSolid) -> list[tuple[Term, float]]:

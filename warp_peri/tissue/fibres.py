@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.energy_fit import Equations, equations, lower_bounds, non_negative, residual
+from warp_peri.tissue.energy_fit import between, equations, lower_bounds, non_negative, residual
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.placed import largest_stretch
 from warp_peri.tissue.solid import ACROSS, Dictionary, HyperelasticSolid, Term
 
-LARGEST_EXPONENT = 60.0
+LEAST, LARGEST_EXPONENT = {"fibre_power": 2.0, "fibre_exponential": 0.0}, 60.0
 TURN, GROWTH = 0.2, 1.0
 """Largest change of an angle [rad] and an exponent in one step."""
 ENOUGH = 40
@@ -186,23 +185,51 @@ def read_material(
     return replace(solid, coefficients=c, stretch=largest_stretch(op, samples.u)).sparse
 
 
+def fibres_of(dictionary: Dictionary) -> list[int]:
+    """Places of families of fibres among the coefficients."""
+    first = dictionary.first_term
+    return [first + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
+
+
+def fibre_numbers(
+    dictionary: Dictionary, moving: Sequence[int]
+) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Angles, then exponents of the fibres at M places, shape [2 M], and bounds after a step."""
+    terms, M = [dictionary.terms[n - dictionary.first_term] for n in moving], len(moving)
+    numbers = np.array([*(t.angle for t in terms), *(t.exponent for t in terms)])
+    reach = np.repeat([TURN, GROWTH], M)
+    lower, upper = numbers - reach, np.minimum(numbers + reach, LARGEST_EXPONENT)
+    lower[M:] = np.maximum(lower[M:], [LEAST[term.kind] for term in terms])
+    return numbers, (lower, np.maximum(upper, lower + 1e-9))
+
+
+def with_numbers(dictionary: Dictionary, moving: Sequence[int], numbers: np.ndarray) -> list[Term]:
+    """The energies with other angles and exponents of the fibres at these places."""
+    terms = list(dictionary.terms)
+    for n, angle, exponent in zip(moving, *np.reshape(numbers, (2, -1))):
+        term = terms[place := n - dictionary.first_term]
+        exponent = max(float(exponent), LEAST[term.kind])
+        terms[place] = replace(term, angle=float(np.mod(angle, np.pi)), exponent=exponent)
+    return terms
+
+
 def move(
     samples: Samples, solid: HyperelasticSolid, *, stiffness: float = 0.0, most_steps: int = 12
 ) -> HyperelasticSolid:
     """Least squares over coefficients ≥ 0, angles and exponents, from where they are."""
     op = HyperelasticOperator(solid.dictionary, samples)
-    first = solid.dictionary.first_term
-    moving = [first + n for n, t in enumerate(solid.dictionary.terms) if t.is_fibre]
-    lower = lower_bounds(solid.dictionary, stiffness)
-    c = non_negative(equations(op, samples), lower=lower)
-    if not moving:
-        return replace(solid, coefficients=c)
-    best, damping = residual(equations(op, samples), c), 1e-6
-    for _ in range(most_steps):
-        wide = widened(op, samples, c, moving)
+    moving, lower = fibres_of(solid.dictionary), lower_bounds(solid.dictionary, stiffness)
+    system = equations(op, samples)
+    c = non_negative(system, lower=lower)
+    best, damping, K = residual(system, c), 1e-6, len(c)
+    for _ in range(most_steps if moving else 0):
+        wide = equations(op, samples, moving, c)
+        numbers, (least, most) = fibre_numbers(op.dictionary, moving)
+        bounds = (np.append(lower, least), np.append(np.full(K, np.inf), most))
+        y = wide.y + wide.R[:, K:] @ numbers
         for _ in range(6):
-            terms = stepped(op.dictionary, wide, c, moving, lower, damping)
-            tried = op.with_terms(terms)
+            moved = between(wide.R, y, np.append(c, numbers), bounds, damping)
+            tried = op.with_terms(with_numbers(op.dictionary, moving, moved[K:]))
             system = equations(tried, samples)
             new = non_negative(system, lower=lower)
             size = residual(system, new)
@@ -215,48 +242,3 @@ def move(
         if gain < 1e-5:
             break
     return replace(solid, dictionary=op.dictionary, coefficients=c)
-
-
-def widened(
-    op: HyperelasticOperator, samples: Samples, c: np.ndarray, moving: list[int]
-) -> Equations:
-    """The equations with columns for angles and exponents beside the coefficients."""
-    K = len(c)
-    stack = np.zeros((0, K + 2 * len(moving) + 1))
-    for u, b in zip(samples.u, samples.loads[:, op.interior]):
-        columns = [op.features(u).reshape(-1, K)]
-        for by in ("angle", "exponent"):
-            slopes = op.features(u, by=by).reshape(-1, K)
-            columns.append(slopes[:, moving] * c[moving])
-        rows = np.concatenate([*columns, b.reshape(-1, 1)], axis=1) / np.linalg.norm(b)
-        stack = np.asarray(np.linalg.qr(np.concatenate([stack, rows]), mode="r"))
-    return Equations(stack[:, :-1], stack[:, -1], 0.0)
-
-
-def stepped(
-    dictionary: Dictionary,
-    wide: Equations,
-    c: np.ndarray,
-    moving: list[int],
-    lower: np.ndarray,
-    damping: float,
-) -> list[Term]:
-    """The energies with angles and exponents after one damped step."""
-    K, M = len(c), len(moving)
-    scale = wide.scale
-    rows = np.concatenate([wide.R / scale, np.sqrt(damping) * np.eye(len(scale))])
-    now = np.concatenate([c, np.zeros(2 * M)])
-    y = np.concatenate([wide.y, np.sqrt(damping) * now * scale])
-    terms = list(dictionary.terms)
-    exponents = np.array([terms[n - dictionary.first_term].exponent for n in moving])
-    least = np.maximum(-exponents, -GROWTH)
-    most = np.maximum(np.minimum(LARGEST_EXPONENT - exponents, GROWTH), least + 1e-9)
-    low = np.concatenate([lower, np.full(M, -TURN), least])
-    high = np.concatenate([np.full(K, np.inf), np.full(M, TURN), most])
-    moved = lsq_linear(rows, y, (low * scale, high * scale), method="bvls").x / scale
-    for n, turn, growth in zip(moving, moved[K : K + M], moved[K + M :]):
-        place = n - dictionary.first_term
-        term = terms[place]
-        angle = float(np.mod(term.angle + turn, np.pi))
-        terms[place] = replace(term, angle=angle, exponent=max(term.exponent + growth, 0.0))
-    return terms

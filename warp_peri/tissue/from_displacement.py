@@ -7,21 +7,24 @@ is their loss, (H13) and (H18) its slopes through the equilibrium.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear
+from scipy.ndimage import binary_dilation, binary_erosion
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import is_number
-from warp_peri.points.samples import Samples, seen_of
-from warp_peri.tissue.energy_fit import lower_bounds
+from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.points import Points
+from warp_peri.points.samples import PULL, Samples, seen_of
+from warp_peri.tissue.energy_fit import between, columns, lower_bounds, triangle
 from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, rough
+from warp_peri.tissue.fibres import fibre_numbers, fibres_of, with_numbers
 from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
-from warp_peri.tissue.placed import bond_slopes, largest_stretch, piola_stress
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
+from warp_peri.tissue.placed import BOND_SLOPES, largest_stretch, piola_stress
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 LARGEST_DEGREE = 6
 LARGEST = 20.0
@@ -50,20 +53,12 @@ class Thickness:
         whole = isinstance(self.degree, (int, np.integer)) and not isinstance(self.degree, bool)
         if not (whole and 1 <= self.degree <= LARGEST_DEGREE):
             raise InputError(f"degree: expected 1 to {LARGEST_DEGREE}, got {self.degree!r}")
-        centre, half = (np.array(value, float) for value in (self.centre, self.half))
-        if centre.shape != (2,) or half.shape != (2,) or not np.isfinite(centre).all():
-            raise InputError("centre, half: expected two finite lengths each")
-        if not (np.isfinite(half).all() and half.min() > 0):
-            raise InputError(f"half: expected two lengths > 0, got {half.tolist()}")
-        numbers = np.array(self.numbers, float)
-        if not numbers.size:
-            numbers = np.zeros(len(self.names))
-        if numbers.shape != (len(self.names),) or not np.isfinite(numbers).all():
-            raise InputError(
-                f"numbers: expected {len(self.names)} finite numbers, got shape {numbers.shape}"
-            )
-        for name, value in (("centre", centre), ("half", half), ("numbers", numbers)):
-            object.__setattr__(self, name, value)
+        if not np.size(self.numbers):
+            object.__setattr__(self, "numbers", np.zeros(len(self.names)))
+        for name, count in (("centre", 2), ("half", 2), ("numbers", len(self.names))):
+            object.__setattr__(self, name, checked(name, getattr(self, name), shape=(count,)))
+        if not self.half.min() > 0:
+            raise InputError(f"half: expected two lengths > 0, got {self.half.tolist()}")
 
     @classmethod
     def over(cls, x: np.ndarray, degree: int) -> Thickness:
@@ -85,10 +80,7 @@ class Thickness:
         return words
 
     def _terms(self, x: np.ndarray) -> np.ndarray:
-        x = np.asarray(x, float)
-        if x.ndim != 2 or x.shape[1] != 2:
-            raise InputError(f"x: expected positions of shape [N, 2], got {list(x.shape)}")
-        place = (x - self.centre) / self.half
+        place = (checked("x", x, shape=("N", 2)) - self.centre) / self.half
         return np.stack([place[:, 0] ** a * place[:, 1] ** b for a, b in self._powers], axis=1)
 
     def at(self, x: np.ndarray) -> np.ndarray:
@@ -104,6 +96,58 @@ class Thickness:
         return values
 
 
+class Sections:
+    """Lines of nodes across an axis from edge to edge of a sheet, with such lines on both sides.
+
+    Args:
+        frames: displacement on a lattice along x and y.
+        dictionary: of the energies, whose 2δ is how far lines on both sides go.
+        axis: 0 for x, 1 for y.
+
+    Beyond the edges displacement goes on as its mirror image in the point there. Raises InputError
+    where a hole or an edge leaves no such line.
+    """
+
+    def __init__(self, frames: Samples, dictionary: Dictionary, axis: int) -> None:
+        R, turn, origin = 2 * int(dictionary.reach), [axis, 1 - axis], frames.x.min(axis=0)
+        line, place = np.rint((frames.x - origin) / frames.spacing).astype(int)[:, turn].T
+        number = np.full((line.max() + 1, place.max() + 1), -1)
+        number[line, place] = np.arange(len(line))
+        lines = binary_erosion((number >= 0).all(axis=1), iterations=R)
+        if not lines.any():
+            raise InputError(
+                f"{PULL}: expected lines of nodes across {'xy'[axis]} from edge to edge of the "
+                f"sheet, with {R} such lines on both sides, got none; a hole or the outline cuts "
+                "them, and no other mean is the force over width and thickness"
+            )
+        near, width = np.flatnonzero(binary_dilation(lines, iterations=R)), number.shape[1]
+        sides = np.meshgrid(near, np.arange(-R, width + R), indexing="ij")
+        steps = np.stack(sides, axis=-1).reshape(-1, 2)
+        own = lines[steps[:, 0]] & (steps[:, 1] >= 0) & (steps[:, 1] < width)
+        x = origin + frames.spacing * steps[:, turn]
+        points = Points(x, own, frames.spacing, units=frames.points.units)
+        self.op, self.axis = HyperelasticOperator(replace(dictionary, deviations=()), points), axis
+        self.of_lattice = range(dictionary.first_deviation, dictionary.first_term)
+        self.shape, around = (-1, width), ((0, 0), (0, 0), (R, R), (0, 0))
+        fields = np.pad(frames.u[:, number[near]], around, "reflect", reflect_type="odd")
+        self.fields = fields.reshape(len(frames), -1, 2)
+
+    def stress(
+        self, n: int, terms: Sequence[Term], c: np.ndarray, thickness: Thickness | None
+    ) -> np.ndarray:
+        """Pull over width and mean thickness on every line of a frame, shape [L].
+
+        Without deviations: they belong to the lattice, and see noise at edges.
+        """
+        op, c = self.op.with_terms(terms), np.delete(c, self.of_lattice)
+        if thickness is not None:
+            of_nodes = thickness.at(op.points.x)
+            op = op.with_thickness(of_nodes / of_nodes[op.interior].mean())
+        P = piola_stress(op, self.fields[n], c)[op.interior, self.axis, self.axis]
+        P = P.reshape(self.shape)
+        return np.asarray((P[:, :-1] + P[:, 1:]).mean(axis=1) / 2)
+
+
 SCALE_WEIGHT = 1e3
 """Of the equation that fixes the initial stiffness, before it is met exactly."""
 TOGETHER, NEAR = 10, (0.03, 0.1)
@@ -115,19 +159,17 @@ STALE = 0.1
 """Part of the loss: a step that lowers it by less leaves the slopes as they are."""
 STIFFEN = 30.0
 """Largest ratio of a deviation that is stiffer than the sheet at rest to itself before a step."""
-TURN, GROWTH = 0.2, 1.0
-"""Largest change of a fibre's angle [rad] and exponent in one step."""
+NO_FORCE = {"stresses": "scaled to a stiffness of one at rest, no force is known"}
 THICKEN = 0.5
 """Largest change of a number of the thickness in one step."""
-LARGEST_EXPONENT = 60.0
 
 
 @dataclass(frozen=True, eq=False)
 class DisplacementFit:
-    """A solid known up to its scale.
+    """A solid, known up to its scale where no frame has a pull.
 
     Attributes:
-        material: with an initial stiffness (H14) of one.
+        material: with an initial stiffness (H14) of `scale`.
         errors: relative error of the solved displacement of every training frame.
         history: root mean square of those errors after every step that solves for equilibria.
         frames_left_out: frames that it does not stand on: no equilibrium was found at the start.
@@ -135,6 +177,8 @@ class DisplacementFit:
         others: the same with each frame left out in turn, by one Gauss-Newton step from here, with
             the errors that its linear equations tell.
         fields: solved displacement of every training frame, shape [S, N, 2].
+        scale: by what frames with a PULL say; one where none has.
+        scatter: relative, of what sections and frames say that it is.
     """
 
     material: HyperelasticSolid
@@ -144,6 +188,8 @@ class DisplacementFit:
     thickness: Thickness | None = None
     others: list[DisplacementFit] = field(default_factory=list)
     fields: np.ndarray | None = None
+    scale: float = 1.0
+    scatter: float = 0.0
 
 
 def initial_stiffness(op: HyperelasticOperator) -> np.ndarray:
@@ -159,12 +205,9 @@ def initial_stiffness(op: HyperelasticOperator) -> np.ndarray:
         c = np.zeros(len(traces))
         c[number] = 1.0
         traces[number] = np.trace(op.states(small, c)[2][node][:3, :3])
-    count = len(op.dictionary.bonds)
-    for k, unit in enumerate(op.unit[: op.bonds.classes]):
-        for q in range(count):
-            c = np.eye(len(traces))[k * count + q]
-            curve = bond_slopes(op.dictionary, np.array([1e-6]), c, np.array([k]))[1][0]
-            traces[k * count + q] = curve * (unit @ unit)
+    curves = [BOND_SLOPES[name](np.array(1e-6))[1] for name in op.dictionary.bonds]
+    squares = (op.unit[: op.bonds.classes] ** 2).sum(axis=1)
+    traces[: op.dictionary.first_deviation] = np.outer(squares, curves).ravel()
     return traces
 
 
@@ -197,6 +240,10 @@ class Search:
             raise InputError(
                 f"frames: expected interiors that move, frame {self.size.argmin()} is at rest"
             )
+        pull = np.asarray(frames.arrays.get(PULL, np.full((len(frames), 2), np.nan)), float)
+        self.pulled = np.argwhere(np.isfinite(pull))
+        self.pull = pull[tuple(self.pulled.T)]
+        self.sections = {axis: Sections(frames, dictionary, axis) for axis in {*self.pulled[:, 1]}}
         self.kept = list(range(len(self.data)))
         self.left_out: list[int] = []
         least, greatest = bounds
@@ -206,9 +253,7 @@ class Search:
         self.measure = initial_stiffness(even)
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
-        first = dictionary.first_term
-        fibres = [first + n for n, term in enumerate(dictionary.terms) if term.is_fibre]
-        self.moving = fibres if moving else []
+        self.moving = fibres_of(dictionary) if moving else []
         self.fields = self.data.copy()
         self.squares = np.full(len(self.data), np.inf)
         self.c = np.zeros(len(dictionary))
@@ -234,19 +279,19 @@ class Search:
 
     def equation_error(self) -> np.ndarray:
         """Coefficients of least internal force on the measured fields; biased under noise."""
-        K = len(self.c)
-        triangle = np.zeros((0, K))
-        for u, seen, size in zip(self.data, self.seen, self.size):
-            rows = (self.problem.op.features(u) * seen[..., None]).reshape(-1, K) / size
-            triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, rows]), mode="r"))
-        weight = SCALE_WEIGHT * np.abs(triangle).max() * self.measure / np.abs(self.measure).max()
-        A = np.concatenate([triangle, weight[None]])
-        y = np.zeros(len(A))
-        y[-1] = SCALE_WEIGHT * np.abs(triangle).max() / np.abs(self.measure).max()
-        length = np.linalg.norm(A, axis=0)
-        length[length == 0] = 1.0
-        least = lsq_linear(A / length, y, (self.lower * length, self.upper * length), method="bvls")
-        return self.scaled(least.x / length)
+        J = triangle(
+            columns(self.problem.op, u) * np.repeat(seen, 2, axis=0) / size
+            for u, seen, size in zip(self.data, self.seen, self.size)
+        )
+        J, bounds = J / np.abs(J).max(), (self.lower, self.upper)
+        now = self.scaled(self.measure)
+        return self.scaled(between(J, np.zeros(len(J)), now, bounds, 0.0, self._scale(len(now))))
+
+    def _scale(self, count: int) -> np.ndarray:
+        """The row of so many unknowns whose product, the initial stiffness, stays."""
+        row = np.zeros((1, count))
+        row[0, : len(self.c)] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
+        return row
 
     def descended(
         self,
@@ -278,36 +323,40 @@ class Search:
             if last or not self.loss < (1 - tolerance) * before:
                 break
         stretch = largest_stretch(self.problem.op, self.data)
-        others = [self._without(n, stretch) for n in self.linear] if len(self.linear) > 1 else []
-        fit = self._fit(self.now, np.sqrt(self.squares), self.left_out, stretch)
+        each = self.linear if len(self.linear) > 1 else ()
+        fit, *others = [self._fit(left, stretch) for left in ([], *([n] for n in each))]
         return replace(fit, history=history, others=others, fields=self.fields)
 
-    def _fit(
-        self, numbers: np.ndarray, errors: np.ndarray, left_out: list[int], stretch: float
-    ) -> DisplacementFit:
-        """What unknowns come to."""
-        K = len(self.c)
+    def _fit(self, left: list[int], stretch: float) -> DisplacementFit:
+        """What is here, or one step from here with some frames left out, in the scale of forces."""
+        K, numbers, errors = len(self.c), self.now, np.sqrt(self.squares)
+        if left:
+            rest = [rows for n, rows in self.equations_of.items() if n not in left]
+            numbers = self.nearest(np.concatenate(rest), DAMPING[1])
+            for n, rows in self.equations_of.items():
+                errors[n] = np.linalg.norm(rows @ np.array([*(numbers - self.now), 1.0]))
         problem, thickness = self._moved(numbers[K:])
-        points = problem.op.points
+        dictionary, c, points = problem.op.dictionary, numbers[:K], problem.op.points
+        said, scale, scatter = NO_FORCE, 1.0, 0.0
+        if len(self.pull):
+            own = ~np.isin(self.pulled[:, 0], left)
+            own |= not own.any()  # without its only force a fit has the scale of that
+            lines = [
+                self.sections[axis].stress(n, dictionary.terms, c, thickness)
+                for n, axis in self.pulled[own]
+            ]
+            F, T = self.pull[own], np.array([line.mean() for line in lines])
+            if not F @ T > 0:
+                raise InputError(f"{PULL}: expected a pull with the sign of the sheet's stress")
+            said, scale = {}, float(F @ T) / float(T @ T)
+            gaps = np.hypot(scale * np.array([line.std() for line in lines]), scale * T - F)
+            scatter = float(np.linalg.norm(gaps) / np.linalg.norm(F))
         solid = HyperelasticSolid(
-            problem.op.dictionary,
-            numbers[:K],
-            points.spacing,
-            stretch,
-            {"stresses": "scaled to a stiffness of one at rest, no force is known"},
-            units=points.units,
+            dictionary, scale * c, points.spacing, stretch, said, units=points.units
         )
-        rms = float(np.sqrt(np.delete(errors**2, left_out).mean()))
-        return DisplacementFit(solid, errors, [rms], left_out, thickness)
-
-    def _without(self, left: int, stretch: float) -> DisplacementFit:
-        """One step from here with another frame left out."""
-        rest = np.concatenate([rows for n, rows in self.equations_of.items() if n != left])
-        moved = self.nearest(rest, DAMPING[1])
-        errors = np.full(len(self.data), np.inf)
-        for n, rows in self.equations_of.items():
-            errors[n] = np.linalg.norm(rows @ np.array([*(moved - self.now), 1.0]))
-        return self._fit(moved, errors, [*self.left_out, left], stretch)
+        left = [*self.left_out, *left]
+        rms = float(np.sqrt(np.delete(errors**2, left).mean()))
+        return DisplacementFit(solid, errors, [rms], left, thickness, scale=scale, scatter=scatter)
 
     def approached(self, c: np.ndarray, known: DisplacementFit | None = None) -> np.ndarray:
         """Coefficients after steps that move unknowns and fields at once, from the measured fields.
@@ -321,8 +370,7 @@ class Search:
         for self.c, self.fields, self.growth in starts:  # stiffer ones would add to noise at first
             if self.linearise(ahead=True):
                 change = self.nearest(self.equations, DAMPING[2]) - self.now
-                left = float((self._after(change) ** 2).sum())
-                if left < least:
+                if (left := self._after(change)) < least:
                     begun, least = vars(self).copy(), left
         vars(self).update(begun)
         if least == np.inf:
@@ -339,13 +387,13 @@ class Search:
                     squares[k] += ((away * self.seen[n]) ** 2).sum() / self.size[n] ** 2
             if min(map(self.problem.op.smallest_area, fields)) <= SMALLEST_AREA:
                 break
-            loss, left = (float((self._after(step) ** 2).sum()) for step in (0 * change, change))
+            loss, left = self._after(0 * change), self._after(change)
             moved = self.now + change
             self.problem, self.thickness = self._moved(moved[len(c) :])
             self.c, self.fields, self.stale, self.growth = moved[: len(c)], fields, True, STIFFEN
             if (squares <= np.square(NEAR) * left).all():
                 break
-            if not self.linearise(ahead=True) or (self.equations[:, -1] ** 2).sum() > loss:
+            if not self.linearise(ahead=True) or self._after(0 * change) > loss:
                 vars(self).update(before)
                 break
             damping = max(damping / 10, DAMPING[0])
@@ -399,7 +447,7 @@ class Search:
         With the reduced equations of their errors, a Newton step `ahead` where they are no
         equilibria.
         """
-        op, K = self.problem.op, len(self.c)
+        op = self.problem.op
         if (pattern := self.problem.pattern) is None:
             raise InputError("problem: expected one whose tangent is factorised")
         linear: dict[int, tuple[np.ndarray, Any]] = {}
@@ -408,10 +456,7 @@ class Search:
             factor = pattern.factors(u, self.c)
             if factor is None:
                 continue
-            F = [op.features(u).reshape(-1, K)]
-            for by in ("angle", "exponent") if self.moving else ():
-                slopes = op.features(u, by=by).reshape(-1, K)
-                F.append(slopes[:, self.moving] * self.c[self.moving])
+            F = [columns(op, u, self.moving, self.c)]
             if self.thickness is not None:
                 slopes = op.by_thickness(u, self.c, self.thickness.slopes(self.x))
                 F.append(slopes.reshape(len(F[0]), -1))
@@ -429,39 +474,30 @@ class Search:
                 gap += J[:, : len(self.c)] @ self.c[:, None]
             rows = np.concatenate([J, gap], axis=1) / self.size[n]
             rows *= np.repeat(self.seen[n], 2, axis=0)
-            self.equations_of[n] = np.asarray(np.linalg.qr(rows, mode="r"))
+            self.equations_of[n] = triangle([rows])
 
     @property
     def equations(self) -> np.ndarray:
         """Rows whose squared sum is the loss: slopes by the unknowns, and errors as they are."""
         return np.concatenate([np.zeros((0, len(self.now) + 1)), *self.equations_of.values()])
 
-    def _after(self, change: np.ndarray) -> np.ndarray:
-        """Errors after a change of the unknowns, to first order, as the equations have them."""
-        return np.asarray(self.equations @ np.array([*change, 1.0]))
+    def _after(self, change: np.ndarray) -> float:
+        """The loss after a change of the unknowns, to first order, as the equations have it."""
+        return float(((self.equations @ np.array([*change, 1.0])) ** 2).sum())
 
     def promising(self, tolerance: float) -> bool:
         """Whether the equations promise a step that lowers the loss by more than a fraction."""
         change = self.nearest(self.equations, DAMPING[0]) - self.now
-        return float((self._after(change) ** 2).sum()) < (1 - tolerance) * self.loss
+        return self._after(change) < (1 - tolerance) * self.loss
 
     def nearest(self, equations: np.ndarray, damping: float) -> np.ndarray:
         """Unknowns between their bounds that meet the equations best, as Levenberg damps them."""
-        J, r = equations[:, :-1], equations[:, -1]
         K, now = len(self.c), self.now
-        lower, upper = self._bounds(now)
-        free: np.ndarray = np.arange(len(now)) >= (K if self.held else 0)
-        length = np.linalg.norm(J, axis=0)
-        length[length == 0] = 1.0
-        fixed = np.zeros((1, len(now)))
-        fixed[0, :K] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
-        A = np.concatenate([J, np.sqrt(damping) * np.diag(length), fixed]) / length
-        y = np.concatenate([J @ now - r, np.sqrt(damping) * length * now, fixed @ now])
-        y -= A[:, ~free] @ (now * length)[~free]
-        bounds = (lower * length)[free], (upper * length)[free]
-        moved = now.copy()
-        moved[free] = lsq_linear(A[:, free], y, bounds, method="bvls").x / length[free]
-        moved[:K] = self.scaled(np.maximum(moved[:K], 0.0))
+        J, r = equations[:, :-1].copy(), equations[:, -1]
+        if self.held:
+            J[:, :K] = 0.0
+        moved = between(J, J @ now - r, now, self._bounds(now), damping, self._scale(len(now)))
+        moved[:K] = now[:K] if self.held else self.scaled(np.maximum(moved[:K], 0.0))
         return moved
 
     def step(self, damping: float, *, last: bool = False) -> float:
@@ -491,48 +527,33 @@ class Search:
             damping = max(10 * damping, 1e-6)
         return damping
 
-    def _least(self, number: int) -> float:
-        term = self.problem.op.dictionary.terms[number - self.problem.op.dictionary.first_term]
-        return 2.0 if term.kind == "fibre_power" else 0.0
-
     @property
     def now(self) -> np.ndarray:
         """Coefficients, angles and exponents of the fibres that move, numbers of the thickness."""
-        dictionary = self.problem.op.dictionary
-        terms = [dictionary.terms[n - dictionary.first_term] for n in self.moving]
         numbers = np.zeros(0) if self.thickness is None else self.thickness.numbers
-        return np.array(
-            [*self.c, *(t.angle for t in terms), *(t.exponent for t in terms), *numbers]
-        )
+        fibres, _ = fibre_numbers(self.problem.op.dictionary, self.moving)
+        return np.concatenate([self.c, fibres, numbers])
 
     def _bounds(self, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Between what the unknowns may be after a step."""
         dictionary = self.problem.op.dictionary
-        K, M = len(self.c), len(self.moving)
-        reach = np.full(len(now), np.inf)
-        reach[K : K + M], reach[K + M : K + 2 * M], reach[K + 2 * M :] = TURN, GROWTH, THICKEN
-        lower, upper = now - reach, now + reach
+        K, M = len(self.c), 2 * len(self.moving)
+        lower, upper = now - THICKEN, now + THICKEN
         lower[:K], upper[:K] = self.lower, self.upper
+        lower[K : K + M], upper[K : K + M] = fibre_numbers(dictionary, self.moving)[1]
         own = slice(dictionary.first_deviation, dictionary.first_term)
         most = np.maximum(self.growth * now[own], now[own] if self.growth == 1 else 1.0)
         upper[own] = np.minimum(upper[own], most)
-        of_exponents = slice(K + M, K + 2 * M)
-        lower[of_exponents] = np.maximum(lower[of_exponents], [self._least(n) for n in self.moving])
-        upper[of_exponents] = np.minimum(upper[of_exponents], LARGEST_EXPONENT)
         return lower, np.maximum(upper, lower + 1e-12)
 
     def _moved(self, numbers: np.ndarray) -> tuple[StaticProblem, Thickness | None]:
         """The problem with other angles, exponents and numbers of the thickness."""
-        problem, thickness, M = self.problem, self.thickness, len(self.moving)
+        problem, thickness, M = self.problem, self.thickness, 2 * len(self.moving)
         if M:
-            dictionary = problem.op.dictionary
-            terms = list(dictionary.terms)
-            for n, angle, exponent in zip(self.moving, numbers[:M], numbers[M : 2 * M]):
-                place = n - dictionary.first_term
-                terms[place] = replace(terms[place], angle=float(angle), exponent=float(exponent))
+            terms = with_numbers(problem.op.dictionary, self.moving, numbers[:M])
             problem = problem.with_terms(terms)
         if thickness is not None:
-            thickness = replace(thickness, numbers=numbers[2 * M :])
+            thickness = replace(thickness, numbers=numbers[M:])
             problem = problem.with_thickness(thickness.at(self.x))
         return problem, thickness
 
@@ -541,6 +562,8 @@ INTERPOLATES = 50.0
 """Times as stiff as the sheet at rest: such deviations fill in the collar as a stiff plate does."""
 TEN = 10
 """Of what `check_enough` counts, for each number that is learned, at least."""
+SMALL = 0.02
+"""Of half of the nodes, E11, E22 or 2 E12: below it moduli are not determined."""
 AFFINE = 1e-6
 """A set of frames whose distance from affine displacement is below this fraction says nothing."""
 
@@ -599,7 +622,7 @@ def fit_displacement(
             raise InputError(f"start: expected {len(dictionary)} coefficients, got {start!r:.60}")
         c = search.scaled(np.clip(start, search.lower, search.upper))
     fit = search.descended(c, most_steps, tolerance, progress, known)
-    warn_of_interpolation(fit.material)
+    warn_of_interpolation(fit)
     return fit
 
 
@@ -632,12 +655,10 @@ def fit_thickness(
 def bounds_of(stiffness: float | tuple[float, float]) -> tuple[float, float]:
     """Least and greatest coefficient of the deviations; InputError where they are none."""
     given: Any = (stiffness, np.inf) if is_number(stiffness) else stiffness
-    if not (isinstance(given, (tuple, list)) and len(given) == 2 and all(map(is_number, given))):
-        raise InputError(f"stiffness: expected one number or two, got {stiffness!r:.60}")
-    least, greatest = float(given[0]), float(given[1])
-    if not (0 <= least <= greatest and least < np.inf):
+    pair = isinstance(given, (tuple, list)) and len(given) == 2 and all(map(is_number, given))
+    if not (pair and 0 <= given[0] <= given[1] and given[0] < np.inf):
         raise InputError(f"stiffness: expected 0 ≤ least ≤ greatest, got {stiffness!r:.60}")
-    return least, greatest
+    return float(given[0]), float(given[1])
 
 
 def check_enough(count: int, what: str, numbers: int) -> None:
@@ -658,30 +679,37 @@ def check_unloaded(frames: Samples) -> None:
 
 
 def check_identifiable(frames: Samples) -> None:
-    """Raise InputError where every frame is affine: any homogeneous body could have moved so."""
+    """Raise InputError where any homogeneous body could have moved so, or the strain is small."""
     design = np.concatenate([np.ones((len(frames.x), 1)), frames.x], axis=1)
-    bent = 0.0
-    for u in frames.u:
-        rest = u - design @ np.linalg.lstsq(design, u, rcond=None)[0]
-        size = float(np.linalg.norm(u))
-        bent = max(bent, float(np.linalg.norm(rest)) / size if size > 0 else 0.0)
-    if len(frames) == 0 or bent < AFFINE:
+    u = np.moveaxis(frames.u, 0, 1).reshape(len(frames.x), -1)
+    rest = u - design @ np.linalg.lstsq(design, u, rcond=None)[0]
+    rest, size = (np.linalg.norm(v.reshape(len(v), -1, 2), axis=(0, 2)) for v in (rest, u))
+    if not (rest > AFFINE * size).any():
         raise InputError(
             "frames: expected displacement that is not affine; a homogeneous body of any material "
             "follows affine edges, so that such frames say nothing about it"
         )
+    op = HyperelasticOperator(Dictionary(terms=(Term("plane_stress"),)), frames)
+    strains = np.abs(op.strain(frames.u)[:, op.interior]).max(axis=-1)
+    typical = float(np.median(strains, axis=1).max())
+    if typical < SMALL:
+        raise InputError(
+            f"frames: expected strains of {100 * SMALL:g} % or more in one, got "
+            f"{100 * typical:.2g} % at most nodes; below, noise decides on moduli, above all on "
+            "that of the area (bulk)"
+        )
 
 
-def stiffest_deviation(solid: HyperelasticSolid) -> float:
-    """Largest of the deviations, in units of an initial stiffness of one."""
-    dictionary = solid.dictionary
-    deviations = solid.coefficients[dictionary.first_deviation : dictionary.first_term]
-    return float(deviations.max(initial=0.0))
+def stiffest_deviation(fit: DisplacementFit) -> float:
+    """Largest of the deviations, in units of the initial stiffness."""
+    dictionary, c = fit.material.dictionary, fit.material.coefficients
+    own = c[dictionary.first_deviation : dictionary.first_term]
+    return float(own.max(initial=0.0)) / fit.scale
 
 
-def warn_of_interpolation(solid: HyperelasticSolid) -> None:
-    """Warn where the deviations of a solid with an initial stiffness of one outweigh it by far."""
-    stiffest = stiffest_deviation(solid)
+def warn_of_interpolation(fit: DisplacementFit) -> None:
+    """Warn where the deviations outweigh the sheet at rest by far."""
+    stiffest = stiffest_deviation(fit)
     if stiffest > INTERPOLATES:
         warnings.warn(
             f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "
@@ -689,47 +717,3 @@ def warn_of_interpolation(solid: HyperelasticSolid) -> None:
             "(thickness=), or were the frames smoothed?",
             stacklevel=3,
         )
-
-
-def scaled_by_force(
-    solid: HyperelasticSolid,
-    frames: Samples,
-    forces: np.ndarray,
-    *,
-    width: float,
-    axis: int = 0,
-    thickness: np.ndarray | None = None,
-) -> HyperelasticSolid:
-    """The same solid with the scale that measured forces give.
-
-    Args:
-        solid: known up to its scale.
-        frames: that the forces belong to.
-        forces: pull along the axis on a section across it, over the thickness, shape [S]
-            in stress times length.
-        width: of that section in the reference [length], > 0; the stress on it is taken as that of
-            the interior.
-        axis: 0 for x, 1 for y.
-        thickness: of every node over that which the forces are divided by, shape [N]; one for none.
-
-    Raises InputError for forces of another number, another axis or width, or where the solid
-    carries no force.
-    """
-    if axis not in (0, 1) or not 0 < width < np.inf:
-        raise InputError(f"axis, width: expected 0 or 1 and a length > 0, got {axis} and {width}")
-    forces = np.asarray(forces, float)
-    if forces.shape != (len(frames),) or not np.isfinite(forces).all():
-        raise InputError(f"forces: expected {len(frames)} finite numbers")
-    op = HyperelasticOperator(solid.dictionary, frames, thickness=thickness)
-    carried = np.array(
-        [
-            width * piola_stress(op, u, solid.coefficients)[op.interior, axis, axis].mean()
-            for u in frames.u
-        ]
-    )
-    size = float(carried @ carried)
-    if not size > 0 or not float(carried @ forces) > 0:
-        raise InputError("forces: expected a pull with the sign of the solid's stress")
-    factor = float(carried @ forces) / size
-    known = {name: value for name, value in solid.provenance.items() if name != "stresses"}
-    return replace(solid, coefficients=factor * solid.coefficients, provenance=known)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from contextlib import nullcontext
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +18,11 @@ from scipy.special import ndtri, stdtrit
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import locked, parsed, write_json
+from warp_peri.files.atomic import finite, locked, parsed, plain, write_json
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, part, seen_of
-from warp_peri.tissue.fibres import rose
+from warp_peri.tissue.fibres import families, fibres_of, rose
 from warp_peri.tissue.from_displacement import (
     INTERPOLATES,
     DisplacementFit,
@@ -33,73 +35,60 @@ from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.placed import hyperelastic_errors, piola_stress
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
+KEPT = ("are there and are taken as they are", "of other frames or settings are left aside")
 RECORD = ".fit.json"
-"""How the name of a fit's record ends; its material is beside it."""
+"""How the name of a fit's record ends."""
 
 
 class KeptFits:
     """Fits by name and by a hash of frames and settings, as a sweep keeps its own.
 
     Args:
-        folder: for the files.
+        folder: for the files; none keeps nothing.
         frames: all of them.
         settings: what else a fit of a name depends on.
     """
 
-    def __init__(self, folder: Path, frames: Samples, settings: object) -> None:
+    def __init__(self, folder: Path | None, frames: Samples, settings: object) -> None:
         self.folder, self.key = folder, fingerprint(settings, frames)[:12]
 
     def count(self) -> tuple[int, int]:
         """Fits of these frames and settings, and of others."""
-        there = [path.name for path in self.folder.glob(f"*{RECORD}")]
+        there = [path.name for path in self.folder.glob(f"*{RECORD}")] if self.folder else []
         own = sum(name.endswith(f"_{self.key}{RECORD}") for name in there)
         return own, len(there) - own
 
     def fit(self, name: str, compute: Callable[[], DisplacementFit]) -> DisplacementFit:
         """What is kept under this name; where nothing can be read, compute it and write it."""
+        if self.folder is None:
+            return compute()
         stem = f"{name.replace(', ', '_').replace(' ', '_')}_{self.key}"
-        record, model = (self.folder / f"{stem}{end}" for end in (RECORD, ".model.json"))
-        found = _read(record, model)
-        if found is None:
+        record = self.folder / f"{stem}{RECORD}"
+        try:
+            return _read(parsed(record.read_bytes()))
+        except (OSError, ValueError, TypeError, KeyError, InputError):
             found = compute()
-            found.material.save(model)
-            write_json(
-                record,
-                {
-                    "errors": found.errors,
-                    "history": found.history,
-                    "frames_left_out": found.frames_left_out,
-                    "thickness": None if found.thickness is None else vars(found.thickness),
-                    "others": [
-                        [other.material.coefficients, other.thickness and other.thickness.numbers]
-                        for other in found.others
-                    ],
-                },
-            )
-        return found
+            write_json(record, finite(plain(_content(found))))
+            return found
 
 
-def _read(record: Path, model: Path) -> DisplacementFit | None:
-    try:
-        content = parsed(record.read_bytes())
-        thickness = content["thickness"] and Thickness(**content["thickness"])
-        read: dict[str, Any] = {
-            "errors": np.array(content["errors"], float),
-            "thickness": thickness,
-            "others": [],
-        }
-        fit = DisplacementFit(HyperelasticSolid.load(model), **(content | read))
-        others = [
-            replace(
-                fit,
-                material=replace(fit.material, coefficients=np.array(c, float)),
-                thickness=thickness and replace(thickness, numbers=numbers),
-            )
-            for c, numbers in content["others"]
-        ]
-        return replace(fit, others=others)
-    except (OSError, ValueError, TypeError, KeyError, InputError):
-        return None
+def _content(fit: DisplacementFit) -> dict[str, Any]:
+    return vars(fit) | {
+        "material": fit.material.content(),
+        "thickness": fit.thickness and vars(fit.thickness),
+        "others": [_content(other) for other in fit.others],
+        "fields": None,
+    }
+
+
+def _read(content: dict[str, Any]) -> DisplacementFit:
+    read = {
+        "material": HyperelasticSolid.of_content(content["material"]),
+        "errors": np.array(content["errors"], float),
+        "thickness": content["thickness"] and Thickness(**content["thickness"]),
+        "others": [_read(other) for other in content["others"]],
+    }
+    return DisplacementFit(**(content | read))
 
 
 REACH = 3.0
@@ -110,6 +99,9 @@ STEPS, TOLERANCE = 10, 3e-3
 """Of a fit."""
 UNEVEN = 2
 """Degree of the polynomial that is the logarithm of a thickness."""
+DIRECTIONS, WORSE = 8, 1.2
+"""Least directions that families of fibres are looked for in, and how many times worse than those
+they may fit."""
 LEAST_FRAMES = 4
 SETTINGS = (REACH, NEAREST, DEVIATIONS, STEPS, TOLERANCE, UNEVEN)
 
@@ -163,35 +155,32 @@ class SheetChoice:
 
     @property
     def material(self) -> HyperelasticSolid:
-        """The best one's; its scale is an initial stiffness of one."""
+        """The best one's; its scale is an initial stiffness of one where no frame has a pull."""
         return self.fit.material
 
     def curves(
-        self,
-        stretches: ArrayLike,
-        angle: float = 0.0,
-        level: float = 0.9,
-        scaled: Callable[[DisplacementFit], HyperelasticSolid] = lambda fit: fit.material,
+        self, stretches: ArrayLike, angle: float = 0.0, level: float = 0.9
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Nominal stress of uniaxial tension along a direction [rad], and the ends of its band.
 
-        In the scale of `scaled`, by default the material's own. The band is of each learned frame
-        left out, by Student's distribution, and of the misfit of frames that were never seen: no
-        error that all frames share. Raises InputError where deviations, which are no material,
+        The band is of each learned frame left out, by Student's distribution, of the misfit of
+        frames that were never seen, and of the scatter of the scale: no error that all frames
+        share. Raises InputError where deviations, which are no material,
         explain the frames.
         """
         n = len(self.others)
-        if (times := stiffest_deviation(self.material)) > INTERPOLATES:
+        if (times := stiffest_deviation(self.fit)) > INTERPOLATES:
             raise InputError(
                 f"frames: deviations came out {times:.0f} times as stiff as the sheet at rest and "
                 "explain the frames in the place of a material, which has no curves then"
             )
-        middle = uniaxial(scaled(self.fit), stretches, angle)
+        middle = uniaxial(self.material, stretches, angle)
         if n < 2:
             return middle, np.full_like(middle, np.nan), np.full_like(middle, np.nan)
-        values = np.array([uniaxial(scaled(fit), stretches, angle) for fit in self.others])
+        values = np.array([uniaxial(fit.material, stretches, angle) for fit in self.others])
         deviation = stdtrit(n - 1, (1 + level) / 2) * np.sqrt(n - 1) * values.std(axis=0)
-        half = np.hypot(deviation, ndtri((1 + level) / 2) * self.best.held_out * middle)
+        misfit = np.hypot(self.best.held_out, self.fit.scatter)
+        half = np.hypot(deviation, ndtri((1 + level) / 2) * misfit * middle)
         return middle, middle - half, middle + half
 
 
@@ -208,7 +197,7 @@ def choose_sheet(
 
     Args:
         frames: without loads, in the order of the test.
-        fibres: directions of fibres that are tried too; 0 for none.
+        fibres: directions, at least 8, that families of fibres are looked for in; 0 for none.
         uneven: whether each is tried with a thickness that varies, too.
         folder: keeps each fit as it ends; those of the same frames and settings that are there are
             taken as they are.
@@ -223,44 +212,20 @@ def choose_sheet(
         raise InputError(f"frames: expected at least {LEAST_FRAMES}, got {len(frames)}")
     if fibres < 0:
         raise InputError(f"fibres: expected a number of directions, or 0, got {fibres}")
-    tried = _candidates(fibres, uneven)
-    if folder is None:
-        return _chosen(frames, tried, None, done, progress)
-    with locked(folder):
-        kept = KeptFits(Path(folder), frames, SETTINGS)
-        if progress:
-            _tell(kept)
-        return _chosen(frames, tried, kept, done, progress)
-
-
-def _tell(kept: KeptFits) -> None:
-    """A line on stderr of what a folder held before."""
-    own, others = kept.count()
-    if own:
-        tqdm.write(
-            f"{kept.folder}: {own} fits are there and are taken as they are", file=sys.stderr
-        )
-    if others:
-        told = f"{kept.folder}: {others} fits of other frames or settings are left aside"
-        tqdm.write(told, file=sys.stderr)
-
-
-def _chosen(
-    frames: Samples,
-    candidates: Candidates,
-    kept: KeptFits | None,
-    done: Callable[[Candidate], None],
-    progress: bool,
-) -> SheetChoice:
     pick = np.arange(len(frames))[::-1] % 2 == 0
     train, test = part(frames, pick), part(frames, ~pick)
     tried: list[Candidate] = []
-    for name, (terms, degree) in candidates.items():
-        dictionary = Dictionary(REACH, (), NEAREST, terms)
-        even = [c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary]
-        start = even[0] if even else None
-        tried.append(_tried(name, train, test, dictionary, degree, kept, progress, start))
-        done(tried[-1])
+    with locked(folder) if folder is not None else nullcontext():
+        kept = KeptFits(Path(folder) if folder is not None else None, frames, SETTINGS)
+        for count, what in zip(kept.count(), KEPT) if progress else ():
+            if count:
+                tqdm.write(f"{folder}: {count} fits {what}", file=sys.stderr)
+        for name, (terms, degree) in _candidates(fibres, uneven).items():
+            dictionary = Dictionary(REACH, (), NEAREST, terms)
+            even = [c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary]
+            start = even[0] if even else None
+            tried.append(_tried(name, train, test, dictionary, degree, kept, progress, start))
+            done(tried[-1])
     least = min(candidate.held_out for candidate in tried)
     alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
     tried.sort(key=lambda c: (c.held_out > alike, c.held_out if c.held_out > alike else c.numbers))
@@ -275,7 +240,7 @@ def _candidates(fibres: int, uneven: bool) -> Candidates:
     kinds = {"neo-Hookean": (matrix,), "Mooney-Rivlin": (matrix, Term("mooney"))}
     kinds["Yeoh"] = (matrix, *(Term("yeoh", exponent=p) for p in (2.0, 3.0)))
     if fibres:
-        kinds[f"{fibres} directions of fibres"] = (matrix, *rose(fibres, (2.0, 4.0)))
+        kinds["families of fibres"] = (matrix, *rose(max(fibres, DIRECTIONS), (2.0, 4.0)))
     found = {name: (terms, 0) for name, terms in kinds.items()}
     if uneven:
         found |= {f"{name}, heterogeneous": (terms, UNEVEN) for name, terms in kinds.items()}
@@ -288,49 +253,54 @@ def _tried(
     test: Samples,
     dictionary: Dictionary,
     degree: int,
-    kept: KeptFits | None,
+    kept: KeptFits,
     progress: bool,
-    start: DisplacementFit | None = None,
+    start: DisplacementFit | None,
 ) -> Candidate:
     numbers = len(dictionary) + (len(Thickness.over(train.x, degree).names) if degree else 0)
+    fit, held_out, why = None, np.inf, ""
     try:
         check_enough(int(np.count_nonzero(train.interior)), "interior nodes", numbers)
-        fit = _fit(name, train, dictionary, degree, kept, progress, start)
+        fit = kept.fit(name, partial(_fit, train, dictionary, start, degree, progress and name))
+        found = fit.material.dictionary
+        numbers += len(found) - len(dictionary) + 2 * len(fibres_of(found))
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
         near = train.u if fit.fields is None else fit.fields
         errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness, near=near)
+        if errors["not_solved"]:
+            why = f"{name}: {errors['not_solved']} frames not solved"
+        else:
+            held_out = float(errors["E_u"])
     except OSError:  # a full disk is no fault of the candidate
         raise
     except Exception as error:  # solvers below run into anything; the others go on
-        return Candidate(name, None, np.inf, f"{name}: {error}", numbers)
-    if errors["not_solved"]:
-        why = f"{name}: {errors['not_solved']} frames not solved"
-        return Candidate(name, fit, np.inf, why, numbers)
-    return Candidate(name, fit, float(errors["E_u"]), numbers=numbers)
+        fit, why = None, f"{name}: {error}"
+    return Candidate(name, fit, held_out, why, numbers)
 
 
 def _fit(
-    name: str,
     train: Samples,
     dictionary: Dictionary,
-    degree: int,
-    kept: KeptFits | None,
-    progress: bool,
     start: DisplacementFit | None,
+    degree: int,
+    progress: bool | str,
 ) -> DisplacementFit:
-    def compute() -> DisplacementFit:
-        return fit_displacement(
-            train,
-            dictionary,
-            stiffness=DEVIATIONS,
-            start=start,
-            thickness=degree,
-            most_steps=STEPS,
-            tolerance=TOLERANCE,
-            progress=progress and name,
-        )
-
-    return compute() if kept is None else kept.fit(name, compute)
+    """A material; of fibres in fixed directions the families that they tell, (H15)."""
+    options: dict[str, Any] = {
+        "stiffness": DEVIATIONS,
+        "thickness": degree,
+        "most_steps": STEPS,
+        "tolerance": TOLERANCE,
+        "progress": progress,
+    }
+    wide = fit_displacement(train, dictionary, start=start, **options)
+    directions = len({term.angle for term in dictionary.terms if term.is_fibre})
+    for within in (1.6 * np.pi / directions, 0.0) if directions else ():
+        found, c = families(wide.material, within=within)
+        fit = fit_displacement(train, found, moving=True, start=c, **options)
+        if fit.history[-1] < WORSE * wide.history[-1]:
+            return fit
+    return wide
 
 
 def uniaxial(solid: HyperelasticSolid, stretches: ArrayLike, angle: float = 0.0) -> np.ndarray:
