@@ -34,11 +34,12 @@ if TYPE_CHECKING:
     from warp_peri.errors import InputError
     from warp_peri.learning.diagnosis import diagnose
     from warp_peri.learning.evaluate import evaluate
-    from warp_peri.learning.laws import LPS, ThirdOrder, fit
+    from warp_peri.learning.laws import LPS, fit
     from warp_peri.learning.methods import Bernstein
     from warp_peri.lps.model import Model
     from warp_peri.materials.density import Density, DensityMaterial
-    from warp_peri.micromodulus.learning import Micromodulus
+    from warp_peri.materials.third_order_fit import ThirdOrder
+    from warp_peri.micromodulus.crystal_fit import Micromodulus
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.mesh import Mesh
     from warp_peri.points.points import Points
@@ -95,11 +96,12 @@ _NAMES = {
     "errors": ("InputError",),
     "learning.diagnosis": ("diagnose",),
     "learning.evaluate": ("evaluate",),
-    "learning.laws": ("LPS", "ThirdOrder", "fit"),
+    "learning.laws": ("LPS", "fit"),
     "learning.methods": ("Bernstein",),
-    "micromodulus.learning": ("Micromodulus",),
+    "micromodulus.crystal_fit": ("Micromodulus",),
     "lps.model": ("Model",),
     "materials.density": ("Density", "DensityMaterial"),
+    "materials.third_order_fit": ("ThirdOrder",),
     "points.dataset": ("Dataset",),
     "points.mesh": ("Mesh",),
     "points.points": ("Points",),

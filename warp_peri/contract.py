@@ -10,7 +10,7 @@ import sys
 import warnings
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import wraps
 from importlib import import_module
 from inspect import signature
@@ -242,10 +242,11 @@ class Material(Protocol):
 
 @dataclass(frozen=True)
 class MaterialFit:
-    """A learned `material`, and its `history`: losses and numbers on the way."""
+    """A learned `material`, its `history`: losses and numbers on the way, and its `errors`."""
 
     material: Any
     history: dict[str, Any]
+    errors: dict[str, float] = field(default_factory=dict)
 
     @property
     def certificate(self) -> Any:

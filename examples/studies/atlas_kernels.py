@@ -20,7 +20,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.quadrature import RESIDUAL, family_weights
 from warp_peri.regression.coordinates import Coordinates, Parameters
 from warp_peri.regression.losses import ReducedLoss, reduce, sample_weights
-from warp_peri.regression.optimum import LatticeConditions, ZoneSearch
+from warp_peri.regression.optimum import LatticeConditions
 from warp_peri.statics.direct import MatrixProblem
 
 FREE = Optimum(moduli=None)
@@ -66,8 +66,8 @@ def unconstrained(grid: ReducedLoss, degree: int) -> tuple[Parameters, float, fl
     assert best is not None
     cost, y, coordinates = best
     point = coordinates.point(y)
-    search = ZoneSearch(LatticeConditions(grid.classes, Conditions("direct", 1.0)))
-    smallest = float(search.worst(point.v[0], point.kappa)[0][0]) + 1.0
+    asked = LatticeConditions(grid.classes, Conditions("direct", 1.0))
+    smallest = float(asked.smallest(point.v[0], point.kappa)[0]) + 1.0
     return coordinates.parameters(y, []), float(np.sqrt(2 * cost)), smallest
 
 
@@ -224,8 +224,8 @@ def plain_symbol(alpha: float, ratio: float) -> tuple[float, float, float]:
     kappa = (LAM - MU) / MU**2
     x1, x2 = classes.xi.T
     shear = 8 * v[classes.bond_class] @ (x1**2 * x2**2 / (x1**2 + x2**2))
-    search = ZoneSearch(LatticeConditions(classes, Conditions("direct", 1.0)))
-    smallest = search.worst(v, kappa)[0][0] + 1.0
+    asked = LatticeConditions(classes, Conditions("direct", 1.0))
+    smallest = asked.smallest(v, kappa)[0] + 1.0
     return shear / MU, smallest / MU, classes.count[0] * v[0] / MU
 
 

@@ -18,9 +18,7 @@ from tools.statics import ColouredHessian, ConvergenceError, Statics, find_bonds
 from warp_peri import Dataset, Dirichlet, Model, Points, move
 from warp_peri.dynamics import verlet
 from warp_peri.dynamics.verlet import INERTIA
-from warp_peri.lps.model import stiffnesses
-from warp_peri.lps.symbol import symbol
-from warp_peri.points.families import bond_classes
+from warp_peri.lps.model import lps_stencil
 from warp_peri.proofs import critical_time_step
 from warp_peri.structures.calculators import potential_file
 
@@ -34,9 +32,7 @@ EV_PER_AMU = 9648.533212
 
 def frequencies(model: Model, spacing: float, density: float, k: np.ndarray) -> np.ndarray:
     """Angular frequencies [1/ps] of both branches at wave vectors k [1/Å], shape [K, 2]."""
-    classes = bond_classes(spacing, model.horizon)
-    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
-    D = np.stack([d11, d12, d12, d22], axis=-1).reshape(-1, 2, 2)
+    D = lps_stencil(model, spacing).symbol(spacing * k)
     return np.sqrt(np.linalg.eigvalsh(D) / (INERTIA * density))
 
 

@@ -24,7 +24,7 @@ from warp_peri.lps.operator import lps_force
 from warp_peri.methods import Conditions, Solid
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.regression.losses import reduce, sample_weights
-from warp_peri.regression.optimum import LatticeConditions, ZoneSearch
+from warp_peri.regression.optimum import LatticeConditions
 
 MU = 0.7223
 HORIZON = 20.0
@@ -145,7 +145,7 @@ def by_bulk_modulus(
     """Smallest D(k)/s(k) over μ, and the condition of L on 12 × 12 nodes, for every BULK."""
     small = square_lattice(12, HORIZON, spacing)
     classes = bond_classes(spacing, HORIZON)
-    search = ZoneSearch(LatticeConditions(classes, Conditions("direct", 1.0)))
+    asked = LatticeConditions(classes, Conditions("direct", 1.0))
     symbols: dict[str, list[float]] = {}
     conditions: dict[str, list[float]] = {}
     unknown = np.repeat(small.interior, 2)
@@ -153,7 +153,7 @@ def by_bulk_modulus(
         symbols[name], conditions[name] = [], []
         for value in tqdm(BULK, desc=name):
             model = Model((value - 1) * MU, MU, alpha, D, HORIZON)
-            worst = search.worst(*stiffnesses(model, classes))[0][0] + 1.0
+            worst = asked.smallest(*stiffnesses(model, classes))[0] + 1.0
             symbols[name].append(float(worst) / MU)
             L = matrices(model, small).operator(model.lam, model.mu)[:, unknown].toarray()
             conditions[name].append(float(np.linalg.cond(L)))

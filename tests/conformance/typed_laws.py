@@ -1,8 +1,9 @@
 """Materials and operators as the contract's protocols: mypy holds them to it."""
 
 from warp_peri.contract import Law, Material, Operator, Problem
-from warp_peri.learning.laws import LPS, ThirdOrder
+from warp_peri.learning.laws import LPS
 from warp_peri.lps.model import Model
+from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
 from warp_peri.statics.lps import PlacedLPS

@@ -8,12 +8,10 @@ import pytest
 from tests.known_problems.statics import THIRD, UnitScale, material
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise, periodic
 from tests.support.solving import velocity_verlet
+from tests.support.symbols import symbol
 from warp_peri import InputError
 from warp_peri.dynamics.verlet import INERTIA, Inert, march, step
 from warp_peri.lps.matrices import matrices
-from warp_peri.lps.model import stiffnesses
-from warp_peri.lps.symbol import symbol
-from warp_peri.points.families import bond_classes
 from warp_peri.problems import Dirichlet
 from warp_peri.proofs import critical_time_step
 from warp_peri.solving import move
@@ -26,9 +24,7 @@ ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 201)]), -1).reshape
 
 def largest(model, k, spacing=1.0):
     """Λmax D(k)."""
-    classes = bond_classes(spacing, model.horizon)
-    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
-    return np.linalg.eigvalsh(np.stack([d11, d12, d12, d22], axis=-1).reshape(-1, 2, 2))[:, 1]
+    return np.linalg.eigvalsh(symbol(model, k, spacing))[:, 1]
 
 
 def box_of(model, spacing):

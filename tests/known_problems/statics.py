@@ -15,8 +15,8 @@ from warp_peri.edges.body import BodySolution
 from warp_peri.edges.bulk import MARGIN
 from warp_peri.edges.rim import Moduli
 from warp_peri.lps.model import Model
+from warp_peri.micromodulus.crystal_fit import fit_symbol
 from warp_peri.micromodulus.law import tensors_of
-from warp_peri.micromodulus.waves import fit_symbol
 from warp_peri.points.mesh import make_mesh, make_tetrahedra
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import LENGTHS, Units

@@ -14,7 +14,7 @@ from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.lps.symbol import moduli
 from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.optimum import LatticeConditions, ZoneSearch
+from warp_peri.regression.optimum import LatticeConditions
 
 LAM, MU = -0.2, 0.7
 ZETA = 0.01
@@ -83,9 +83,9 @@ def test_adam_by_itself_reaches_the_constrained_optimum(kind, moduli):
     assert len(learned.starts) == 4
     assert min(learned.starts.values()) > 1e-3
     assert first.loss[-1] <= 1.001 * second.loss[-1]
-    search = ZoneSearch(LatticeConditions(bond_classes(1.0, 2.5), asked))
+    kept = LatticeConditions(bond_classes(1.0, 2.5), asked)
     model = Model(*(getattr(first.parameters, n) for n in ("lam", "mu", "alpha", "D")), 2.5)
-    assert search.worst(*shares(model))[0].min() >= -1e-6
+    assert kept.smallest(*shares(model)).min() >= -1e-6
 
 
 def test_a_violating_model_ends_feasible_with_the_condition_active():
@@ -108,8 +108,8 @@ def test_the_printed_conditions_hold_densely_and_are_active():
     assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_max
     assert dense.schwarz
     assert dense.gamma_min > 0
-    search = ZoneSearch(LatticeConditions(bond_classes(1.0, horizon), Conditions("paper", ZETA)))
-    margins, _ = search.worst(*shares(learned.material))
+    kept = LatticeConditions(bond_classes(1.0, horizon), Conditions("paper", ZETA))
+    margins = kept.smallest(*shares(learned.material))
     assert (margins >= -1e-8).all()
     # the model that made the data keeps (i) and breaks (iii)
     assert margins[2] == pytest.approx(0, abs=1e-6)

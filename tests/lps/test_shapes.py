@@ -10,12 +10,14 @@ import torch
 from tests.support.problems import GRADIENT, REDUCED, difference, kernel, lattice, manufactured
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from warp_peri import InputError, certify
+from warp_peri.fitting.regression import Regression
 from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.shapes import gaussian, table
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.coordinates import Parameters, ShapeCoordinates
 from warp_peri.regression.losses import FullLoss, reduce, sample_weights
-from warp_peri.regression.optimum import Conditions, ConstrainedProblem, LatticeConditions
+from warp_peri.regression.optimum import Conditions, LatticeConditions, LPSNumbers
+from warp_peri.regression.settings import Optimum
 from warp_peri.shapes import InfluenceFunction
 
 # The polynomial
@@ -106,14 +108,12 @@ def test_the_gradient_through_the_whole_forward_pass(shape):
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     (weight,) = sample_weights([points], normalise=False)
     classes, full = bond_classes(1.0, HORIZON), FullLoss(points, HORIZON, weight)
-    coordinates = ShapeCoordinates([classes], shape)
-    problem = ConstrainedProblem(
-        [reduce(points, HORIZON, weight)],
-        [LatticeConditions(classes, Conditions("direct", 0.01))],
-        coordinates,
-        None,
-    )
-    y = coordinates.start(Parameters(0.3, 0.5, 0.0, np.ones(1), shape=off(shape)))
+    start = Parameters(0.3, 0.5, 0.0, np.ones(1), shape=off(shape))
+    asked, free = LatticeConditions(classes, Conditions("direct", 0.01)), Optimum(moduli=None)
+    law = LPSNumbers([classes], start, [asked], free)
+    problem = Regression([reduce(points, HORIZON, weight).block], law, 0.01, 1.0)
+    coordinates = law.coordinates
+    y = coordinates.start(start)
 
     def loss(y):
         parameters = coordinates.parameters(y, [])
@@ -123,7 +123,8 @@ def test_the_gradient_through_the_whole_forward_pass(shape):
         )
         return np.array(full.loss(*numbers).item())
 
-    e, slope = problem.residual(y)
+    state = problem.state(y)
+    e, slope = state.residual, state.J
     expected = difference(loss, y, 1e-3)
     assert e @ e == pytest.approx(loss(y), rel=1e-6)
     assert np.abs(expected).min() > 0 or shape is SHAPES["table"]

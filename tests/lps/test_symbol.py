@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 
 from tests.support.problems import KERNELS, kernel, periodic
-from warp_peri.lps.model import stiffnesses
-from warp_peri.lps.symbol import moduli, symbol, zone_wedge
+from tests.support.symbols import smallest, symbol
+from warp_peri.core.stencil import laplacian, zone_sample
+from warp_peri.lps.model import lps_stencil, stiffnesses
+from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import bond_classes
+from warp_peri.regression.losses import class_pairs, lattice_group, product_basis
 from warp_peri.transfer.operator import LPSOperator
 
 every_kernel = pytest.mark.parametrize("name", KERNELS)
@@ -14,8 +17,7 @@ every_kernel = pytest.mark.parametrize("name", KERNELS)
 
 def matrix(model, classes, k):
     """D(k), shape [K, 2, 2]."""
-    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
-    return np.stack([d11, d12, d12, d22], axis=-1).reshape(-1, 2, 2)
+    return lps_stencil(model, classes.spacing).symbol(classes.spacing * k)
 
 
 @every_kernel
@@ -46,33 +48,37 @@ def test_long_waves_feel_the_moduli(name):
 
 
 @every_kernel
-def test_ratio_is_the_smallest_eigenvalue_over_the_laplacian(name):
+def test_the_stencil_has_the_symbol_of_the_formula(name):
     model, classes = kernel(name, 2.5, 2.0 / 2), bond_classes(1.0, 2.5)
     k = np.random.default_rng(1).uniform(-np.pi, np.pi, (20, 2))
-    smallest = np.linalg.eigvalsh(matrix(model, classes, k))[:, 0]
-    laplacian = 4 * (np.sin(k / 2) ** 2).sum(1)
-    ratio = symbol(classes, k).ratio(*stiffnesses(model, classes))
-    np.testing.assert_allclose(ratio, smallest / laplacian, rtol=1e-11)
+    expected = symbol(model, k)
+    size = np.abs(expected).max()
+    np.testing.assert_allclose(matrix(model, classes, k), expected, atol=1e-13 * size)
+    v, kappa = stiffnesses(model, classes)
+    bonds, (i, j) = product_basis(classes), class_pairs(len(v))
+    p = np.concatenate([v, kappa * v[i] * v[j]])
+    np.testing.assert_allclose(
+        np.tensordot(bonds.symbol(k), p, (1, 0)), expected, atol=1e-13 * size
+    )
 
 
 def test_the_laplacian_is_the_five_point_one():
     points, (n1, n2) = periodic((6, 5), 2.0)
     k = 2 * np.pi * np.array([2 / n1, 1 / n2])
     wave = np.exp(1j * points.x @ k).reshape(6, 5)
-    five = sum(wave - np.roll(wave, step, axis) for axis in (0, 1) for step in (1, -1)) / 4.0
-    plain = symbol(bond_classes(2.0, 4.0), k[None]).laplacian
-    np.testing.assert_allclose(five, plain * wave, atol=1e-13)
+    five = sum(wave - np.roll(wave, step, axis) for axis in (0, 1) for step in (1, -1))
+    np.testing.assert_allclose(five, laplacian(2.0 * k[None]) * wave, atol=1e-13)
 
 
 @every_kernel
-def test_the_wedge_has_the_values_of_the_whole_zone(name):
-    model, classes = kernel(name, 2.5), bond_classes(1.0, 2.5)
-    intervals = 8
+def test_the_sample_has_the_values_of_the_whole_zone(name):
+    model, intervals = kernel(name, 2.5), 8
     line = np.pi * np.arange(-intervals, intervals + 1) / intervals
     zone = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
     zone = zone[np.abs(zone).sum(1) > 0]
-    wedge = zone_wedge(1.0, intervals)
-    ratio = [symbol(classes, k).ratio(*stiffnesses(model, classes)) for k in (zone, wedge[9:])]
+    part = zone_sample(lattice_group(2), 2, intervals)
+    part = part[np.abs(part).max(axis=1) > 0.1]
+    assert len(part) < len(zone) / 6
+    ratio = [smallest(symbol(model, k), k) for k in (zone, part)]
     assert ratio[0].min() == pytest.approx(ratio[1].min(), rel=1e-12)
     assert ratio[0].max() == pytest.approx(ratio[1].max(), rel=1e-12)
-    assert np.abs(wedge[:9]).max() < 1e-3

@@ -14,10 +14,10 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples, diagnose, evaluate
 from warp_peri.edges.body import solve_body
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.laws import ThirdOrder
 from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.methods import Conditions, Constrained, Smoothing, sweep
-from warp_peri.micromodulus.learning import Micromodulus
+from warp_peri.micromodulus.crystal_fit import Micromodulus
 from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh

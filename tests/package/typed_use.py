@@ -15,10 +15,10 @@ import torch
 import warp_peri
 from warp_peri import methods, proofs, transfers
 from warp_peri.atoms import LearnedCrystal
+from warp_peri.contract import MaterialFit
 from warp_peri.edges.body import BodyGradient, Coupling, body_gradient
 from warp_peri.learning.diagnosis import Diagnosis
 from warp_peri.learning.result import Fit
-from warp_peri.third_order.fit import ThirdOrderFit
 from warp_peri.third_order.material import ThirdOrderCrystal
 
 SPACING, HORIZON, DENSITY, THICKNESS = 1.0, 2.5, 2200.0, 3.35
@@ -152,8 +152,8 @@ def nonlinear(train: warp_peri.Samples, folder: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a linear law made the data
         law = warp_peri.ThirdOrder(warp_peri.Micromodulus(HORIZON), methods.Smoothing(4.0))
-        fit = assert_type(warp_peri.fit(train, law), ThirdOrderFit)
-    model = assert_type(fit.material, ThirdOrderCrystal)
+        fit = assert_type(warp_peri.fit(train, law), MaterialFit)
+    model: ThirdOrderCrystal = fit.material
     assert_type(methods.Smoothing(4.0).inverse(np.array([0.1])), np.ndarray)
     figures = assert_type(proofs.uniqueness(model, spacing=SPACING), proofs.Uniqueness)
     assert_type(figures.strain, float)

@@ -17,6 +17,7 @@ from tests.support.problems import (
     noise,
 )
 from warp_peri import InputError
+from warp_peri.fitting import rows
 from warp_peri.regression import losses
 from warp_peri.regression.losses import FullLoss, sample_weights
 from warp_peri.transfer.operator import LPSOperator
@@ -67,7 +68,7 @@ def compare(grids, full, parameters):
 @pytest.mark.parametrize("sets", SETS.values(), ids=SETS)
 def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch):
     if block:
-        monkeypatch.setattr(losses, "_BLOCK_BYTES", block)
+        monkeypatch.setattr(rows, "BLOCK", block)
     grids, full = both(sets, normalise)
     start = leaves(0.0, 1.0, alpha=1.0, D=np.random.default_rng(0).uniform(size=4))
     _, _, size = compare(grids, full, start)
@@ -82,11 +83,9 @@ def test_blocks_leave_the_loss_as_it_is(monkeypatch):
     (weight,) = sample_weights([points], normalise=False)
     whole = losses.reduce(points, HORIZON, weight).R
     launches = []
-    real = losses.Features.__call__
-    monkeypatch.setattr(losses, "_BLOCK_BYTES", 1)
-    monkeypatch.setattr(
-        losses.Features, "__call__", lambda self, u: launches.append(u) or real(self, u)
-    )
+    real = rows.forces
+    monkeypatch.setattr(rows, "BLOCK", 1)
+    monkeypatch.setattr(rows, "forces", lambda u, *grid: launches.append(u) or real(u, *grid))
     blocks = losses.reduce(points, HORIZON, weight).R
     assert [len(u) for u in launches] == [1, 1, 1, 1]
     assert blocks.shape == whole.shape

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError
-from warp_peri.regression.search import least_squares_above
+from warp_peri.fitting.regression import least_squares_above
 
 
 def test_the_optimum_is_one():

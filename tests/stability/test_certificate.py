@@ -8,11 +8,9 @@ import scipy.sparse as sp
 
 from tests.support import reference
 from tests.support.problems import KERNELS, ell, kernel, lattice, periodic
+from tests.support.symbols import smallest, symbol
 from warp_peri import InputError, Model, certify
 from warp_peri.lps.matrices import matrices
-from warp_peri.lps.model import stiffnesses
-from warp_peri.lps.symbol import symbol
-from warp_peri.points.families import bond_classes
 from warp_peri.stability.certificate import DENSE, smallest_eigenvalue
 from warp_peri.transfer.operator import LPSOperator
 
@@ -22,8 +20,7 @@ VIOLATING = kernel("sign-changing", 2.5)
 
 
 def smallest_ratio(model):
-    classes = bond_classes(1.0, model.horizon)
-    return symbol(classes, ZONE).ratio(*stiffnesses(model, classes)).min()
+    return smallest(symbol(model, ZONE), ZONE).min()
 
 
 @pytest.mark.parametrize("horizon", [2.0, 3.0, 4.0, 5.0])

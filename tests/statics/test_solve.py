@@ -9,10 +9,8 @@ from scipy.optimize import brentq
 from tests.micromodulus.crystals import learned
 from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
+from tests.support.symbols import smallest, symbol
 from warp_peri import Dirichlet, InputError, Model, Periodic, Points
-from warp_peri.lps.model import stiffnesses
-from warp_peri.lps.symbol import symbol
-from warp_peri.points.families import bond_classes
 from warp_peri.solving import solve as at_rest
 from warp_peri.statics.linear import DIRECT, cheapest_method
 from warp_peri.transfer.operator import LPSOperator
@@ -91,9 +89,8 @@ def passing(a):
 
 def symbol_at_the_corner(a):
     """Smallest ratio at (π, π)."""
-    classes = bond_classes(1.0, HORIZON)
-    corner = symbol(classes, np.full((1, 2), np.pi))
-    return corner.ratio(*stiffnesses(passing(a), classes))[0]
+    corner = np.full((1, 2), np.pi)
+    return smallest(symbol(passing(a), corner), corner)[0]
 
 
 def smallest_eigenvalue(a, points):

@@ -8,7 +8,7 @@ import torch
 
 from tests.micromodulus.crystals import cubic_tensor, dispersive
 from tests.support.problems import AXIS
-from warp_peri.micromodulus.waves import fit_symbol
+from warp_peri.micromodulus.crystal_fit import fit_symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.third_order.material import ThirdOrderCrystal

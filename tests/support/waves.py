@@ -5,21 +5,17 @@ import dataclasses
 import numpy as np
 
 from tests.support.problems import lattice
+from tests.support.symbols import symbol
 from warp_peri import Samples
-from warp_peri.lps.model import stiffnesses
-from warp_peri.lps.symbol import symbol
-from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import nodes_of
 
 
 def waves(model, cells=6, period=19.0, highest=4):
     """Loads cos k₁x cos k₂y along each axis, answered exactly by the model; |u| ≈ 1 each."""
     points = lattice(cells, model.horizon)
-    classes = bond_classes(1.0, model.horizon)
     k = np.array([(p, q) for p in range(highest) for q in range(highest)][1:]) * 2 * np.pi / period
     k = np.repeat(k, 2, axis=0)
-    d11, d22, d12 = symbol(classes, k).entries(*stiffnesses(model, classes))
-    D = np.stack([d11, d12, d12, d22], axis=1).reshape(-1, 2, 2)
+    D = symbol(model, k)
     load = np.tile(np.eye(2), (len(k) // 2, 1))
     answer = np.linalg.solve(D, load[..., None])[..., 0]
     scale = 1 / np.linalg.norm(answer, axis=1, keepdims=True)

@@ -15,10 +15,10 @@ from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
-from warp_peri.learning.laws import ThirdOrder, fit
-from warp_peri.micromodulus.learning import Micromodulus
-from warp_peri.micromodulus.regression import long_wave_moduli
-from warp_peri.micromodulus.waves import fit_symbol
+from warp_peri.fitting.long_waves import long_wave_moduli
+from warp_peri.learning.laws import fit
+from warp_peri.materials.third_order_fit import ThirdOrder
+from warp_peri.micromodulus.crystal_fit import Micromodulus, fit_symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.statics import linear
@@ -154,11 +154,11 @@ def test_what_made_the_data_is_found_again(law):
     with pytest.warns(UserWarning, match=r"the training data reach .*; a larger ridge"):
         found = fit(samples, ThirdOrder(recipe, law.smoothing, law.form))
     model = found.material
-    assert found.largest_gradient > model.proven_strain(1.0)
+    assert found.history["largest_gradient"] > model.proven_strain(1.0)
     np.testing.assert_allclose(model.numbers, law.numbers, rtol=1e-6)
     size = np.abs(law.linear.tensors).max()
     np.testing.assert_allclose(model.linear.tensors, law.linear.tensors, atol=1e-7 * size)
-    assert found.E_res_train < 1e-8
+    assert found.errors["E_res"] < 1e-8
     assert model.proven["strain"] == pytest.approx(law.proven["strain"], rel=1e-4)
 
 

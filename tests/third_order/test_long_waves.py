@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError, Points, Samples
-from warp_peri.third_order.fit import _stresses, long_wave_moduli
+from warp_peri.fitting.long_waves import _stresses, lame_of_long_waves
 
 LAM, MU, SIDE = 0.3, 0.7, 24
 CONSTANTS = np.array([LAM, MU, -1.0, -3.0, 0.8, 0.0, 0.0, -4.0, 0.0])
@@ -72,14 +72,14 @@ def test_stresses_are_slopes_of_their_energies():
 def test_linear_fields_with_dispersion_take_dispersion_alone():
     """Fields whose strains are of no size, as force constants answer, have nothing nonlinear."""
     samples = waves(1, 3.0, np.zeros(9), bent=0.8)
-    waves_of = long_wave_moduli([samples])
+    waves_of = lame_of_long_waves([samples])
     assert waves_of.terms == ("dispersion",)
     assert (waves_of.lam, waves_of.mu) == pytest.approx((LAM, MU), rel=1e-8)
 
 
 def test_fourth_order_is_taken_where_the_fields_have_it():
     samples = waves(2, 0.1, CONSTANTS)
-    found = long_wave_moduli([samples])
+    found = lame_of_long_waves([samples])
     assert {"third order", "q²"} <= set(found.terms)
     off = np.abs([found.lam - LAM, found.mu - MU])
     assert (off < 5e-3 * MU).all()
@@ -90,7 +90,7 @@ def test_an_axis_that_is_not_stated_is_learned():
     stated = waves(3, 0.1, CONSTANTS)
     points = Points(stated.x, stated.interior, 1.0, box=stated.points.box)
     one, other = (
-        long_wave_moduli([each]) for each in (stated, Samples(points, stated.u, stated.loads))
+        lame_of_long_waves([each]) for each in (stated, Samples(points, stated.u, stated.loads))
     )
     assert (one.lam, one.mu) == pytest.approx((other.lam, other.mu), abs=5e-3 * MU)
 
@@ -98,4 +98,4 @@ def test_an_axis_that_is_not_stated_is_learned():
 def test_fields_of_one_wave_are_refused():
     samples = waves(4, 0.1, np.zeros(9))
     with pytest.raises(InputError, match="moduli: the long waves of these loads"):
-        long_wave_moduli([Samples(samples.points, 0 * samples.u, samples.loads)])
+        lame_of_long_waves([Samples(samples.points, 0 * samples.u, samples.loads)])

@@ -139,7 +139,7 @@ def run_train(given: argparse.Namespace) -> Result:
     from warp_peri.learning import methods
     from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
     from warp_peri.learning.sweep import train
-    from warp_peri.micromodulus.learning import long_waves_of_data
+    from warp_peri.micromodulus.crystal_fit import long_waves_of_data
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)

@@ -159,9 +159,14 @@ def zone_sample(group: np.ndarray, dimension: int, intervals: int | None = None)
     return np.concatenate([grid, LONG * axes, LONG * directions(DIRECTIONS[dimension], dimension)])
 
 
-def ratios(steps: np.ndarray, tensors: np.ndarray, phase: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Λmin D/s h^−2 at k h = `phase`, shape [K], and the eigenvectors it is taken at, [K, d]."""
-    symbol = np.tensordot(bend(phase, steps), tensors, 1)
+def ratios(
+    steps: np.ndarray, tensors: np.ndarray, phase: np.ndarray, wave: np.ndarray | None = None
+) -> tuple[np.ndarray, ...]:
+    """Λmin D/s h^−2 at k h = `phase`, shape [K], and the eigenvectors it is taken at, [K, d].
+
+    `wave` is bend(phase, steps), where that is known.
+    """
+    symbol = np.tensordot(bend(phase, steps) if wave is None else wave, tensors, 1)
     value, vector = np.linalg.eigh(symbol)
     return value[:, 0] / laplacian(phase), vector[:, :, 0]
 
@@ -223,12 +228,10 @@ class Basis:
     Attributes:
         steps: ξ/h, shape [H, d] int64; the other half is −steps.
         basis: invariant tensors: C(ξ) = Σ_a p_a basis[a, ξ], shape [P, H, d, d].
-        orbit: number of the orbit that each bond is in, shape [H].
     """
 
     steps: np.ndarray
     basis: np.ndarray
-    orbit: np.ndarray
 
     @property
     def dimension(self) -> int:
@@ -271,13 +274,12 @@ def invariant_basis(reach: float, group: np.ndarray) -> Basis:
     number = {tuple(step): i for i, step in enumerate(steps)}
     number |= {tuple(-step): i for i, step in enumerate(steps)}
     plain = symmetric_matrices(d).reshape(-1, d * d)
-    orbit = np.full(len(steps), -1)
-    basis = []
+    seen, basis = np.zeros(len(steps), bool), []
     for first, step in enumerate(steps):
-        if orbit[first] >= 0:
+        if seen[first]:
             continue
         image = np.array([number[tuple(g @ step)] for g in group])
-        orbit[image] = orbit.max() + 1
+        seen[image] = True
         fixing = group[image == first]  # ξ and −ξ carry the same tensor
         mean = np.mean([np.kron(g, g) for g in fixing], axis=0)
         vectors, size, _ = np.linalg.svd(mean @ plain.T)
@@ -285,4 +287,4 @@ def invariant_basis(reach: float, group: np.ndarray) -> Basis:
             on_bonds = np.zeros((len(steps), d, d))
             on_bonds[image] = group @ tensor.reshape(d, d) @ group.transpose(0, 2, 1)
             basis.append((on_bonds + on_bonds.transpose(0, 2, 1)) / 2)
-    return Basis(steps, np.array(basis), orbit)
+    return Basis(steps, np.array(basis))

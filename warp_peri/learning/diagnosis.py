@@ -17,7 +17,7 @@ from warp_peri.lps.model import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
-from warp_peri.regression.losses import Features, noise_loss, sample_weights
+from warp_peri.regression.losses import Products, noise_loss, sample_weights
 from warp_peri.shown import in_rows
 
 
@@ -82,7 +82,7 @@ class SheetFeatures:
         """
         if not self._dilatation:
             return self.orbits()
-        forces = Features(self._samples, self._horizon)(self._samples.u)
+        forces = Products(self._samples, self._horizon)(self._samples.u)
         along: np.ndarray = np.einsum("sifa,ab->sibf", forces, self.axes)
         return along
 

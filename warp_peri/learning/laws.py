@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from inspect import signature
 from typing import Any, overload
 
-from warp_peri.contract import offered, taken
+from warp_peri.contract import MaterialFit, offered, taken
 from warp_peri.errors import InputError
 from warp_peri.learning.fit import learn
 from warp_peri.learning.in_space import learn_in_space
 from warp_peri.learning.methods import Bernstein, Kernel, Method
 from warp_peri.learning.result import Fit
 from warp_peri.learning.training_data import listed
-from warp_peri.micromodulus.learning import Micromodulus, one_set
+from warp_peri.materials.third_order_fit import ThirdOrder
+from warp_peri.micromodulus.crystal_fit import Micromodulus
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.samples import Samples
 from warp_peri.regression.optimum import Conditions
 from warp_peri.regression.settings import Optimum
-from warp_peri.third_order.fit import ThirdOrderFit, fit_third_order
-from warp_peri.third_order.material import FORMS
-from warp_peri.third_order.smoothing import Smoothing
 
 Sets = Samples | Dataset | Sequence[Samples]
 
@@ -92,79 +89,14 @@ class LPS:
                 'samples: in space expected one set, Bernstein(degree), Optimum(), "direct" '
                 "conditions, and the residual without noise"
             )
-        how = {"degree": kernel.degree, "moduli": method.held}
+        how = {"degree": kernel.degree, "method": method}
         return how | {"zeta": asked.zeta, "normalise": self.normalise}
-
-
-@dataclass(frozen=True)
-class ThirdOrder:
-    """A crystal with third-order elastic constants t3, tq2, q3 (theory, N1–N6, N22–N29).
-
-    Attributes:
-        linear: Micromodulus(…), whose tensors are learned with the constants by one least squares;
-            its "auto" symmetry is "isotropic" here.
-        smoothing: of the data, which the weights of the gradient undo.
-        form: "filtered", closer to the data, or "energy", whose force has an energy and can move.
-
-    The direction of the crystal is stated by the samples' points (Points.axis). `fit` raises
-    InputError for another linear part, form or smoothing, and where no moduli are held.
-
-    >>> law = wp.ThirdOrder(wp.Micromodulus(10.0), wp.methods.Smoothing(10.0, 0.2), "energy")
-    >>> wp.fit(samples, law).material.proven_strain(5.0) > 0
-    True
-    """
-
-    linear: Micromodulus
-    smoothing: Smoothing
-    form: str = "filtered"
-
-    def learn(
-        self,
-        samples: Sets,
-        *,
-        noise: Samples | Sequence[Samples] | None = None,
-        progress: bool | None = None,
-    ) -> ThirdOrderFit:
-        """The fit; a UserWarning says where training data reach beyond the proven strain."""
-        linear, smoothing = self.linear, self.smoothing
-        if not isinstance(linear, Micromodulus):
-            raise InputError(
-                "linear: expected Micromodulus(horizon); an LPS goes in by "
-                f"ThirdOrderCrystal(tensors_of(model, spacing), …), got {linear!r:.60}"
-            )
-        if self.form not in FORMS:
-            raise InputError(f"form: expected 'filtered' or 'energy', got {self.form!r:.50}")
-        if noise:
-            raise InputError("noise: expected none for a crystal model")
-        if not isinstance(smoothing, Smoothing):
-            raise InputError(f"smoothing: expected Smoothing(…), got {smoothing!r:.60}")
-        if linear.moduli is None:
-            raise InputError("moduli: expected some that are held, beside third-order constants")
-        auto = isinstance(linear.symmetry, str) and linear.symmetry == "auto"
-        found = fit_third_order(
-            one_set(samples),
-            linear.horizon,
-            smoothing,
-            form=self.form,
-            symmetry="isotropic" if auto else linear.symmetry,
-            orientation=linear.orientation,
-            moduli=linear.moduli,
-        )
-        proven = found.material.proven_strain(found.material.spacing)
-        if found.largest_gradient > proven:
-            warnings.warn(
-                f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
-                f"reach {found.largest_gradient:.2%}; a larger ridge of the smoothing than "
-                f"{smoothing.ridge:g} may prove more",
-                stacklevel=4,
-            )
-        return found
 
 
 @overload
 def fit(samples: Sets, law: LPS, **options: Any) -> Fit: ...
 @overload
-def fit(samples: Sets, law: ThirdOrder, **options: Any) -> ThirdOrderFit: ...
+def fit(samples: Sets, law: Micromodulus | ThirdOrder, **options: Any) -> MaterialFit: ...
 @overload
 def fit(samples: Any, law: Any, **options: Any) -> Any: ...
 def fit(samples: Any, law: Any = None, **options: Any) -> Any:

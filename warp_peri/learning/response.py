@@ -15,13 +15,13 @@ from typing import Protocol
 import numpy as np
 
 from warp_peri.errors import InputError
+from warp_peri.fitting.rows import compressed
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import Model, stiffnesses
-from warp_peri.lps.symbol import symbol
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters
-from warp_peri.regression.losses import Features, ReducedLoss, class_pairs, symbol_rows, with_rows
+from warp_peri.regression.losses import Products, ReducedLoss, class_pairs, product_basis
 from warp_peri.regression.optimum import LatticeConditions, Reached, constrained_optimum
 from warp_peri.regression.settings import Optimum
 from warp_peri.statics.direct import MatrixProblem
@@ -78,12 +78,12 @@ class WaveResponse:
                 raise InputError(
                     f"{name}: sample {int(np.argmin(size))} is zero at its wave vector"
                 )
-        self.rows = symbol_rows(symbol(self.classes, k))
+        parts = product_basis(self.classes).symbol(k * points.spacing) / points.spacing**2
+        self.rows = parts.transpose(0, 2, 3, 1)
 
     def about(self, model: Model) -> ReducedLoss:
         """û against u at the wave vectors, relative, û linear in the products about a model."""
-        entries = self.rows @ products(model, self.classes)[:-1]  # D11, D22, D12
-        D = entries[:, [[0, 2], [2, 1]]]
+        D = self.rows @ products(model, self.classes)[:-1]
         answer = np.linalg.solve(D, self.b[..., None])[..., 0]
         slope = -np.linalg.solve(D, self._acting(answer))
         return self._loss(slope, 2 * answer - self.u, np.linalg.norm(self.u, axis=1))
@@ -94,16 +94,13 @@ class WaveResponse:
 
     def _acting(self, u: np.ndarray) -> np.ndarray:
         """D(k) u by feature, shape [S, 2, F]."""
-        d11, d22, d12 = self.rows.transpose(1, 0, 2)
-        first, second = u[:, :1], u[:, 1:]
-        return np.stack([d11 * first + d12 * second, d12 * first + d22 * second], axis=1)
+        return np.asarray(np.einsum("sabf,sb->saf", self.rows, u))
 
     def _loss(self, slope: np.ndarray, constant: np.ndarray, size: np.ndarray) -> ReducedLoss:
         rows = np.concatenate([slope, constant[..., None]], axis=2)
         rows /= size[:, None, None] * np.sqrt(len(size))
         flat = rows.reshape(-1, rows.shape[2])
-        empty = np.zeros((rows.shape[2], rows.shape[2]))
-        return ReducedLoss(self.classes, with_rows(empty, flat), class_pairs(len(self.classes.r)))
+        return ReducedLoss(self.classes, np.column_stack(compressed(flat[:, :-1], flat[:, -1])))
 
 
 class CollarResponse:
@@ -122,7 +119,7 @@ class CollarResponse:
 
     def __init__(self, points: Samples, horizon: float, start: ReducedLoss) -> None:
         self.points, self._start = points, start
-        self.features = Features(points, horizon)
+        self.features = Products(points, horizon)
         flat = points.u[:, points.interior].reshape(len(points), -1)
         size = np.linalg.norm(flat, axis=1)
         if not (size > 0).all():
@@ -133,8 +130,8 @@ class CollarResponse:
         points = self.points
         L = matrices(model, points).operator(model.lam, model.mu)
         problem = MatrixProblem(L, points.interior)
-        inside, width = points.interior, self.features.width + 1
-        R = np.zeros((width, width))
+        inside, width = points.interior, self.features.mix.shape[1] + 1
+        R, y = np.zeros((0, width - 1)), np.zeros(0)
         for first in range(0, len(points), SAMPLES_AT_ONCE):
             some = slice(first, first + SAMPLES_AT_ONCE)
             field = problem.solve(points.loads[some], points.u[some])
@@ -146,8 +143,9 @@ class CollarResponse:
             rows = problem.factors.solve(flat).reshape(wrong.shape[1], len(field), width)
             rows[..., -1] += wrong.T
             rows *= np.sqrt(self.weight[some])[:, None]
-            R = with_rows(R, rows.reshape(-1, width))
-        return ReducedLoss(self.features.classes, R, self.features.pairs)
+            rows = rows.reshape(-1, width)
+            R, y = compressed(np.concatenate([R, rows[:, :-1]]), np.append(y, rows[:, -1]))
+        return ReducedLoss(self.features.classes, np.column_stack([R, y]))
 
     def start(self) -> ReducedLoss:
         return self._start

@@ -15,6 +15,7 @@ from tqdm.auto import tqdm
 from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError
+from warp_peri.fitting.long_waves import lame_of_long_waves
 from warp_peri.learning import LOSSES
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.methods import Constrained, TwoStage
@@ -31,13 +32,12 @@ from warp_peri.learning.two_stage import (
 from warp_peri.lps.model import Model
 from warp_peri.lps.symbol import moduli
 from warp_peri.micromodulus import Crystal
-from warp_peri.micromodulus.learning import AGREE, POOR, SPREADS
+from warp_peri.micromodulus.crystal_fit import AGREE, POOR, SPREADS
 from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.lagrangian import augmented_lagrangian
 from warp_peri.regression.optimum import Reached, constrained_optimum
 from warp_peri.regression.settings import LONG_WAVES, Optimum
-from warp_peri.third_order.fit import long_wave_moduli
 
 SMALL_SHARE = 0.01
 """A residual loss is taken as it is when noise is less than this of its squares."""
@@ -151,7 +151,7 @@ class Stages:
         if method.moduli != LONG_WAVES or not self.data.grids or self.data.noise:
             return free
         try:
-            waves = long_wave_moduli(self.data.sets)
+            waves = lame_of_long_waves(self.data.sets)
             found = waves.lam, waves.mu
             held = dataclasses.replace(method, moduli=found)
             alone = self._reach(start, free)

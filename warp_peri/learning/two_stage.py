@@ -21,16 +21,22 @@ import warp as wp
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
+from warp_peri.core.stencil import bend, laplacian, ratios, zone_sample
 from warp_peri.core.tensors import differentiable_once
 from warp_peri.files.atomic import ArrayFile, locked
 from warp_peri.learning.methods import TwoStage
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import assemble
-from warp_peri.lps.symbol import Symbol, symbol, zone_wedge
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.regression.coordinates import Parameters, Variables
-from warp_peri.regression.losses import FullLoss, ReducedLoss
+from warp_peri.regression.losses import (
+    FullLoss,
+    ReducedLoss,
+    class_pairs,
+    lattice_group,
+    product_basis,
+)
 from warp_peri.regression.optimum import LatticeConditions
 
 ZONE_INTERVALS = 24
@@ -72,33 +78,23 @@ class SymbolMargins:
     def __init__(self, conditions: Sequence[LatticeConditions]) -> None:
         self.conditions = conditions
         self.lattices = [asked.classes for asked in conditions]
-        self.tables = [
-            symbol(classes, zone_wedge(classes.spacing, ZONE_INTERVALS))
-            for classes in self.lattices
-        ]
+        self.bases = [product_basis(classes) for classes in self.lattices]
+        self.phase = zone_sample(lattice_group(2), 2, ZONE_INTERVALS)
         self.count = sum(len(asked.names) for asked in conditions)
 
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
         """Margins, shape [count]."""
-        kappa = (lam - mu) / mu**2
-        parts = []
-        for asked, table, w in zip(self.conditions, self.tables, weights):
-
-            def evaluate(
-                kappa: np.ndarray,
-                v: np.ndarray,
-                asked: LatticeConditions = asked,
-                table: Symbol = table,
-            ) -> tuple[np.ndarray, np.ndarray]:
-                margins = asked.margins(table, v, float(kappa))
-                slopes = []
-                for form, k in enumerate(margins.argmin(axis=1)):
-                    worst = Symbol(table.gamma[[k]], table.phi[[k]], table.laplacian[[k]])
-                    slopes.append(asked.gradients(worst, v, float(kappa))[form, 0])
-                return margins.min(axis=1), np.array(slopes)
-
-            parts.append(_known(evaluate, kappa, mu * w))
-        return torch.cat(parts)
+        kappa, margins = (lam - mu) / mu**2, []
+        for asked, bonds, w in zip(self.conditions, self.bases, weights):
+            (i, j), v, basis = class_pairs(len(w)), mu * w, torch.from_numpy(bonds.basis)
+            for own, level in asked.forms(kappa, mu):
+                p = torch.cat([v, own * v[i] * v[j]])
+                tensors = torch.tensordot(p, basis, 1)
+                ratio = ratios(bonds.steps, tensors.detach().numpy(), self.phase)[0]
+                k = self.phase[[ratio.argmin()]]
+                D = torch.tensordot(torch.from_numpy(bend(k, bonds.steps)), tensors, 1)
+                margins.append(torch.linalg.eigvalsh(D)[0, 0] / laplacian(k)[0] - level)
+        return torch.stack(margins)
 
 
 class DenseMargins:

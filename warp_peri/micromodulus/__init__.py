@@ -1,16 +1,16 @@
 """Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory, T)."""
 
 from warp_peri.core.elastic import from_voigt
-from warp_peri.micromodulus.force_constants import Polar, from_calculator
-from warp_peri.micromodulus.law import Crystal, StencilMaterial, tensors_of
-from warp_peri.micromodulus.learning import Micromodulus
-from warp_peri.micromodulus.waves import (
+from warp_peri.micromodulus.crystal_fit import (
+    Micromodulus,
     fit_symbol,
     from_phonons,
     plane_strain,
     plane_stress,
     transferred,
 )
+from warp_peri.micromodulus.force_constants import Polar, from_calculator
+from warp_peri.micromodulus.law import Crystal, StencilMaterial, tensors_of
 
 __all__ = [
     "Crystal",

@@ -3,7 +3,7 @@
 A kernel r^(−α) Σ D_k B_k,M gives every bond class of every lattice a table entry K W. Only the span
 of these tables can be told apart; its coordinates q take the place of D, and the scale of K falls
 out because stiffnesses are v = μ w. α is a variable only where the coefficients do not already
-reach every bond length; elsewhere it is redundant and keeps its value.
+reach every bond length; elsewhere it is redundant and keeps its value, as it does in space.
 """
 
 from __future__ import annotations
@@ -143,7 +143,9 @@ class Coordinates:
         rank = int(np.sum(size > RANK_TOLERANCE * size[0]))
         lengths = np.concatenate([classes.r for classes in lattices])
         reached = np.abs(tables).max(axis=1) > RANK_TOLERANCE * scale
-        self.free_alpha = rank < len(np.unique(lengths[reached].round(9)))
+        self.free_alpha = rank < len(np.unique(lengths[reached].round(9))) and (
+            lattices[0].steps.shape[1] == 2
+        )
         self.rank, self._q = rank, slice(1, 1 + rank)
         ends = np.cumsum([len(classes.r) for classes in lattices])
         self._basis = np.split(left[:, :rank], ends[:-1])  # tables of unit q

@@ -13,15 +13,10 @@ import numpy as np
 import torch
 from scipy.linalg import block_diag
 
+from warp_peri.fitting.regression import Linearised, Regression, felt, particular
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import ReducedLoss
-from warp_peri.regression.optimum import (
-    ConstrainedProblem,
-    LatticeConditions,
-    Reached,
-    coordinates_of,
-)
-from warp_peri.regression.search import Linearised, felt, particular
+from warp_peri.regression.optimum import LatticeConditions, LPSNumbers, Reached
 from warp_peri.regression.settings import Optimum
 
 RATE, MOMENTS = 0.05, (0.9, 0.99)
@@ -112,9 +107,9 @@ def augmented_lagrangian(
         rounds: at most, each with its own multipliers, coordinates and waves to keep.
         tick: called with the loss after every step.
     """
-    coordinates = coordinates_of([grid.classes for grid in grids], start)
-    problem = ConstrainedProblem(grids, conditions, coordinates, method.held, method.smoothness)
-    zeta, y = problem.asked[0].zeta, _equal(problem, coordinates.start(start))
+    law = LPSNumbers([grid.classes for grid in grids], start, conditions, method)
+    problem = Regression([grid.block for grid in grids], law, law.asked[0].zeta, 1.0)
+    y = _equal(problem, law.coordinates.start(start))
     damping, penalty, slack, before = DAMPING, PENALTY, SLACK, np.inf
     now, margin = problem.state(y), -np.inf
     multipliers, losses = np.zeros(len(now.margins)), [now.loss]
@@ -127,10 +122,11 @@ def augmented_lagrangian(
         y = _equal(problem, (lagrangian.start + lagrangian.frame @ x)[: len(y)])
         now = problem.state(y)
         multipliers, missed = lagrangian.multiplied(now)
-        blocks, margin = problem.blocks, problem.look(coordinates.point(y))
-        multipliers = _padded(multipliers, blocks, problem.blocks)
+        margin = problem.look(law(y))
+        new = len(problem.state(y).margins) - len(multipliers)
+        multipliers = np.append(multipliers, np.zeros(new))
         losses.append(now.loss)
-        met = margin >= -TOLERANCE * zeta and missed <= TOLERANCE
+        met = margin >= -TOLERANCE and missed <= TOLERANCE
         if met and abs(losses[-2] - now.loss) <= 0.1 * TOLERANCE * now.loss:
             break
         if missed > max(DECREASE * before, TOLERANCE):
@@ -139,10 +135,10 @@ def augmented_lagrangian(
         if abs(losses[-2] - now.loss) <= NEAR * now.loss:
             slack = max(SHORTENED * slack, LEAST_SLACK)
         damping = max(EASED * damping, LEAST_DAMPING)
-    return problem.reached(y, losses, margin, TOLERANCE)
+    return law.reached(problem.found(y, losses, margin), losses, TOLERANCE)
 
 
-def _equal(problem: ConstrainedProblem, y: np.ndarray) -> np.ndarray:
+def _equal(problem: Regression, y: np.ndarray) -> np.ndarray:
     """The nearest y that meets the equalities, as they are linear about it."""
     now = problem.state(y)
     width = 1 / felt(np.linalg.norm(now.J, axis=0))
@@ -169,10 +165,3 @@ def _adam(
         tick(value)
         value, slope = lagrangian(x)
     return x, first - value
-
-
-def _padded(multipliers: np.ndarray, before: list[int], after: list[int]) -> np.ndarray:
-    """Multipliers with zeros for the waves that were added to each block of conditions."""
-    parts = np.split(multipliers, np.cumsum(before))
-    added = [*(new - old for old, new in zip(before, after)), 0]
-    return np.concatenate([np.append(part, np.zeros(n)) for part, n in zip(parts, added)])

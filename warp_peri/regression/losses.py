@@ -10,20 +10,23 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 
+from warp_peri.core.grid import grid_of
+from warp_peri.core.groups import point_group, shared_with_nodes
+from warp_peri.core.stencil import Basis, half_ball, invariant_basis
 from warp_peri.errors import InputError
-from warp_peri.kernels.lps import features as kernels
-from warp_peri.launch import DEVICE
+from warp_peri.fitting.losses import without_noise
+from warp_peri.fitting.regression import LatticeRows
+from warp_peri.fitting.rows import forces, rows
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.model import Solid, bernstein_basis
 from warp_peri.lps.operator import lps_force
-from warp_peri.lps.symbol import Symbol
-from warp_peri.points.families import BondClasses
+from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples
 
@@ -80,8 +83,10 @@ class FullLoss:
             return (self._squares(*parameters)[loaded] / load[loaded]).sqrt().numpy()
 
 
-_BLOCK_BYTES = 2**27
-"""Rows are factorised in blocks of about this size, so memory does not grow with the data."""
+def lattice_group(dimension: int) -> np.ndarray:
+    """Of a square or a cubic lattice, integer matrices [g, d, d]."""
+    name = {2: "4mm", 3: "m-3m"}[dimension]
+    return shared_with_nodes(point_group(name, dimension), np.eye(dimension))
 
 
 @dataclass(frozen=True)
@@ -90,13 +95,22 @@ class ReducedLoss:
 
     Attributes:
         classes: bond classes of the lattice.
-        R: triangular factor, shape [F + 1, F + 1]; its last column belongs to −b.
-        pairs: class numbers of each quadratic feature, shape [2, C (C + 1) / 2].
+        R: as few rows as that takes, shape [n, F + 1]; its last column belongs to −b.
     """
 
     classes: BondClasses
     R: np.ndarray
-    pairs: np.ndarray
+
+    @cached_property
+    def pairs(self) -> np.ndarray:
+        """Class numbers of each quadratic feature, shape [2, C (C + 1) / 2]."""
+        return class_pairs(len(self.classes.r))
+
+    @cached_property
+    def block(self) -> LatticeRows:
+        """What it says of the products, for a regression."""
+        bonds = product_basis(self.classes)
+        return LatticeRows(self.R[:, :-1], -self.R[:, -1], bonds, lattice_group(bonds.dimension))
 
     def loss(
         self, lam: torch.Tensor, mu: torch.Tensor, alpha: torch.Tensor, D: torch.Tensor
@@ -124,69 +138,71 @@ def class_pairs(number: int) -> np.ndarray:
     return np.array(np.triu_indices(number))
 
 
-class Features:
-    """Features of displacement fields on one lattice: L u is affine in the products c of (17).
+def product_basis(classes: BondClasses) -> Basis:
+    """C h² of the products (v, κ v v) of bond classes and of their pairs, of range 2δ (T17)."""
+    d, count, x = classes.steps.shape[1], len(classes.r), classes.steps
+    h, of = classes.spacing, classes.bond_class
+    steps = half_ball(2 * classes.horizon / h, d)
+    far = 2 * int(np.abs(x).max())
+    place = np.full((2 * far + 1,) * d, -1)
+    steps = steps[np.abs(steps).max(axis=1) <= far]
+    place[tuple((steps + far).T)] = np.arange(len(steps))
+    i, j = class_pairs(count)
+    column = np.zeros((count, count), int)
+    column[i, j] = column[j, i] = count + np.arange(len(i))
+    tensors = np.zeros((count + len(i), len(steps), d, d))
+    alone = place[tuple((x + far).T)]
+    own = alone >= 0
+    along = x[:, :, None] * x[:, None] / (x**2).sum(axis=1)[:, None, None]
+    tensors[of[own], alone[own]] = 2 * d * (d + 2) * h**2 * along[own]
+    first, second = np.indices((len(x), len(x))).reshape(2, -1)
+    at = place[tuple((x[first] + x[second] + far).T)]
+    first, second, at = first[at >= 0], second[at >= 0], at[at >= 0]
+    across = d**2 * h**4 * x[first][:, :, None] * x[second][:, None]
+    across = (across + across.transpose(0, 2, 1)) / 2
+    np.add.at(tensors, (column[of[first], of[second]], at), across)
+    used = tensors.any(axis=(0, 2, 3))
+    return Basis(steps[used], tensors[:, used])
+
+
+class Products:
+    """Forces of the products c of (17): L u is affine in them.
 
     Args:
-        points: the lattice.
+        points: samples on a lattice.
         horizon: δ [Å].
         quadrature_degree: of the polynomials that the weights are exact for.
-        device: where the sweeps run, as for Bonds.
-
-    Raises InputError for a set that does not carry the horizon.
     """
 
-    def __init__(
-        self,
-        points: Samples,
-        horizon: float,
-        *,
-        quadrature_degree: int = DEGREE,
-        device: str = DEVICE,
-    ) -> None:
-        self.bonds = Bonds(points, horizon, quadrature_degree=quadrature_degree, device=device)
-        self.classes = self.bonds.families.classes
-        number = len(self.classes.r)
-        self.pairs = class_pairs(number)
-        column = np.empty((number, number), dtype=np.int32)
-        column[tuple(self.pairs)] = column[tuple(self.pairs[::-1])] = number + np.arange(
-            self.pairs.shape[1]
+    def __init__(self, points: Samples, horizon: float, *, quadrature_degree: int = DEGREE) -> None:
+        d, h = points.points.dimension, points.spacing
+        self.points, self.least = points, 2 * int(horizon / h + 1e-6)
+        self.classes = bond_classes(h, horizon, dimension=d, degree=quadrature_degree)
+        self.bonds, every = (
+            product_basis(self.classes),
+            invariant_basis(2 * horizon / h, lattice_group(d)),
         )
-        self.width = number + self.pairs.shape[1]
-        self._columns: wp.array[Any] = wp.array(column, dtype=wp.int32, device=self.bonds.device)
+        place = {tuple(step): n for n, step in enumerate(every.steps.tolist())}
+        tensors = every.basis[:, [place[tuple(step)] for step in self.bonds.steps.tolist()]]
+        self.every = Basis(self.bonds.steps, tensors[tensors.any(axis=(1, 2, 3))])
+        flat, own = (one.basis.reshape(len(one.basis), -1) for one in (self.every, self.bonds))
+        self.mix = np.linalg.pinv(flat.T) @ own.T
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
-        """Features of u [Å], shape [S, N, 2], on the interior nodes: shape [S, I, F, 2]."""
-        samples, nodes, _ = u.shape
-        bonds, device = self.bonds, self.bonds.device
-        field: wp.array[Any] = wp.array(u, dtype=wp.vec2d, device=device)
-        theta = wp.zeros((samples, nodes, len(self.classes.r)), dtype=wp.float64, device=device)
-        out = wp.zeros((samples, len(bonds.rows), self.width), dtype=wp.vec2d, device=device)
-        wp.launch(
-            kernels.class_dilatation,
-            dim=(samples, len(bonds.full)),
-            inputs=[bonds.full, bonds.arrays, field],
-            outputs=[theta],
-            device=device,
-        )
-        wp.launch(
-            kernels.class_force,
-            dim=(samples, len(bonds.rows)),
-            inputs=[bonds.rows, bonds.arrays, self._columns, field, theta],
-            outputs=[out],
-            device=device,
-        )
-        forces: np.ndarray = out.numpy()
-        return forces
+        """Of u, shape [S, N, d], on the interior nodes: shape [S, I, F, d]."""
+        nodes = grid_of(self.points.points, self.every.steps, least=self.least)
+        F = forces(u, nodes, self.every) @ self.mix / self.points.spacing**2
+        return np.asarray(np.einsum("sika,lk->sial", F, nodes.axes))
+
+    def rows(self, weight: np.ndarray) -> np.ndarray:
+        """R of the loss with weights of each sample, shape [n, F + 1]."""
+        given = {"weight": np.sqrt(weight), "mix": self.mix, "least": self.least}
+        R, y = rows(self.points, self.every, **given)
+        return np.column_stack([R, -y])
 
 
 def reduce(
-    points: Samples,
-    horizon: float,
-    weight: np.ndarray,
-    *,
-    quadrature_degree: int = DEGREE,
-    device: str = DEVICE,
+    points: Samples, horizon: float, weight: np.ndarray, *, quadrature_degree: int = DEGREE
 ) -> ReducedLoss:
     """Sweep a lattice data set once and factorise its features.
 
@@ -195,44 +211,11 @@ def reduce(
         horizon: δ [Å].
         weight: of each sample in the loss, shape [S]; see sample_weights.
         quadrature_degree: of the polynomials that the weights are exact for.
-        device: where the sweeps run, as for Bonds.
 
     Raises InputError for a set that does not carry the horizon.
     """
-    factor = np.sqrt(weight)
-    features = Features(points, horizon, quadrature_degree=quadrature_degree, device=device)
-    columns = features.width + 1
-    block = max(1, _BLOCK_BYTES // (16 * columns * np.count_nonzero(points.interior)))
-    R = np.zeros((0, columns))
-    for first in range(0, len(points), block):
-        some = slice(first, first + block)
-        rows = features(points.u[some])
-        rows = np.concatenate([rows, -points.loads[some][:, points.interior, None, :]], axis=2)
-        rows *= factor[some, None, None, None]
-        R = with_rows(R, rows.transpose(0, 1, 3, 2).reshape(-1, columns))
-    return ReducedLoss(features.classes, R, features.pairs)
-
-
-def with_rows(R: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Triangular factor of more rows: RᵗR of the result is RᵗR + rowsᵗ rows."""
-    return np.asarray(np.linalg.qr(np.concatenate([R, rows]), mode="r"))
-
-
-def symbol_rows(table: Symbol) -> np.ndarray:
-    """D11, D22, D12 at the wave vectors of a table by the products (v, κ v v), shape [K, 3, F]."""
-    i, j = class_pairs(table.phi.shape[2])
-    twice = np.where(i == j, 1.0, 2.0)
-    p1, p2 = table.phi[:, 0], table.phi[:, 1]
-    quadratic = [
-        twice * p1[:, i] * p1[:, j],
-        twice * p2[:, i] * p2[:, j],
-        twice / 2 * (p1[:, i] * p2[:, j] + p1[:, j] * p2[:, i]),
-    ]
-    return np.concatenate([table.gamma, np.stack(quadratic, axis=1)], axis=2)
-
-
-KNOWN = 0.1
-"""Directions of which a larger part of the data's squares than 1 − KNOWN is noise are left out."""
+    products = Products(points, horizon, quadrature_degree=quadrature_degree)
+    return ReducedLoss(products.classes, products.rows(weight))
 
 
 def noise_loss(noise: Samples, points: Samples, horizon: float, weight: np.ndarray) -> np.ndarray:
@@ -245,7 +228,7 @@ def noise_loss(noise: Samples, points: Samples, horizon: float, weight: np.ndarr
         weight: of each training sample, shape [S].
 
     Returns:
-        Triangular, of the shape of the ReducedLoss of `points`.
+        Rows of the same columns as the ReducedLoss of `points`.
 
     Raises InputError for noise without fields or on other nodes.
     """
@@ -256,28 +239,9 @@ def noise_loss(noise: Samples, points: Samples, horizon: float, weight: np.ndarr
 
 
 def corrected(loss: ReducedLoss, R_noise: np.ndarray) -> ReducedLoss:
-    """The loss less what the noise adds to it: a square and a constant, both not below zero.
-
-    Loads carry no noise, so that ‖F c + l‖² − ‖R_e c‖² is a quadratic form of the products c that
-    has the minimum of ‖√(1−ν) Vᵗ F c + (1−ν)^(−½) Uᵗ l‖² (theory, 37). Directions of which
-    less than KNOWN is not noise count nothing. No squares are subtracted, so that digits are kept.
-    """
-    load, width = loss.R[:, -1], loss.R.shape[1] - 1
-    left, size, right = np.linalg.svd(loss.R[:, :-1], full_matrices=False)
-    kept = size > np.finfo(float).eps * width * size[0]
-    left, size, right = left[:, kept], size[kept], right[kept]
-    root, axes = np.linalg.svd((R_noise[:, :-1] @ right.T) / size)[1:]
-    share = np.zeros(len(axes))
-    share[: len(root)] = root**2
-    along = axes @ (left.T @ load)
-    known = 1 - share > KNOWN
-    gain = np.sqrt(1 - share[known])
-    form = np.zeros((len(gain) + 1, width + 1))
-    form[:-1, :-1] = gain[:, None] * (axes[known] * size) @ right
-    form[:-1, -1] = along[known] / gain
-    rest = load @ load - (form[:-1, -1] ** 2).sum()  # a constant: of no weight in the minimum
-    form[-1, -1] = np.sqrt(max(0.0, rest))
-    return dataclasses.replace(loss, R=with_rows(np.zeros_like(loss.R), form))
+    """The loss less what the noise adds to it: a square and a constant, both not below zero."""
+    R, y = without_noise(loss.R[:, :-1], loss.R[:, -1], R_noise[:, :-1])
+    return dataclasses.replace(loss, R=np.column_stack([R, y]))
 
 
 def check_noise(noise: Samples, points: Samples) -> None:

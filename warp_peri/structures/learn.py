@@ -24,10 +24,9 @@ from warp_peri.core.elastic import (
 from warp_peri.core.groups import Symmetry, name_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
+from warp_peri.micromodulus.crystal_fit import Micromodulus, from_phonons
 from warp_peri.micromodulus.force_constants import STEP, WIDER, ForceConstants
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.learning import fit
-from warp_peri.micromodulus.waves import from_phonons
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
@@ -660,7 +659,7 @@ def _learned(
     if samples is None:
         law = from_phonons(atoms, spacing, reach, symmetry=group)
     else:
-        law = fit(samples, reach, symmetry=group)
+        law = Micromodulus(reach, group).learn(samples).material
     found = LearnedCrystal(law, atoms, strained, said)
     record: dict[str, Any] = {"moduli_error": found.unsure}  # relative, of any sound wave
     law = replace(law, provenance=law.provenance | record) if found.errors is not None else law

@@ -16,8 +16,8 @@ import numpy as np
 from warp_peri.contract import SAME_SPACING
 from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.errors import InputError
+from warp_peri.micromodulus.crystal_fit import transferred
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.micromodulus.waves import transferred
 from warp_peri.points.families import BondClasses
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.optimize import lsq_linear, nnls
 
 from warp_peri.errors import InputError
+from warp_peri.fitting.regression import least_squares_above
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.regression.search import least_squares_above
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.placed import largest_stretch
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, stiffnesses
-from warp_peri.lps.symbol import symbol
+from warp_peri.fitting.rows import compressed
+from warp_peri.fitting.transfer import waves_against
+from warp_peri.lps.model import Model, lps_stencil
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.coordinates import Parameters
-from warp_peri.regression.losses import ReducedLoss, class_pairs, symbol_rows
+from warp_peri.regression.losses import ReducedLoss, product_basis
 from warp_peri.regression.optimum import Conditions, LatticeConditions, constrained_optimum
 from warp_peri.regression.settings import Optimum
 from warp_peri.stability.certificate import Certificate, certify
@@ -63,10 +64,8 @@ def rings(sizes: np.ndarray) -> np.ndarray:
 
 def dispersion(model: Model, spacing: float, k: np.ndarray) -> np.ndarray:
     """D(k) [TPa/Å²] of a model on a lattice, shape [..., 2, 2], at k [1/Å], shape [..., 2]."""
-    classes = bond_classes(spacing, model.horizon)
-    d11, d22, d12 = symbol(classes, k.reshape(-1, 2)).entries(*stiffnesses(model, classes))
-    entries = np.stack([d11, d12, d12, d22], axis=1)
-    return np.asarray(entries.reshape(*k.shape[:-1], 2, 2))
+    D = lps_stencil(model, spacing).symbol(spacing * k.reshape(-1, 2))
+    return D.reshape(*k.shape[:-1], 2, 2)
 
 
 def wave_loss(
@@ -77,14 +76,9 @@ def wave_loss(
     Mean over waves and polarisations of |D₀⁻¹ D e − e|²: the square of the relative error of
     displacement, to first order. With weights of the waves, shape [K], their sum instead.
     """
-    d11, d22, d12 = symbol_rows(symbol(classes, k)).transpose(1, 0, 2)
-    D = np.stack([d11, d12, d12, d22], axis=1).reshape(len(k), 2, 2, -1)
-    answer = np.einsum("kab,kbcf->kacf", np.linalg.inv(target), D)
-    wanted = np.broadcast_to(np.eye(2)[..., None], (len(k), 2, 2, 1))
     share = np.full(len(k), 1 / len(k)) if weight is None else weight
-    rows = np.sqrt(share / 2)[:, None, None, None] * np.concatenate([answer, -wanted], axis=3)
-    factor = np.linalg.qr(rows.reshape(4 * len(k), -1), mode="r")  # few waves, few rows
-    return ReducedLoss(classes, np.asarray(factor), class_pairs(len(classes.r)))
+    R, y = waves_against(target, k * classes.spacing, product_basis(classes), np.sqrt(share / 2))
+    return ReducedLoss(classes, np.column_stack(compressed(R / classes.spacing**2, -y)))
 
 
 def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""One regression over rows of a basis; materials bring their parametrisation and nothing else."""

@@ -1,0 +1,327 @@
+"""Moduli of the long waves of fields (theory, T10, 28a).
+
+Smooth test fields v that end before the nodes do see of a solid only its moduli:
+Σ b·v = −Σ u·div(C : grad v), linear in C. Long waves dominate both sides, whatever else the fields
+hold.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_peri.core.stencil import central_weights
+from warp_peri.errors import InputError
+from warp_peri.fitting.rows import load_sizes
+from warp_peri.points.lattice import lattice_steps, neighbour_table
+from warp_peri.points.samples import Samples
+
+MODES, LEAST_HALF_WAVE = 1, 3
+"""Half waves along an axis of the longest test fields, and spacings that one has at least."""
+ENOUGH = 8
+"""Samples whose halves tell how far moduli are unsure."""
+REACH, HALF_WAVES = 2, 4
+"""Spacings that gradients of long waves reach over, and half waves of the fields that see them."""
+NOTHING = 1e-13
+"""Of equations of size one, that is rounding."""
+
+
+def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
+    """The elastic tensor that the longest waves of fields have (theory, T10).
+
+    Smooth test fields v that end before the nodes do see of a solid only its moduli:
+    Σ b·v = −Σ u·div(C : grad v), linear in C. Long waves dominate both sides, whatever else the
+    fields hold.
+
+    Args:
+        samples: fields and loads on a lattice, periodic or with a collar.
+        allowed: elastic tensors along the nodes' axes that may be mixed, [m, d, d, d, d].
+
+    Returns:
+        the tensor [d, d, d, d], and the relative residual of the equations.
+
+    Raises InputError for loads that do not tell the tensors apart.
+    """
+    c, misfit = moduli_of(*long_wave_equations(samples, allowed))
+    return np.tensordot(c, allowed, 1), misfit
+
+
+def long_wave_equations(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """R and y of what `long_wave_moduli` solves, shape [n, m] and [n]."""
+    values, kept, R = long_wave_rows(samples, allowed, MODES)
+    axes = lattice_steps(samples.points)[1]
+    y = np.einsum("vn,snk->svk", values, (samples.loads @ axes)[:, kept], optimize=True)
+    return R.reshape(-1, R.shape[-1]), y.ravel()
+
+
+def long_wave_rows(samples: Samples, allowed: np.ndarray, modes: int) -> tuple[np.ndarray, ...]:
+    """Test fields with up to so many half waves each way, and what they see of elastic tensors.
+
+    Returns v, shape [V, n], the numbers of the nodes it is on, and −Σ u·div(C : grad v) of each
+    tensor, [S, V, d, m].
+    """
+    axes = lattice_steps(samples.points)[1]
+    lines, kept = lines_of_waves(samples, modes)
+    one = np.eye(len(axes), dtype=int)
+    slopes = np.array([[derived(lines, j + k) for k in one] for j in one])
+    u = (samples.u @ axes)[:, kept]
+    moments = np.einsum("jlvn,sni->svijl", slopes, u, optimize=True)
+    values = derived(lines, 0 * one[0])
+    return values, kept, -np.einsum("svijl,aijkl->svka", moments, allowed, optimize=True)
+
+
+def moduli_of(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, float]:
+    """Least squares of rows [..., m], and its relative residual; InputError where rows tell less
+    than m constants apart."""
+    R, y = R.reshape(-1, R.shape[-1]), y.ravel()
+    size = np.linalg.norm(R, axis=0)
+    R = R / np.where(size > 0, size, 1)
+    if np.linalg.matrix_rank(R, tol=1e-6 * np.linalg.norm(R, 2)) < R.shape[1]:
+        raise InputError(
+            f"moduli: the long waves of these loads do not tell {R.shape[1]} constants apart; "
+            "give them, or more loads of long waves"
+        )
+    c = np.linalg.lstsq(R, y, rcond=None)[0]
+    return c / size, float(np.linalg.norm(R @ c - y) / np.linalg.norm(y))
+
+
+def lines_of_waves(samples: Samples, modes: int) -> tuple[list[np.ndarray], np.ndarray]:
+    """Long waves v by axis, with derivatives 0 to 4, [M, 5, n], and the numbers of their nodes.
+
+    Plane waves of a period; else sin⁴(π t) cos(m π t) on a box of interior nodes.
+    """
+    points, grid = samples.points, lattice_steps(samples.points)[0]
+    h, d = points.spacing, grid.shape[1]
+    if points.box is not None:
+        periods = np.asarray(points.box)
+        return [_waves(grid[:, a] * h, periods[a]) for a in range(d)], np.arange(len(grid))
+    kept = _largest_box(grid, samples.interior)
+    low, high = grid[kept].min(axis=0) - 1, grid[kept].max(axis=0) + 1
+    if (high - low).min() < 8:
+        raise InputError(
+            f"moduli: expected an interior of at least 7 nodes each way to find them in, got "
+            f"{(high - low).min() - 1}; give them"
+        )
+    t = (grid[kept] - low) / (high - low)
+    modes = min(modes, int((high - low).min()) // LEAST_HALF_WAVE)
+    return [_bumps(t[:, a], h * (high - low)[a], modes) for a in range(d)], kept
+
+
+def derived(lines: list[np.ndarray], orders: np.ndarray) -> np.ndarray:
+    """Products of one wave of each axis, derived so often along each, shape [V, n]."""
+    fields = np.ones((1, lines[0].shape[-1]))
+    for line, order in zip(lines, orders):
+        fields = (fields[:, None] * line[:, order]).reshape(-1, fields.shape[1])
+    return fields
+
+
+def _bumps(t: np.ndarray, length: float, modes: int) -> np.ndarray:
+    """sin⁴(π t) cos(m π t) on 0 < t < 1, with derivatives to length t."""
+    found = []
+    for m in range(modes + 1):
+        # sin⁴ = (3 − 4 cos 2πt + cos 4πt)/8, a sum of cosines of whole numbers of half waves
+        parts = [(3 / 8, m), (-1 / 4, m + 2), (-1 / 4, m - 2), (1 / 16, m + 4), (1 / 16, m - 4)]
+        waves = sum(
+            c * _derivatives(np.pi * q, np.cos(np.pi * q * t), np.sin(np.pi * q * t))
+            for c, q in parts
+        )
+        found.append(waves / length ** np.arange(5.0)[:, None])
+    return np.array(found)
+
+
+def _waves(x: np.ndarray, length: float) -> np.ndarray:
+    """1, cos and sin of the first wave of a period, with their derivatives."""
+    k = 2 * np.pi / length
+    cos, sin, one = np.cos(k * x), np.sin(k * x), np.ones(len(x))
+    pairs = (one, 0 * one), (cos, sin), (sin, -cos)
+    return np.array([_derivatives(q, *pair) for q, pair in zip((0.0, k, k), pairs)])
+
+
+def _derivatives(k: float, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+    """Of cos k x, from itself and sin k x, shape [5, n]."""
+    return np.array([cos, -k * sin, -(k**2) * cos, k**3 * sin, k**4 * cos])
+
+
+def _largest_box(grid: np.ndarray, interior: np.ndarray) -> np.ndarray:
+    """Numbers of the interior nodes in the largest box about their middle that they fill."""
+    inside = np.flatnonzero(interior)
+    low, high = grid[inside].min(axis=0), grid[inside].max(axis=0)
+    while (high >= low).all():
+        within: np.ndarray = inside[((grid[inside] >= low) & (grid[inside] <= high)).all(axis=1)]
+        if len(within) == np.prod(high - low + 1):
+            return within
+        low, high = low + 1, high - 1
+    return np.empty(0, int)
+
+
+@dataclass(frozen=True)
+class LongWaves:
+    """λ and μ that the long waves of fields have, and how sure they are (theory, 28a).
+
+    Attributes:
+        lam, mu: [stress].
+        errors: standard errors of both, each sample or test field left out in turn.
+        misfit: what is left of the loads on long waves, relative.
+        terms: that are taken beside λ and μ, each because it foretells what was left out.
+    """
+
+    lam: float
+    mu: float
+    errors: np.ndarray
+    misfit: float
+    terms: tuple[str, ...]
+
+
+def lame_of_long_waves(sets: Sequence[Samples]) -> LongWaves:
+    """λ and μ of the long waves of lattices in the plane, beside no more terms than foretell.
+
+    Samples count by their loads, test fields by what all terms leave on them. Of all choices of
+    dispersion, third order and constants of fourth order the smallest is taken that foretells as
+    well as the best, to the standard error of that. An axis that is not stated is learned.
+
+    Raises InputError for samples that see no long waves, or do not tell λ and μ.
+    """
+    turns = 1 if all(each.points.axis is not None for each in sets) else 2
+    tables, loads = zip(*(_long_wave_table(each, turns) for each in sets))
+    R, y = np.concatenate(tables), np.concatenate(loads)
+    size = np.sqrt((R**2).sum(axis=(0, 1, 2)))
+    R, groups = R / np.where(size > 0, size, 1), _groups(turns)
+    terms = R[..., groups[LAME[1]].start :]
+    c = np.linalg.lstsq(terms.reshape(y.size, -1), y.ravel(), rcond=NOTHING)[0]
+    weight = 1 / np.sqrt(((y - terms @ c) ** 2).mean(axis=0) + NOTHING * (y**2).mean())
+    R, y = R * weight[..., None], y * weight
+    if len(R) < ENOUGH:  # too few samples to leave out: test fields are
+        R, y = R.swapaxes(0, 1), y.swapaxes(0, 1)
+    R, y = R.reshape(len(R), -1, len(size)), y.reshape(len(y), -1)
+    columns = {
+        names: [groups[name] for name in (LAME[THIRD in names], *names)]
+        for n in range(len(groups) - 1)
+        for names in itertools.combinations(tuple(groups)[2:], n)
+        if THIRD in names or set(names) <= {DISPERSION}
+    }
+    tried = {names: _foretold(_mixed(R, some), y) for names, some in columns.items()}
+    best = min((left for left, _ in tried.values()), key=np.sum)
+
+    def lost(names: tuple[str, ...]) -> float:
+        """What these leave more than the best, in standard errors of that."""
+        more = tried[names][0] - best
+        return float(more.sum() / max(np.sqrt(len(more)) * more.std(), NOTHING * best.sum()))
+
+    taken = min(
+        (names for names in tried if lost(names) <= 1),
+        key=lambda names: (len(names), float(tried[names][0].sum())),
+    )
+    found, misfit = moduli_of(_mixed(R, columns[taken]), y)
+    unit, drawn = size[columns[taken][0]], tried[taken][1]
+    (lam, mu), errors = found[:2] / unit, np.sqrt((len(drawn) - 1) * drawn.var(axis=0)) / unit
+    return LongWaves(float(lam), float(mu), errors, misfit, taken)
+
+
+LAME, DISPERSION, THIRD = ("linear", "geometric"), "dispersion", "third order"
+"""Names of columns: λ and μ at small strain, and with what finite strain adds; others."""
+
+
+def _groups(turns: int) -> dict[str, slice]:
+    """Columns of each group, of a term with six periods a turn so many."""
+    sizes = {"linear": 2, "geometric": 2, DISPERSION: 2 + turns, THIRD: 2 + turns}
+    sizes |= {"θ⁴": 1, "θ²q": 1, "q²": 1, "θ z³": turns}
+    ends = np.cumsum([0, *sizes.values()]).tolist()
+    return {name: slice(*pair) for name, pair in zip(sizes, itertools.pairwise(ends))}
+
+
+def _mixed(R: np.ndarray, columns: Sequence[slice]) -> np.ndarray:
+    return np.concatenate([R[..., some] for some in columns], axis=-1)
+
+
+def _foretold(R: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squares that the other parts leave of each part [P], and their first two numbers, [P, 2]."""
+    square, side = np.einsum("pra,prb->pab", R, R), np.einsum("pra,pr->pa", R, y)
+    others = square.sum(axis=0) - square, side.sum(axis=0) - side
+    c = (np.linalg.pinv(others[0], rcond=NOTHING, hermitian=True) @ others[1][..., None])[..., 0]
+    return ((np.einsum("pra,pa->pr", R, c) - y) ** 2).sum(axis=1), c[:, :2]
+
+
+def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """What test fields see of every term, [S, V, 2, m], and of the loads, [S, V, 2].
+
+    Terms that have six periods a turn are `count`, 1 along the axis of the points or 2.
+    """
+    axes = lattice_steps(samples.points)[1]
+    lines, kept = lines_of_waves(samples, HALF_WAVES)
+    u, b = (samples.u @ axes)[:, kept], (samples.loads @ axes)[:, kept]
+    axis = np.deg2rad(samples.points.axis or 0.0) - np.arctan2(axes[1, 0], axes[0, 0])
+    turn = np.exp(-1j * axis)
+
+    def seen(*orders: tuple[int, int]) -> np.ndarray:
+        """Σ u times the sum of derivatives of v, [S, V, 2]."""
+        field = sum(derived(lines, np.array(one)) for one in orders)
+        return np.asarray(np.einsum("vn,snk->svk", field, u, optimize=True))
+
+    def elastic(*more: tuple[int, int]) -> list[np.ndarray]:
+        """−Σ u·div(C : grad v) of λ and of μ, of the sum of derivatives of v."""
+        xx, xy, yy = (
+            seen(*(tuple(np.add(one, two)) for one in more)) for two in ((2, 0), (1, 1), (0, 2))
+        )
+        mixed = np.stack([xx[..., 0] + xy[..., 1], xy[..., 0] + yy[..., 1]], axis=-1)
+        return [-mixed, -(xx + yy + mixed)]
+
+    linear = elastic((0, 0))
+    d = {n: seen((4 - n, n)) for n in range(5)}
+    sixfold = (d[0] - 6 * d[2] + d[4] + 4j * (d[1] - d[3])) * turn**6
+    whole = sixfold[..., 0] + 1j * sixfold[..., 1]  # (∂x + i∂y)⁴ with (1, i)(1, i) of u
+    six = [-np.stack([z.real, -z.imag], axis=-1) for z in (whole, -1j * whole)][:count]
+    slope = np.stack([derived(lines, one) for one in np.eye(2, dtype=int)], axis=-1)
+    P = _stresses(_gradients(samples, kept), turn, count)
+    felt = [np.einsum("snkl,vnl->svk", one, slope, optimize=True) for one in P]
+    bent = elastic((2, 0), (0, 2))
+    geometric = [one + more for one, more in zip(linear, felt)]
+    table = np.stack([*linear, *geometric, *bent, *six, *felt[2:]], axis=-1)
+    values = derived(lines, np.zeros(2, dtype=int))
+    size = load_sizes(samples)
+    weight = np.divide(1, size, out=np.zeros_like(size), where=size > 0)[:, None, None]
+    return table * weight[..., None], weight * np.einsum("vn,snk->svk", values, b, optimize=True)
+
+
+def _gradients(samples: Samples, kept: np.ndarray) -> np.ndarray:
+    """∂u/∂x along the nodes' axes by differences over REACH spacings, [S, n, 2, 2]."""
+    points, h = samples.points, samples.spacing
+    grid, axes = lattice_steps(points)
+    period = None if points.box is None else np.rint(np.asarray(points.box) / h).astype(int)
+    ways = itertools.product(np.eye(2, dtype=int), range(1, REACH + 1), (1, -1))
+    near = neighbour_table(grid, np.array([sign * m * one for one, m, sign in ways]), period)[kept]
+    if (near < 0).any():
+        raise InputError("moduli: expected nodes two spacings around the interior")
+    ahead, behind = np.moveaxis(samples.u[:, near.reshape(len(kept), 2, REACH, 2)], 4, 0)
+    return np.asarray(
+        np.einsum("m,snlmk,ka->snal", central_weights(REACH) / h, ahead - behind, axes)
+    )
+
+
+def _stresses(H: np.ndarray, turn: complex, count: int) -> list[np.ndarray]:
+    """First Piola-Kirchhoff stress of each unit constant at H, those of λ and μ without H itself.
+
+    The energies are powers of θ = tr E, q = dev E : dev E and z, half the deviator as a complex
+    number along the axis: λ, μ, θ³, θq, Re z³ and Im z³, θ⁴, θ²q, q², θ Re z³ and θ Im z³.
+    """
+    one = np.eye(2)
+    F, transposed = one + H, H.swapaxes(-1, -2)
+    small = (H + transposed) / 2
+    E = small + transposed @ H / 2
+    theta, traced = (np.trace(e, axis1=-2, axis2=-1)[..., None, None] for e in (E, small))
+    dev = E - theta * one / 2
+    q = (dev**2).sum(axis=(-1, -2))[..., None, None]
+    z = (dev[..., 0, 0] + 1j * dev[..., 0, 1])[..., None, None] * turn**2
+    along = np.array([[1, 1j], [1j, -1]]) / 2 * turn**2  # dz/dE
+    cubes = [(z**3 * phase, 3 * z**2 * along * phase) for phase in (1, -1j)][:count]
+    found = [F @ (theta * one) - traced * one, F @ (2 * E) - 2 * small]
+    third = [3 * theta**2 * one, q * one + 2 * theta * dev, *(slope.real for _, slope in cubes)]
+    fourth = [
+        4 * theta**3 * one,
+        2 * theta * q * one + 2 * theta**2 * dev,
+        4 * q * dev,
+        *(cube.real * one + theta * slope.real for cube, slope in cubes),
+    ]
+    return found + [F @ S for S in third + fourth]

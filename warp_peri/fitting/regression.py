@@ -1,0 +1,408 @@
+"""One regression: min ‖R p(θ) − y‖², e(θ) = 0, m(θ) ≥ 0, D(k; p(θ)) ≥ ζ s(k) at every wave (26–28).
+
+Each Gauss–Newton step is a least squares under equalities, which are solved for, and inequalities,
+by the dual, a problem of non-negative ones (Lawson and Hanson 1974, chapter 23). Waves that an
+optimum leaves below the floor become cuts vᵗ D(k; p) v ≥ ζ s(k): linear in p, they hold for every
+law that keeps the condition.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
+
+import numpy as np
+import scipy.linalg
+from scipy.optimize import nnls
+
+from warp_peri.core.stencil import Basis, bend, laplacian, ratios, zone_sample
+from warp_peri.errors import InputError
+
+STEPS = 500
+SETTLED = 1e-13
+"""Change of the merit, relative, that counts as none."""
+NO_LOSS = 1e-20
+"""Of data that are in equilibrium to the last digit: nothing is gained below it."""
+DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-14, 1e8
+"""Of the first step, of later ones, and of the last that is tried: of a column of size one."""
+FELT = 1e-6
+"""Of the largest column: others have this size at least."""
+SAID = 1e-9
+"""Of an inequality: what the equalities leave of it below this is rounding."""
+ELASTIC = 1e3
+"""Weight of what a step misses conditions by that none meets, beside the residual."""
+DEPENDENT = 1e-10
+"""Relative size of an equality that others say already."""
+
+
+@dataclass(frozen=True)
+class Linearised:
+    """Residual r, equalities e and inequalities m at some θ [T], each with its slopes [·, T].
+
+    Their sizes should be about one where they matter.
+    """
+
+    residual: np.ndarray
+    J: np.ndarray
+    equal: np.ndarray
+    A: np.ndarray
+    margins: np.ndarray
+    M: np.ndarray
+
+    @property
+    def loss(self) -> float:
+        """‖r‖²."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def violated(self) -> float:
+        """Sum of what the conditions miss."""
+        return float(np.abs(self.equal).sum() + np.maximum(-self.margins, 0).sum())
+
+
+def settle(
+    state: Callable[[np.ndarray], Linearised], theta: np.ndarray, damping: float = DAMPING
+) -> tuple[np.ndarray, Linearised]:
+    """The optimum that is reached from θ, and its state; `violated` says how far it keeps to the
+    conditions. What is linear in θ needs no damping."""
+    now, penalty = state(theta), 0.0
+
+    def merit(of: Linearised) -> float:
+        return of.loss + penalty * of.violated
+
+    for _ in range(STEPS):
+        move = _step(now, damping)
+        ahead = now.residual + now.J @ move
+        if now.violated > 0:  # what a step costs that meets the conditions (Han, 1977)
+            costs = (float(ahead @ ahead) - now.loss) / now.violated
+            penalty = max(penalty, 2 * costs, now.loss)
+        there = state(theta + move)
+        if not merit(now) >= merit(there):  # what bends among the conditions is taken off once
+            bent = replace(
+                now, equal=there.equal - now.A @ move, margins=there.margins - now.M @ move
+            )
+            move = _step(bent, damping)
+            there = state(theta + move)
+        gain = merit(now) - merit(there)
+        small = abs(gain) <= SETTLED * merit(now) + NO_LOSS
+        if not gain >= 0:  # also of what is no number
+            damping = max(10 * damping, LEAST_DAMPING)
+            if small or damping > MOST_DAMPING:
+                break
+            continue
+        theta, now = theta + move, there
+        if small and damping <= LEAST_DAMPING:
+            break
+        damping = max(damping / 10, min(LEAST_DAMPING, damping))
+    return theta, now
+
+
+def _step(now: Linearised, damping: float) -> np.ndarray:
+    """min ‖r + J d‖² + damping ‖d / size‖² with e + A d = 0 and m + M d ≥ 0, or near to them."""
+    size = 1 / felt(np.linalg.norm(now.J, axis=0))
+    J, A, M = now.J * size, now.A * size, now.M * size
+    right = -now.residual
+    if damping:
+        J = np.vstack([J, np.sqrt(damping) * np.eye(J.shape[1])])
+        right = np.append(right, np.zeros(J.shape[1]))
+    start, free = particular(A, -now.equal)
+    free_M, least = M @ free, -now.margins - M @ start
+    turns = np.linalg.norm(free_M, axis=1) > SAID * np.linalg.norm(M, axis=1)
+    J, right, M, least = J @ free, right - J @ start, free_M[turns], least[turns]
+    try:
+        x = least_squares_above(J, right, M, least)
+    except InputError:  # no step meets all: one number more, by how much they are missed
+        J = np.pad(J, [(0, 1), (0, 1)])
+        J[-1, -1] = ELASTIC * max(1.0, float(np.linalg.norm(right)))
+        M = np.column_stack([M, np.ones(len(M))])
+        x = least_squares_above(J, np.append(right, 0.0), M, least)[:-1]
+    return np.asarray((start + free @ x) * size)
+
+
+def felt(sizes: np.ndarray) -> np.ndarray:
+    """Sizes of columns or curvatures, the small ones taken for FELT of the largest."""
+    return np.asarray(np.maximum(sizes, FELT * float(sizes.max(initial=1e-300))))
+
+
+def particular(A: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The least x with A x = a where one is, and a basis of those of A x = 0, as columns."""
+    if not len(A):
+        return np.zeros(A.shape[1]), np.eye(A.shape[1])
+    U, size, V = np.linalg.svd(A)
+    rank = int((size > DEPENDENT * max(size.max(initial=0.0), 1e-300)).sum())
+    x: np.ndarray = V[:rank].T @ ((U[:, :rank].T @ a) / size[:rank])
+    return x, V[rank:].T
+
+
+def least_squares_above(A: np.ndarray, y: np.ndarray, G: np.ndarray, h: np.ndarray) -> np.ndarray:
+    """The x of least ‖A x − y‖ with G x ≥ h, shape [K].
+
+    Args:
+        A: of full column rank, shape [M, K].
+        y: shape [M].
+        G: shape [C, K].
+        h: shape [C].
+
+    Raises InputError where no x obeys, or the rank of A is not full.
+    """
+    Q, R = np.linalg.qr(A)
+    if not R.diagonal().all():
+        raise InputError("A: expected full column rank")
+    b = Q.T @ y
+    if len(h):
+        rows = scipy.linalg.solve_triangular(R, G.T, trans="T").T
+        size = np.linalg.norm(rows, axis=1)
+        size[size == 0] = 1.0
+        rows, gap = rows / size[:, None], (h - rows @ b) / size
+        unit = np.abs(gap).max()
+        if gap.max() > 0:
+            dual = np.concatenate([rows.T, gap[None] / unit])
+            wanted = np.zeros(len(dual))
+            wanted[-1] = 1.0
+            left = dual @ nnls(dual, wanted, maxiter=100 * len(h))[0] - wanted
+            if not np.abs(left[-1]) > 1e-14:
+                raise InputError("G: no x has G x ≥ h")
+            b = b - unit * left[:-1] / left[-1]
+    return np.asarray(scipy.linalg.solve_triangular(R, b))
+
+
+@dataclass(frozen=True)
+class LatticeRows:
+    """What one lattice says of the numbers p = C h² [stress] on a basis, then of extra ones.
+
+    Attributes:
+        R, y: of the loss ‖R p − y‖², shape [n, P + E] and [n].
+        bonds: the basis.
+        group: of the nodes, which says how much of the zone is looked at.
+    """
+
+    R: np.ndarray
+    y: np.ndarray
+    bonds: Basis
+    group: np.ndarray
+
+
+@dataclass(frozen=True)
+class Form:
+    """A stencil on a block's lattice that must be positive: D(k; p) ≥ level s(k) [stress].
+
+    Attributes:
+        block: number of the block.
+        p: shape [P]; slopes its derivative, [P, T].
+    """
+
+    block: int
+    p: np.ndarray
+    slopes: np.ndarray
+    level: float
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """What one θ [T] stands for.
+
+    Attributes:
+        p: on each block, shape [P + E]; slopes their derivatives, [P + E, T].
+        forms: that must be positive.
+        equal: what must be zero, of size one; A its derivative.
+        margins: what must not be negative, of size one; M its derivative.
+        beside: more residuals; by their derivative.
+    """
+
+    p: Sequence[np.ndarray]
+    slopes: Sequence[np.ndarray]
+    forms: Sequence[Form]
+    equal: np.ndarray
+    A: np.ndarray
+    margins: np.ndarray
+    M: np.ndarray
+    beside: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    by: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Settled:
+    """An optimum.
+
+    Attributes:
+        theta: θ.
+        p: on each block.
+        loss: ‖R p − y‖ of all blocks, over the size.
+        losses: its square after each round of cuts.
+        margin: the smallest Λmin D/s less its level that was found over the zones, over the floor.
+        missed: the most that an equality or a margin misses.
+        cuts: active or not, that were needed.
+    """
+
+    theta: np.ndarray
+    p: list[np.ndarray]
+    loss: float
+    losses: list[float]
+    margin: float
+    missed: float
+    cuts: int
+
+    @property
+    def kept(self) -> bool:
+        """Whether all conditions hold."""
+        return self.margin >= -MET and self.missed <= KEPT
+
+
+ROUNDS, NEW_CUTS = 60, 12
+"""Of cuts, and how many a form is given in each."""
+INTERVALS, PATCH = {2: 120, 3: 16}, {2: 11, 3: 7}
+"""Of the grid on the zone, and waves along an axis of the patches that are looked at closer."""
+ZOOMS, FINER, APART = 3, 5.0, 2.5
+"""Patches, each so much smaller than the last; and steps of the grid between their middles."""
+MET, KEPT = 1e-7, 1e-6
+"""Of the floor: a margin this little below zero is met; of size one: what may be missed."""
+
+
+def fit(
+    blocks: Sequence[LatticeRows],
+    law: Callable[[np.ndarray], Numbers],
+    theta: np.ndarray,
+    floor: float,
+    *,
+    size: float | None = None,
+    linear: bool = False,
+    rounds: int = ROUNDS,
+) -> Settled:
+    """The optimum that is reached from one start, its conditions kept over the whole zones.
+
+    Args:
+        blocks: of each lattice; the sum of their losses is minimised.
+        law: what θ stands for.
+        theta: the start.
+        floor: ζ [stress], the size of margins of forms.
+        size: of the residual; ‖y‖ by default.
+        linear: whether the law is linear in θ.
+        rounds: most rounds of cuts.
+    """
+    problem = Regression(blocks, law, floor, size)
+    losses, margin = [], -np.inf
+    for _ in range(rounds):
+        theta = settle(problem.state, theta, 0.0 if linear else DAMPING)[0]
+        numbers = law(theta)
+        losses.append(float(np.sum(problem.left(numbers) ** 2)))
+        margin = problem.look(numbers)
+        if margin >= -MET:
+            break
+    return problem.found(theta, losses, margin)
+
+
+class Regression:
+    """The loss, the conditions and the cuts of a regression as functions of θ; see fit."""
+
+    def __init__(
+        self,
+        blocks: Sequence[LatticeRows],
+        law: Callable[[np.ndarray], Numbers],
+        floor: float,
+        size: float | None = None,
+    ) -> None:
+        self.blocks, self.law, self.floor = blocks, law, floor
+        whole = np.sqrt(sum(float(block.y @ block.y) for block in blocks))
+        self.size = float(size or whole or 1.0)
+        self.zones = [Zone(block.bonds, block.group) for block in blocks]
+        self.cuts: list[tuple[int, np.ndarray]] = []
+
+    def state(self, theta: np.ndarray) -> Linearised:
+        """Residual and conditions at θ, those of waves as far as they were looked at."""
+        at = self.law(theta)
+        J = [block.R @ slopes / self.size for block, slopes in zip(self.blocks, at.slopes)]
+        margins, M = [at.margins], [at.M]
+        for number, G in self.cuts:
+            form = at.forms[number]
+            margins.append((G @ form.p - form.level) / self.floor)
+            M.append(G @ form.slopes / self.floor)
+        return Linearised(
+            np.append(self.left(at), at.beside),
+            np.concatenate(J if at.by is None else [*J, at.by]),
+            at.equal,
+            at.A,
+            np.concatenate(margins),
+            np.concatenate(M),
+        )
+
+    def left(self, at: Numbers) -> np.ndarray:
+        """The residual of all blocks over the size."""
+        left = (block.R @ p - block.y for block, p in zip(self.blocks, at.p))
+        return np.concatenate([*left]) / self.size
+
+    def look(self, at: Numbers) -> float:
+        """The smallest margin over the zones, over the floor; waves below zero become cuts."""
+        smallest = np.inf
+        for number, form in enumerate(at.forms):
+            zone = self.zones[form.block]
+            least, phase, vectors = zone.softest(form.p, form.level - MET * self.floor)
+            smallest = min(smallest, (least - form.level) / self.floor)
+            if len(phase):
+                self.cuts.append((number, zone.cuts(phase, vectors)))
+        return smallest
+
+    def found(self, theta: np.ndarray, losses: list[float], margin: float) -> Settled:
+        """The result of a search that ended at θ."""
+        at = self.law(theta)
+        missed = float(np.append(np.abs(at.equal), -at.margins).max(initial=0.0))
+        count = sum(len(G) for _, G in self.cuts)
+        return Settled(theta, [*at.p], losses[-1] ** 0.5, losses, margin, missed, count)
+
+
+Minimum: TypeAlias = tuple[float, np.ndarray, np.ndarray]
+"""Λmin D/s at a wave, its k h, and the eigenvector."""
+
+
+class Zone:
+    """Looks for the softest waves of a lattice: a grid on the zone, then zooms into its minima."""
+
+    def __init__(self, bonds: Basis, group: np.ndarray) -> None:
+        d = bonds.dimension
+        self.bonds, self.phase = bonds, zone_sample(group, d, INTERVALS[d])
+        self.wave, self.step = bend(self.phase, bonds.steps), np.pi / INTERVALS[d]
+        line = np.linspace(-1, 1, PATCH[d])
+        self.patch = np.stack(np.meshgrid(*d * [line]), axis=-1).reshape(-1, d)
+
+    def softest(self, p: np.ndarray, below: float) -> tuple[float, np.ndarray, np.ndarray]:
+        """The smallest Λmin D/s, and k h and the eigenvectors of minima below a level, [n, d]."""
+        tensors = np.tensordot(p[: len(self.bonds.basis)], self.bonds.basis, 1)
+        value, vector = ratios(self.bonds.steps, tensors, self.phase, self.wave)
+        found = [self._zoomed(tensors, *start) for start in self._apart(value, vector)]
+        low = [one for one in found if one[0] < below]
+        phase, vectors = (np.array([one[n] for one in low]) for n in (1, 2))
+        return min(one[0] for one in found), phase, vectors
+
+    def _apart(
+        self, value: np.ndarray, vector: np.ndarray
+    ) -> list[tuple[float, np.ndarray, np.ndarray]]:
+        """The lowest waves of the grid that are no neighbours of one another: narrow dips too."""
+        found: list[Minimum] = []
+        for n in np.argsort(value):
+            k = self.phase[n]
+            if all(np.abs(k - other[1]).max() > APART * self.step for other in found):
+                found.append((value[n], k, vector[n]))
+                if len(found) == NEW_CUTS:
+                    break
+        return found
+
+    def _zoomed(
+        self, tensors: np.ndarray, value: float, k: np.ndarray, vector: np.ndarray
+    ) -> Minimum:
+        """A minimum followed down through ever finer patches."""
+        reach = self.step
+        for _ in range(ZOOMS):
+            near = k + reach * self.patch
+            near = near[np.abs(near).max(axis=1) > 1e-3 * self.step]
+            values, vectors = ratios(self.bonds.steps, tensors, near)
+            n = int(np.argmin(values))
+            if values[n] < value:
+                value, k, vector = values[n], near[n], vectors[n]
+            reach /= FINER
+        return float(value), k, vector
+
+    def cuts(self, phase: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+        """Rows G with G p = vᵗ D(k; p) v / s(k), shape [n, P]."""
+        work = np.einsum("axij,ki,kj->kax", self.bonds.basis, vectors, vectors, optimize=True)
+        rows = np.einsum("kax,kx->ka", work, bend(phase, self.bonds.steps))
+        return np.asarray(rows / laplacian(phase)[:, None])

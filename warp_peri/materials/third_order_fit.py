@@ -1,0 +1,213 @@
+"""A third-order crystal learned by one least squares (theory, N28–N29)."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from scipy.optimize import root
+
+from warp_peri.contract import MaterialFit
+from warp_peri.core.elastic import turned
+from warp_peri.core.grid import grid_of
+from warp_peri.core.groups import checked_orientation
+from warp_peri.core.pointwise import Pointwise
+from warp_peri.core.stencil import Stencil, invariant_basis
+from warp_peri.errors import InputError
+from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
+from warp_peri.fitting.regression import Settled
+from warp_peri.fitting.rows import load_sizes, rows, swept
+from warp_peri.micromodulus.crystal_fit import Micromodulus, Tensors, one_set
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.families import bond_classes
+from warp_peri.points.samples import Samples, axis_of
+from warp_peri.third_order.material import FORMS, ThirdOrderCrystal
+from warp_peri.third_order.operator import energy_density, gradient_stencil
+from warp_peri.third_order.smoothing import Smoothing, gradient_weights
+
+SETTLED = 1e-9
+"""Relative, of moduli that are found."""
+CONSTANTS = ("t3", "tq2", "q3")
+
+
+@dataclass(frozen=True)
+class ThirdOrder:
+    """A crystal with third-order elastic constants t3, tq2, q3 (theory, N1–N6, N22–N29).
+
+    Attributes:
+        linear: Micromodulus(…), whose tensors are learned with the constants by one least squares;
+            its "auto" symmetry is "isotropic" here. "long waves" holds the moduli with which no
+            long wave is left of the loads (N29).
+        smoothing: of the data, which the weights of the gradient undo.
+        form: "filtered", closer to the data, or "energy", whose force has an energy and can move.
+
+    The direction of the crystal is stated by the samples' points (Points.axis). `fit` raises
+    InputError for another linear part, form or smoothing, and where no moduli are held.
+
+    >>> law = wp.ThirdOrder(wp.Micromodulus(10.0), wp.methods.Smoothing(10.0, 0.2), "energy")
+    >>> wp.fit(samples, law).material.proven_strain(5.0) > 0
+    True
+    """
+
+    linear: Micromodulus
+    smoothing: Smoothing
+    form: str = "filtered"
+
+    def learn(
+        self,
+        samples: Samples | Dataset | Sequence[Samples],
+        *,
+        noise: Samples | Sequence[Samples] | None = None,
+        progress: bool | None = None,
+    ) -> MaterialFit:
+        """The fit: the residual is linear in tensors and constants; each sample counts by 1/‖b‖.
+
+        Its errors have the mean relative residual on the training samples, E_res, and its history
+        the largest |H| of these within reach of the interior. A UserWarning says where that is
+        beyond the proven strain.
+
+        Raises InputError for samples that do not carry twice the horizon, do not determine the law,
+        or have no load.
+        """
+        begin, (asked, smoothing) = time.perf_counter(), (self.linear, self.smoothing)
+        self._check(noise)
+        given = one_set(samples)
+        horizon, h = asked.horizon, given.spacing
+        if given.points.dimension != 2:
+            raise InputError("samples: expected a sheet; in space LPS and Micromodulus are learned")
+        axes = grid_of(given.points, invariant_basis(horizon / h, np.eye(2)[None]).steps).axes
+        way = asked.orientation
+        turn = np.eye(2) if way is None else axes.T @ checked_orientation(way, 2)
+        auto = isinstance(asked.symmetry, str) and asked.symmetry == "auto"
+        tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
+        weights = gradient_weights(smoothing, self.form, bond_classes(h, horizon))
+        fields = nonlinear_features(given, horizon, weights)
+        extra = np.einsum("sima,ak->sikm", fields, axes)
+        moduli, misfit = asked.checked_moduli(2), None
+        learning = Learning(given, tensors, extra)
+        if moduli is None:
+            tensor, misfit = learning.found_moduli()
+        else:
+            tensor = turned(moduli, turn)
+        found, _ = learning.at(tensor)
+        linear = tensors.crystal(found, given.points.units, {})
+        t3, tq2, q3 = found.p[0][len(tensors.bonds.basis) :]
+        record = {
+            "from": "fields",
+            "loss": found.loss,
+            "long_wave_misfit": misfit,
+            "cuts": found.cuts,
+            "numbers": len(found.p[0]),
+        }
+        law = ThirdOrderCrystal(
+            linear, t3, tq2, q3, smoothing, self.form, float(horizon), provenance={"fit": record}
+        ).certified()
+        operator = law.on(given.points, allow_uncertified=True)
+        b = given.loads[:, given.interior]
+        wrong = np.linalg.norm((operator(given.u) - b).reshape(len(b), -1), axis=1)
+        largest = float(operator.largest_gradient(given.u).max())
+        if largest > (proven := law.proven_strain(law.spacing)):
+            warnings.warn(
+                f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
+                f"reach {largest:.2%}; a larger ridge of the smoothing than {smoothing.ridge:g} "
+                "may prove more",
+                stacklevel=3,
+            )
+        history = record | {"largest_gradient": largest, "seconds": time.perf_counter() - begin}
+        return MaterialFit(law, history, {"E_res": float((wrong / learning.size).mean())})
+
+    def _check(self, noise: Any) -> None:
+        if not isinstance(self.linear, Micromodulus):
+            raise InputError(
+                "linear: expected Micromodulus(horizon); an LPS goes in by "
+                f"ThirdOrderCrystal(tensors_of(model, spacing), …), got {self.linear!r:.60}"
+            )
+        if self.form not in FORMS:
+            raise InputError(f"form: expected 'filtered' or 'energy', got {self.form!r:.50}")
+        if noise:
+            raise InputError("noise: expected none for a crystal model")
+        if not isinstance(self.smoothing, Smoothing):
+            raise InputError(f"smoothing: expected Smoothing(…), got {self.smoothing!r:.60}")
+        if self.linear.moduli is None:
+            raise InputError("moduli: expected some that are held, beside third-order constants")
+
+
+def nonlinear_features(
+    points: Samples, horizon: float, weights: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """The force of t3, tq2, q3, λ and μ of Ψ, each at 1, shape [S, I, 5, 2].
+
+    Args:
+        points: the samples, whose points state the axis of the crystal.
+        horizon: δ [Å].
+        weights: p_in and p_out by class, each of shape [C].
+    """
+    (steps, into), (_, out) = (gradient_stencil(points, horizon, p) for p in weights)
+    energy, none = partial(energy_density, axis=axis_of(points)), np.zeros((2, 2, 2))
+    numbers, columns = dict.fromkeys((*CONSTANTS, "lam", "mu"), 0.0), []
+    operator = Pointwise(
+        points, horizon, energy, steps, into, back=out, numbers=numbers,
+        stencil=Stencil(points.spacing, np.eye(2, dtype=int), none),
+    )  # fmt: skip
+    for name in numbers:
+        operator.take(numbers | {name: 1.0})
+        columns.append(operator.force(points.u))
+    return np.stack(columns, axis=2)
+
+
+class Learning:
+    """The regression of tensors with columns of t3, tq2, q3, and of λ and μ in Ψ.
+
+    Args:
+        samples: the data.
+        tensors: the linear part.
+        extra: forces of the columns along the nodes' axes, [S, I, 2, 5].
+    """
+
+    def __init__(self, samples: Samples, tensors: Tensors, extra: np.ndarray) -> None:
+        self.samples, self.tensors, self.extra = samples, tensors, extra
+        self.size = load_sizes(samples)
+        if not (self.size > 0).all():
+            raise InputError(f"b: expected loads, got none on sample {int(np.argmin(self.size))}")
+        self.R, self.y = rows(samples, tensors.bonds, weight=1 / self.size, extra=extra)
+        if len(self.R) < self.R.shape[1]:
+            raise InputError(
+                f"data: expected enough to tell {self.R.shape[1]} numbers apart; give more loads"
+            )
+
+    def at(self, tensor: np.ndarray) -> tuple[Settled, np.ndarray]:
+        """The fit with some moduli, and the numbers that belong to all columns."""
+        lame = np.array([tensor[0, 0, 1, 1], tensor[0, 1, 0, 1]])  # Ψ has those of the tensors
+        y = self.y - self.R[:, -2:] @ lame
+        found = self.tensors.fitted(self.R[:, :-2], y, tensor)
+        return found, np.concatenate([found.p[0], lame])
+
+    def found_moduli(self) -> tuple[np.ndarray, float]:
+        """The moduli with which what the law leaves of the loads has no long waves (N29)."""
+        allowed, samples = self.tensors.allowed, self.samples
+        values, kept, moments = long_wave_rows(samples, allowed, 0)
+        place, seen, load = (np.cumsum(samples.interior) - 1)[kept], [], []
+        for _, F, b in swept(samples, self.tensors.bonds, self.extra):
+            seen.append(np.einsum("vn,snka->svka", values, F[:, place], optimize=True))
+            load.append(np.einsum("vn,snk->svk", values, b[:, place], optimize=True))
+        weight = 1 / self.size[:, None, None, None]
+        long, right = np.concatenate(seen) * weight, np.concatenate(load) * weight[..., 0]
+        own = long[..., -2:] @ np.array([[C[0, 0, 1, 1], C[0, 1, 0, 1]] for C in allowed]).T
+        R = np.concatenate([moments * weight + own, long[..., -5:-2]], axis=-1)
+
+        def left(c: np.ndarray) -> np.ndarray:
+            return np.asarray(right - long @ self.at(np.tensordot(c, allowed, 1))[1])
+
+        def change(c: np.ndarray) -> np.ndarray:
+            return moduli_of(R, left(c))[0][: len(c)]
+
+        guess = long_wave_moduli(samples, allowed)[0]
+        start = np.linalg.lstsq(allowed.reshape(len(allowed), -1).T, guess.ravel())[0]
+        c = root(change, start, tol=SETTLED).x
+        misfit = np.linalg.norm(left(c)) / np.linalg.norm(right)
+        return np.tensordot(c, allowed, 1), float(misfit)

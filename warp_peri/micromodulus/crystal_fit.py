@@ -1,0 +1,547 @@
+"""Crystals learned from fields, from phonons, and from other crystals (theory, T7–T10, T14–T20)."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from warp_peri.contract import MaterialFit
+from warp_peri.core import elastic
+from warp_peri.core.elastic import (
+    acoustic,
+    allowed_tensors,
+    bracket_rows,
+    brackets_from_elastic,
+    from_voigt,
+    huang_rows,
+    stress_brackets,
+    turned,
+)
+from warp_peri.core.groups import (
+    Symmetry,
+    checked_orientation,
+    name_of,
+    point_group,
+    shared_with_nodes,
+)
+from warp_peri.core.stencil import directions, invariant_basis
+from warp_peri.errors import InputError
+from warp_peri.fitting import regression
+from warp_peri.fitting.long_waves import ENOUGH, long_wave_moduli
+from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, particular
+from warp_peri.fitting.rows import compressed, over_loads, rows
+from warp_peri.fitting.symmetry import judged
+from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
+from warp_peri.micromodulus.force_constants import ForceConstants
+from warp_peri.micromodulus.law import BROKEN, Crystal
+from warp_peri.points.arrays import check_positive
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.lattice import check_lattice, lattice_steps
+from warp_peri.points.samples import Samples, part
+from warp_peri.points.unit_names import USUAL, Units, factors, symbols
+
+LONG_WAVE_MODULI, POOR = "long waves", 0.1
+"""Moduli that fields tell, and the part of the loads of long waves that they may leave unsaid."""
+AGREE, SPREADS = 0.02, 2.0
+"""Of the largest modulus, and spreads between halves of the samples, by which long waves of two
+laws may differ."""
+ABSURD = 10.0
+"""Times the loads, that no law leaves of data in its own units, however noisy."""
+FLOOR = 0.3
+"""ζ over the softest acoustic modulus."""
+NOTHING, TOLD = 1e-10, 1e-6
+"""Of equalities of size one, that are rounding; relative, what contradicts them."""
+DEPENDENT = 1e-12
+"""Relative size of a number that the rows do not tell."""
+NUMBERS = 3
+"""Numbers for each equation that holds moduli, from which holding them costs short waves little."""
+OFF = 0.05
+"""Of the largest modulus: what is missed by more is warned of."""
+FAR = 1e3
+"""Nodes over the cell of the atoms, or the cell over nodes, beyond which units are mistaken."""
+SAME = 1e-6
+"""Relative, of spacings, and of rotations that leave the crystal as it is on its nodes."""
+
+
+class Tensors:
+    """A crystal while it is learned: θ are C h² [stress] of all tensors that its group allows.
+
+    Args:
+        spacing, horizon: of the nodes and of the longest bond.
+        symmetry: of the crystal, by name or as rotations.
+        turn: the crystal's axes in those of the nodes, as columns, shape [d, d].
+    """
+
+    def __init__(
+        self, spacing: float, horizon: float, symmetry: Symmetry, turn: np.ndarray
+    ) -> None:
+        self.spacing, self.symmetry, self.turn = spacing, symmetry, turn
+        group = point_group(symmetry, len(turn))
+        self.allowed = allowed_tensors(symmetry, group, turn)
+        self.group = shared_with_nodes(group, turn)
+        self.bonds = invariant_basis(horizon / spacing, self.group)
+
+    def fitted(
+        self,
+        R: np.ndarray,
+        y: np.ndarray,
+        tensor: np.ndarray | None,
+        stress: np.ndarray | None = None,
+    ) -> Settled:
+        """The best numbers, and those of the extra columns of R.
+
+        Args:
+            R, y: rows, shape [n, P + E] and [n].
+            tensor: elastic tensor along the nodes' axes that is held; without it Huang's relations
+                alone are.
+            stress: that the crystal is held under.
+
+        Raises InputError for an elastic tensor that is no crystal's or that no law of this family
+        has, more numbers than the rows can tell, or a floor that none meets.
+        """
+        d, count = len(self.turn), len(self.bonds.basis)
+        moments, equations = self.bonds.moments(), huang_rows
+        asked = stress_brackets(np.zeros((d, d)) if stress is None else stress)
+        if tensor is not None:
+            asked, equations = asked + brackets_from_elastic(tensor), bracket_rows
+        size = np.abs(moments).max()  # rows that vanish by symmetry are rounding beside it
+        A, a = equations(moments) / size, equations(asked[None])[:, 0] / size
+        if tensor is None:
+            asked = np.tensordot(np.linalg.lstsq(R, y)[0][:count], moments, 1)
+        soft = np.linalg.eigvalsh(acoustic(asked, directions(400, d)))[:, 0].min()
+        if not soft > 0:
+            raise InputError(
+                f"moduli: expected a stable crystal, got a sound wave of stiffness {soft:.3g}"
+            )
+        said = np.linalg.norm(A, axis=1) > NOTHING
+        A, a = np.pad(A[said], [(0, 0), (0, R.shape[1] - count)]), a[said]
+        start, free = particular(A, a)
+        if np.abs(A @ start - a).max(initial=0.0) > TOLD * np.abs(a).max(initial=1e-300):
+            raise InputError(
+                "moduli: no model of this horizon and symmetry has them; a larger horizon or a "
+                "smaller symmetry may"
+            )
+        R, y = compressed(R, y)
+        sizes = np.linalg.svd(R @ free, compute_uv=False)
+        if np.count_nonzero(sizes > DEPENDENT * sizes.max(initial=0.0)) < free.shape[1]:
+            raise InputError(
+                f"data: expected enough to tell {free.shape[1]} numbers of "
+                f"{len(self.bonds.steps) * 2} bonds apart; give more loads, shorter waves, a "
+                "smaller horizon or a larger symmetry"
+            )
+        one, none, floor = np.eye(R.shape[1]), np.zeros((0, R.shape[1])), FLOOR * float(soft)
+
+        def law(theta: np.ndarray) -> Numbers:
+            form = Form(0, theta[:count], one[:count], floor)
+            left = (A @ theta - a) / soft
+            return Numbers([theta], [one], [form], left, A / soft, none[:, 0], none)
+
+        block = LatticeRows(R, y, self.bonds, self.group)
+        found = regression.fit([block], law, start, floor, linear=True)
+        if not found.kept:
+            raise InputError("stability: no model of this horizon and symmetry meets the floor")
+        return found
+
+    def crystal(
+        self, found: Settled, units: Units, record: dict[str, Any], stress: np.ndarray | None = None
+    ) -> Crystal:
+        """The crystal with these numbers, and its certificate."""
+        p = found.p[0][: len(self.bonds.basis)]
+        tensors = np.tensordot(p, self.bonds.basis, 1) / self.spacing**2
+        record = {"fit": record | {"loss": found.loss, "cuts": found.cuts}} if record else {}
+        law = Crystal(
+            self.spacing, self.bonds.steps, tensors, units, self.symmetry, self.turn, None, record,
+            stress,
+        )  # fmt: skip
+        return law.certified()
+
+
+@dataclass(frozen=True)
+class Micromodulus:
+    """A tensor C(ξ) for every bond, of any crystal in the plane or in space (theory, T).
+
+    Attributes:
+        horizon: length of the longest bond [length].
+        symmetry: name of the crystal's point group, rotations, or "auto": the largest group with
+            which the fit is as good as without one.
+        orientation: the crystal's axes in the coordinates of the points, columns of a rotation
+            [d, d], or degrees; the points' own axis by default.
+        moduli: "long waves" holds those that a fit of long waves finds, None holds none, a Voigt
+            matrix (crystal's axes) [stress], shape [3, 3], in space [6, 6], holds its own.
+        normalise: weigh each sample by 1/‖b‖.
+
+    `fit` raises InputError for several sets, scattered points, or a symmetry that is none.
+
+    >>> wp.fit(samples, wp.Micromodulus(12.5, "4mm")).material.certificate.proven > 0
+    True
+    """
+
+    horizon: float
+    symmetry: Symmetry = "auto"
+    orientation: Any = None
+    moduli: Any = LONG_WAVE_MODULI
+    normalise: bool = False
+
+    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> MaterialFit:
+        """The fit; it is one least squares, with no progress to show.
+
+        Its history has the loss, the group's loss over that of the best group (`symmetry_ratio`),
+        cuts and numbers.
+
+        Raises InputError for samples that do not carry the horizon or do not determine the law. A
+        UserWarning says where data contradict the symmetry that is told, and where long waves are
+        too few or too short to tell moduli.
+        """
+        given = one_set(samples)
+        axes = lattice_steps(given.points)[1]
+        turn = self.turn(given, axes)
+        check_positive("horizon", self.horizon)
+        moduli = self.checked_moduli(len(turn))
+        reach, misfit = self.horizon / given.spacing, None
+        name, ratio = judged(given, reach, turn, self.normalise, self.symmetry)
+        tensors = Tensors(given.spacing, self.horizon, name, turn)
+        R, y = rows(given, tensors.bonds, weight=over_loads(given) if self.normalise else None)
+        C = None if moduli is None else turned(moduli, turn)
+        if self.moduli is not None and moduli is None:
+            C, misfit = long_wave_moduli(given, tensors.allowed)
+            if misfit > POOR:
+                warnings.warn(
+                    f"moduli: those of the longest waves leave {misfit:.0%} of what these loads do "
+                    "to them, and may be as far off: give them, or loads of longer waves on more "
+                    "nodes",
+                    stacklevel=3,
+                )
+        found = tensors.fitted(R, y, C)
+        if not found.loss < ABSURD:
+            raise InputError(
+                f"data: the model leaves {found.loss:.3g} times the loads themselves; are moduli "
+                f"in {symbols(given.points.units)[1]}, and loads the forces on the nodes?"
+            )
+        record = {
+            "from": "fields",
+            "symmetry_ratio": ratio,
+            "long_wave_misfit": misfit,
+            "numbers": len(tensors.bonds.basis),
+            "moduli_held": C is not None,
+        }
+        material = tensors.crystal(found, given.points.units, record)
+        return MaterialFit(material, dict(material.provenance["fit"]))
+
+    def turn(self, samples: Samples, axes: np.ndarray) -> np.ndarray:
+        """The crystal's axes in those of the nodes, as columns, [d, d]."""
+        stated = samples.axis if self.orientation is None else self.orientation
+        d = len(axes)
+        return np.eye(d) if stated is None else axes.T @ checked_orientation(stated, d)
+
+    def checked_moduli(self, d: int) -> np.ndarray | None:
+        """The elastic tensor that is given; None for none, and for those of long waves."""
+        if self.moduli is None or isinstance(self.moduli, str):
+            if self.moduli not in (None, LONG_WAVE_MODULI):
+                raise InputError(
+                    f"moduli: expected {LONG_WAVE_MODULI!r}, None or a Voigt matrix, got "
+                    f"{self.moduli!r:.60}"
+                )
+            return None
+        moduli = from_voigt(self.moduli)
+        if len(moduli) != d:
+            raise InputError(f"moduli: expected those of {d} dimensions, got {len(moduli)}")
+        return moduli
+
+
+def one_set(samples: Any) -> Samples:
+    """The samples of one set; of a Dataset `train`, or its only set."""
+    if isinstance(samples, (list, tuple)) and len(samples) != 1:
+        raise InputError(f"samples: expected one set for a crystal model, got {len(samples)}")
+    given = samples[0] if isinstance(samples, (list, tuple)) else samples
+    if isinstance(given, Dataset):
+        return given.obvious("train")
+    if not isinstance(given, Samples):
+        raise InputError(f"samples: expected Samples, got {type(given).__name__}")
+    check_lattice(given)
+    return given
+
+
+def long_waves_of_data(
+    moduli: dict[str, float], samples: Samples, horizon: float
+) -> tuple[dict[str, float], str]:
+    """Moduli of long waves that samples have, by tensors, and a line where a fit's are others.
+
+    Args:
+        moduli: C11, C12, C44 of the fit [stress].
+        samples: that it was learned from.
+        horizon: of the tensors, as of the fit.
+
+    Nothing of scattered points, space, or data whose long waves do not tell; the line is for what
+    is more than two spreads between halves of the samples, and 2 % of the largest modulus, off.
+    """
+    if samples.spacing == 0 or samples.points.dimension != 2 or len(samples) < ENOUGH:
+        return {}, ""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            bare = replace(samples, points=replace(samples.points, axis=None))
+            law = Micromodulus(horizon).learn(bare).material
+            again = Micromodulus(horizon, law.symmetry)
+            halves = [again.learn(part(bare, slice(n, None, 2))).material for n in (0, 1)]
+    except (InputError, UserWarning):
+        return {}, ""
+    C, one, other = (np.asarray(each.elastic_tensor()) for each in (law, *halves))
+    a, b, c = (moduli[name] for name in ("C11", "C12", "C44"))
+    off = np.abs(np.array([[a, b, 0], [b, a, 0], [0, 0, c]]) - C)
+    best = {name: float(value) for name, value in law.moduli().items()}
+    if not (off > np.maximum(SPREADS / 2 * np.abs(one - other), AGREE * C.max())).any():
+        return best, ""
+    unit = symbols(samples.points.units)[1]
+    told = [", ".join(f"{k} {v:.4g}" for k, v in each.items()) for each in (moduli, best)]
+    return best, (
+        f"moduli: of long waves the fit has {told[0]} {unit}, a crystal model has {told[1]}, "
+        "more apart than their spread: --law tensors, Micromodulus(…), has them"
+    )
+
+
+def fit_symbol(
+    target: WaveSymbol,
+    spacing: float,
+    horizon: float,
+    *,
+    symmetry: Symmetry,
+    orientation: Any = None,
+    tensor: np.ndarray | None = None,
+    stress: np.ndarray | None = None,
+    units: Units = USUAL,
+    largest_wave: float = LARGEST_WAVE,
+    record: dict[str, Any] | None = None,
+) -> Crystal:
+    """The law whose answers to plane waves are those of a symbol: rows D₀⁻¹ D e − e (T9).
+
+    Args:
+        target: D₀(k) [stress/length²] at k [K, d] along the nodes' axes, to [K, d, d].
+        spacing, horizon: of the law.
+        symmetry: of the crystal, by name or as rotations.
+        orientation: the crystal's axes in those of the nodes.
+        tensor: elastic tensor along the nodes' axes that is held, [d, d, d, d]; without it Huang's
+            relations alone are.
+        stress: that the crystal is held under, along the nodes' axes, [d, d].
+        largest_wave: |k| h up to which waves weigh fully; beyond it a tenth.
+        record: goes into the provenance.
+    """
+    d = _dimension(target) if tensor is None else len(tensor)
+    tensors = Tensors(spacing, horizon, symmetry, checked_orientation(orientation, d))
+    R, y = wave_rows(target, spacing, tensors.bonds, tensors.group, largest_wave)
+    told = (record or {}) | {
+        "numbers": len(tensors.bonds.basis),
+        "moduli_held": tensor is not None,
+        "largest_wave": largest_wave / spacing,
+    }
+    return tensors.crystal(tensors.fitted(R, y, tensor, stress), units, told, stress)
+
+
+def _dimension(target: WaveSymbol) -> int:
+    """Of the waves that a symbol takes."""
+    for d in (2, 3):
+        try:
+            if target(np.full((1, d), 0.01)).shape == (1, d, d):
+                return d
+        except ValueError:
+            continue
+    raise InputError("target: expected k of shape [K, d] to [K, d, d], d = 2 or 3")
+
+
+def from_phonons(
+    atoms: ForceConstants,
+    spacing: float,
+    horizon: float,
+    *,
+    symmetry: Symmetry = "auto",
+    orientation: Any = None,
+    hold_moduli: bool | None = None,
+    largest_wave: float = LARGEST_WAVE,
+    units: Units = USUAL,
+) -> Crystal:
+    """The law that answers plane waves as atoms do, from their force constants alone (T14).
+
+    Args:
+        atoms: force constants; the crystal's axes are those of their coordinates.
+        spacing, horizon: of the nodes and of the longest bond, in the unit of length.
+        symmetry: "auto" asks spglib.
+        orientation: the crystal's axes in those of the nodes.
+        hold_moduli: hold the elastic constants exactly, or let long waves weigh four times; None
+            holds them where a family has NUMBERS for each.
+        units: of the law.
+
+    Returns a law with its certificate. Raises InputError for a crystal that is not stable.
+    """
+    check_positive("spacing", spacing)
+    check_positive("horizon", horizon)
+    d = atoms.dimension
+    length, stress = factors(units, USUAL)
+    turn = checked_orientation(orientation, d)
+    auto = isinstance(symmetry, str) and symmetry == "auto"
+    name: Symmetry = name_of(atoms.group()) if auto else symmetry
+    cell = atoms.volume ** (1 / d) if d == 3 else (atoms.volume / (atoms.thickness or 1.0)) ** 0.5
+    if not 1 / FAR < spacing * length / cell < FAR:
+        raise InputError(
+            f"spacing: expected nodes about as far apart as a cell of the atoms is long, "
+            f"{cell / length:.3g} {symbols(units)[0]}, got {spacing:g}"
+        )
+
+    def target(k: np.ndarray) -> np.ndarray:
+        D = atoms.effective(k / length @ turn)  # k in the crystal's axes is Rᵗ k
+        return np.asarray(turn @ D @ turn.T) * (length**2 / stress)
+
+    group = point_group(name, d)
+    allowed = allowed_tensors(name, group, np.eye(d))
+    if hold_moduli is None:
+        moments = invariant_basis(horizon / spacing, shared_with_nodes(group, turn)).moments()
+        hold_moduli = len(moments) >= NUMBERS * np.linalg.matrix_rank(bracket_rows(moments))
+    C = atoms.elastic(allowed)  # also where it is not held: refuses what is no elastic solid
+    tensor = turned(C, turn) / stress if hold_moduli else None
+    held = None if atoms.stress is None else turn @ atoms.stress @ turn.T / stress
+    law = fit_symbol(
+        target,
+        spacing,
+        horizon,
+        symmetry=name,
+        orientation=turn,
+        tensor=tensor,
+        stress=held,
+        units=units,
+        largest_wave=largest_wave,
+        record={"from": "phonons"},
+    )
+    true = turned(C, turn) / stress
+    off = float(np.abs(law.tensor() - true).max() / np.abs(true).max())
+    if off > OFF:
+        warnings.warn(
+            f"moduli: with {law.bonds} bonds they are up to {off:.0%} of the largest away from "
+            "those of the atoms; a longer horizon, or hold_moduli=True, brings them back",
+            stacklevel=2,
+        )
+    return law
+
+
+def transferred(
+    law: Crystal,
+    spacing: float,
+    *,
+    rotation: Any = None,
+    horizon: float | None = None,
+    largest_wave: float = LARGEST_WAVE,
+) -> Crystal:
+    """The law of the same crystal on other nodes: a fit to its own symbol, moduli held (T17).
+
+    Args:
+        law: to be carried over.
+        spacing: of the new nodes.
+        rotation: by which the crystal is turned on its nodes, [d, d], or degrees in the plane:
+            C(Rξ) is R C(ξ) Rᵗ, so that its symbol is R D(Rᵗ k) Rᵗ.
+        horizon: of the new law; as many spacings as the old one.
+        largest_wave: |k| times the larger spacing up to which waves weigh fully.
+
+    Returns a law with its certificate. Raises InputError where the symbol is not positive.
+    """
+    check_positive("spacing", spacing)
+    if horizon is not None:
+        check_positive("horizon", horizon)
+    d = law.dimension
+    turn = checked_orientation(rotation, d)
+    orientation = turn @ law.orientation
+    held = None if law.stress is None else turn @ law.stress @ turn.T
+    still = shared_with_nodes(turn[None], np.eye(d)).any()
+    if still and abs(spacing / law.spacing - 1) < SAME and horizon is None:
+        steps = np.rint(law.steps @ turn.T).astype(int)
+        tensors = turn @ law.tensors @ turn.T
+        same = Crystal(
+            law.spacing, steps, tensors, law.units, law.symmetry, orientation, None,
+            law.provenance, held,
+        )  # fmt: skip
+        return same.certified()
+
+    wanted = law.horizon / law.spacing * spacing if horizon is None else horizon
+    return fit_symbol(
+        carried_symbol(law.symbol, law.spacing, turn),
+        spacing,
+        wanted,
+        symmetry=law.symmetry,
+        orientation=orientation,
+        tensor=turned(law.tensor(), turn),
+        stress=held,
+        units=law.units,
+        largest_wave=largest_wave * min(1.0, spacing / law.spacing),
+        record={"from": "a law on other nodes", "spacing": law.spacing},
+    )
+
+
+def plane_strain(law: Crystal, normal: int = 2) -> Crystal:
+    """The law of fields that do not change along an axis of the nodes: bonds summed along it.
+
+    Exactly what the law in space does with such fields, at all wavelengths.
+
+    Args:
+        law: in space.
+        normal: axis of the nodes, 0, 1 or 2.
+
+    Raises InputError for a law in the plane, another axis, and a crystal that such fields push out
+    of the plane: a mirror or a twofold turn about the normal forbids it.
+    """
+    kept = _kept(law, normal)
+    sums: dict[tuple[int, ...], np.ndarray] = {}
+    for step, C in zip(law.steps[:, kept].tolist(), law.tensors):
+        if any(step):
+            key = max(tuple(step), tuple(-s for s in step))
+            sums[key] = sums.get(key, np.zeros((3, 3))) + C
+    tensors = np.array(list(sums.values()))
+    pushed = np.abs(tensors[:, kept, normal]).max()
+    if pushed > BROKEN * np.abs(tensors).max():
+        raise InputError(
+            f"normal: expected an axis with a mirror or a twofold turn, got one along which fields "
+            f"of the plane push (by {pushed / np.abs(tensors).max():.1e} of the tensors)"
+        )
+    turns = law.orientation @ point_group(law.symmetry, 3) @ law.orientation.T
+    turns = turns[np.abs(np.abs(turns[:, normal, normal]) - 1) < BROKEN][:, kept][:, :, kept]
+    flat = Crystal(
+        law.spacing,
+        np.array(list(sums)),
+        tensors[:, kept][:, :, kept],
+        law.units,
+        turns,
+        provenance=law.provenance,
+        stress=None if law.stress is None else law.stress[np.ix_(kept, kept)],
+    )
+    return flat.certified()
+
+
+def plane_stress(law: Crystal, normal: int = 2) -> Crystal:
+    """The law of a thin sheet of a crystal in space, free of stress across an axis of its nodes.
+
+    Its moduli are a Schur complement; at short waves it answers as that elastic solid does, for
+    what a sheet's faces do there is no property of the crystal. Bonds are those of `plane_strain`.
+
+    Raises InputError as `plane_strain` does.
+    """
+    kept = _kept(law, normal)
+    order = [*kept, normal]
+    C = elastic.plane_stress(law.tensor()[np.ix_(order, order, order, order)])
+    brackets = elastic.brackets_from_elastic(C)
+    flat = plane_strain(law, normal)
+    return fit_symbol(
+        lambda k: elastic.acoustic(brackets, k),
+        law.spacing,
+        flat.horizon,
+        symmetry=flat.symmetry,
+        tensor=C,
+        units=law.units,
+        record={"from": "plane stress"},
+    )
+
+
+def _kept(law: Crystal, normal: int) -> list[int]:
+    if law.dimension != 3 or normal not in (0, 1, 2):
+        raise InputError(
+            f"normal: expected axis 0, 1 or 2 of a model in space, got {normal!r:.20} of one in "
+            f"{law.dimension} dimensions"
+        )
+    return [axis for axis in range(3) if axis != normal]
