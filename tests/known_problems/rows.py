@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import multiprocessing
-import sys
 import time
 import tomllib
 import warnings
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
+from tqdm import tqdm
 
 from tests.known_problems import cracks, motion, statics
 from tests.known_problems.statics import Outcome, UnitScale
@@ -162,16 +162,14 @@ def verified(
         out: folder for pictures.
         processes: that share the rows.
     """
-    rows, lines = chosen(only), list[Line]()
+    rows = chosen(only)
     if out is not None:
         out.mkdir(parents=True, exist_ok=True)
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
         numbers = [ROWS.index(one) for one in rows]
-        for line in pool.map(partial(_numbered, scaled=scaled, out=out), numbers):
-            lines.append(line)
-            print(f"\r\033[K{len(lines)} of {len(rows)}  {line['name']}", end="", file=sys.stderr)
-    print("\r\033[K", end="", file=sys.stderr, flush=True)
+        found = pool.map(partial(_numbered, scaled=scaled, out=out), numbers)
+        lines = list(tqdm(found, total=len(rows), unit="row"))
     return lines
 
 
