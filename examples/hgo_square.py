@@ -42,7 +42,7 @@ from warp_peri.tissue import (
     with_families,
 )
 from warp_peri.tissue.equilibrium import StaticProblem
-from warp_peri.tissue.solid import ACROSS, QUADRATICS
+from warp_peri.tissue.solid import QUADRATICS
 
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 STIFFNESS = 0.35
@@ -55,18 +55,13 @@ RIVAL = 0.2
 QUADRATIC = tuple(Term(f"quadratic {pair}") for pair in QUADRATICS)
 AREA = (Term("log_area"), Term("area"), Term("inverse_area"))
 MATRIX = (Term("neo_hookean"), Term("volumetric"))
-STEPS = tuple(Term(kind, across=bond) for kind in ("trace", "shear") for bond in ACROSS)
-"""Energies of steps of the strain, which finite elements have and smooth strains lack."""
 CORNERS = tuple(replace(term, corner=True) for term in MATRIX)
 """Energies of the corners of cells, which see the shortest waves."""
 
 FREE = Dictionary(
-    3.0,
-    ("square", "cube", "tension", "log"),
-    NEAREST,
-    (*QUADRATIC, *AREA, *rose(8), *STEPS, *CORNERS),
+    3.0, ("square", "cube", "tension", "log"), NEAREST, (*QUADRATIC, *AREA, *rose(8), *CORNERS)
 )
-SAFE = Dictionary(3.0, ("log",), NEAREST, (*MATRIX, *rose(16), *STEPS, *CORNERS))
+SAFE = Dictionary(3.0, ("log",), NEAREST, (*MATRIX, *rose(16), *CORNERS))
 BONDS = Dictionary(3.0, ("square", "cube", "tension", "tension_cube", "log", "compression"))
 ISOTROPIC = Dictionary(3.0, ("square", "cube"), NEAREST, (*QUADRATIC[:1], *AREA, *MATRIX))
 

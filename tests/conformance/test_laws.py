@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 import torch
-import warp
 
 import warp_peri as wp
 from examples.own_law import Springs
@@ -99,7 +98,7 @@ def third_order(form):
 def hyperelastic():
     """Of energies with a second derivative everywhere, and directions of its own."""
     terms = [Term("neo_hookean"), Term("volumetric"), Term("along", 1.2), Term("quadratic 11,22")]
-    terms += [Term("shear", ripple=True), Term("volumetric", corner=True)]
+    terms += [Term("shear"), Term("volumetric", corner=True)]
     dictionary = Dictionary(3.0, ("square", "log"), NEAREST, tuple(terms))
     c = 0.1 + np.random.default_rng(0).random(len(dictionary))
     return HyperelasticSolid(dictionary, c, SPACING, provenance={"data": "made"})
@@ -134,11 +133,6 @@ def of_energies(material, H):
 def single_linear(material, points, u):
     bonds = Bonds(points, 3.0, bond_based=material.bond_based, precision="float32")
     return lps_force(bonds, torch.from_numpy(u.astype(np.float32)), material.solid).numpy()
-
-
-def single_tissue(material, points, u):
-    op = HyperelasticOperator(material.dictionary, points, dtype=warp.float32)
-    return op.force(u.astype(np.float32), material.coefficients)
 
 
 def cell():
@@ -249,9 +243,7 @@ LAWS = {
         horizon=1.0,
         load=load_own_energy,
     ),
-    "hyperelastic": Law(
-        hyperelastic, tissue, of_energies, single=single_tissue, stress_turns=True, force_turns=True
-    ),
+    "hyperelastic": Law(hyperelastic, tissue, of_energies, stress_turns=True, force_turns=True),
 }
 
 

@@ -30,9 +30,9 @@ def test_a_sheet_with_fibres(tmp_path):
     solid = wp.fit(train, with_corners(read.dictionary), positive=True).material.sparse
     (fibre,) = (c for term, c in material_terms(solid) if term.kind == "fibre_exponential")
     assert fibre > 0
-    assert 100 * wp.evaluate(solid, sets["test"])["E_res"] < WITHIN * 2.17
+    assert 100 * wp.evaluate(solid, sets["test"])["E_res"] < 2.9
     disk = hyperelastic_errors(solid, sets["disks"])
-    assert 100 * disk["E_u"] < 0.28  # the worst of ten
+    assert 100 * disk["E_u"] < 0.15
     assert disk["not_solved"] == 0
 
 

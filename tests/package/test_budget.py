@@ -16,12 +16,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_122,
-    "tokens": 310_517,
-    "lines of warp_peri": 43_077,
-    "lines of kernels": 4_362,
-    "lines of warp_peri, kernels, examples and tools": 74_307,
-    "lines of the longest file": 719,
+    "code lines": 26_063,
+    "tokens": 310_514,
+    "lines of warp_peri": 43_078,
+    "lines of kernels": 2_400,
+    "lines of warp_peri, kernels, examples and tools": 72_341,
+    "lines of the longest file": 699,
     "lines of the longest function": 94,
     "parameters of one function": 13,
     "characters of the longest string": 1_810,
@@ -54,7 +54,7 @@ ROOMS = {
     "statics": 1269,
     "structures": 1936,
     "third_order": 325,
-    "tissue": 2320,
+    "tissue": 2261,
     "transfer": 396,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""

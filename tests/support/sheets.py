@@ -26,17 +26,8 @@ def everything():
     terms = [Term(kind) for kind in KINDS if not kind.startswith(others)]
     terms += [Term("fibre_power", next(angles), p) for p in (2.5, 3.0)]
     terms += [Term("fibre_exponential", next(angles), k2) for k2 in (0.0, 1.5)]
-    terms += [Term("along", next(angles)), Term("along", next(angles), ripple=True)]
-    terms += [Term("along", next(angles), across=(1, -1)), Term("trace", across=(0, 1))]
-    terms += [
-        Term("shear", across=(1, 1)),
-        Term("trace", ripple=True),
-        Term("fibre_power", next(angles), 2.5, ripple=True),
-        Term("fibre_power", 0.9, 2.5, across=(1, 0)),
-        Term("fibre_exponential", 2.0, 1.5, across=(1, -1)),
-        Term("volumetric", corner=True),
-        Term("fibre_power", 0.7, 2.5, corner=True),
-    ]
+    terms += [Term("along", next(angles)), Term("volumetric", corner=True)]
+    terms += [Term("fibre_power", 0.7, 2.5, corner=True)]
     return Dictionary(3.0, tuple(BONDS), (*NEAREST, (2, 0)), tuple(terms))
 
 

@@ -63,7 +63,7 @@ def test_continuation_leads_where_one_step_does(manufactured):
     op, u, b = manufactured
     problem = StaticProblem(op)
     collar = np.where(op.points.interior[:, None], 0.0, u)
-    followed, done, steps, _ = problem._continue(COEFFICIENTS, b[op.interior], collar)
+    followed, done, steps = problem._continue(COEFFICIENTS, b[op.interior], collar)
     assert done == 1.0
     assert steps > 1
     np.testing.assert_allclose(followed, u, atol=1e-6 * np.abs(u).max())

@@ -4,15 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-import torch
 
 from tests.support.sheets import SPACING, everything, hgo_dictionary, square, waves
 from warp_peri import InputError
 from warp_peri.points.points import Points
 from warp_peri.tissue.equilibrium import TangentPattern
 from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.placed import BOND_SLOPES, piola_stress
-from warp_peri.tissue.solid import FIBRES, Dictionary, Term
+from warp_peri.tissue.solid import BONDS, FIBRES, Dictionary, Term
 
 EDGE = (slice(None, -1), slice(1, None))
 """The lower and the upper of two nodes beside each other."""
@@ -51,7 +49,7 @@ def test_the_force_is_the_slope_of_the_energy(problem):
 
 def test_the_product_is_the_slope_of_the_force(problem):
     op, u, c, v = problem
-    step = 1e-5
+    step = 3e-6
     slope = (op.everywhere(u + step * v, c) - op.everywhere(u - step * v, c)) / (2 * step)
     np.testing.assert_allclose(op.product(u, c, v), slope, atol=1e-6 * np.abs(slope).max())
 
@@ -103,40 +101,47 @@ def test_the_force_of_a_fibre_by_its_numbers(problem, by):
         np.testing.assert_allclose(slope, expected, atol=1e-6 * np.abs(expected).max())
 
 
-def test_torch_gradients_of_the_whole_pass(problem):
-    op, u, c, _ = problem
-
-    def loss(u, c):
-        return (op.force(u, c) ** 2).sum()
-
-    leaves = [torch.tensor(value, requires_grad=True) for value in (u, c)]
-    loss(*leaves).backward()
-    random = np.random.default_rng(2)
-    for n, (leaf, size) in enumerate(zip(leaves, (1e-6, 1e-5))):
-        directions = np.eye(c.size) if n else random.normal(size=(5, *u.shape))
-        for direction in directions:
-            shift = (0.0, size * direction) if n else (size * direction, 0.0)
-            ends = [loss(u + sign * shift[0], c + sign * shift[1]) for sign in (1, -1)]
-            expected = (ends[0] - ends[1]) / (2 * size)
-            scale = float(leaf.grad.norm()) * np.linalg.norm(direction)
-            assert abs(float((leaf.grad.numpy() * direction).sum()) - expected) < 1e-6 * scale
+def test_the_work_of_single_forces(problem):
+    op, u, c, v = problem
+    w = v[:, op.interior]
+    work = (op.force(u, c) * w).sum()
+    assert op.pairing(u, w) @ c == pytest.approx(work, rel=1e-10)
 
 
-def test_bond_slopes_are_those_of_the_kernels():
+def test_fibres_see_the_stretch_along_them():
+    points, F = square(1), np.array([[1.2, 0.3], [-0.1, 1.1]])
+    stretched = np.sum((F @ [np.cos(0.7), np.sin(0.7)]) ** 2) - 1
+    op = HyperelasticOperator(Dictionary(3.0, terms=(Term("fibre_power", 0.7, 2.0),)), points)
+    energy = op.nodal_energy(points.x @ (F - np.eye(2)).T, np.ones(1))[op.interior]
+    np.testing.assert_allclose(energy, stretched**2 / 2, rtol=1e-12)
+
+
+SLOPES = {
+    "square": lambda s: (s, 1.0),
+    "cube": lambda s: (s**2, 2 * s),
+    "tension": lambda s: (max(s, 0), float(s > 0)),
+    "tension_cube": lambda s: (max(s, 0) ** 2, 2 * max(s, 0)),
+    "log": lambda s: (1 - 1 / (1 + 2 * s), 2 / (1 + 2 * s) ** 2),
+    "compression": lambda s: (min(s, 0), float(s < 0)),
+}
+"""ψ′ and ψ″ of every bond energy, (H2)."""
+
+
+def test_slopes_of_bonds():
     points = square(1)
-    for name, slopes in BOND_SLOPES.items():
+    assert set(SLOPES) == set(BONDS)
+    for name, slopes in SLOPES.items():
         dictionary = Dictionary(3.0, (name,))
         op = HyperelasticOperator(dictionary, points)
         for stretch in (0.8, 1.3):
             u = (stretch - 1) * points.x * [1, 0]
             c = np.zeros(len(dictionary))
             c[1] = 1.0  # the bond (1, 0)
-            s = np.array([(stretch**2 - 1) / 2])
             v = np.zeros_like(u)
             v[op.interior] = [1.0, 0.0]
             K = float(op.product(u, c, v)[op.interior][0, 0])
-            slope, curve = slopes(s)
-            expected = 2 * (curve * stretch**2 + slope)[0] / SPACING**2
+            slope, curve = slopes((stretch**2 - 1) / 2)
+            expected = 2 * (curve * stretch**2 + slope) / SPACING**2
             assert K == pytest.approx(expected, rel=1e-12)
 
 
@@ -185,26 +190,14 @@ def field(x):
     return y + 0.05 * np.sin(2 * x[:, ::-1] + 0.4) + 0.03 * np.cos(1.5 * x + 0.2)
 
 
-@pytest.mark.slow  # compiles everything again
-def test_float32_is_near():
-    import warp as wp
-
-    points = square(2)
-    dictionary, u = hgo_dictionary(), waves(points, 0.2)
-    c = np.array([0.1] * 4 + [0.07, 0.08, 0.2])
-    force = HyperelasticOperator(dictionary, points).force(u, c)
-    near = HyperelasticOperator(dictionary, points, dtype=wp.float32).force(u, c)
-    np.testing.assert_allclose(near, force, atol=1e-4 * np.abs(force).max())
-
-
 def test_what_cannot_be_used_is_refused():
     points = square(2)
     op = HyperelasticOperator(hgo_dictionary(), points)
     with pytest.raises(InputError, match="u: expected shape"):
         op.force(np.zeros((3, 2)), np.zeros(7))
-    with pytest.raises(InputError, match="c: expected 7 coefficients"):
+    with pytest.raises(InputError, match="c: expected shape"):
         op.force(np.zeros_like(points.x), np.zeros(6))
-    with pytest.raises(InputError, match="v: expected the shape of u"):
+    with pytest.raises(InputError, match="v: expected shape"):
         op.product(np.zeros_like(points.x), np.zeros(7), np.zeros((2, *points.x.shape)))
     everywhere = np.ones(len(points.x), bool)
     with pytest.raises(InputError, match="twice the horizon"):
@@ -213,52 +206,17 @@ def test_what_cannot_be_used_is_refused():
         HyperelasticOperator(hgo_dictionary(), Points(points.x, points.interior, 0.0))
     with pytest.raises(InputError, match="kind"):
         Term("ogden")
-    with pytest.raises(InputError, match=f"thickness: expected {len(points.x)} numbers"):
+    with pytest.raises(InputError, match="thickness: expected"):
         op.with_thickness(np.ones(3))
     with pytest.raises(InputError, match="thickness: expected finite numbers > 0"):
         HyperelasticOperator(hgo_dictionary(), points, thickness=np.zeros(len(points.x)))
-
-
-def test_a_step_of_the_strain_costs_what_its_bond_says():
-    points = square(3)
-    op = HyperelasticOperator(Dictionary(3.0, terms=(Term("trace", across=(1, 0)),)), points)
-    x, _ = points.x.T
-    along = np.zeros_like(points.x)
-    whole = 0.5 * 0.21**2 * np.ptp(x) ** 2  # energy of the uniform strain itself
-    assert abs(op.energy(along + 0.1 * points.x, np.ones(1))) < 1e-14 * whole
-    along[:, 0] = 0.5 * x**2  # E11 = x + x²/2 and a fourth moment that is the same everywhere
-    E = x + x**2 / 2
-    columns = np.unique(np.rint(x / SPACING).astype(int))
-    inner = E.reshape(len(columns), -1)[1:-1, 1:-1]  # nodes with a whole short family
-    expected = 0.5 * SPACING**2 * (np.diff(inner, axis=0) ** 2).sum()
-    assert op.energy(along, np.ones(1)) == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_step_of_fibres_costs_what_the_mean_of_its_ends_saves():
-    points = square(3)
-    fibres = (Term("fibre_power", 0.0, 2.0, across=(0, 1)),)
-    op = HyperelasticOperator(Dictionary(3.0, terms=fibres), points)
-    u = waves(points, 0.3)
-    strain = 2 * op.states(u, np.ones(1))[0][:, 3]
-    stretch = strain.reshape(2 * [int(np.sqrt(len(u)))])[1:-1, 1:-1]
-    assert stretch.min() < -0.05
-    assert stretch.max() > 0.05
-
-    def energy(x):
-        return np.maximum(x, 0) ** 2 / 2
-
-    left, right = stretch[:, :-1], stretch[:, 1:]
-    gaps = energy(left) + energy(right) - 2 * energy((left + right) / 2)
-    assert gaps.min() >= -1e-16
-    expected = SPACING**2 * 2 * gaps.sum()
-    assert op.energy(u, np.ones(1)) == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_stress_is_the_slope_of_the_energy_density(even_problem):
     op, _, c, _ = even_problem
     F = np.array([[1.15, 0.1], [-0.05, 0.95]])
     centre = op.interior[len(op.interior) // 2]
-    P = piola_stress(op, op.points.x @ (F - np.eye(2)).T, c)[centre]
+    P = op.stress(op.points.x @ (F - np.eye(2)).T, c)[centre]
     wide = HyperelasticOperator(op.dictionary, square(9))
     x, h = wide.points.x, SPACING
     inner = np.abs(x - x.mean(axis=0)).max(axis=1) < 0.5 * h
@@ -289,8 +247,6 @@ def test_corners_of_cells_are_linear_triangles():
         D = (cell[0][..., 0] * cell[1][..., 1] - cell[0][..., 1] * cell[1][..., 0]) ** 2
         total += SPACING**2 / 4 * (0.5 * (D - 1 - np.log(D))).sum()
     assert op.energy(u, np.ones(1)) == pytest.approx(total, rel=1e-12)
-    with pytest.raises(InputError, match="neither ripple nor across"):
-        Term("trace", across=(1, 0), corner=True)
 
 
 @pytest.mark.parametrize(
@@ -315,7 +271,7 @@ def test_energies_of_an_incompressible_sheet(term, pull):
     bent = (op.everywhere(ahead, c) - op.everywhere(behind, c)) / (2 * step)
     np.testing.assert_allclose(op.product(u, c, v), bent, atol=1e-6 * np.abs(bent).max())
     pulled = points.x * (np.array([1.4, 1.4**-0.5]) - 1)
-    P = piola_stress(op, pulled, c)[op.interior]
+    P = op.stress(pulled, c)[op.interior]
     np.testing.assert_allclose(P[:, 1, 1], 0, atol=1e-10)
     np.testing.assert_allclose(P[:, 0, 0], 2 * 0.7 * pull, rtol=1e-9)
     np.testing.assert_allclose(op.everywhere(0 * u, c), 0, atol=1e-12)

@@ -61,23 +61,19 @@ class UniformTangents:
         op = HyperelasticOperator(dictionary, Points(spacing * steps, inside, spacing))
         centre = np.flatnonzero((steps == 0).all(axis=1))[0]
         size = STEP * spacing
-        stencils = []
-        for F in strains:
-            u = op.points.x @ (F - np.eye(2)).T
-            columns = []
-            for axis in range(2):
-                ends = []
-                for sign in (1, -1):
-                    moved = u.copy()
-                    moved[centre, axis] += sign * size
-                    ends.append(op.features(moved))
-                columns.append((ends[0] - ends[1]) / (2 * size))
-            stencils.append(np.stack(columns, axis=-2))
-            if not np.isfinite(stencils[-1]).all():
+        u = op.points.x @ (np.asarray(strains) - np.eye(2)).swapaxes(1, 2)
+        u = np.tile(u[:, None, None], (1, 2, 2, 1, 1))  # along an axis, ahead and back
+        for axis, end in np.ndindex(2, 2):
+            u[:, axis, end, centre, axis] += (1 - 2 * end) * size
+        forces = op.features(u.reshape(-1, *op.points.x.shape))
+        forces = forces.reshape(len(strains), 2, 2, *forces.shape[1:])
+        stencils = ((forces[:, :, 0] - forces[:, :, 1]) / (2 * size)).transpose(0, 2, 3, 1, 4)
+        for F, stencil in zip(strains, stencils):
+            if not np.isfinite(stencil).all():
                 raise InputError(f"strains: expected energies that are numbers at F = {F.tolist()}")
         k = zone(WAVES)
         laplace = (4 * np.sin(k / 2) ** 2).sum(axis=1) / spacing**2
-        return cls(np.array(stencils), np.cos(k @ steps[inside].T) / laplace[:, None])
+        return cls(stencils, np.cos(k @ steps[inside].T) / laplace[:, None])
 
     def lowest(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Smaller eigenvalue of the symbol over the Laplacian's, and its direction.
@@ -118,7 +114,7 @@ def strains_of(op: HyperelasticOperator, samples: Samples, count: int) -> np.nda
     Returns:
         Stretch tensors U, F = R U, shape [count + 1, 2, 2]; fewer where fewer nodes have a strain.
     """
-    E = op.strain(samples.u)[:, op.bonds.whole % 2 == 1].reshape(-1, 3)
+    E = op.strain(samples.u)[:, op.sites().pair[0]].reshape(-1, 3)
     C = np.stack([1 + 2 * E[:, 0], E[:, 2], E[:, 2], 1 + 2 * E[:, 1]], axis=1).reshape(-1, 2, 2)
     squares, axes = np.linalg.eigh(C)
     kept = squares[:, 0] > 0

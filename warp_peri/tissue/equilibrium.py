@@ -10,50 +10,32 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import warp as wp
-from scipy.linalg import cho_solve_banded, cholesky_banded, lapack
+from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
-from warp_peri.kernels.hyperelastic.corner_tangent import corner_tangents
-from warp_peri.kernels.hyperelastic.rows import Window, tangent_rows
-from warp_peri.launch import ints, launch, zeros
 from warp_peri.points.arrays import checked_fields
 from warp_peri.stability.certificate import lanczos_start, smallest_eigenvalue
+from warp_peri.statics.conjugate_gradients import definite
 from warp_peri.statics.direct import definite_factors
-from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator, laplacian
+from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.tissue.solid import Term
-
-DENSE = 1200
-"""Unknowns up to which a matrix is eliminated as a full one: tangents have hundreds in each row."""
-
 
 LARGEST_BAND = 4 * 10**7
 """Entries of a band that is eliminated as one, in a quarter of the time of sparse factors."""
 
 
-class FullFactors:
-    """Cholesky's factors of a full matrix."""
-
-    def __init__(self, factor: np.ndarray) -> None:
-        self.factor = factor
-
-    def solve(self, y: np.ndarray) -> np.ndarray:
-        """K⁻¹ y by the factors."""
-        x: np.ndarray = lapack.dpotrs(self.factor, y, lower=1)[0].reshape(y.shape)
-        return x
-
-
+@dataclass(frozen=True, eq=False)
 class BandFactors:
     """Cholesky's factors of a banded matrix, as rows of nodes on a lattice have it.
 
-    Args:
+    Attributes:
         factor: the lower triangle by diagonals.
         order: of the unknowns in it.
     """
 
-    def __init__(self, factor: np.ndarray, order: np.ndarray) -> None:
-        self.factor, self.order, self.shape = factor, order, (factor.shape[1],) * 2
+    factor: np.ndarray
+    order: np.ndarray
 
     def solve(self, y: np.ndarray) -> np.ndarray:
         """K⁻¹ y by the factors, in their precision."""
@@ -105,17 +87,13 @@ def positive_factors(K: sp.csc_matrix, band: Band | None = None) -> Any:
 
     Where its entries stand in a band is found in the order of the unknowns, unless it is given.
     """
-    if K.shape[0] > DENSE:
-        band = band or Band.of(K.indices, K.indptr, np.arange(K.shape[0]))
-        if (filled := band.filled(K.data)) is None:
-            return definite_factors(K)
-        try:
-            return BandFactors(cholesky_banded(filled, True, True, check_finite=False), band.order)
-        except np.linalg.LinAlgError:
-            return None
-    factor, fault = lapack.dpotrf(K.toarray(order="F"), lower=1, overwrite_a=1, clean=0)
-    # LAPACK need not call numbers that are none a fault
-    return None if fault or not np.isfinite(factor.diagonal()).all() else FullFactors(factor)
+    band = band or Band.of(K.indices, K.indptr, np.arange(K.shape[0]))
+    if (filled := band.filled(K.data)) is None:
+        return definite_factors(K)
+    try:
+        return BandFactors(cholesky_banded(filled, True, True, check_finite=False), band.order)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def rough(factors: Any) -> Any:
@@ -131,19 +109,17 @@ class TangentPattern:
 
     Attributes:
         op: the operator.
-        window: where the nodes around another stand in its row, as the kernel reads it.
-        width: number of places in a row.
-        rows: interior nodes.
-        taken: places that are entries of the matrix, row by row.
+        half: places of the nodes in a row, 0 and one of each ±, by lattice steps.
+        row: of every node, the number of interior nodes I for those of the collar, shape [N].
+        taken: places in blocks [half, 2, 2, I] that are entries of the matrix, row by row.
         columns: their columns.
         ends: where rows begin among them.
         band: of the matrix, narrow by lines of nodes along the shorter side.
     """
 
     op: HyperelasticOperator
-    window: Any
-    width: int
-    rows: Any
+    half: dict[tuple[int, ...], int]
+    row: np.ndarray
     taken: np.ndarray
     columns: np.ndarray
     ends: np.ndarray
@@ -152,74 +128,71 @@ class TangentPattern:
     @classmethod
     def of(cls, op: HyperelasticOperator) -> TangentPattern:
         """The pattern of an operator."""
-        steps, interior, C = op.bonds.steps, op.interior, op.bonds.classes
-        near = np.flatnonzero((op.weight[:, 3:] != 0).any(axis=1))
-        linked = np.flatnonzero(op.deviation >= 0)
-        reach = 2 * int(np.abs(steps).max())
-        side = 2 * reach + 1
-        stride = np.array([side, 1])
-        window: Any = Window()
-        window.shift, window.centre = ints(steps @ stride), reach * side + reach
-        window.near, window.linked = (ints(np.concatenate([p, p + C])) for p in (near, linked))
-        place = op.bonds.grid - op.bonds.grid.min(axis=0)
-        number = np.full(place.max(axis=0) + 1 + 2 * reach, -1)
-        number[tuple((place[interior] + reach).T)] = np.arange(len(interior))
-        offsets = reached(steps, near, np.union1d(near, linked))
-        far = np.stack([number[tuple((place[interior] + reach + o).T)] for o in offsets], axis=1)
-        row, which = np.nonzero(far >= 0)
-        block = row * side**2 + window.centre + offsets[which] @ stride
-        axis = np.arange(2)
-        taken = 4 * block[:, None, None] + 2 * axis[:, None] + axis
-        rows = np.broadcast_to(2 * row[:, None, None] + axis[:, None], taken.shape).ravel()
-        columns = np.broadcast_to(2 * far[row, which][:, None, None] + axis, taken.shape).ravel()
+        bonds, interior, inside = op.bonds, op.interior, len(op.interior)
+        family = np.concatenate([0 * bonds.steps[:1], bonds.steps])
+        steps = np.unique((family[:, None] + family).reshape(-1, 2), axis=0)
+        middle = len(steps) // 2  # they are in order, ξ before 0 before −ξ
+        number = np.full(len(bonds.grid) + 1, inside)  # the last is of no node
+        number[interior] = np.arange(inside)
+        far = number[bonds.beside(steps)[:, interior]]
+        which, row = np.nonzero(far < inside)
+        column, turned = far[which, row], (which < middle)[:, None, None]
+        a, b = np.indices((2, 2))
+        block = 4 * np.abs(which - middle)[:, None, None] + np.where(turned, 2 * b + a, 2 * a + b)
+        taken = inside * block + np.where(turned[:, 0, 0], column, row)[:, None, None]
+        rows, columns = ((2 * n[:, None, None] + k).ravel() for n, k in ((row, a), (column, b)))
         order = np.lexsort((columns, rows))
-        ends = np.searchsorted(rows[order], np.arange(2 * len(interior) + 1))
-        inner = place[interior]
+        ends = np.searchsorted(rows[order], np.arange(2 * inside + 1)).astype(np.int32)
+        inner = bonds.grid[interior]
         shorter = int(np.argmin(np.ptp(inner, axis=0)))
         nodes = np.lexsort((inner[:, shorter], inner[:, 1 - shorter]))
-        columns = columns[order].astype(np.int32)
         unknowns = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
-        return cls(
-            op, window, side**2, ints(interior), taken.ravel()[order],
-            columns, ends.astype(np.int32), Band.of(columns, ends, unknowns),
-        )  # fmt: skip
+        columns = columns[order].astype(np.int32)
+        half = {tuple(step): n for n, step in enumerate(steps[middle:].tolist())}
+        band = Band.of(columns, ends, unknowns)
+        return cls(op, half, number[:-1], taken.ravel()[order], columns, ends, band)
 
     def matrix(self, u: np.ndarray, c: np.ndarray) -> sp.csc_matrix:
         """K between interior nodes at a field u of shape [N, 2], (H10), shape [2 I, 2 I]."""
         size = len(self.ends) - 1
-        # symmetric: rows stand for columns
-        return sp.csc_matrix((self._entries(u, c), self.columns, self.ends), shape=(size, size))
+        entries = self._blocks(u, c).ravel()[self.taken]  # symmetric: rows stand for columns
+        return sp.csc_matrix((entries, self.columns, self.ends), shape=(size, size))
 
     def factors(self, u: np.ndarray, c: np.ndarray) -> Any:
         """Factors of that matrix where it is positive definite, else None."""
         return positive_factors(self.matrix(u, c), self.band)
 
-    def _entries(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """Entries of the matrix, row by row."""
-        op = self.op
-        field, terms, E, G, H = op.curved_states(u, c)
-        pair = wp.types.matrix((2, 2), op.scalar)
-        K = zeros(len(op.interior), self.width, dtype=pair)
-        inputs = [op.lattice, terms, self.rows, self.window, field, E, G, H]
-        launch(tangent_rows(op.scalar), len(op.interior), inputs, [K])
-        if op.dictionary.cornered:
-            inputs = [op.lattice, terms, self.rows, self.window, field]
-            launch(corner_tangents(op.scalar).rows, len(op.interior), inputs, [K])
-        entries: np.ndarray = K.numpy().reshape(-1)[self.taken]
-        return entries
+    def _blocks(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """Blocks of the rows at the steps of a half, shape [half, 2, 2, I]."""
+        op, inside = self.op, self.op.interior
+        K, axis = np.zeros((len(self.half), 2, 2, len(inside))), np.arange(2)
+        tension, Y, curved = op.curvatures(u, c)
+        K[0, axis, axis] = abs(op.bonds.ends[inside]) @ tension
+        for k, step in enumerate(op.bonds.steps[: op.bonds.classes].tolist()):
+            K[self.half[tuple(step)], axis, axis] = -tension[op.bonds.number[inside, k]]
+        for patch, H in curved:
+            count = H.shape[-1]
+            B = np.zeros((len(patch.offsets), len(H), 2, count + 1))  # ∂q/∂u; the last of no site
+            for low, high, w, bond in zip(*patch.ends, patch.weights, patch.bonds):
+                change = w[:, None, None] * Y[:, bond]
+                B[low, ..., :-1] -= change
+                B[high, ..., :-1] += change
+            all_bent = np.einsum("pqn,vqin->vpin", np.pad(H, ((0, 0), (0, 0), (0, 1))), B)
+            for bent, offset, nodes in zip(all_bent, patch.offsets, patch.nodes):
+                at = np.full(len(inside) + 1, count)
+                at[self.row[nodes]] = np.arange(count)
+                steps = [tuple(step) for step in (patch.offsets - offset).tolist()]
+                others = [v for v, step in enumerate(steps) if step in self.half]
+                blocks = np.einsum("pin,vpjn->vijn", bent, B[others])
+                places = [self.half[steps[v]] for v in others]
+                K[places] += np.take(blocks, at[:-1], axis=-1, mode="clip")
+        return K
 
 
-def reached(steps: np.ndarray, near: np.ndarray, linked: np.ndarray) -> np.ndarray:
-    """Offsets of nodes that share an energy with a node: by two bonds, or by three short ones."""
-    C, zero = len(steps) // 2, np.zeros((1, 2), int)
-    family = np.concatenate([zero, steps])
-    short, link = (np.concatenate([zero, steps[p], steps[p + C]]) for p in (near, linked))
-    two = (family[:, None] + family).reshape(-1, 2)
-    three = (short[:, None, None] + link[:, None] + short).reshape(-1, 2)
-    offsets: np.ndarray = np.unique(np.concatenate([two, three]), axis=0)
-    return offsets
-
-
+FEW = 1200
+"""Unknowns up to which the tangent of every step is factorised."""
+KRYLOV = 1e-4
+"""Residual that conjugate gradients leave of a step's equation."""
 MANY = 12
 """Products that make factors of another tangent dearer than its own."""
 DIRECT = 20_000
@@ -265,6 +238,8 @@ class Equilibrium:
 class StaticProblem:
     """Equilibria of one dictionary on one lattice, for many coefficients, loads and collars.
 
+    A search begins at the harmonic extension of the collar, by the five-point Laplacian.
+
     Args:
         op: the operator.
         tolerance: of the residual, relative to the largest force.
@@ -275,24 +250,16 @@ class StaticProblem:
         self, op: HyperelasticOperator, *, tolerance: float = 1e-8, direct: int = DIRECT
     ) -> None:
         self.op, self.tolerance = op.near_interior(), tolerance
-        self.direct = 2 * len(op.interior) <= direct
-        self.pattern = TangentPattern.of(self.op) if self.direct else None
-        self._laplacian, self._to_collar = laplacian(op)
+        self.pattern = TangentPattern.of(self.op) if 2 * len(op.interior) <= direct else None
+        near, inside = op.bonds.ends[:, op.bonds.pairs[2] < 2], op.points.interior
+        laplacian = (near @ near.T).tocsr()[op.interior] / op.bonds.spacing**2
+        self._laplacian, self._to_collar = (
+            laplacian[:, inside],
+            laplacian @ sp.diags_array(1.0 * ~inside),
+        )
         self._laplace = splu(self._laplacian.tocsc())
-        self.softest = float(self._laplacian.diagonal()[0])
-        if len(op.interior) > 1:
-            inverse = LinearOperator(self._laplace.shape, self._laplace.solve, dtype=float)
-            self.softest = float(
-                eigsh(
-                    self._laplacian,
-                    1,
-                    sigma=0,
-                    OPinv=inverse,
-                    v0=lanczos_start(len(op.interior)),
-                    return_eigenvectors=False,
-                    tol=1e-4,
-                )[0]
-            )
+        self._count = 0  # of Newton steps of a search
+        self.softest = _nearest_zero(self._laplacian, self._laplace.solve, 1e-4)
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """u with its interior replaced by the harmonic extension of the collar."""
@@ -343,46 +310,36 @@ class StaticProblem:
         `near` the start are given: then Newton's way from there alone is tried, and conjugate
         gradients saw no negative curvature in a few directions.
         """
-        nodes = self.op.points.x.shape
+        nodes, inside = self.op.points.x.shape, self.op.points.interior
         load, collar = checked_fields(self.op.points, b, u)
         if collar.shape != nodes:
             raise InputError(f"u: expected shape {list(nodes)}, got {list(collar.shape)}")
-        load = load[self.op.interior]
-        collar[self.op.points.interior] = 0.0
-        first = (
-            self.lift(collar)
-            if start is None
-            else np.where(self.op.points.interior[:, None], start, collar)
-        )
+        load, collar[inside] = load[inside], 0.0
+        first = self.lift(collar) if start is None else start
         if (times := self._too_small(c, load, collar)) > 1:
             known = None if start is None else times * start
             larger = self.find(c, None if b is None else times * b, times * u, start=known)
             return larger and replace(larger, u=larger.u / times)
-        steps, followed = 1, True
-        field, count = self._newton(c, load, first, near=near)
-        softened = None
-        if field is None and near is not None:
-            return None
-        if field is None:
-            softened, factor, used = self._soften(c, load, collar, first)
+        self._count, steps, followed = 0, 1, True
+        first = np.where(inside[:, None], first, collar)
+        field = self._newton(c, load, first, near=near)
+        if field is None and near is None:
+            softened, factor = self._soften(c, load, collar, first)
             field = softened if factor == 1.0 else None
-            count += used
-        if field is None:
-            branch, done, steps, used = self._continue(c, load, collar)
-            count, followed = count + used, done == 1.0
-            field = branch if followed else None
-            guesses = [branch * (1.0 / done if done else 1.0), first]
-            for guess in guesses if softened is None else [softened, *guesses]:
-                if field is None:
-                    guess = np.where(self.op.points.interior[:, None], guess, collar)
-                    field, used = self._newton(c, load, guess, shifts=True)
-                    count += used
+            if field is None:
+                branch, done, steps = self._continue(c, load, collar)
+                followed = done == 1.0
+                field = branch if followed else None
+                ahead = np.where(inside[:, None], branch / (done or 1.0), collar)
+                for guess in (softened, ahead, first):
+                    if field is None and guess is not None:
+                        field = self._newton(c, load, guess, shifts=True)
         if field is None:
             return None
         f = self.op.everywhere(field, c)
         left = load - f[self.op.interior]
         residual = float(np.abs(left).max() / max(np.abs(load).max(), np.abs(f).max(), 1e-300))
-        return Equilibrium(field, residual, np.nan, count, steps, followed)
+        return Equilibrium(field, residual, np.nan, self._count, steps, followed)
 
     def _too_small(self, c: np.ndarray, load: np.ndarray, collar: np.ndarray) -> float:
         """Times by which load and collar must grow for strains that rounding leaves; or 1.
@@ -397,52 +354,48 @@ class StaticProblem:
 
     def with_terms(self, terms: Sequence[Term]) -> StaticProblem:
         """The same lattice with other strain energies; what is built once is shared."""
-        other = copy(self)
-        other.op = self.op.with_terms(terms)
-        if self.pattern is not None:
-            other.pattern = replace(self.pattern, op=other.op)
-        return other
+        return self._with(self.op.with_terms(terms))
 
     def with_thickness(self, thickness: np.ndarray | None) -> StaticProblem:
         """The same lattice with another thickness of every node, shape [N]."""
+        return self._with(self.op.with_thickness(thickness))
+
+    def _with(self, op: HyperelasticOperator) -> StaticProblem:
         other = copy(self)
-        other.op = self.op.with_thickness(thickness)
-        if self.pattern is not None:
-            other.pattern = replace(self.pattern, op=other.op)
+        other.op, other.pattern = op, self.pattern and replace(self.pattern, op=op)
         return other
 
     def _soften(
         self, c: np.ndarray, load: np.ndarray, collar: np.ndarray, first: np.ndarray
-    ) -> tuple[np.ndarray | None, float, int]:
+    ) -> tuple[np.ndarray | None, float]:
         """Solve with stiffer deviations and follow the answer while they soften.
 
-        The last answer, how stiff its deviations were, Newton steps.
+        The last answer, and how stiff its deviations were.
         """
         deviations = slice(self.op.dictionary.first_deviation, self.op.dictionary.first_term)
         stiff, factor, ratio = c.copy(), STIFFER, SOFTENING[0]
         if not np.any(c[deviations] > 0):
-            return None, factor, 0
+            return None, factor
         stiff[deviations] *= factor
-        last, count = self._newton(stiff, load, first)
+        last = self._newton(stiff, load, first)
         if last is None:
-            branch, done, _, used = self._continue(stiff, load, collar)
-            last, count = branch if done == 1.0 else None, count + used
+            branch, done, _ = self._continue(stiff, load, collar)
+            last = branch if done == 1.0 else None
         while last is not None and factor > 1.0 and ratio > SOFTENING[1]:
             target = max(1.0, factor / ratio)
             stiff[deviations] = target * c[deviations]
-            field, used = self._newton(stiff, load, last)
-            count += used
+            field = self._newton(stiff, load, last)
             if field is None:
                 ratio = ratio**0.5
             else:
                 last, factor = field, target
-        return last, factor, count
+        return last, factor
 
     def _continue(
         self, c: np.ndarray, load: np.ndarray, collar: np.ndarray
-    ) -> tuple[np.ndarray, float, int, int]:
-        """Follow load and collar from rest: the last field, how far, load and Newton steps."""
-        done, step, steps, count = 0.0, 0.25, 0, 0
+    ) -> tuple[np.ndarray, float, int]:
+        """Follow load and collar from rest: the last field, how far, load steps."""
+        done, step, steps = 0.0, 0.25, 0
         now = before = np.zeros_like(collar)
         last = 0.0
         while done < 1 and step >= SMALLEST_STEP:
@@ -451,13 +404,12 @@ class StaticProblem:
                 guess = now + (target - done) / (done - last) * (now - before)
             else:
                 guess = self.lift(target * collar)
-            field, used = self._newton(c, target * load, guess)
-            count += used
+            field = self._newton(c, target * load, guess)
             if field is None:
                 step /= 2
             else:
                 before, last, now, done, steps = now, done, field, target, steps + 1
-        return now, done, steps, count
+        return now, done, steps
 
     def _newton(
         self,
@@ -467,7 +419,7 @@ class StaticProblem:
         *,
         shifts: bool = False,
         near: Any = None,
-    ) -> tuple[np.ndarray | None, int]:
+    ) -> np.ndarray | None:
         """Minimise the potential from u; None where that does not end in an equilibrium.
 
         Without shifts it also ends where the tangent is not positive definite: the branch of
@@ -475,28 +427,28 @@ class StaticProblem:
         factorised. Else, of many unknowns, the first and the last are.
         """
         if self.op.smallest_area(u) <= SMALLEST_AREA:
-            return None, 0
-        given, again = near is not None, not shifts and 2 * len(self.op.interior) > DENSE
-        for count in range(60 if shifts else 15):
+            return None
+        given, again = near is not None, not shifts and 2 * len(self.op.interior) > FEW
+        for _ in range(60 if shifts else 15):
             f = self.op.everywhere(u, c)
             residual = load - f[self.op.interior]
             scale = max(np.abs(load).max(), np.abs(f).max(), 1e-300)
             if not np.isfinite(f).all():  # a bond or the short strain is folded
-                return None, count
+                return None
             small = np.abs(residual).max() <= self.tolerance * scale
             if small and not given:
                 near = None
             step, shift, factor = self._direction(c, u, residual, shifts, near)
             near = factor if given or again else None
             if shift > 0 and not shifts:
-                return None, count
+                return None
             if small and shift == 0.0:
-                return (None if self._folded(u) else u), count
+                return None if self._folded(u) else u
             moved = self._search(c, load, u, step, residual, scale)
             if moved is None:
-                return None, count
-            u = moved
-        return None, count
+                return None
+            self._count, u = self._count + 1, moved
+        return None
 
     def _direction(
         self, c: np.ndarray, u: np.ndarray, residual: np.ndarray, shifts: bool, near: Any = None
@@ -531,30 +483,19 @@ class StaticProblem:
     ) -> tuple[np.ndarray, float, int]:
         """Direction, shift and products of conjugate gradients.
 
-        They stop at negative curvature (Steihaug).
+        At negative curvature it is what the inverse answers.
         """
-        inner = self.op.interior
-        x, r = np.zeros_like(residual), residual.copy()
-        z = inverse(r)
-        p, rz, first = z.copy(), float((r * z).sum()), np.linalg.norm(r)
-        if first == 0:
-            return x, 0.0, 0
-        v, count = np.zeros_like(u), 0
-        for count in range(1, 501):
-            v[inner] = p
-            Kp = self.op.product(u, c, v)[inner]
-            curvature = float((p * Kp).sum())
-            if curvature <= 0:
-                return (x if x.any() else z), 1.0, count
-            step = rz / curvature
-            x += step * p
-            r -= step * Kp
-            if np.linalg.norm(r) < 1e-4 * first:
-                break
-            z = inverse(r)
-            rz, before = float((r * z).sum()), rz
-            p = z + rz / before * p
-        return x, 0.0, count
+        v = np.zeros_like(u)
+
+        def product(p: np.ndarray) -> np.ndarray:
+            v[self.op.interior] = p
+            return self.op.product(u, c, v)[self.op.interior]
+
+        try:
+            step, record = definite(product, inverse, residual, KRYLOV)
+        except InputError:
+            return inverse(residual), 1.0, 0
+        return step, 0.0, record.iterations
 
     def _search(
         self,
@@ -567,20 +508,20 @@ class StaticProblem:
     ) -> np.ndarray | None:
         """u after the longest step that lowers the potential, or the residual near the end."""
         inner = self.op.interior
-        area = self.op.bonds.spacing**2
-        before = float(self.op.energy(u, c)) - area * float((load * u[inner]).sum())
-        slope = -area * float((residual * step).sum())
-        size, folded = np.linalg.norm(residual), self._folded(u)
-        part = 1.0
+
+        def potential(u: np.ndarray) -> float:
+            return float(self.op.energy(u, c) / self.op.bonds.spacing**2 - (load * u[inner]).sum())
+
+        before, slope, folded = potential(u), (residual * step).sum(), self._folded(u)
+        part, moved = 1.0, u.copy()
         while part > 1e-4:
-            moved = u.copy()
-            moved[inner] += part * step
+            moved[inner] = u[inner] + part * step
             if self.op.smallest_area(moved) > SMALLEST_AREA and self._folded(moved) <= folded:
-                after = float(self.op.energy(moved, c)) - area * float((load * moved[inner]).sum())
-                if np.isfinite(after) and after <= before + 1e-4 * part * slope:
+                if potential(moved) <= before - 1e-4 * part * slope:
                     return moved
                 left = load - self.op.everywhere(moved, c)[inner]
-                if np.linalg.norm(left) < 0.5 * size or np.abs(left).max() < self.tolerance * scale:
+                nearer = np.linalg.norm(left) < 0.5 * np.linalg.norm(residual)
+                if nearer or np.abs(left).max() < self.tolerance * scale:
                     return moved
             part /= 2
         return None
@@ -600,12 +541,7 @@ class StaticProblem:
             factor = positive_factors(K, self.pattern.band)
             if factor is None:  # what is nearest to zero need not be the smallest
                 return smallest_eigenvalue(K)
-            inverse = LinearOperator(K.shape, factor.solve, dtype=float)
-            values = eigsh(
-                K, 1, sigma=0, OPinv=inverse, v0=lanczos_start(K.shape[0]),
-                return_eigenvectors=False, tol=1e-3,
-            )  # fmt: skip
-            return float(values[0])
+            return _nearest_zero(K, factor.solve, 1e-3)
         inner, v = self.op.interior, np.zeros_like(u)
 
         def product(p: np.ndarray) -> np.ndarray:
@@ -624,3 +560,12 @@ class StaticProblem:
             tol=1e-2, maxiter=2000,
         )  # fmt: skip
         return float(values[0]) * self.softest
+
+
+def _nearest_zero(K: Any, solve: Callable[[np.ndarray], np.ndarray], tolerance: float) -> float:
+    """The eigenvalue of a symmetric matrix that is nearest to zero."""
+    if K.shape[0] == 1:
+        return float(K.diagonal()[0])
+    inverse, start = LinearOperator(K.shape, solve, dtype=float), lanczos_start(K.shape[0])
+    ends = {"v0": start, "return_eigenvectors": False, "tol": tolerance}
+    return float(eigsh(K, 1, sigma=0, OPinv=inverse, **ends)[0])

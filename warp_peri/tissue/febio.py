@@ -23,8 +23,8 @@ def febio_material(solid: HyperelasticSolid) -> str:
     and "fiber-exp-pow" for each family, which is the learned energy exactly in plane strain. With
     plane_stress and mooney it is an incompressible mixture ("Mooney-Rivlin" and
     "fiber-exp-pow-uncoupled"), the learned energy exactly in plane stress and in the limit of its
-    bulk modulus, which is set to a thousand times the shear modulus. Deviations, ripples and steps,
-    which belong to the lattice, are left out.
+    bulk modulus, which is set to a thousand times the shear modulus. Deviations, which
+    belong to the lattice, are left out.
 
     Args:
         solid: whose only other energies are fibre exponentials.
@@ -88,7 +88,7 @@ def material_terms(solid: HyperelasticSolid) -> list[tuple[Term, float]]:
     for term, value in zip(
         solid.dictionary.terms, solid.coefficients[solid.dictionary.first_term :]
     ):
-        if value and not term.ripple and term.across is None:
+        if value:
             own = replace(term, corner=False)
             sums[own] = sums.get(own, 0.0) + float(value)
     return list(sums.items())

@@ -11,7 +11,7 @@ from warp_peri.points.samples import Samples
 from warp_peri.tissue.energy_fit import between, equations, lower_bounds, non_negative, residual
 from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.tissue.placed import largest_stretch
-from warp_peri.tissue.solid import ACROSS, Dictionary, HyperelasticSolid, Term
+from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 LEAST, LARGEST_EXPONENT = {"fibre_power": 2.0, "fibre_exponential": 0.0}, 60.0
 TURN, GROWTH = 0.2, 1.0
@@ -112,8 +112,7 @@ def with_families(dictionary: Dictionary, solid: HyperelasticSolid) -> Dictionar
 
 def with_corners(dictionary: Dictionary) -> Dictionary:
     """A dictionary whose energies of a uniform strain act on corners of cells as well."""
-    own = [term for term in dictionary.terms if term.across is None and not term.ripple]
-    return _joined(dictionary, [replace(term, corner=True) for term in own])
+    return _joined(dictionary, [replace(term, corner=True) for term in dictionary.terms])
 
 
 def _joined(dictionary: Dictionary, terms: Sequence[Term]) -> Dictionary:
@@ -145,7 +144,6 @@ def read_material(
     matrix: Sequence[str] = ("neo_hookean", "volumetric"),
     deviations: tuple[tuple[int, int], ...] = ((0, 1), (1, 0), (1, 1), (1, -1)),
     stiffness: float = 0.0,
-    steps: bool = True,
     directions: int = 16,
     most_steps: int = 12,
 ) -> HyperelasticSolid:
@@ -159,15 +157,12 @@ def read_material(
         matrix: kinds of the energies beside the fibres.
         deviations: as for Dictionary.
         stiffness: least coefficient of the deviations.
-        steps: whether steps of the strain across near bonds (H17) may cost energy, which belongs to
-            the lattice and the elements of the data.
         directions: of the first fit.
         most_steps: of Gauss and Newton.
     """
     few = Samples(samples.points, samples.u[:ENOUGH], samples.loads[:ENOUGH])
-    terms = [Term(kind) for kind in matrix]
-    terms += [Term(kind, across=bond) for kind in ("trace", "shear") for bond in ACROSS if steps]
-    dictionary = Dictionary(3.0, (), deviations, (*terms, *rose(directions)))
+    terms = (*map(Term, matrix), *rose(directions))
+    dictionary = Dictionary(3.0, (), deviations, terms)
     op = HyperelasticOperator(dictionary, few)
     c = non_negative(equations(op, few), lower=lower_bounds(dictionary, stiffness))
     stretch = largest_stretch(op, few.u)

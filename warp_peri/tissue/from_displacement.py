@@ -23,7 +23,7 @@ from warp_peri.tissue.energy_fit import between, columns, lower_bounds, triangle
 from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, rough
 from warp_peri.tissue.fibres import fibre_numbers, fibres_of, with_numbers
 from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
-from warp_peri.tissue.placed import BOND_SLOPES, largest_stretch, piola_stress
+from warp_peri.tissue.placed import largest_stretch
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 LARGEST_DEGREE = 6
@@ -143,7 +143,7 @@ class Sections:
         if thickness is not None:
             of_nodes = thickness.at(op.points.x)
             op = op.with_thickness(of_nodes / of_nodes[op.interior].mean())
-        P = piola_stress(op, self.fields[n], c)[op.interior, self.axis, self.axis]
+        P = op.stress(self.fields[n], c)[op.interior, self.axis, self.axis]
         P = P.reshape(self.shape)
         return np.asarray((P[:, :-1] + P[:, 1:]).mean(axis=1) / 2)
 
@@ -192,25 +192,6 @@ class DisplacementFit:
     scatter: float = 0.0
 
 
-def initial_stiffness(op: HyperelasticOperator) -> np.ndarray:
-    """Trace of the second derivative of every energy by the strain at a small stretch, (H14).
-
-    In uniform strain an energy of corners is that of the nodes, whose states are read.
-    """
-    op = op.with_terms([replace(term, corner=False) for term in op.dictionary.terms])
-    traces = np.zeros(len(op.dictionary))
-    node = op.interior[0]
-    small = 1e-6 * op.points.x
-    for number in range(op.dictionary.first_term, len(traces)):
-        c = np.zeros(len(traces))
-        c[number] = 1.0
-        traces[number] = np.trace(op.states(small, c)[2][node][:3, :3])
-    curves = [BOND_SLOPES[name](np.array(1e-6))[1] for name in op.dictionary.bonds]
-    squares = (op.unit[: op.bonds.classes] ** 2).sum(axis=1)
-    traces[: op.dictionary.first_deviation] = np.outer(squares, curves).ravel()
-    return traces
-
-
 class Search:
     """Where the search stands: unknowns, solved fields, loss."""
 
@@ -225,8 +206,7 @@ class Search:
         held: bool = False,
     ) -> None:
         self.x, self.thickness, self.held = frames.x, thickness, held
-        even = HyperelasticOperator(dictionary, frames)
-        self.problem = StaticProblem(even)
+        self.problem = StaticProblem(HyperelasticOperator(dictionary, frames))
         if thickness is not None:
             self.problem = self.problem.with_thickness(thickness.at(self.x))
         self.inner = self.problem.op.interior
@@ -250,7 +230,7 @@ class Search:
         self.lower, self.upper = lower_bounds(dictionary, least), np.full(len(dictionary), np.inf)
         deviations = slice(dictionary.first_deviation, dictionary.first_term)
         self.upper[deviations] = max(greatest, least + 1e-9)
-        self.measure = initial_stiffness(even)
+        self.measure = dictionary.stiffness
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
         self.moving = fibres_of(dictionary) if moving else []

@@ -1,53 +1,63 @@
-"""A hyperelastic solid on a lattice: force, energy, tangent, forces of single energies."""
+"""A hyperelastic solid on a lattice: force, energy, tangent, forces of single energies.
+
+All that an energy sees is linear in e = |ξ|² s, (H2), of the bonds around a site: q = Wᵗ e. Stress
+and curvature by q are torch's derivatives; the stress pulls at the bonds, and these at their ends.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 import torch
-import warp as wp
+from numpy.typing import ArrayLike
 
-from warp_peri.core.tensors import nonlinear
+from warp_peri.core.pointwise import FEW
 from warp_peri.errors import InputError
-from warp_peri.kernels.hyperelastic.corner_tangent import corner_tangents
-from warp_peri.kernels.hyperelastic.corners import corners
-from warp_peri.kernels.hyperelastic.parts import CORNER, types
-from warp_peri.kernels.hyperelastic.sweeps import sweeps
-from warp_peri.kernels.hyperelastic.tangent import features, tangents
-from warp_peri.launch import empty, floats, ints, launch, zeros
-from warp_peri.points.arrays import plain
+from warp_peri.launch import one_thread
+from warp_peri.points.arrays import checked, plain
 from warp_peri.points.lattice import neighbour_table, straight_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.tissue.solid import (
-    ACROSS,
     BONDS,
     KINDS,
+    Density,
     Dictionary,
     Term,
+    deviation,
     half_family,
+    read,
     strain_weights,
 )
 
 SHORT_REACH = 2**0.5
 """Horizon of the short strain in spacings, (H4)."""
+SHORT = 4
+"""Bond classes within it, the first of a half family."""
+CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+"""Sides of the bonds along both axes that a corner of a cell has, (H19)."""
 AXIS_TOLERANCE = 1e-3
 """Degrees between the stated axis and that of the lattice."""
+FAR = 3
+"""Spacings from the interior to the last node whose short strain shares an energy with it."""
+SMALLEST_AREA = 0.02
+"""Of the nodal strain, det C: below it a solve treats a field as folded."""
+MOST = 2**22
+"""Bonds of sites that are held at once; more samples follow one another."""
 
 
 @dataclass(frozen=True, eq=False)
 class LatticeBonds:
-    """Whole families on the nodes of a square lattice, bonds ξ and −ξ of one class.
+    """Families on the nodes of a square lattice, bonds ξ and −ξ of one class.
 
     Attributes:
         steps: bond vectors in lattice steps, those of the half family first, shape [2 C, 2].
         neighbour: far end of every bond, −1 where there is none, shape [N, 2 C].
-        whole: which strains a node has: 1 the strain, 2 the short strain, 3 both, shape [N].
         spacing: of the lattice [length].
         grid: place of every node in lattice steps, shape [N, 2].
         axes: of the lattice, which directions of the solid are told from, as columns.
@@ -55,16 +65,9 @@ class LatticeBonds:
 
     steps: np.ndarray
     neighbour: np.ndarray
-    whole: np.ndarray
     spacing: float
     grid: np.ndarray
     axes: np.ndarray
-
-    @property
-    def xi(self) -> np.ndarray:
-        """Bond vectors [length], shape [2 C, 2]."""
-        vectors: np.ndarray = self.spacing * self.steps @ self.axes.T
-        return vectors
 
     @property
     def classes(self) -> int:
@@ -76,6 +79,34 @@ class LatticeBonds:
         """Every bond once: its ends i and j and its class."""
         i, c = np.nonzero(self.neighbour[:, : self.classes] >= 0)
         return i, self.neighbour[i, c], c
+
+    @cached_property
+    def xi(self) -> np.ndarray:
+        """Their vectors [length], shape [2, pairs]."""
+        return np.ascontiguousarray(self.spacing * self.axes @ self.steps[self.pairs[2]].T)
+
+    @cached_property
+    def number(self) -> np.ndarray:
+        """Which pair begins at a node, by class, shape [N, C]."""
+        there = self.neighbour[:, : self.classes] >= 0
+        return np.asarray(np.cumsum(there).reshape(there.shape) - 1)
+
+    @cached_property
+    def ends(self) -> sp.csr_array:
+        """1 at a pair's end and −1 at its beginning, shape [N, pairs]."""
+        i, j, _ = self.pairs
+        number, one = np.arange(len(i)), np.ones(len(i))
+        places = np.concatenate([j, i]), np.concatenate([number, number])
+        shape = len(self.neighbour), len(i)
+        return sp.csr_array((np.concatenate([one, -one]), places), shape=shape)
+
+    def beside(self, offsets: np.ndarray) -> np.ndarray:
+        """The node so many lattice steps from each one, −1 where there is none, [V, N]."""
+        pad = int(np.abs(offsets).max())
+        place = self.grid - self.grid.min(axis=0) + pad
+        number = np.full(place.max(axis=0) + 1 + pad, -1)
+        number[tuple(place.T)] = np.arange(len(place))
+        return np.asarray(number[tuple(np.moveaxis(place + offsets[:, None], -1, 0))])
 
 
 def lattice_bonds(points: PointsLike, reach: float) -> LatticeBonds:
@@ -96,14 +127,11 @@ def lattice_bonds(points: PointsLike, reach: float) -> LatticeBonds:
     half = half_family(reach)
     family = np.concatenate([half, -half])
     neighbour = neighbour_table(steps, family)
-    near = (family**2).sum(axis=1) <= SHORT_REACH**2 + 1e-9
-    whole: np.ndarray = np.all(neighbour >= 0, axis=1).astype(int)
-    whole = whole + 2 * np.all(neighbour[:, near] >= 0, axis=1)
-    inner = (neighbour[points.interior] >= 0).all(axis=1)
-    far = neighbour[points.interior][inner]
-    if not inner.all() or not (whole[far] % 2 == 1).all():
+    bonds = LatticeBonds(family, neighbour, points.spacing, steps, axes)
+    far = neighbour[points.interior]
+    if not ((far >= 0).all() and (neighbour[far] >= 0).all()):
         raise InputError("points: interior nodes need complete families out to twice the horizon")
-    return LatticeBonds(family, neighbour, whole, points.spacing, steps, axes)
+    return bonds
 
 
 def _along(
@@ -123,12 +151,71 @@ def _along(
     return steps @ turn, axes @ turn
 
 
-CHUNK = 2**26
-"""Bytes of the states of single energies that are held at once."""
-FAR = 3
-"""Spacings from the interior to the last node whose short strain shares an energy with it."""
-SMALLEST_AREA = 0.02
-"""Of the nodal strain, det C: below it a solve treats a field as folded."""
+class Energy(NamedTuple):
+    """An energy of what its sites see."""
+
+    number: int
+    density: Density
+    angle: Any = 0.0
+    exponent: Any = 0.0
+    is_fibre: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Bonds around each of many sites, and what is seen of them.
+
+    Attributes:
+        nodes: that a site's bonds join, shape [V, n].
+        offsets: their places in lattice steps from the site, shape [V, 2].
+        ends: which of them a bond begins and ends at, shape [2, L].
+        bonds: numbers of the bonds, shape [L, n].
+        weights: W [1/length²], shape [L, Q].
+        pair: the site, and the node that shares its energy with it or the site again, [2, n].
+    """
+
+    nodes: np.ndarray
+    offsets: np.ndarray
+    ends: np.ndarray
+    bonds: np.ndarray
+    weights: np.ndarray
+    pair: np.ndarray
+
+    @cached_property
+    def sums(self) -> sp.csr_array:
+        """Sums by bond, shape [pairs up to the last, L n]."""
+        bonds = self.bonds.ravel()
+        places, one = np.arange(len(bonds) + 1), np.ones(len(bonds))
+        return sp.csr_array(sp.csc_array((one, bonds, places)))
+
+
+class Sites:
+    """Where energies act that see the same; `pair` is that of its patches."""
+
+    def __init__(self, patches: list[Patch]) -> None:
+        self.patches = patches
+        self.pair = np.concatenate([patch.pair for patch in patches], axis=1)
+
+    def seen(self, e: np.ndarray) -> torch.Tensor:
+        """q of bonds [S, pairs], shape [Q, S, n]."""
+        parts = [patch.weights.T @ e[:, patch.bonds] for patch in self.patches]
+        return torch.from_numpy(np.concatenate([part.swapaxes(0, 1) for part in parts], axis=-1))
+
+    def split(self, values: torch.Tensor) -> Iterator[tuple[Patch, np.ndarray]]:
+        """Patches with what belongs to them of values [..., n]."""
+        sizes = [patch.pair.shape[1] for patch in self.patches]
+        return zip(self.patches, (part.numpy() for part in values.split(sizes, dim=-1)))
+
+    def pull(self, stress: torch.Tensor, tension: np.ndarray) -> None:
+        """Add what stresses [Q, S, n] pull at the bonds to their tension [S, pairs]."""
+        for patch, part in self.split(stress):
+            along = patch.weights @ part.swapaxes(0, 1)
+            pulled = patch.sums @ along.reshape(len(along), -1).T
+            tension[:, : len(pulled)] += pulled.T
+
+
+Active = list[tuple[Sites, list[Energy]]]
+"""Energies by what they see."""
 
 
 class HyperelasticOperator:
@@ -138,256 +225,269 @@ class HyperelasticOperator:
         dictionary: the energies.
         points: a lattice whose interior has the 2δ collar.
         thickness: of every node, > 0, shape [N]; an even sheet where none is given, (H18).
-        dtype: wp.float64 or wp.float32.
 
-    ``op.force(u, c)`` is differentiable in both for torch tensors; the other functions take and
-    give NumPy arrays. Displacements have shape [S, N, 2] or [N, 2]. Forces are per volume of the
-    reference, (H8), of a sheet of thickness one.
+    Displacements have shape [S, N, 2] or [N, 2]. Forces are per volume of the reference, (H8), of a
+    sheet of thickness one.
 
     Raises InputError for points without the collar, or a thickness that is none.
     """
 
     def __init__(
-        self,
-        dictionary: Dictionary,
-        points: PointsLike,
-        *,
-        thickness: np.ndarray | None = None,
-        dtype: Any = wp.float64,
+        self, dictionary: Dictionary, points: PointsLike, *, thickness: np.ndarray | None = None
     ) -> None:
-        self.dictionary, self.points, self.scalar = dictionary, nodes_of(points), dtype
+        self.dictionary, self.points = dictionary, nodes_of(points)
         self.bonds = lattice_bonds(self.points, dictionary.reach)
-        self.interior = np.flatnonzero(points.interior)
-        self.of = types(dtype)
+        self.interior = np.flatnonzero(self.points.interior)
         self.thickness = self._thick(thickness)
-        self.apexes = np.ones(len(self.points.x), bool)
-        self.lattice = self._place()
-        self._packed: tuple[np.ndarray, Any] | None = None
-        self._rows, self._all = ints(self.interior), ints(np.arange(len(points.x)))
+        self._moved = self._apexes = np.ones(len(self.points.x), bool)
+        self._sites: dict[Any, Sites] = {}
+        self.energies = self._energies()
 
     def near_interior(self) -> HyperelasticOperator:
         """The same forces on the interior, without short strains and corners that it does not move.
 
         Far out in the collar a field may be folded, and its energy no number.
         """
-        bonds = self.bonds
-        moved: np.ndarray = np.isin(np.arange(len(self.points.x)), self.interior)
-        near = bonds.neighbour[:, (np.abs(bonds.steps) <= 1).all(axis=1)]
+        other, steps = copy(self), np.abs(self.bonds.steps)
+
+        def grown(nodes: np.ndarray, near: np.ndarray) -> np.ndarray:
+            far = self.bonds.neighbour[:, near]
+            return np.asarray(nodes | (nodes[far] & (far >= 0)).any(axis=1))
+
+        other._moved, other._sites = self.points.interior, {}
+        other._apexes = grown(other._moved, steps.sum(axis=1) == 1)
         for _ in range(FAR):
-            moved = moved | np.where(near >= 0, moved[near], False).any(axis=1)
-        other = copy(self)
-        other.apexes = self.points.interior.copy()
-        axes = bonds.neighbour[:, np.abs(bonds.steps).sum(axis=1) == 1]
-        other.apexes |= ((axes >= 0) & self.points.interior[axes]).any(axis=1)
-        other.bonds = replace(bonds, whole=np.where(moved, bonds.whole, bonds.whole % 2))
-        other.lattice = other._place()
+            other._moved = grown(other._moved, (steps <= 1).all(axis=1))
+        other.energies = other._energies()
         return other
 
     def with_terms(self, terms: Sequence[Term]) -> HyperelasticOperator:
         """The same lattice with other strain energies."""
         other = copy(self)
         other.dictionary = self.dictionary.with_terms(terms)
-        other._packed = None
+        other.energies = other._energies()
         return other
 
     def with_thickness(self, thickness: np.ndarray | None) -> HyperelasticOperator:
         """The same lattice with another thickness of every node, shape [N]; even for none."""
-        return self._weighed(self._thick(thickness))
-
-    def _weighed(self, weights: np.ndarray | None) -> HyperelasticOperator:
-        """The same with energies weighed by any numbers, one a node."""
-        other, lattice = copy(self), self.of.Lattice()
-        for name in self.of.Lattice.vars:
-            setattr(lattice, name, getattr(self.lattice, name))
-        lattice.thickness = self._of_nodes(weights)
-        other.lattice, other.thickness = lattice, weights
+        other = copy(self)
+        other.thickness = self._thick(thickness)
         return other
-
-    def _of_nodes(self, weights: np.ndarray | None) -> Any:
-        """Weights as the kernels read them, empty for an even sheet."""
-        real = np.float64 if self.scalar == wp.float64 else np.float32
-        return floats((np.zeros(0) if weights is None else weights).astype(real), self.scalar)
 
     def _thick(self, thickness: np.ndarray | None) -> np.ndarray | None:
         if thickness is None:
             return None
-        values = plain("thickness", thickness).copy()
-        if values.shape != (len(self.points.x),):
-            raise InputError(
-                f"thickness: expected {len(self.points.x)} numbers, got shape {list(values.shape)}"
-            )
-        if not (np.isfinite(values).all() and values.min() > 0):
+        values = checked("thickness", thickness, float, (len(self.points.x),))
+        if not values.min() > 0:
             raise InputError("thickness: expected finite numbers > 0")
-        return values
+        return values.copy()
 
-    def _place(self) -> Any:
-        """The bonds as the kernels read them."""
-        bonds, h, C = self.bonds, self.bonds.spacing, self.bonds.classes
-        real = np.float64 if self.scalar == wp.float64 else np.float32
-        xi = h * bonds.steps  # strains and their weights are told in the frame of the lattice
-        square = (xi**2).sum(axis=1)
-        short = np.zeros((C, 3))
-        near = (bonds.steps[:C] ** 2).sum(axis=1) <= SHORT_REACH**2 + 1e-9
-        short[near] = strain_weights(SHORT_REACH, 2)
-        weight = np.concatenate([strain_weights(self.dictionary.reach, 4), short], axis=1) / h**2
-        self.weight = weight
-        self.unit = (
-            np.stack([xi[:, 0] ** 2, xi[:, 1] ** 2, xi[:, 0] * xi[:, 1]], axis=1) / square[:, None]
-        )
-        deviation = np.full(C, -1)
-        for number, step in enumerate(self.dictionary.deviations):
-            deviation[(bonds.steps[:C] == step).all(axis=1)] = number
-        self.deviation = deviation
-        lattice = self.of.Lattice()
-        lattice.neighbour = ints(bonds.neighbour)
-        lattice.whole = ints(bonds.whole)
-        lattice.apex = ints(self.apexes.astype(int))
-        lattice.xi = floats(bonds.xi.astype(real), self.of.vec)
-        lattice.inverse = floats((1 / square).astype(real), self.scalar)
-        lattice.weight = floats(np.tile(weight, (2, 1)).astype(real), self.of.six)
-        lattice.unit = floats(self.unit.astype(real), wp.types.vector(3, self.scalar))
-        lattice.bond_class = ints(np.tile(np.arange(C), 2))
-        lattice.deviation = ints(np.tile(deviation, 2))
-        lattice.thickness = self._of_nodes(self.thickness)
-        return lattice
+    def _energies(self) -> Active:
+        own, found = self.dictionary, dict[Any, list[Energy]]()
+        for number, (k, q) in enumerate(np.ndindex(own.classes, len(own.bonds))):
+            found.setdefault(("bond", k), []).append(Energy(number, BONDS[own.bonds[q]]))
+        for number, step in enumerate(own.deviations, own.first_deviation):
+            found["deviation", *step] = [Energy(number, deviation)]
+        for number, term in enumerate(own.terms, own.first_term):
+            sees: Any = ("corner" if term.corner else "strain",)
+            energy = Energy(number, KINDS[term.kind], term.angle, term.exponent, term.is_fibre)
+            found.setdefault(sees, []).append(energy)
+        return [(self.sites(*sees), each) for sees, each in found.items()]
 
-    def _terms(self, c: np.ndarray) -> Any:
-        """The energies as the kernels read them; a search asks for the same ones many times."""
-        if self._packed is not None and np.array_equal(self._packed[0], c):
-            return self._packed[1]
-        dictionary = self.dictionary
-        terms = dictionary.terms
-        real = np.float64 if self.scalar == wp.float64 else np.float32
-        packed = self.of.Terms()
-        packed.bond_kind = ints(np.array([BONDS[name] for name in dictionary.bonds], int))
-        packed.kind = ints(np.array([KINDS[term.kind] for term in terms], int))
-        seen = [int(t.ripple) if t.across is None else 2 + ACROSS.index(t.across) for t in terms]
-        seen = [CORNER if term.corner else n for term, n in zip(terms, seen)]
-        packed.seen = ints(np.array(seen, int))
-        packed.angle = floats(np.array([term.angle for term in terms], real), self.scalar)
-        packed.exponent = floats(np.array([term.exponent for term in terms], real), self.scalar)
-        packed.c = floats(np.array(c, real), self.scalar)
-        packed.first_deviation = dictionary.first_deviation
-        packed.first_term = dictionary.first_term
-        packed.local = bool(dictionary.deviations) or any(1 < n < CORNER for n in seen)
-        self._packed = np.array(c, float), packed
-        return packed
+    def sites(self, kind: str = "strain", *of: int) -> Sites:
+        """Where strains, bonds, deviations or corners are, which are built once."""
+        if (kind, *of) not in self._sites:
+            sides = CORNERS if kind == "corner" else (of,)
+            self._sites[kind, *of] = Sites([self._patch(kind, *of) for of in sides])
+        return self._sites[kind, *of]
 
-    def _field(self, u: np.ndarray) -> Any:
-        """A displacement as the kernels read it, shape [S, N]."""
-        u = plain("u", u)
-        n = len(self.points.x)
-        if u.ndim not in (2, 3) or u.shape[-2:] != (n, 2):
-            raise InputError(f"u: expected shape [S, {n}, 2] or [{n}, 2], got {list(u.shape)}")
-        real = np.float64 if self.scalar == wp.float64 else np.float32
-        return floats(np.ascontiguousarray(u.reshape(-1, n, 2), real), self.of.vec)
+    def _patch(self, kind: str, *of: int) -> Patch:
+        bonds, far, known = self.bonds, np.zeros(2, int), np.ones(len(self.points.x), bool)
+        C = bonds.classes
 
-    def _coefficients(self, c: np.ndarray) -> np.ndarray:
-        c = np.asarray(c, float)
-        if c.shape != (len(self.dictionary),):
-            raise InputError(
-                f"c: expected {len(self.dictionary)} coefficients, got shape {list(c.shape)}"
-            )
-        return c
+        def strain(w: np.ndarray, at: Any = (0, 0)) -> tuple[np.ndarray, ...]:
+            """First nodes and classes of the bonds of a node's strain, and their weights."""
+            low = np.concatenate([0 * bonds.steps[: len(w)], bonds.steps[C : C + len(w)]])
+            return low + at, np.tile(np.arange(len(w)), 2), np.tile(w, (2, 1))
 
-    def _states(self, field: Any, terms: Any) -> tuple[Any, Any]:
-        """Strains and their stresses."""
-        kernels = sweeps(self.scalar)
-        E, G = (empty(*field.shape, dtype=self.of.six) for _ in range(2))
-        launch(kernels.strain, field.shape, [self.lattice, field], [E])
-        launch(kernels.stress, field.shape, [self.lattice, terms, field, E], [G])
-        return E, G
+        def bond(step: Any, w: Any, at: Any = (0, 0)) -> tuple[np.ndarray, ...]:
+            k = np.flatnonzero((bonds.steps[:C] == step).all(axis=1))
+            return np.array([at]), k, np.array([w], float)
+
+        if kind == "strain":
+            parts = [strain(strain_weights(self.dictionary.reach, 4))]
+        elif kind == "bond":
+            far = bonds.steps[of[0]]
+            parts = [bond(far, (1 / (far @ far),))]
+        elif kind == "corner":
+            (p, q), known = of, self._apexes
+            third = bond((1, -p * q), (0, 0, -p * q), (0, q) if p > 0 else (p, 0))
+            first = bond((1, 0), (1, 0, p * q), (min(p, 0), 0))
+            parts = [first, bond((0, 1), (0, 1, p * q), (0, min(q, 0))), third]
+        else:
+            far = np.array(of)
+            known = self._moved & self._moved[bonds.beside(far[None])[0]]
+            x, y = far / np.sqrt(far @ far)
+            w = strain_weights(SHORT_REACH, 2)
+            along = np.stack([0 * w[:, 0], w @ [x * x, y * y, x * y]], axis=1)
+            parts = [strain(along), strain(along, far), bond(far, (2 / (far @ far), 0))]
+        low, k, weights = map(np.concatenate, zip(*parts))
+        joined = np.concatenate([low, low + bonds.steps[k], [0 * far, far]])
+        offsets, place = np.unique(joined, axis=0, return_inverse=True)
+        nodes, (*ends, own, other) = bonds.beside(offsets), place.ravel()
+        nodes = nodes[:, known & (nodes >= 0).all(axis=0)]
+        both = np.reshape(ends, (2, len(low)))
+        numbers, weights = bonds.number[nodes[both[0]], k[:, None]], weights / bonds.spacing**2
+        return Patch(nodes, offsets, both, numbers, weights, nodes[[own, other]])
+
+    def _stored(self, sites: Sites, each: Sequence[Energy], q: torch.Tensor, c: Any) -> Any:
+        """Energy of every site over h², shape [S, n]."""
+        seen = read(q)
+        total = sum(c[e.number] * e.density(seen, e.angle, e.exponent) for e in each)
+        share = 1 / len(sites.patches)
+        if self.thickness is None:
+            return share * total
+        return torch.from_numpy(share * self.thickness[sites.pair].mean(axis=0)) * total
+
+    def _slope(
+        self, sites: Sites, each: Sequence[Energy], q: torch.Tensor, c: Any, graph: bool = False
+    ) -> torch.Tensor:
+        """∂U/∂q over h², shape [Q, S, n]; with a graph of q, which becomes a leaf."""
+        stored = self._stored(sites, each, q.requires_grad_(), c).sum()
+        return torch.autograd.grad(stored, q, create_graph=graph)[0]
+
+    def _swept(self, sweep: Callable[..., np.ndarray], *fields: ArrayLike) -> np.ndarray:
+        """What a sweep makes of fields [S, N, 2], a few samples at once, one after another."""
+        given, shape = [plain("u", field) for field in fields], self.points.x.shape
+        for name, one in zip("uv", given):
+            if one.ndim not in (2, 3) or (one.shape[-2:], one.shape) != (shape, given[0].shape):
+                expected = f"[S, {shape[0]}, 2] or [{shape[0]}, 2]"
+                raise InputError(f"{name}: expected shape {expected}, got {list(one.shape)}")
+        flat = [each.reshape(-1, *shape) for each in given]
+        most = max(patch.bonds.size for sites, _ in self.energies for patch in sites.patches)
+        step, count = max(1, MOST // most), len(flat[0])
+        with torch.enable_grad(), one_thread(3 * len(self.points.x) * min(step, count) < FEW):
+            parts = [sweep(*(u[at : at + step] for u in flat)) for at in range(0, count, step)]
+        whole = np.concatenate(parts)
+        return whole.reshape(*given[0].shape[:-2], *whole.shape[1:])
+
+    def _differences(self, u: np.ndarray) -> np.ndarray:
+        """η = u_j − u_i of fields [S, N, 2], shape [S, 2, pairs]."""
+        (i, j, _), u = self.bonds.pairs, np.ascontiguousarray(u.swapaxes(1, 2))
+        eta: np.ndarray = np.take(u, j, axis=2) - np.take(u, i, axis=2)
+        return eta
+
+    def _stretched(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Bonds ξ + η as they are now, [S, 2, pairs], and e = ξ·η + ½ η·η, [S, pairs]."""
+        eta, xi = self._differences(u), self.bonds.xi
+        return xi + eta, ((xi + eta / 2) * eta).sum(axis=1)
+
+    def _active(self, c: np.ndarray) -> Active:
+        """Energies whose coefficient is not zero."""
+        checked("c", c, float, (len(self.dictionary),))
+        return [
+            (sites, kept)
+            for sites, each in self.energies
+            if (kept := [energy for energy in each if c[energy.number]])
+        ]
+
+    def _tension(self, e: np.ndarray, c: np.ndarray, active: Active) -> np.ndarray:
+        """What energies pull at bonds e [S, pairs], over ξ + η."""
+        tension = np.zeros_like(e)
+        for sites, each in active:
+            sites.pull(self._slope(sites, each, sites.seen(e), c), tension)
+        return tension
+
+    def _at_ends(self, pull: np.ndarray) -> np.ndarray:
+        """What pulls of the bonds [S, 2, pairs] come to at the nodes, [S, N, 2]."""
+        flat = self.bonds.ends @ pull.reshape(-1, pull.shape[2]).T
+        return np.asarray(flat.reshape(-1, len(pull), 2).swapaxes(0, 1))
 
     def strain(self, u: np.ndarray) -> np.ndarray:
         """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
-        field = self._field(u)
-        E = empty(*field.shape, dtype=self.of.six)
-        launch(sweeps(self.scalar).strain, field.shape, [self.lattice, field], [E])
-        strains: np.ndarray = E.numpy()[..., :3].reshape(*np.shape(u)[:-1], 3)
-        return strains
+        sites = self.sites()
+
+        def sweep(u: np.ndarray) -> np.ndarray:
+            E = np.zeros((*u.shape[:2], 3))
+            E[:, sites.pair[0]] = sites.seen(self._stretched(u)[1]).movedim(0, -1)
+            return E
+
+        return self._swept(sweep, u)
 
     def smallest_area(self, u: np.ndarray) -> float:
         """Smallest det C of the nodal strain, 1 at rest; not positive where a field folds."""
-        E = self.strain(u).reshape(-1, 3)
-        return float(((1 + 2 * E[:, 0]) * (1 + 2 * E[:, 1]) - E[:, 2] ** 2).min())
+        e = self._stretched(np.reshape(u, (-1, *self.points.x.shape)))[1]
+        return min(1.0, float(read(self.sites().seen(e)).area.min()))
 
     def folded(self, u: np.ndarray) -> int:
         """Number of corners with an interior node that one field turns over, shape of u [N, 2]."""
-        y, C = self.points.x + u, self.bonds.classes
-        inside = self.points.interior
-        count = 0
-        for first in (1, 1 + C):  # ACROSS: bonds (0, 1) and (1, 0) come first
-            for second in (0, C):
-                ends = self.bonds.neighbour[:, [first, second]]
-                n = np.flatnonzero((ends >= 0).all(axis=1))
-                p, q = ends[n].T
-                Y, Z = y[p] - y[n], y[q] - y[n]
-                sign = 1 if (first < C) == (second < C) else -1
-                over = sign * (Y[:, 0] * Z[:, 1] - Y[:, 1] * Z[:, 0]) <= 0
-                count += int((over & (inside[n] | inside[p] | inside[q])).sum())
+        (Y,), count = self._stretched(u[None])[0], 0
+        for patch in self.sites("corner").patches:
+            first, second, _ = np.moveaxis(Y[:, patch.bonds], 1, 0)
+            over = first[0] * second[1] - first[1] * second[0] <= 0
+            count += int((over & self.points.interior[patch.nodes].any(axis=0)).sum())
         return count
 
     def energy(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """U, (H1), for every sample [stress × area], shape [S] or []."""
-        total: np.ndarray = self.nodal_energy(u, c).sum(axis=-1) * self.bonds.spacing**2
-        return total
+        return np.asarray(self.nodal_energy(u, c).sum(axis=-1) * self.bonds.spacing**2)
 
     def nodal_energy(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """What every node and half of its bonds hold, over h², shape [..., N]."""
-        field, terms = self._field(u), self._terms(self._coefficients(c))
-        E, _ = self._states(field, terms)
-        U = empty(*field.shape, dtype=self.scalar)
-        launch(sweeps(self.scalar).energy, field.shape, [self.lattice, terms, field, E], [U])
-        if self.dictionary.cornered:
-            launch(corners(self.scalar).energy, field.shape, [self.lattice, terms, field], [U])
-        energies: np.ndarray = U.numpy().reshape(np.shape(u)[:-1])
-        return energies
+        """What every node and the bonds that begin there hold, over h², shape [..., N]."""
+        active = self._active(c)
 
-    def force(
-        self, u: np.ndarray | torch.Tensor, c: np.ndarray | torch.Tensor
-    ) -> np.ndarray | torch.Tensor:
+        def sweep(u: np.ndarray) -> np.ndarray:
+            e, total = self._stretched(u)[1], np.zeros(u.shape[:2])
+            for sites, each in active:
+                stored = self._stored(sites, each, sites.seen(e), c)
+                for patch, part in sites.split(stored):
+                    total[:, patch.pair[0]] += part
+            return total
+
+        return self._swept(sweep, u)
+
+    def force(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """The force (H8) on the interior nodes [stress / length], shape [..., I, 2]."""
-        if isinstance(u, torch.Tensor) or isinstance(c, torch.Tensor):
-            u, c = torch.as_tensor(u), torch.as_tensor(c)
-            backs = (self.product, lambda u, c, g: self.pairing(u, g))
-            force = nonlinear(self.everywhere, None, backs, u, c)
-            return force[..., self.interior, :].to(u.dtype)
         return self.everywhere(u, c)[..., self.interior, :]
 
     def everywhere(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """The derivative of U by every node's displacement over h², shape [..., N, 2]."""
-        field, terms = self._field(u), self._terms(self._coefficients(c))
-        E, G = self._states(field, terms)
-        f = empty(*field.shape, dtype=self.of.vec)
-        launch(sweeps(self.scalar).force, field.shape, [self.lattice, terms, field, E, G], [f])
-        if self.dictionary.cornered:
-            launch(corners(self.scalar).force, field.shape, [self.lattice, terms, field], [f])
-        forces: np.ndarray = f.numpy().reshape(np.shape(u))
-        return forces
+        active = self._active(c)
+
+        def sweep(u: np.ndarray) -> np.ndarray:
+            Y, e = self._stretched(u)
+            return self._at_ends(self._tension(e, c, active)[:, None] * Y)
+
+        return self._swept(sweep, u)
 
     def product(self, u: np.ndarray, c: np.ndarray, v: np.ndarray) -> np.ndarray:
         """K v, the derivative of the force along v, (H10), on all nodes, shape [..., N, 2]."""
-        field, along = self._field(u), self._field(v)
-        if np.shape(v) != np.shape(u):
-            raise InputError(
-                f"v: expected the shape of u, {list(np.shape(u))}, got {list(np.shape(v))}"
-            )
-        terms, kernels = self._terms(self._coefficients(c)), tangents(self.scalar)
-        E, G = self._states(field, terms)
-        H = empty(*field.shape, dtype=self.of.block)
-        dE, dG = (empty(*field.shape, dtype=self.of.six) for _ in range(2))
-        df = empty(*field.shape, dtype=self.of.vec)
-        shape, lattice = field.shape, self.lattice
-        launch(kernels.curvature, shape, [lattice, terms, E], [H])
-        launch(kernels.strain_rate, shape, [lattice, field, along], [dE])
-        launch(kernels.stress_rate, shape, [lattice, terms, field, along, H, E, dE], [dG])
-        launch(kernels.force_rate, shape, [lattice, terms, field, along, E, dE, G, dG], [df])
-        if self.dictionary.cornered:
-            launch(
-                corner_tangents(self.scalar).product, shape, [lattice, terms, field, along], [df]
-            )
-        rates: np.ndarray = df.numpy().reshape(np.shape(u))
-        return rates
+        active = self._active(c)
+
+        def sweep(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+            (Y, e), away = self._stretched(u), self._differences(v)
+            along, tension, change = (Y * away).sum(axis=1), np.zeros_like(e), np.zeros_like(e)
+            for sites, each in active:
+                stress = self._slope(sites, each, q := sites.seen(e), c, graph=True)
+                sites.pull(torch.autograd.grad(stress, q, sites.seen(along))[0], change)
+                sites.pull(stress.detach(), tension)
+            return self._at_ends(tension[:, None] * away + change[:, None] * Y)
+
+        return self._swept(sweep, u, v)
+
+    def curvatures(self, u: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[Any]]:
+        """Of one field what pulls at bonds [pairs], these bonds as they are now [2, pairs], and
+        patches with the second derivatives of their energies [Q, Q, n].
+        """
+        (Y,), e = self._stretched(plain("u", u)[None])
+        tension, found = np.zeros_like(e), list[Any]()
+        with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
+            for sites, each in self._active(c):
+                stress = self._slope(sites, each, q := sites.seen(e), c, graph=True)
+                sites.pull(stress.detach(), tension)
+                rows = [torch.autograd.grad(s.sum(), q, retain_graph=True)[0] for s in stress]
+                found += sites.split(torch.stack(rows)[:, :, 0])
+        return tension[0], Y, found
 
     def features(self, u: np.ndarray, *, by: str = "coefficient") -> np.ndarray:
         """The force of every energy with coefficient one, shape [..., I, 2, K].
@@ -397,12 +497,32 @@ class HyperelasticOperator:
             by: "angle" or "exponent" for the derivative of that force by the fibre's number; the
                 other columns are then zero.
         """
-        which = {"coefficient": 0, "angle": 1, "exponent": 2}[by]
-        fields = plain("u", u).reshape(-1, len(self.points.x), 2)
-        forces = self._features(fields, which, self._rows)
-        if which:
-            forces[..., : self.dictionary.first_term] = 0.0
-        return forces.reshape(*np.shape(u)[:-2], len(self.interior), 2, len(self.dictionary))
+
+        def sweep(u: np.ndarray) -> np.ndarray:
+            Y, e = self._stretched(u)
+            forces = np.zeros((len(u), len(self.interior), 2, len(self.dictionary)))
+            for sites, number, stress in self._single(e, by):
+                tension = np.zeros_like(e)
+                sites.pull(stress, tension)
+                forces[..., number] = self._at_ends(tension[:, None] * Y)[:, self.interior]
+            return forces
+
+        return self._swept(sweep, u)
+
+    def _single(self, e: np.ndarray, by: str) -> Iterator[tuple[Sites, int, torch.Tensor]]:
+        """Stress [Q, S, n] of every energy with coefficient one, or its derivative."""
+        one = np.ones(len(self.dictionary))
+        for sites, each in self.energies:
+            q = sites.seen(e)
+            for energy in each:
+                if by == "coefficient":
+                    yield sites, energy.number, self._slope(sites, [energy], q, one)
+                elif energy.is_fibre:
+                    number = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
+                    moved: Energy = energy._replace(**{by: number})  # type: ignore[arg-type]
+                    stored = self._stored(sites, [moved], q.requires_grad_(), one).sum()
+                    (slope,) = torch.autograd.grad(stored, number, create_graph=True)
+                    yield sites, energy.number, torch.autograd.grad(slope, q)[0]
 
     def by_thickness(self, u: np.ndarray, c: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """The derivative of the force by what the thickness depends on, shape [..., I, 2, P].
@@ -414,78 +534,36 @@ class HyperelasticOperator:
 
         The force is linear in the thickness, so this is the force of sheets as thick as the slopes.
         """
-        parts = [self._weighed(slope).everywhere(u, c) for slope in np.asarray(slopes).T]
-        return np.stack([part[..., self.interior, :] for part in parts], axis=-1)
+        parts, other = [], copy(self)
+        for other.thickness in np.asarray(slopes).T:
+            parts.append(other.force(u, c))
+        return np.stack(parts, axis=-1)
 
-    def _features(self, fields: np.ndarray, which: int, rows: Any) -> np.ndarray:
-        """Forces of single energies on some nodes, chunk by chunk of samples."""
-        terms = self._terms(np.zeros(len(self.dictionary)))
-        kernels, K = features(self.scalar), len(self.dictionary)
-        states = K - self.dictionary.first_deviation
-        chunk = max(1, CHUNK // (48 * max(states, 1) * len(self.points.x)))
-        forces = np.empty((len(fields), len(rows), 2, K))
-        for first in range(0, len(fields), chunk):
-            field = self._field(fields[first : first + chunk])
-            E = empty(*field.shape, dtype=self.of.six)
-            launch(sweeps(self.scalar).strain, field.shape, [self.lattice, field], [E])
-            G = zeros(*field.shape, states, dtype=self.of.six)
-            inputs = [self.lattice, terms, which, field, E]
-            launch(kernels.stress_of_each, G.shape, inputs, [G])
-            F = zeros(len(field), len(rows), K, dtype=self.of.vec)
-            inputs = [self.lattice, terms, rows, field, E, G]
-            launch(kernels.force_of_each, F.shape[:2], inputs, [F])
-            if self.dictionary.cornered:
-                inputs = [self.lattice, terms, which, rows, field]
-                launch(corners(self.scalar).force_of_each, F.shape[:2], inputs, [F])
-            forces[first : first + chunk] = F.numpy().transpose(0, 1, 3, 2)
-        return forces
+    def pairing(self, u: np.ndarray, w: np.ndarray) -> np.ndarray:
+        """Σ f_k·w over samples and interior nodes for every energy k with coefficient one, [K]."""
+        return np.asarray(np.tensordot(w, self.features(u), np.ndim(w)))
 
-    def pairing(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Σ f_k·v over samples and nodes for every energy k with coefficient one, shape [K]."""
-        fields = plain("u", u).reshape(-1, len(self.points.x), 2)
-        seeds = plain("v", v).reshape(fields.shape)
-        sums = np.zeros(len(self.dictionary))
-        for field, seed in zip(fields, seeds):
-            F = self._features(field[None], 0, self._all)[0]
-            sums += np.einsum("idk,id->k", F, seed)
-        return sums
+    def stress(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """First Piola stress P = ½ Σ t (ξ + η)⊗ξ of a node's bonds, (H16), shape [..., N, 2, 2].
 
-    def curved_states(self, u: np.ndarray, c: np.ndarray) -> tuple[Any, Any, Any, Any, Any]:
-        """Field, energies, strains, stresses and curvatures as the kernels read them."""
-        field, terms = self._field(u), self._terms(self._coefficients(c))
-        E, G = self._states(field, terms)
-        H = empty(*field.shape, dtype=self.of.block)
-        launch(tangents(self.scalar).curvature, field.shape, [self.lattice, terms, E], [H])
-        return field, terms, E, G, H
+        It is ∂W/∂F in uniform strain, on nodes whose neighbours all have whole families; nearer to
+        the edge it misses what bonds to outside would carry. Of a sheet that is not even it is the
+        pull per length of a section, over thickness one. Corners carry theirs at their apex.
+        """
+        active, corners = self._active(c), self._sites.get(("corner",))
 
-    def corner_stress(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """What corners add to the stress (H16) at the nodes of one field, shape [N, 2, 2]."""
-        field, terms = self._field(u), self._terms(self._coefficients(c))
-        P = zeros(*field.shape, dtype=wp.types.matrix((2, 2), self.scalar))
-        launch(corners(self.scalar).stress, field.shape, [self.lattice, terms, field], [P])
-        stresses: np.ndarray = P.numpy()[0]
-        return stresses
+        def sweep(u: np.ndarray) -> np.ndarray:
+            Y, e = self._stretched(u)
+            others = [(sites, each) for sites, each in active if sites is not corners]
+            carried = np.einsum("sb,sib,jb->bsij", self._tension(e, c, others), Y, self.bonds.xi)
+            P = abs(self.bonds.ends) @ carried.reshape(e.shape[1], -1) / 2
+            P = P.reshape(-1, len(u), 2, 2).swapaxes(0, 1)
+            for sites, each in active:
+                if sites is corners:
+                    for patch, part in sites.split(self._slope(sites, each, sites.seen(e), c)):
+                        t, xi = patch.weights @ part.swapaxes(0, 1), self.bonds.xi[:, patch.bonds]
+                        at_apex = np.einsum("sln,siln,jln->snij", t, Y[..., patch.bonds], xi)
+                        P[:, patch.pair[0]] += at_apex
+            return np.asarray(P)
 
-    def states(self, u: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Strains, their stresses and curvatures of one field, shapes [N, 6], [N, 6], [N, 6, 6]."""
-        _, _, E, G, H = self.curved_states(u, c)
-        return E.numpy()[0], G.numpy()[0], H.numpy()[0]
-
-
-def laplacian(op: HyperelasticOperator) -> tuple[sp.csr_matrix, sp.csr_matrix]:
-    """The five-point Laplacian between interior nodes, and from the collar (columns: all nodes)."""
-    steps = op.bonds.steps
-    near = np.flatnonzero(np.abs(steps).sum(axis=1) == 1)
-    far = op.bonds.neighbour[op.interior][:, near]
-    number = np.full(len(op.points.x), -1)
-    number[op.interior] = np.arange(len(op.interior))
-    rows = np.repeat(np.arange(len(op.interior)), len(near))
-    square = op.bonds.spacing**2
-    whole = sp.csr_matrix(
-        (np.full(len(rows), -1 / square), (rows, far.ravel())),
-        shape=(len(op.interior), len(op.points.x)),
-    )
-    inside = op.points.interior
-    own = whole[:, inside] + sp.eye(len(op.interior)) * (len(near) / square)
-    collar = whole @ sp.diags((~inside).astype(float))
-    return own.tocsr(), collar.tocsr()
+        return self._swept(sweep, u)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import OnPoints
-from warp_peri.points.arrays import checked_fields, plain
+from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
-from warp_peri.tissue.equilibrium import Equilibrium, NoEquilibrium, StaticProblem, TangentPattern
+from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, TangentPattern
 from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
+from warp_peri.tissue.solid import HyperelasticSolid
 
 BEYOND = 1.1
 """Stretches less one above this many times those of the training data are worth a warning."""
@@ -41,74 +41,6 @@ def warn_beyond(solid: HyperelasticSolid, op: HyperelasticOperator, u: np.ndarra
             "nothing is known of the material beyond",
             stacklevel=3,
         )
-
-
-BOND_SLOPES: dict[str, Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]] = {
-    "square": lambda s: (s, np.ones_like(s)),
-    "cube": lambda s: (s**2, 2 * s),
-    "tension": lambda s: (np.maximum(s, 0), (s > 0) * 1.0),
-    "tension_cube": lambda s: (np.maximum(s, 0) ** 2, 2 * np.maximum(s, 0)),
-    "log": lambda s: (1 - 1 / (1 + 2 * s), 2 / (1 + 2 * s) ** 2),
-    "compression": lambda s: (np.minimum(s, 0), (s < 0) * 1.0),
-}
-"""ψ′ and ψ″ of every bond energy, (H2); a test holds them to the kernels'."""
-
-
-def bond_slopes(
-    dictionary: Dictionary, s: np.ndarray, c: np.ndarray, k: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Σ c ψ′ and Σ c ψ″ of bonds, (H2), shapes [B] [stress].
-
-    Args:
-        dictionary: of energies.
-        s: strain of every bond, shape [B].
-        c: coefficients, shape [K].
-        k: class of every bond, shape [B].
-    """
-    slopes, curves = np.zeros_like(s), np.zeros_like(s)
-    count = len(dictionary.bonds)
-    for q, name in enumerate(dictionary.bonds):
-        stiffness = c[k * count + q]
-        slope, curve = BOND_SLOPES[name](s)
-        slopes += stiffness * slope
-        curves += stiffness * curve
-    return slopes, curves
-
-
-def piola_stress(op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """First Piola stress P = ½ Σ [t/|ξ|² + w·(G_i + G_j)] (ξ + η)⊗ξ, (H16), shape [N, 2, 2].
-
-    Args:
-        op: the operator.
-        u: one displacement, shape [N, 2].
-        c: coefficients.
-
-    It is ∂W/∂F in uniform strain, on nodes whose neighbours all have whole families; nearer to the
-    edge it misses what bonds to outside would carry. Of a sheet that is not even it is the pull per
-    length of a section, over thickness one.
-    """
-    u = plain("u", u)
-    E, G, _ = op.states(u, c)
-    i, j, k = op.bonds.pairs
-    xi = op.bonds.xi[k]
-    Y = xi + u[j] - u[i]
-    square = (xi**2).sum(axis=1)
-    s = ((Y**2).sum(axis=1) / square - 1) / 2
-    tension = bond_slopes(op.dictionary, s, c, k)[0]
-    first, last = op.dictionary.first_deviation, op.dictionary.first_term
-    whole = (op.bonds.whole[i] >= 2) & (op.bonds.whole[j] >= 2)
-    near = np.flatnonzero(whole & (op.deviation[k] >= 0))
-    mean = 1 + ((E[i[near], 3:] + E[j[near], 3:]) * op.unit[k[near]]).sum(axis=1)
-    d = 0.5 * np.log((1 + 2 * s[near]) / mean)
-    tension[near] += c[first:last][op.deviation[k[near]]] * d / (1 + 2 * s[near]) / mean
-    if op.thickness is not None:
-        tension *= (op.thickness[i] + op.thickness[j]) / 2
-    along = tension / square + ((G[i] + G[j]) * op.weight[k]).sum(axis=1)
-    carried = 0.5 * along[:, None, None] * Y[:, :, None] * xi[:, None, :]
-    P = op.corner_stress(u, c)
-    np.add.at(P, i, carried)
-    np.add.at(P, j, carried)
-    return P
 
 
 def hyperelastic_errors(
@@ -149,7 +81,7 @@ def hyperelastic_errors(
     inner, errors_of, fields = op.interior, {}, samples.u
     if samples.b is not None:
         left = op.force(samples.u, solid.coefficients) - samples.b[:, inner]
-        residuals = _size(np.asarray(left)) / _size(samples.b[:, inner])
+        residuals = _size(left) / _size(samples.b[:, inner])
         errors_of = {"E_res": float(residuals.mean()), "residuals": residuals}
     if solve:
         truth = samples.u if truth is None else truth
@@ -219,7 +151,7 @@ class PlacedSheet(OnPoints):
 
     def force(self, u: np.ndarray) -> np.ndarray:
         """Minus the internal force density on interior nodes, shape [..., I, 2]."""
-        return np.asarray(self.energies.force(u, self.model.coefficients))
+        return self.energies.force(u, self.model.coefficients)
 
     def product(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The derivative at u along v, shape [..., I, 2]."""
@@ -242,7 +174,7 @@ class PlacedSheet(OnPoints):
 
     def by_numbers(self, name: str, u: np.ndarray, w: np.ndarray) -> np.ndarray:
         """Derivatives of Σ w · force(u) to the coefficients, of fields [K, N, 2]."""
-        return self.energies.pairing(u, self.on_all(w))
+        return self.energies.pairing(u, w)
 
     def stiffness_at(self, u: np.ndarray) -> Any:
         """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
@@ -251,14 +183,11 @@ class PlacedSheet(OnPoints):
 
     def energy(self, u: np.ndarray) -> np.ndarray:
         """Elastic energy [stress · area], shape [...]."""
-        return np.asarray(self.energies.energy(u, self.model.coefficients))
+        return self.energies.energy(u, self.model.coefficients)
 
     def stress(self, u: np.ndarray) -> np.ndarray:
         """First Piola–Kirchhoff stress at the interior nodes, shape [..., I, 2, 2]."""
-        fields = np.reshape(u, (-1, len(self.points.x), 2))
-        c, inside = self.model.coefficients, self.points.interior
-        stress = np.stack([piola_stress(self.energies, field, c)[inside] for field in fields])
-        return stress if np.ndim(u) == 3 else stress[0]
+        return self.energies.stress(u, self.model.coefficients)[..., self.points.interior, :, :]
 
     def errors(self, samples: Samples) -> dict[str, Any]:
         """For `evaluate`: as hyperelastic_errors, samples that are not solved told apart."""
@@ -283,7 +212,10 @@ class PlacedSheet(OnPoints):
         problem, found = StaticProblem(self.energies, tolerance=asked.tolerance), []
         fields = given.reshape(-1, *given.shape[-2:])
         for number, (force, field) in enumerate(zip(load.reshape(fields.shape), fields)):
-            found.append(self._one(problem, number, None if b is None else force, field))
+            try:
+                found.append(problem.solve(self.model.coefficients, force, field))
+            except NoEquilibrium as error:
+                raise NoEquilibrium(f"sample {number}: {error}") from None
         answer = np.reshape([one.u for one in found], fields.shape)
         warn_beyond(self.model, self.energies, answer)
         return Solution(
@@ -296,11 +228,3 @@ class PlacedSheet(OnPoints):
             details=tuple(found),
             measured=max((one.residual for one in found), default=None),
         )
-
-    def _one(
-        self, problem: StaticProblem, number: int, b: np.ndarray | None, u: np.ndarray
-    ) -> Equilibrium:
-        try:
-            return problem.solve(self.model.coefficients, b, u)
-        except NoEquilibrium as error:
-            raise NoEquilibrium(f"sample {number}: {error}") from None

@@ -32,7 +32,7 @@ from warp_peri.tissue.from_displacement import (
     stiffest_deviation,
 )
 from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.placed import hyperelastic_errors, piola_stress
+from warp_peri.tissue.placed import hyperelastic_errors
 from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 KEPT = ("are there and are taken as they are", "of other frames or settings are left aside")
@@ -318,7 +318,7 @@ def uniaxial(solid: HyperelasticSolid, stretches: ArrayLike, angle: float = 0.0)
 
     def stress(along: float, across: float) -> np.ndarray:
         gradient = turn @ np.diag([along - 1.0, across - 1.0]) @ turn.T
-        P = piola_stress(op, points.x @ gradient.T, solid.coefficients)[op.interior][0]
+        P = op.stress(points.x @ gradient.T, solid.coefficients)[op.interior[0]]
         return np.asarray(turn.T @ P @ turn)
 
     found = []

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
+import torch
 
 from warp_peri.contract import taken
 from warp_peri.core.record import Entry, Length, Record
@@ -20,33 +22,107 @@ if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.tissue.from_displacement import DisplacementFit
     from warp_peri.tissue.placed import PlacedSheet
 
-BONDS = {"square": 0, "cube": 1, "tension": 2, "tension_cube": 3, "log": 4, "compression": 5}
-"""Bond energies ψ(s) by number: s²/2, s³/3, ⟨s⟩²/2, ⟨s⟩³/3, s − ½ ln(1 + 2s), ⟨−s⟩²/2."""
 
+class Strain:
+    """Strains E [3, ...] of E11, E22 and 2 E12, and what energies are made of."""
+
+    def __init__(self, E: torch.Tensor) -> None:
+        self.parts = E.unbind(0)
+
+    @cached_property
+    def area(self) -> torch.Tensor:
+        """D = det C, C = 1 + 2 E."""
+        x, y, shear = self.parts
+        return (1 + 2 * x) * (1 + 2 * y) - shear**2
+
+    @cached_property
+    def log_area(self) -> torch.Tensor:
+        """ln D."""
+        return torch.log(self.area)
+
+    @cached_property
+    def trace(self) -> torch.Tensor:
+        """tr C − 2."""
+        return 2 * (self.parts[0] + self.parts[1])
+
+    def along(self, angle: Any) -> torch.Tensor:
+        """I4 − 1 = 2 n·E n."""
+        c, s = (f(torch.as_tensor(angle, dtype=torch.float64)) for f in (torch.cos, torch.sin))
+        x, y, shear = self.parts
+        return 2 * c * c * x + 2 * s * s * y + 2 * c * s * shear
+
+    def taut(self, angle: Any, energy: Callable[..., torch.Tensor]) -> torch.Tensor:
+        """An energy of I4 − 1 where that is above zero, else zero with all its derivatives."""
+        x = self.along(angle)
+        return torch.where(x > 0, energy(torch.where(x > 0, x, 1.0)), 0.0)
+
+
+def _exponential(x: torch.Tensor, k2: Any) -> torch.Tensor:
+    """(exp(k2 x²) − 1) / (2 k2), or its limit."""
+    y = x * x
+    large: torch.Tensor = torch.expm1(k2 * y) / (2 * k2 or 1)
+    return large if k2 > LEAST_EXPONENT else y / 2 + k2 * y * y / 4
+
+
+Density = Callable[..., torch.Tensor]
+"""Energy of a strain, or of a bond's, and of a fibre's angle and exponent."""
+
+
+def _quadratic(pair: str) -> Density:
+    a, b = map(["11", "22", "12"].index, pair.split(","))
+    return lambda E, *_: E.parts[a] * E.parts[b]
+
+
+LEAST_EXPONENT = 1e-8
+"""k2 below which the exponential is taken as its limit."""
 QUADRATICS = ("11,11", "22,22", "12,12", "11,22", "11,12", "22,12")
-KINDS = {
-    **{f"quadratic {pair}": n for n, pair in enumerate(QUADRATICS)},
-    "log_area": 6,
-    "area": 7,
-    "inverse_area": 8,
-    "neo_hookean": 9,
-    "volumetric": 10,
-    "plane_stress": 11,
-    "fibre_power": 12,
-    "fibre_exponential": 13,
-    "trace": 14,
-    "shear": 15,
-    "along": 16,
-    "mooney": 17,
-    "yeoh": 18,
+"""Products of E11, E22 and 2 E12 that are energies."""
+BONDS: dict[str, Density] = {
+    "square": lambda s, *_: s**2 / 2,
+    "cube": lambda s, *_: s**3 / 3,
+    "tension": lambda s, *_: torch.relu(s) ** 2 / 2,
+    "tension_cube": lambda s, *_: torch.relu(s) ** 3 / 3,
+    "log": lambda s, *_: s - torch.log1p(2 * s) / 2,
+    "compression": lambda s, *_: torch.relu(-s) ** 2 / 2,
 }
-"""Strain energies Φ(E) by number; docs/theory lists them in (H5)."""
-NAMED = {number: kind for kind, number in KINDS.items()}
+"""Bond energies ψ(s), (H2)."""
+KINDS: dict[str, Density] = {
+    **{f"quadratic {pair}": _quadratic(pair) for pair in QUADRATICS},
+    "log_area": lambda E, *_: E.log_area,
+    "area": lambda E, *_: E.area,
+    "inverse_area": lambda E, *_: 1 / E.area,
+    "neo_hookean": lambda E, *_: E.trace - E.log_area,
+    "volumetric": lambda E, *_: (E.area - 1 - E.log_area) / 2,
+    "plane_stress": lambda E, *_: E.trace + 1 / E.area - 1,
+    "fibre_power": lambda E, angle, p: E.taut(angle, lambda x: x**p / p),
+    "fibre_exponential": lambda E, angle, p: E.taut(angle, lambda x: _exponential(x, p)),
+    "trace": lambda E, *_: E.trace**2 / 8,
+    "shear": lambda E, *_: ((E.parts[0] - E.parts[1]) ** 2 + E.parts[2] ** 2) / 2,
+    "along": lambda E, angle, _: E.along(angle) ** 2 / 2,
+    "mooney": lambda E, *_: E.area + (E.trace + 2) / E.area - 3,
+    "yeoh": lambda E, _, p: torch.relu(E.trace + 1 / E.area - 1) ** p,
+}
+"""Strain energies Φ; docs/theory lists them in (H5)."""
+
+
+def deviation(ends: tuple[torch.Tensor, torch.Tensor], *_: Any) -> torch.Tensor:
+    """½ d² / (1 + 2 m), (H6), of 2 s of a bond and of 2 m."""
+    own, mean = ends
+    return (torch.log1p(own) - torch.log1p(mean)) ** 2 / (8 * (1 + mean))
+
+
+def read(q: torch.Tensor) -> Any:
+    """What energies are given of q [Q, ...]: a bond's strain, that and its mean, or a strain."""
+    return Strain(q) if len(q) == 3 else q.unbind(0) if len(q) == 2 else q[0]
+
+
+def _curvature(energy: Density, size: int, *fibre: float) -> float:
+    """Trace of the second derivative of an energy of a bond, or of a strain, at a small stretch."""
+    q = torch.tensor([1e-6, 1e-6, 0.0][:size], dtype=torch.float64)
+    return float(torch.autograd.functional.hessian(lambda q: energy(read(q), *fibre), q).trace())
+
+
 FIBRES = ("fibre_power", "fibre_exponential")
-STEPPING = ("trace", "shear", "along", *FIBRES)
-"""Kinds that may act across a bond, (H17): those convex everywhere."""
-ACROSS = ((0, 1), (1, 0), (1, -1), (1, 1))
-"""Near bonds, in the order of a half family."""
 GUARANTEED = {
     "neo_hookean",
     "volumetric",
@@ -75,20 +151,14 @@ class Term:
         kind: a key of KINDS.
         angle: direction n of a fibre [rad], where the kind has one.
         exponent: p of a fibre's power or of Yeoh's, k₂ of a fibre's exponential.
-        ripple: acts on the difference of the two nodal strains, (H4), instead of on the strain.
-        across: a near bond in lattice steps; the term is then the energy of the step of the short
-            strain between its ends, (H17). Convex kinds only.
         corner: acts on the strains of the four corners of lattice cells at a node, (H19).
 
-    Raises InputError for an unknown kind, an exponent that the kind cannot take, or a difference
-    that it cannot act on.
+    Raises InputError for an unknown kind, or an exponent that the kind cannot take.
     """
 
     kind: str
     angle: float = 0.0
     exponent: float = 0.0
-    ripple: bool = False
-    across: tuple[int, int] | None = None
     corner: bool = False
 
     def __post_init__(self) -> None:
@@ -96,34 +166,22 @@ class Term:
             raise InputError(f"kind: expected one of {', '.join(KINDS)}, got {self.kind!r}")
         if not (np.isfinite(self.angle) and np.isfinite(self.exponent)):
             raise InputError(f"{self.kind}: expected finite angle and exponent")
-        for name in ("ripple", "corner"):
-            if not isinstance(getattr(self, name), bool):
-                raise InputError(f"{name}: expected true or false, got {getattr(self, name)!r}")
+        if not isinstance(self.corner, bool):
+            raise InputError(f"corner: expected true or false, got {self.corner!r}")
         if self.kind in ("fibre_power", "yeoh") and self.exponent < 2:
             raise InputError(f"{self.kind}: expected an exponent ≥ 2, got {self.exponent}")
         if self.kind == "fibre_exponential" and self.exponent < 0:
             raise InputError(f"fibre_exponential: expected k2 ≥ 0, got {self.exponent}")
-        if self.corner and (self.ripple or self.across is not None):
-            raise InputError(f"corner: expected neither ripple nor across, got {self.label}")
-        if self.across is not None:
-            object.__setattr__(self, "across", tuple(self.across))
-            if self.across not in ACROSS or self.kind not in STEPPING or self.ripple:
-                raise InputError(
-                    f"across: expected {', '.join(STEPPING)} across one of {ACROSS}, "
-                    f"got {self.kind} across {self.across}"
-                )
 
     @property
     def is_fibre(self) -> bool:
-        """Whether it is the energy of a family of fibres, and not of their steps or ripples."""
-        return self.kind in FIBRES and self.across is None and not self.ripple
+        """Whether it is the energy of a family of fibres."""
+        return self.kind in FIBRES
 
     @property
     def label(self) -> str:
         """Its name in tables."""
-        words = self.kind + (" of the ripple" if self.ripple else "")
-        words += f" across {self.across}" if self.across else ""
-        words += " of corners" if self.corner else ""
+        words = self.kind + (" of corners" if self.corner else "")
         if self.kind in (*FIBRES, "along"):
             words += f" at {np.rad2deg(self.angle):.1f}°"
         return words + (f", {self.exponent:g}" if self.kind in (*FIBRES, "yeoh") else "")
@@ -201,6 +259,17 @@ class Dictionary:
             term.kind in GUARANTEED for term in self.terms
         )
 
+    @property
+    def stiffness(self) -> np.ndarray:
+        """Trace of each energy's second derivative by the strain at a small stretch, (H14)."""
+        traces = np.zeros(len(self))
+        for n, (step, name) in enumerate(itertools.product(half_family(self.reach), self.bonds)):
+            unit = np.array([step[0] ** 2, step[1] ** 2, step[0] * step[1]]) / (step @ step)
+            traces[n] = _curvature(BONDS[name], 1) * (unit @ unit)
+        for n, term in enumerate(self.terms, self.first_term):
+            traces[n] = _curvature(KINDS[term.kind], 3, term.angle, term.exponent)
+        return traces
+
     def learn(self, samples: Samples, **options: Any) -> EnergyFit | DisplacementFit:
         """A solid of these energies: from loads by fit_energy, without loads by fit_displacement.
 
@@ -250,6 +319,20 @@ class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
                 f"coefficients: expected {len(self.dictionary)} numbers, "
                 f"got shape {list(self.coefficients.shape)}"
             )
+
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """Of files that say of each term whether it acts on ripples or steps, without that.
+
+        Raises InputError for one that does.
+        """
+        terms = content.get("terms")
+        if not (isinstance(terms, list) and all(isinstance(term, dict) for term in terms)):
+            return content
+        if any(term.get("ripple") or term.get("across") for term in terms):
+            raise InputError("terms: expected none of ripples or steps across bonds, which left")
+        kept = [{k: v for k, v in t.items() if k not in ("ripple", "across")} for t in terms]
+        return content | {"terms": kept}
 
     @property
     def sparse(self) -> HyperelasticSolid:

@@ -1,1 +1,0 @@
-"""Hyperelastic solids: nodal strains, energies of strains and of bonds, forces, tangents."""
