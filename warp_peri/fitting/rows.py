@@ -11,7 +11,7 @@ from warp_peri.core.grid import Grid, grid_of
 from warp_peri.core.stencil import Basis
 from warp_peri.points.samples import Samples
 
-BLOCK = 2**24
+BLOCK = 2**22
 """Numbers of a block of rows before it is compressed."""
 
 
@@ -67,17 +67,19 @@ def swept(
 
 def forces(u: np.ndarray, nodes: Grid, bonds: Basis) -> np.ndarray:
     """h² L u of every basis tensor at the interior nodes, along the axes, shape [S, I, d, P]."""
-    planes, asked = nodes.scatter(u), nodes.unknown
-    order = np.argsort(np.argsort(nodes.interior))
-    whole = (slice(None), slice(None))
-    inner = planes[(*whole, *nodes.core)][:, :, asked]
-    F = np.zeros((len(bonds.basis), len(u), nodes.dimension, inner.shape[2]))
-    for step, tensors in zip(bonds.steps, bonds.basis.swapaxes(0, 1)):
-        ahead, behind = (planes[(*whole, *nodes.beside(one))][:, :, asked] for one in (step, -step))
-        pulled = 2 * inner - ahead - behind
-        for a in np.flatnonzero(tensors.any(axis=(1, 2))):
-            F[a] += tensors[a] @ pulled
-    return F[..., order].transpose(1, 3, 2, 0)
+    planes, d = nodes.scatter(u).swapaxes(0, 1), nodes.dimension
+    stride = np.cumprod((1, *nodes.wide[:0:-1]))[::-1]
+    place = np.array(np.unravel_index(nodes.interior, nodes.shape)) + nodes.reach * nodes.periodic
+    planes, at = (
+        np.ascontiguousarray(planes.reshape(d, len(u), -1).transpose(2, 0, 1)),
+        stride @ place,
+    )
+    F, inner = np.zeros((len(bonds.basis), len(at), d, len(u))), 2 * planes[at]
+    for step, tensors in zip(stride @ bonds.steps.T, bonds.basis.swapaxes(0, 1)):
+        pulled = inner - planes[at + step] - planes[at - step]
+        for a, k, j in np.argwhere(tensors):
+            F[a, :, k] += tensors[a, k, j] * pulled[:, j]
+    return F.transpose(3, 1, 2, 0)
 
 
 def over_loads(samples: Samples) -> np.ndarray:

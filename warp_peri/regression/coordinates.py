@@ -181,10 +181,6 @@ class Coordinates:
             dlimits[:, -1] = (-1, 1)
         return Point(float(y[0]), alpha, mu, dmu, v, dv, limits, dlimits)
 
-    def directions(self, y: np.ndarray) -> np.ndarray:
-        """Directions that change a stiffness, shape [Y, Y]: here all."""
-        return np.eye(len(y))
-
     def _kernels(self, y: np.ndarray, alpha: float) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Tables K W of each lattice and their derivatives to y, before any scaling."""
         values, slopes = [], []
@@ -242,11 +238,6 @@ def scaled(
     return x * (total / have), slope
 
 
-TINY, SEEN = 1e-3, 1e-9
-"""A parameter counts as of its size at the start times the first, at least; a direction counts
-where it changes the stiffnesses by more than the second, relative to the one that does most."""
-
-
 class ShapeCoordinates:
     """y = (κ, size a of K, parameters of the shape); stiffnesses v = a K W (theory, 59).
 
@@ -300,17 +291,6 @@ class ShapeCoordinates:
             v[number], dv[number] = scaled(v[number], dv[number], self._sigma[number], mu, dmu)
         limits, dlimits = self._limits(y)
         return Point(float(y[0]), 0.0, mu, dmu, v, dv, limits, dlimits)
-
-    def directions(self, y: np.ndarray) -> np.ndarray:
-        """Directions that change a stiffness, shape [Y, F]; the scale of a table's K does not."""
-        size = np.concatenate([[abs(y[1])], np.maximum(np.abs(y[2:]), TINY * self._size)])
-        change = np.concatenate(self.point(y).dv)[:, 1:] * size
-        _, values, right = np.linalg.svd(change, full_matrices=False)
-        kept = right[values > SEEN * values[0]]
-        out = np.zeros((len(y), 1 + len(kept)))
-        out[0, 0] = 1.0
-        out[1:, 1:] = size[:, None] * kept.T
-        return out
 
     def _limits(self, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Distances from the bounds, in parts of what lies between, and their derivative."""
