@@ -1,7 +1,8 @@
 """Figures: panels, curves of a table's rows over one axis, files, and the main of an example."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from textwrap import fill
@@ -18,9 +19,6 @@ from tools.options import Options
 from warp_peri.files.atomic import whole_file
 
 matplotlib.use("Agg")
-
-ABOVE: dict[str, Any] = {"ncols": 2, "loc": "lower center", "bbox_to_anchor": (0.5, 1.0)}
-"""A legend above the axes."""
 
 
 def panels(*size: float, count: int = 1, rows: int = 1, **how: Any) -> tuple[Figure, Any]:
@@ -105,6 +103,32 @@ def name_lines(ax: Axes, size: float = 9) -> None:
             line.get_label(), (x, y), (7, 0), "axes fraction", "offset points", va="center",
             color=line.get_color(), size=size, annotation_clip=False,
         )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Panel:
+    """Curves by name over x, with a title and labels of both axes."""
+
+    title: str
+    x: Any
+    xlabel: str
+    ylabel: str
+    curves: Mapping[str, Any]
+
+
+def draw_panels(drawn: Sequence[Panel], path: Path) -> None:
+    """Numbered panels in three columns at the width of a page, the first curves red, then blue."""
+    rows = -(-len(drawn) // 3)
+    with matplotlib.rc_context({"font.size": 7.5}):
+        figure, axes = panels(7.2, 1.9 * rows, count=3, rows=rows, squeeze=False)
+        for number, (ax, one) in enumerate(zip(axes.flat, drawn), 1):
+            labels = {"xlabel": one.xlabel, "ylabel": one.ylabel, "legend": {"fontsize": 7}}
+            curves(ax, "plot", one.x, one.curves, "C3.-", "C0.-", **labels)
+            for axis, values in ("x", [*one.x]), ("y", [*one.curves.values()]):
+                if np.min(values) > 0 and np.max(values) > 50 * np.min(values):
+                    ax.set(**{f"{axis}scale": "log"})
+            ax.set_title(f"{number} {one.title}", fontsize=8, loc="left", weight="bold")
+        save_figure(figure, path, dpi=105)
 
 
 def field(ax: Axes, x: Any, values: Any, unit: str = "", most: Any = None, **how: Any) -> None:

@@ -1,12 +1,15 @@
 """Reports from Markdown files with {names}: the prose in the file, the numbers from a run.
 
-Also the way back: the numbers of a table that stands on a page.
+Also the way back: the numbers of a table that stands on a page; and what a call says.
 """
 
 import re
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
+
+from warp_peri.errors import InputError
 
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
 RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -59,3 +62,16 @@ def readable(number: str) -> str:
         digits, power = f"{float(number):g}", ""
     raised = f"·10{f'{int(power)}'.translate(RAISED)}" if power else ""
     return digits.replace("-", "−") + raised
+
+
+def said_by(call: Callable[[], Any]) -> str:
+    """The error or the first warning of a call; RuntimeError where there is neither."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            call()
+        except InputError as refused:
+            return f"InputError: {refused}"
+    if not caught:
+        raise RuntimeError("expected an error or a warning, got neither")
+    return f"UserWarning: {caught[0].message}"

@@ -11,7 +11,7 @@ import argparse
 import json
 import sys
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,17 +25,18 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, Polygon, Rectangle
+from scipy.optimize import least_squares
 
 import warp_peri as wp
 from examples.predict import rich_law
-from examples.studies.atlas_cracks import SHARES, negative_as_broken
-from examples.studies.atlas_kernels import unconstrained
 from examples.train_graphene import DATA, SMOOTHING_RADIUS, make_data
-from warp_peri.damage import lattice_body, positive_kernel, rectangle
-from warp_peri.damage.operator import bond_weights
+from warp_peri.damage import LatticeBody, lattice_body, positive_kernel, rectangle
+from warp_peri.damage.operator import bond_weights, cut_matrix
+from warp_peri.damage.solid import negative_eigenvalues
 from warp_peri.methods import Optimum
 from warp_peri.points.families import bond_classes
 from warp_peri.prediction import Family
+from warp_peri.regression.coordinates import Coordinates, Parameters
 from warp_peri.regression.losses import reduce, sample_weights
 
 DOCS = Path(__file__).resolve().parent.parent.parent / "docs"
@@ -334,6 +335,54 @@ def cut_family(ax: Axes, model: wp.Model) -> None:
     ax.axis("off")
 
 
+SHARES = (0.0, 0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.4)
+"""Of bonds that are broken."""
+
+
+def without_conditions(train: wp.Samples, horizon: float, degree: int) -> wp.Model:
+    """The least residual of kernels of a degree, enough for all bond lengths, and nothing else."""
+    grid = reduce(train, horizon, sample_weights([train], normalise=False)[0])
+    (i, j), space = grid.pairs, Coordinates([grid.classes], 1.0, degree)
+
+    def residual(y: np.ndarray) -> np.ndarray:
+        point = space.point(y)
+        v = point.v[0]
+        return np.asarray(grid.R @ np.concatenate([v, point.kappa * v[i] * v[j], [1.0]]))
+
+    start = space.start(Parameters(-0.2, 0.7, 1.0, np.ones(degree + 1)))
+    found = space.parameters(least_squares(residual, start, x_scale="jac", xtol=1e-12).x, [])
+    return wp.Model(found.lam, found.mu, found.alpha, found.D, horizon)
+
+
+def broken_at_random(body: LatticeBody, share: float) -> np.ndarray:
+    """Neighbours with a share of the bonds near the middle broken, both directions at once."""
+    random, neighbour = np.random.default_rng(0), body.neighbour.copy()
+    near = np.linalg.norm(body.x, axis=1) < 8 * body.spacing
+    node, bond = np.nonzero((neighbour >= 0) & near[:, None])
+    far = neighbour[node, bond]
+    kept = (node < far) & near[far]
+    kept[kept] = random.random(int(kept.sum())) < share
+    node, bond, far = node[kept], bond[kept], far[kept]
+    neighbour[node, bond], neighbour[far, body.opposite[bond]] = -1 - far, -1 - node
+    return neighbour
+
+
+def negative_as_broken(
+    solids: Mapping[str, wp.Model], cells: int, h: float
+) -> dict[str, list[int]]:
+    """Negative eigenvalues of each model on a square as bonds break."""
+    side, horizon = cells * h, next(iter(solids.values())).horizon
+    body = lattice_body(rectangle(side, side, h), h, horizon)
+    free = np.repeat((np.abs(body.x) < side / 2 - horizon).all(axis=1), 2)
+    counts: dict[str, list[int]] = {}
+    for name, solid in solids.items():
+        w = bond_weights(solid, body.classes)
+        cut = (broken_at_random(body, share) for share in SHARES)
+        found = (cut_matrix(body, w, table, solid.mu, solid.lam - solid.mu) for table in cut)
+        counts[name] = [negative_eigenvalues(matrix[free][:, free]) for matrix in found]
+    return counts
+
+
 def sign_and_its_price(data: wp.Dataset, path: Path) -> None:
     """Waves of smoothed atoms against two kernels; a cut family; what breaking bonds does."""
     lps = wp.LPS(20.0, wp.Bernstein(10), Optimum(moduli=None))
@@ -355,10 +404,7 @@ def sign_and_its_price(data: wp.Dataset, path: Path) -> None:
     axes[0].set_title("Short waves of atoms\nneed K of either sign", fontsize=9)
     cut_family(axes[1], fitted)
     axes[1].set_title("An edge removes bonds;\nnegative ones remain", fontsize=9)
-    side = 28 * H
-    body = lattice_body(rectangle(side, side, H), H, fitted.horizon)
-    solids = {"either": fitted, "positive": positive}
-    counts = negative_as_broken(solids, body, side / 2 - fitted.horizon)
+    counts = negative_as_broken({"either": fitted, "positive": positive}, 28, H)
     share = 100 * np.array(SHARES)
     axes[2].plot(share, counts["either"], "o-", color=FORCE, markersize=3.5)
     axes[2].plot(share, counts["positive"], "s-", color=NODE, markersize=3.5)
@@ -383,9 +429,7 @@ def waves_proven(data: wp.Dataset, path: Path) -> None:
     """The softest wave along a path through the zone, fitted with conditions and without."""
     horizon, degree = 4.5 * H, 15
     train = data["train"]
-    grid = reduce(train, horizon, sample_weights([train], normalise=False)[0])
-    free, _, _ = unconstrained(grid, degree)
-    loose = wp.Model(free.lam, free.mu, free.alpha, free.D, horizon)
+    loose = without_conditions(train, horizon, degree)
     law = wp.LPS(horizon, wp.Bernstein(degree), Optimum(moduli=None))
     kept = wp.fit(train, law).material
     corners = np.pi * np.array([[0.02, 0.02], [1.0, 0.0], [1.0, 1.0], [0.02, 0.02]])

@@ -8,7 +8,6 @@ from typing import Any
 from examples import diffusion, pressurised_crack
 from examples.figures import headline, name_lines, panels, save_figure, ticks
 from examples.prose import rows_of
-from examples.studies import atlas_solves
 from examples.studies import paper_slides_incompressible as stiff
 from examples.studies import paper_slides_rates as study
 
@@ -87,10 +86,7 @@ def edges() -> list[list[str]]:
     for (name, ratio), corrected in product(EDGES.items(), (True, False)):
         if ratio == 1 and not corrected:
             continue  # no dilatation in it
-        found = [
-            atlas_solves.free_edge(n, ratio * atlas_solves.MU, corrected=corrected)
-            for n in study.CELLS
-        ]
+        found = [study.free_edge(n, ratio, corrected=corrected) for n in study.CELLS]
         end = "" if ratio == 1 else ", renormalised" if corrected else ", not renormalised"
         rows.append([*errors(f"{name}{end}", found), study.order(study.CELLS, found)])
     return rows

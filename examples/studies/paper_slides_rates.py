@@ -1,5 +1,6 @@
 """Rates of the page on the slides: functionals, quadrature, both limits, edges (see papers.py)."""
 
+from dataclasses import replace
 from itertools import product
 from math import factorial, pi
 from typing import Any
@@ -15,6 +16,9 @@ from examples.studies.staggered import least_squares
 from warp_peri import InputError, Points
 from warp_peri.damage import continuum_stretch
 from warp_peri.damage.operator import unit_toughness
+from warp_peri.launch import ints
+from warp_peri.lps.bonds import Bonds, influence
+from warp_peri.lps.matrices import assemble
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.quadrature import ball_integral
 from warp_peri.statics.direct import MatrixProblem
@@ -148,6 +152,25 @@ def plain(lam: float, mu: float, horizon: float, spacing: float) -> wp.Model:
 def error_of(material: Any, points: Points, u: np.ndarray, b: np.ndarray) -> float:
     """Relative ℓ2 error of the solution inside, u given on the collar."""
     return float(wp.evaluate(material, wp.Samples(points, u[None], b[None]))["E_u"])
+
+
+def free_edge(number: int, ratio: float, *, corrected: bool) -> float:
+    """Largest error on a unit square whose right edge is free, under an affine field, no load."""
+    horizon, lam = 3 / number, ratio * MU
+    points = lattice(number, horizon, 1.0)
+    outside = points.x[:, 0] > 1
+    body = replace(points, interior=points.interior & ~outside, outside=outside)
+    a, b = points.x.T
+    stretch = 3 * lam / (lam + 2 * MU)  # no stress across the edge
+    exact = np.stack([stretch * a + b, -a - 3 * b], axis=1)
+    bonds = Bonds(body, horizon)
+    if not corrected:
+        bonds.cut = ints(np.zeros(0))  # dilatation as at whole nodes, (6), its bonds broken
+    alpha, D = (bonds.floats(np.ones(1)) for _ in range(2))
+    L = assemble(bonds, *influence(bonds, alpha, D)).operator(lam, MU)
+    given = np.where(outside[:, None], 0.0, exact)
+    u = MatrixProblem(L, body.interior).solve(0 * given[None], given[None])[0]
+    return float(np.abs(u - exact)[body.interior].max())
 
 
 def by_cells(points: Points, horizon: float, mu: float) -> MatrixProblem:

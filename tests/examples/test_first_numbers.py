@@ -15,7 +15,7 @@ from examples.exact import poiseuille
 from examples.neural_operator import WEIGHTS
 from examples.polymer import ChannelFlow, Closure, PlaneFlow
 from examples.polymer.plane import run_plane
-from examples.studies import atlas_solves, manufactured, paper_polymer_walls, paper_you_graining
+from examples.studies import manufactured, paper_polymer_walls, paper_you_graining
 from examples.studies import paper_polymer_gp as polymer
 from examples.studies import paper_slides_incompressible as stiff
 from examples.studies import paper_slides_rates as rates
@@ -112,8 +112,8 @@ QUICK = {
     ("slides", "To the nonlocal", 0, "| degree |"): lambda: rates.fixed_horizon((10,))["degree"][0],
     ("slides", "To the local", 0, "| bond-based, λ = μ |"): fixed_ratio,
     ("slides", "Damage", 0, "| 2 | 0.5 |"): lambda: float(rates.stretches()[0][2]),
-    ("slides", "Free edges", 0, "| bond-based, the printed field |"): lambda: (
-        atlas_solves.free_edge(8, atlas_solves.MU, corrected=True)
+    ("slides", "Free edges", 0, "| bond-based, the printed field |"): lambda: rates.free_edge(
+        8, 1.0, corrected=True
     ),
     ("slides", "Near-incompressible solids\n", 0, "| as written (9) | 3 |"): lambda: of_one_draw(
         "as written (9)"

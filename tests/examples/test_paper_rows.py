@@ -12,7 +12,6 @@ import pytest
 from examples import diffusion, pressurised_crack
 from examples.prose import NUMBER, numbers_of
 from examples.studies import (
-    atlas_solves,
     manufactured,
     paper_polymer_walls,
     paper_slides,
@@ -269,7 +268,7 @@ def test_limits_diffusion_and_pressure_of_the_slides():
         start = f"| {paper_slides.NAMES.get(name, name)} |"
         held(errors, row("slides", "To the nonlocal", start)[:2])
     for name, start in ((1.0, "| bond-based, the printed field |"), (3.0, "| λ = 3μ, renor")):
-        found = atlas_solves.free_edge(16, name * atlas_solves.MU, corrected=True)
+        found = rates.free_edge(16, name, corrected=True)
         held([found], row("slides", "Free edges", start)[1:2])
     held([diffusion.jump(8)], row("slides", "Diffusion in", "| κ jumps 1:10, in ser")[:1])
     held([diffusion.coupled(8)[0]], row("slides", "Diffusion coupled", "| u |")[:1])

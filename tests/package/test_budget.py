@@ -20,7 +20,7 @@ BUDGET = {
     "tokens": 310_355,
     "lines of warp_peri": 43_060,
     "lines of kernels": 2_400,
-    "lines of warp_peri, kernels, examples and tools": 72_323,
+    "lines of warp_peri, kernels, examples and tools": 70_234,
     "lines of the longest file": 699,
     "lines of the longest function": 94,
     "parameters of one function": 13,
