@@ -178,6 +178,7 @@ WAVES = (
     "crystal in space",
     "own",
     "third order, energy",
+    "density",
 )
 """Materials whose waves have a proven step."""
 FLOWS = ("conductor", "coupled")
@@ -197,7 +198,6 @@ ELSEWHERE = {
     "SoftSolid": "tests/damage/test_softening.py: pulls, to 1e-6",
     "Members": "its operator is that of a member, which the table has",
     "NeuralFile": "a file of the neural operator",
-    "DensityMaterial": "tests/materials/test_density.py: its energy is whoever wrote it",
 }
 """Records of the library without rows, and why."""
 CASES = {"force": force, "solve": solve, "move": move}

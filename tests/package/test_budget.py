@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_045,
-    "tokens": 310_285,
-    "lines of warp_peri": 43_039,
+    "code lines": 26_053,
+    "tokens": 310_352,
+    "lines of warp_peri": 43_058,
     "lines of kernels": 2_400,
-    "lines of warp_peri, kernels, examples and tools": 70_213,
+    "lines of warp_peri, kernels, examples and tools": 70_232,
     "lines of the longest file": 699,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -32,17 +32,17 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1209,
-    "core": 1738,
+    "core": 1736,
     "damage": 1992,
     "diffusion": 339,
     "dynamics": 525,
     "edges": 967,
-    "face": 954,
+    "face": 953,
     "files": 546,
     "fitting": 610,
-    "learning": 1854,
+    "learning": 1862,
     "lps": 1400,
-    "materials": 245,
+    "materials": 244,
     "micromodulus": 1065,
     "neural": 1015,
     "points": 1927,
@@ -53,7 +53,7 @@ ROOMS = {
     "stability": 140,
     "statics": 1269,
     "structures": 1936,
-    "third_order": 325,
+    "third_order": 329,
     "tissue": 2261,
     "transfer": 396,
 }

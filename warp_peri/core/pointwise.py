@@ -129,18 +129,14 @@ class Pointwise(OnPoints):
         self.numbers = dict(numbers)
         if self._straight is not None:
             self.at_rest = self.stiffness()
-            given = self.at_rest.numpy(), self._mirrored[1], self._symbols[0]
-            at_rest = np.einsum("abcd,bq...,dq...->ac...", *given, optimize=True)
-            self._linear = self._straight - at_rest
+            given = self.at_rest, self._mirrored[1], self._symbols[0]
+            self._linear = self._straight - np.einsum("abcd,bq...,dq...->ac...", *given)
 
     @torch.enable_grad()
     def stiffness(self) -> torch.Tensor:
         """∂²W/∂E² at rest [stress], shape [d, d, d, d]."""
-
-        def energy(E: torch.Tensor) -> torch.Tensor:
-            return self._energies((E + E.T)[..., None] / 2).sum()
-
-        rest = torch.zeros(self.shape[1], self.shape[1], dtype=torch.float64)
+        energy = lambda E: self._energies((E + E.T)[..., None] / 2).sum()  # noqa: E731
+        rest = torch.zeros(2 * self.shape[1:], dtype=torch.float64)
         return torch.as_tensor(torch.autograd.functional.hessian(energy, rest))
 
     def _symbol(self, steps: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -208,8 +204,8 @@ class Pointwise(OnPoints):
         given = [np.reshape(plain("u", f), (-1, *self.shape)) for f in fields]
         step, count = max(1, MOST // self._size), len(given[0])
         with torch.enable_grad(), one_thread(self._size * min(step, count) < FEW):
-            parts = [slice(n, n + step) for n in range(0, count, step)]
-            return [np.asarray(sweep(*(f[part] for f in given))) for part in parts]
+            parts = ((f[n : n + step] for f in given) for n in range(0, count, step))
+            return [np.asarray(sweep(*part)) for part in parts]
 
     def _swept(self, sweep: Callable[..., Any], *fields: ArrayLike) -> np.ndarray:
         """The same joined, of the leading shape of the fields."""
@@ -276,10 +272,8 @@ class Pointwise(OnPoints):
     def largest_gradient(self, u: ArrayLike) -> np.ndarray:
         """Largest |H| of each field over the nodes `full`, shape [...]."""
 
-        def sweep(u: np.ndarray) -> Any:
-            return self._gradient(self._field(u)).mean(3).norm(dim=(0, 1)).amax(-1)
-
-        return self._swept(sweep, u)
+        H: Any = lambda u: self._gradient(self._field(u)).mean(3)  # noqa: E731
+        return self._swept(lambda u: H(u).norm(dim=(0, 1)).amax(-1), u)
 
     def energy(self, u: ArrayLike) -> np.ndarray | None:
         """h^d Σ W(H) over the nodes `full` [stress · length^d], shape [...], without the linear

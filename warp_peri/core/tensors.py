@@ -363,7 +363,8 @@ def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:
     right, factors, found = g.reshape(len(fields), -1), None, []
     many = np.count_nonzero(operator.points.interior) > DIRECT and hasattr(operator, "inverse")
     steps = many or not hasattr(operator, "stiffness_at")
-    inverse = operator.inverse(len(fields)) if steps else None
+    # each field takes some eight inverses, and so many loads may be worth factors
+    inverse = operator.inverse(8 * len(fields)) if steps else None
     for field, one in zip(fields, right):
         if inverse is not None:
             found.append(in_steps(operator, field, one.reshape(-1, field.shape[-1]), inverse))

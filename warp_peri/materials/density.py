@@ -119,8 +119,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
 
     def rows(self) -> list[tuple[str, str]]:
         """As a Record's, and the parameters, whose units only the energy knows."""
-        shown = ", ".join(f"{name} {value:.4g}" for name, value in self.parameters.items())
-        return [*super().rows(), ("parameters", shown)]
+        return super().rows() + [(name, f"{value:.4g}") for name, value in self.parameters.items()]
 
     def on(self, points: PointsLike) -> DensityOperator:
         """The operator on a lattice whose interior has a collar of twice the horizon."""

@@ -46,8 +46,12 @@ def energy_density(
     E: torch.Tensor, *, axis: float, lam: Any, mu: Any, t3: Any, tq2: Any, q3: Any
 ) -> Any:
     """The energy (N3) [stress] of Green strains E [..., 2, 2], of a crystal at `axis` [rad]."""
-    numbers = [torch.as_tensor(n, dtype=torch.float64) for n in (lam, mu, t3, tq2, q3)]
-    moduli = _moduli(axis) @ torch.stack(numbers)
+    given = (lam, mu, t3, tq2, q3)
+    if any(map(torch.is_tensor, given)):
+        numbers = torch.stack([torch.as_tensor(n, dtype=torch.float64) for n in given])
+    else:
+        numbers = torch.tensor(given, dtype=torch.float64)
+    moduli = _moduli(axis) @ numbers
     v = MEASURES @ E.flatten(-2).movedim(-1, 0).reshape(4, -1)
     return (v * (moduli[:, :1] * v + moduli[:, 1:] @ (v * v))).sum(0).reshape(E.shape[:-2])
 
