@@ -247,11 +247,12 @@ class MaterialFit:
     material: Any
     history: dict[str, Any]
     errors: dict[str, float] = field(default_factory=dict)
+    proof: Any = None
 
     @property
     def certificate(self) -> Any:
-        """What is proven of it."""
-        return self.material.certificate
+        """What is proven of it: the `proof` of its training lattice, where it has none itself."""
+        return self.proof or self.material.certificate
 
 
 class Problem(Protocol):

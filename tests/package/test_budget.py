@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_053,
-    "tokens": 310_352,
-    "lines of warp_peri": 43_058,
+    "code lines": 26_045,
+    "tokens": 310_282,
+    "lines of warp_peri": 43_037,
     "lines of kernels": 2_400,
-    "lines of warp_peri, kernels, examples and tools": 70_232,
+    "lines of warp_peri, kernels, examples and tools": 70_211,
     "lines of the longest file": 699,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -32,15 +32,15 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1209,
-    "core": 1736,
+    "core": 1735,
     "damage": 1992,
     "diffusion": 339,
     "dynamics": 525,
     "edges": 967,
-    "face": 953,
+    "face": 954,
     "files": 546,
     "fitting": 610,
-    "learning": 1862,
+    "learning": 1854,
     "lps": 1400,
     "materials": 244,
     "micromodulus": 1065,

@@ -16,8 +16,6 @@ from warp_peri.core.groups import orbit_grid
 from warp_peri.errors import InputError
 from warp_peri.points.families import HORIZON_TOLERANCE
 
-CUT_INTERVALS = {2: 40, 3: 12}
-"""Of the grid on the zone that cuts are looked for on."""
 DIRECTIONS = {2: 60, 3: 200}
 """Of long waves."""
 LONG = 1e-3
@@ -151,9 +149,9 @@ def laplacian(phase: np.ndarray) -> np.ndarray:
     return wave
 
 
-def zone_sample(group: np.ndarray, dimension: int, intervals: int | None = None) -> np.ndarray:
+def zone_sample(group: np.ndarray, dimension: int, intervals: int) -> np.ndarray:
     """k h of one of each orbit of a grid on the zone, and of very long waves, shape [K, d]."""
-    grid = orbit_grid(intervals or CUT_INTERVALS[dimension], group, dimension)
+    grid = orbit_grid(intervals, group, dimension)
     axes = np.array([v for v in np.ndindex((3,) * dimension) if v != (1,) * dimension]) - 1.0
     axes /= np.linalg.norm(axes, axis=1)[:, None]
     return np.concatenate([grid, LONG * axes, LONG * directions(DIRECTIONS[dimension], dimension)])

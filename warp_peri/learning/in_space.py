@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
+from warp_peri.contract import MaterialFit
 from warp_peri.core.elastic import allowed_tensors
-from warp_peri.core.proof import Proof
 from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.lps.model import Model
@@ -18,31 +15,11 @@ from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import lattice_group, reduce, sample_weights
 from warp_peri.regression.optimum import Conditions, LatticeConditions, constrained_optimum
 from warp_peri.regression.settings import Optimum
-from warp_peri.shown import in_rows
 
 ALPHA = 1.0
 """Of K = r^(−α) Σ D B; D bends it to any other."""
 SHARE = 0.0161
 """ζ over the shear modulus that the data show, where none is given."""
-
-
-@dataclass(frozen=True, repr=False)
-class SpaceFit:
-    """A learned solid in space.
-
-    Attributes:
-        material: the model; `tensors_of(material, spacing)` solves with it at any size.
-        certificate: of these tensors on the training lattice (T11–T13).
-        history: ‖L u − b‖ / ‖b‖ of all samples, the cuts of the search, how many numbers.
-    """
-
-    material: Model
-    certificate: Proof
-    history: dict[str, Any]
-
-    def __repr__(self) -> str:
-        residual = f"{100 * self.history['residual']:.3g} % of the training loads"
-        return in_rows("SpaceFit", [*self.material.rows(), ("residual", residual)])
 
 
 def learn_in_space(
@@ -53,7 +30,7 @@ def learn_in_space(
     method: Optimum,
     zeta: float | None = None,
     normalise: bool = False,
-) -> SpaceFit:
+) -> MaterialFit:
     """λ, μ and D of fields on a cubic lattice, by least squares of L u = b with D(k) ≥ ζ s(k).
 
     Args:
@@ -63,6 +40,9 @@ def learn_in_space(
         method: whose moduli of long waves are held.
         zeta: ζ [stress]; None takes a small part of the shear modulus that the data show.
         normalise: divide each sample by ‖b‖.
+
+    Its history has ‖L u − b‖ / ‖b‖ of all samples, the cuts of the search, how many numbers; its
+    certificate is of the tensors on the training lattice, tensors_of(material, spacing).
 
     Raises InputError for samples that do not carry the horizon, and without a positive answer.
     """
@@ -80,4 +60,4 @@ def learn_in_space(
     if not reached.converged or proof is None or not proof.holds:
         raise InputError("data: no positive solid of this horizon and kernel was found for them")
     record = {"residual": reached.loss**0.5, "cuts": reached.cuts, "numbers": degree + 3}
-    return SpaceFit(model, proof, record)
+    return MaterialFit(model, record, proof=proof)

@@ -63,7 +63,7 @@ class LPS:
         noise: Samples | Sequence[Samples] | None = None,
         progress: bool | None = None,
     ) -> Any:
-        """The Fit, of a set in space a SpaceFit; arguments and errors as for learning.fit.learn.
+        """The Fit, of a set in space a MaterialFit; arguments and errors as for learning.fit.learn.
 
         In space it takes one set on a cubic lattice, Bernstein polynomials, Optimum() with its
         moduli, "direct" conditions and the residual, without noise; InputError for others.
