@@ -26,6 +26,8 @@ from tools.options import Options
 from warp_peri import Samples
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
+from warp_peri.materials.hyperelastic.energies import QUADRATICS
+from warp_peri.materials.hyperelastic.equilibrium import StaticProblem
 from warp_peri.tissue import (
     Dictionary,
     HyperelasticSolid,
@@ -41,8 +43,6 @@ from warp_peri.tissue import (
     with_directions,
     with_families,
 )
-from warp_peri.tissue.equilibrium import StaticProblem
-from warp_peri.tissue.solid import QUADRATICS
 
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))
 STIFFNESS = 0.35

@@ -12,9 +12,9 @@ from examples.leaflet import ROSE
 from examples.neural_sets import Sets
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
 from warp_peri import Samples
+from warp_peri.materials.hyperelastic.energy_fit import fit_energy
+from warp_peri.materials.hyperelastic.from_displacement import fit_displacement
 from warp_peri.tissue import HyperelasticSolid, hyperelastic_errors
-from warp_peri.tissue.energy_fit import fit_energy
-from warp_peri.tissue.from_displacement import fit_displacement
 
 EVERY = 10
 """Of the leaflet's training frames, one in so many is what the dictionary is fitted on, and what

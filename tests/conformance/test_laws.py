@@ -18,13 +18,13 @@ from warp_peri.core.stencil import invariant_basis
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.model import bernstein_basis
 from warp_peri.lps.operator import lps_force
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import factors
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 H = np.array([[0.02, 0.03], [-0.01, -0.015]])

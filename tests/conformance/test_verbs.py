@@ -8,7 +8,7 @@ from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.plates import plate
 from warp_peri.core import pointwise
 from warp_peri.lps import bonds
-from warp_peri.tissue import operator as tissue
+from warp_peri.materials.hyperelastic import operator as tissue
 from warp_peri.transfer import operator as transferred
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")

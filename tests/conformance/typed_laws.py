@@ -3,14 +3,14 @@
 from warp_peri.contract import Law, Material, Operator, Problem
 from warp_peri.learning.laws import LPS
 from warp_peri.lps.model import Model
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid
+from warp_peri.materials.hyperelastic.placed import PlacedSheet
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
 from warp_peri.statics.lps import PlacedLPS
 from warp_peri.third_order.material import ThirdOrderCrystal
 from warp_peri.third_order.operator import PlacedThirdOrder
-from warp_peri.tissue.placed import PlacedSheet
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
 
 
 def materials(one: Model, two: ThirdOrderCrystal, three: HyperelasticSolid) -> list[Material]:

@@ -15,8 +15,8 @@ from examples.leaflet import arguments, blank, draw, measured
 from examples.studies.leaflet_rivals import RIVALS, Window, fit, interpolated_errors
 from tests.support.sheets import hgo_dictionary, square
 from tools.hyperelastic_energies import plane_stress_hgo
+from warp_peri.materials.hyperelastic.energies import HyperelasticSolid
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.solid import HyperelasticSolid
 
 ROOT = Path(__file__).parent.parent.parent
 

@@ -11,8 +11,8 @@ import torch
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.files.checkpoint import fingerprint
+from warp_peri.materials.hyperelastic.model_selection import KeptFits
 from warp_peri.micromodulus import tensors_of
-from warp_peri.tissue.sheet_choice import KeptFits
 
 
 def samples():

@@ -11,10 +11,10 @@ from tests.support.sheets import everything
 from warp_peri import InputError, Model, Points, load
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.diffusion.conductor import Conductor
+from warp_peri.materials.hyperelastic.energies import HyperelasticSolid
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.shapes import InfluenceFunction
-from warp_peri.tissue.solid import HyperelasticSolid
 
 UNITS = [("angstrom", "TPa"), ("m", "Pa"), ("mm", "GPa")]
 

@@ -15,6 +15,10 @@ from warp_peri import Bernstein, InputError, Samples, diagnose, evaluate
 from warp_peri.edges.body import solve_body
 from warp_peri.learning.fit import learn as fit
 from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.materials.hyperelastic.energy_fit import fit_energy
+from warp_peri.materials.hyperelastic.equilibrium import StaticProblem
+from warp_peri.materials.hyperelastic.from_displacement import fit_displacement
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.methods import Conditions, Constrained, Smoothing, sweep
 from warp_peri.micromodulus.crystal_fit import Micromodulus
@@ -24,10 +28,6 @@ from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, check_units, factors
 from warp_peri.shapes import InfluenceFunction
 from warp_peri.third_order.operator import PlacedThirdOrder
-from warp_peri.tissue.energy_fit import fit_energy
-from warp_peri.tissue.equilibrium import StaticProblem
-from warp_peri.tissue.from_displacement import fit_displacement
-from warp_peri.tissue.operator import HyperelasticOperator
 from warp_peri.transfers import on_lattice
 
 UNITS = [("nm", "Pa"), ("m", "Pa"), ("mm", "GPa")]

@@ -11,9 +11,9 @@ from tests.support.sheets import hgo_dictionary, square
 from tests.third_order.test_equilibria import problem
 from warp_peri import Dataset, InputError, Points, Samples, evaluate
 from warp_peri.cli.main import main
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.points import samples as points_samples
 from warp_peri.points.dataset import load_dataset, save_dataset
-from warp_peri.tissue.operator import HyperelasticOperator
 
 
 @pytest.fixture(scope="module")

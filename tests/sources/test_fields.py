@@ -9,8 +9,8 @@ from scipy.io import savemat
 
 import warp_peri as wp
 from examples.studies import published_fields
+from tests.hyperelastic.test_model_selection import SHEET
 from tests.support.sheets import square, waves
-from tests.tissue.test_sheet_choice import SHEET
 from warp_peri import InputError
 from warp_peri.atoms import read_fields
 

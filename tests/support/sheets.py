@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from warp_peri.materials.hyperelastic.energies import BONDS, KINDS, Dictionary, Term
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.solid import BONDS, KINDS, Dictionary, Term
 
 SPACING = 0.1
 NEAREST = ((0, 1), (1, 0), (1, 1), (1, -1))

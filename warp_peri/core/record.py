@@ -58,7 +58,7 @@ HOMES = {
     "warp_peri.brittle_solid": "damage.solid",
     "warp_peri.soft_solid": "damage.softening",
     "warp_peri.micromodulus": "micromodulus.law",
-    "warp_peri.hyperelastic": "tissue.solid",
+    "warp_peri.hyperelastic": "materials.hyperelastic.energies",
     "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",
     "warp_peri.coupled_solid": "diffusion.coupled",

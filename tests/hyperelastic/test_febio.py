@@ -7,9 +7,9 @@ import pytest
 
 from tests.support.sheets import everything, hgo_dictionary, square
 from warp_peri import InputError
-from warp_peri.tissue.febio import febio_material, in_words, save_febio
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.febio import febio_material, in_words, save_febio
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 
 SOLID = HyperelasticSolid(
     hgo_dictionary(), np.array([0.3] * 4 + [0.0713, 0.0780, 0.2]), 0.1

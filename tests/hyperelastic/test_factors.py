@@ -7,9 +7,9 @@ from scipy.linalg import cholesky_banded
 
 from tests.support.sheets import hgo_dictionary, waves
 from warp_peri import Points
-from warp_peri.tissue import equilibrium
-from warp_peri.tissue.equilibrium import StaticProblem
-from warp_peri.tissue.operator import HyperelasticOperator
+from warp_peri.materials.hyperelastic import equilibrium
+from warp_peri.materials.hyperelastic.equilibrium import StaticProblem
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 
 
 @pytest.mark.parametrize("most", [0, 10**6])

@@ -7,11 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energy_fit import (
+    between,
+    equations,
+    lower_bounds,
+    non_negative,
+    residual,
+)
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.materials.hyperelastic.placed import largest_stretch
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.energy_fit import between, equations, lower_bounds, non_negative, residual
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.placed import largest_stretch
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 LEAST, LARGEST_EXPONENT = {"fibre_power": 2.0, "fibre_exponential": 0.0}, 60.0
 TURN, GROWTH = 0.2, 1.0

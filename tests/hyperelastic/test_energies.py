@@ -7,7 +7,13 @@ import pytest
 
 from tests.support.sheets import everything, hgo_dictionary
 from warp_peri import InputError, Model
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term, half_family, strain_weights
+from warp_peri.materials.hyperelastic.energies import (
+    Dictionary,
+    HyperelasticSolid,
+    Term,
+    half_family,
+    strain_weights,
+)
 
 
 def test_every_coefficient_has_a_label_of_its_own():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError
-from warp_peri.tissue.from_displacement import Thickness
+from warp_peri.materials.hyperelastic.from_displacement import Thickness
 
 X = np.random.default_rng(0).uniform(-1, 3, (50, 2))
 

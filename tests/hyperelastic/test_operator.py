@@ -7,10 +7,10 @@ import pytest
 
 from tests.support.sheets import SPACING, everything, hgo_dictionary, square, waves
 from warp_peri import InputError
+from warp_peri.materials.hyperelastic.energies import BONDS, FIBRES, Dictionary, Term
+from warp_peri.materials.hyperelastic.equilibrium import TangentPattern
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.points.points import Points
-from warp_peri.tissue.equilibrium import TangentPattern
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import BONDS, FIBRES, Dictionary, Term
 
 EDGE = (slice(None, -1), slice(1, None))
 """The lower and the upper of two nodes beside each other."""

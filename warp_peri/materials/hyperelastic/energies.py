@@ -17,10 +17,10 @@ from warp_peri.errors import InputError
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 
 if TYPE_CHECKING:  # the operator stands above its numbers
+    from warp_peri.materials.hyperelastic.energy_fit import EnergyFit
+    from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
+    from warp_peri.materials.hyperelastic.placed import PlacedSheet
     from warp_peri.points.samples import PointsLike, Samples
-    from warp_peri.tissue.energy_fit import EnergyFit
-    from warp_peri.tissue.from_displacement import DisplacementFit
-    from warp_peri.tissue.placed import PlacedSheet
 
 
 class Strain:
@@ -275,8 +275,8 @@ class Dictionary:
 
         `options` are those of the two functions, and the errors theirs. Loads need no progress.
         """
-        from warp_peri.tissue.energy_fit import fit_energy
-        from warp_peri.tissue.from_displacement import fit_displacement
+        from warp_peri.materials.hyperelastic.energy_fit import fit_energy
+        from warp_peri.materials.hyperelastic.from_displacement import fit_displacement
 
         learned = fit_energy if samples.b is not None else fit_displacement
         if learned is fit_energy:
@@ -345,7 +345,7 @@ class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
 
     def on(self, points: PointsLike, *, thickness: np.ndarray | None = None) -> PlacedSheet:
         """The solid on a lattice, of an even sheet or with a thickness of every node [N] (H18)."""
-        from warp_peri.tissue.placed import PlacedSheet
+        from warp_peri.materials.hyperelastic.placed import PlacedSheet
 
         return PlacedSheet(self, points, thickness=thickness)
 

@@ -11,13 +11,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import OnPoints
+from warp_peri.materials.hyperelastic.energies import HyperelasticSolid
+from warp_peri.materials.hyperelastic.equilibrium import (
+    NoEquilibrium,
+    StaticProblem,
+    TangentPattern,
+)
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
-from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, TangentPattern
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import HyperelasticSolid
 
 BEYOND = 1.1
 """Stretches less one above this many times those of the training data are worth a warning."""

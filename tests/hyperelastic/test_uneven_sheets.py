@@ -11,10 +11,10 @@ from tests.support.sheets import NEAREST, square, waves
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import plane_stress_hgo
 from tools.make_leaflet import Leaflet
+from warp_peri.materials.hyperelastic.energies import Dictionary, Term
+from warp_peri.materials.hyperelastic.from_displacement import fit_displacement, fit_thickness
+from warp_peri.materials.hyperelastic.placed import hyperelastic_errors
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.from_displacement import fit_displacement, fit_thickness
-from warp_peri.tissue.placed import hyperelastic_errors
-from warp_peri.tissue.solid import Dictionary, Term
 
 MATRIX = Dictionary(3.0, (), NEAREST, (Term("plane_stress"), Term("volumetric")))
 POINTS = square(5)

@@ -1,9 +1,10 @@
 """Soft tissue: hyperelastic sheets, learned from loads or from displacement (theory, H)."""
 
-from warp_peri.tissue.energy_fit import EnergyFit, shortest_margin
-from warp_peri.tissue.equilibrium import Equilibrium, NoEquilibrium
-from warp_peri.tissue.febio import in_words, material_terms, save_febio
-from warp_peri.tissue.fibres import (
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energy_fit import EnergyFit, shortest_margin
+from warp_peri.materials.hyperelastic.equilibrium import Equilibrium, NoEquilibrium
+from warp_peri.materials.hyperelastic.febio import in_words, material_terms, save_febio
+from warp_peri.materials.hyperelastic.fibres import (
     families,
     read_material,
     rose,
@@ -12,10 +13,13 @@ from warp_peri.tissue.fibres import (
     with_directions,
     with_families,
 )
-from warp_peri.tissue.from_displacement import DisplacementFit, Thickness, fit_thickness
-from warp_peri.tissue.placed import PlacedSheet, hyperelastic_errors
-from warp_peri.tissue.sheet_choice import SheetChoice, choose_sheet, uniaxial
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.from_displacement import (
+    DisplacementFit,
+    Thickness,
+    fit_thickness,
+)
+from warp_peri.materials.hyperelastic.model_selection import SheetChoice, choose_sheet, uniaxial
+from warp_peri.materials.hyperelastic.placed import PlacedSheet, hyperelastic_errors
 
 __all__ = [
     "Dictionary",

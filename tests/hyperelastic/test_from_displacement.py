@@ -7,10 +7,9 @@ import pytest
 
 from tests.support.sheets import NEAREST, hgo_dictionary, square, waves
 from warp_peri import InputError
-from warp_peri.points.points import Points
-from warp_peri.points.samples import PULL, Samples
-from warp_peri.tissue.equilibrium import StaticProblem, TangentPattern
-from warp_peri.tissue.fibres import (
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.equilibrium import StaticProblem, TangentPattern
+from warp_peri.materials.hyperelastic.fibres import (
     families,
     grouped,
     read_material,
@@ -19,16 +18,17 @@ from warp_peri.tissue.fibres import (
     with_directions,
     with_families,
 )
-from warp_peri.tissue.from_displacement import (
+from warp_peri.materials.hyperelastic.from_displacement import (
     Search,
     Sections,
     Thickness,
     fit_displacement,
     fit_thickness,
 )
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.placed import hyperelastic_errors
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.materials.hyperelastic.placed import hyperelastic_errors
+from warp_peri.points.points import Points
+from warp_peri.points.samples import PULL, Samples
 
 TRUE_ANGLE, TRUE_EXPONENT = 1.1, 2.0
 SIDE = 0.1

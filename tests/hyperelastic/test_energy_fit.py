@@ -6,7 +6,8 @@ import pytest
 import warp_peri as wp
 from tests.support.sheets import everything, hgo_dictionary, square, waves
 from warp_peri import InputError
-from warp_peri.tissue.energy_fit import (
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energy_fit import (
     UniformTangents,
     equations,
     fit_energy,
@@ -17,9 +18,8 @@ from warp_peri.tissue.energy_fit import (
     strains_of,
     zone,
 )
-from warp_peri.tissue.fibres import with_corners
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.fibres import with_corners
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 
 MATRIX = (Term("neo_hookean"), Term("volumetric"))
 SOFT = np.array([0.1, 0.1, 0.1, 0.1, 0.07, 0.08])

@@ -8,10 +8,10 @@ import pytest
 from tests.conformance.test_laws import hyperelastic, tissue
 from tests.support.sheets import hgo_dictionary, square, waves
 from warp_peri import Dirichlet, InputError, Samples, solve
-from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.placed import hyperelastic_errors, largest_stretch
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, StaticProblem
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.materials.hyperelastic.placed import hyperelastic_errors, largest_stretch
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
 

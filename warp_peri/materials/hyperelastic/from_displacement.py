@@ -16,15 +16,15 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds, triangle
+from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, StaticProblem, rough
+from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
+from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
+from warp_peri.materials.hyperelastic.placed import largest_stretch
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, Samples, seen_of
-from warp_peri.tissue.energy_fit import between, columns, lower_bounds, triangle
-from warp_peri.tissue.equilibrium import NoEquilibrium, StaticProblem, rough
-from warp_peri.tissue.fibres import fibre_numbers, fibres_of, with_numbers
-from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
-from warp_peri.tissue.placed import largest_stretch
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
 
 LARGEST_DEGREE = 6
 LARGEST = 20.0

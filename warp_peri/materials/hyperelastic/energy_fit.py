@@ -11,11 +11,11 @@ from scipy.optimize import lsq_linear, nnls
 
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import least_squares_above
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.materials.hyperelastic.placed import largest_stretch
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.placed import largest_stretch
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid
 
 WAVES = 8
 """Wave numbers along each half axis of the zone."""

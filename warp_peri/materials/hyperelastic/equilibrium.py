@@ -14,12 +14,12 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
+from warp_peri.materials.hyperelastic.energies import Term
+from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
 from warp_peri.stability.certificate import lanczos_start, smallest_eigenvalue
 from warp_peri.statics.conjugate_gradients import definite
 from warp_peri.statics.direct import definite_factors
-from warp_peri.tissue.operator import SMALLEST_AREA, HyperelasticOperator
-from warp_peri.tissue.solid import Term
 
 LARGEST_BAND = 4 * 10**7
 """Entries of a band that is eliminated as one, in a quarter of the time of sparse factors."""

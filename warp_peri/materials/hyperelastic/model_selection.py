@@ -20,10 +20,9 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, parsed, plain, write_json
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.points.points import Points
-from warp_peri.points.samples import Samples, part, seen_of
-from warp_peri.tissue.fibres import families, fibres_of, rose
-from warp_peri.tissue.from_displacement import (
+from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.fibres import families, fibres_of, rose
+from warp_peri.materials.hyperelastic.from_displacement import (
     INTERPOLATES,
     DisplacementFit,
     Thickness,
@@ -31,9 +30,10 @@ from warp_peri.tissue.from_displacement import (
     fit_displacement,
     stiffest_deviation,
 )
-from warp_peri.tissue.operator import HyperelasticOperator
-from warp_peri.tissue.placed import hyperelastic_errors
-from warp_peri.tissue.solid import Dictionary, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.materials.hyperelastic.placed import hyperelastic_errors
+from warp_peri.points.points import Points
+from warp_peri.points.samples import Samples, part, seen_of
 
 KEPT = ("are there and are taken as they are", "of other frames or settings are left aside")
 RECORD = ".fit.json"

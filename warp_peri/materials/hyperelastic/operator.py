@@ -20,10 +20,7 @@ from numpy.typing import ArrayLike
 from warp_peri.core.pointwise import FEW
 from warp_peri.errors import InputError
 from warp_peri.launch import one_thread
-from warp_peri.points.arrays import checked, plain
-from warp_peri.points.lattice import neighbour_table, straight_steps
-from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.tissue.solid import (
+from warp_peri.materials.hyperelastic.energies import (
     BONDS,
     KINDS,
     Density,
@@ -34,6 +31,9 @@ from warp_peri.tissue.solid import (
     read,
     strain_weights,
 )
+from warp_peri.points.arrays import checked, plain
+from warp_peri.points.lattice import neighbour_table, straight_steps
+from warp_peri.points.samples import PointsLike, nodes_of
 
 SHORT_REACH = 2**0.5
 """Horizon of the short strain in spacings, (H4)."""

@@ -14,11 +14,12 @@ from tools import make_frames
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo
 from warp_peri.cli.main import main
+from warp_peri.materials.hyperelastic import model_selection
+from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
+from warp_peri.materials.hyperelastic.model_selection import KeptFits
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.sources.dic import SheetFrame, frames_of_folder, frames_on_lattice
-from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, sheet_choice, uniaxial
-from warp_peri.tissue.from_displacement import DisplacementFit
-from warp_peri.tissue.sheet_choice import KeptFits
+from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, uniaxial
 
 C1, C2 = 0.35, 0.15
 TERMS = (Term("plane_stress"), Term("mooney"))
@@ -53,14 +54,14 @@ def test_uniaxial_tension_is_that_of_the_formula():
 
 
 def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path, monkeypatch):
-    fit = sheet_choice.fit_displacement
+    fit = model_selection.fit_displacement
 
     def broken(train, dictionary, **options):
         if len(dictionary.terms) == 1:
             raise RuntimeError("Factor is exactly singular")
         return fit(train, dictionary, **options)
 
-    monkeypatch.setattr(sheet_choice, "fit_displacement", broken)
+    monkeypatch.setattr(model_selection, "fit_displacement", broken)
     line = ["dic", str(folder), "--even", "--out", str(tmp_path / "out"), "--json"]
     assert main([*line, "--stress", "0.3", "--pixel", "0.012"]) == 2  # in which unit?
     assert main([*line, "--stress", "0.3"]) == 0
@@ -93,7 +94,7 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path
 
 @pytest.mark.slow
 def test_a_second_start_goes_on_from_the_fits_that_are_kept(folder, tmp_path, monkeypatch, capsys):
-    fit, names = sheet_choice.fit_displacement, []
+    fit, names = model_selection.fit_displacement, []
 
     def counted(train, dictionary, **options):
         names.append(options["progress"])
@@ -101,7 +102,7 @@ def test_a_second_start_goes_on_from_the_fits_that_are_kept(folder, tmp_path, mo
             raise KeyboardInterrupt
         return fit(train, dictionary, **options)
 
-    monkeypatch.setattr(sheet_choice, "fit_displacement", counted)
+    monkeypatch.setattr(model_selection, "fit_displacement", counted)
     line = ["dic", str(folder), "--even", "--count", "4", "--out", str(tmp_path / "out")]
     assert main(line) == 130
     assert names[:2] == ["neo-Hookean", "Mooney-Rivlin"]  # bars have the candidates' names
@@ -126,10 +127,10 @@ def test_a_second_start_goes_on_from_the_fits_that_are_kept(folder, tmp_path, mo
     assert printed[start + 3].startswith(f"next: warp-peri info {tmp_path}/out/material.json")
     assert set(printed[start + 4]) == {"-"}
     frames = frames_of_folder(folder, 4, radius=0.0)
-    for settings, count in ((sheet_choice.SETTINGS, (3, 0)), ("others", (0, 3))):
+    for settings, count in ((model_selection.SETTINGS, (3, 0)), ("others", (0, 3))):
         assert KeptFits(tmp_path / "out" / "fits", frames, settings).count() == count
     other = wp.Samples(frames.points, frames.u + 1e-9)
-    assert KeptFits(tmp_path / "out" / "fits", other, sheet_choice.SETTINGS).count() == (0, 3)
+    assert KeptFits(tmp_path / "out" / "fits", other, model_selection.SETTINGS).count() == (0, 3)
 
 
 def frames_of(solid, points, *, noise=0.0, lost=0.0, count=6):
@@ -184,13 +185,13 @@ def test_a_law_needs_ten_nodes_for_each_number():
 def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     """Fits that agree exactly, as those of one number do, know no more than the frames tell."""
     even = DisplacementFit(SHEET, np.zeros(1), [], [])
-    choice = sheet_choice.SheetChoice([sheet_choice.Candidate("one", even, 0.01)], [even] * 3)
+    choice = model_selection.SheetChoice([model_selection.Candidate("one", even, 0.01)], [even] * 3)
     middle, low, high = choice.curves([1.2])
     np.testing.assert_allclose(high - low, 2 * 1.645 * 0.01 * middle, rtol=1e-3)
     stiff = replace(SHEET, coefficients=np.array([282.0] * 4 + [0.4, 0.1]))
-    rules = sheet_choice.Candidate("rules", replace(even, material=stiff), 0.01)
+    rules = model_selection.Candidate("rules", replace(even, material=stiff), 0.01)
     with pytest.raises(wp.InputError, match="282 times as stiff .* in the place of a material"):
-        sheet_choice.SheetChoice([rules]).curves([1.2])
+        model_selection.SheetChoice([rules]).curves([1.2])
 
 
 def test_fewer_frames_than_four_are_refused():

@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import write_text
-from warp_peri.tissue.solid import FIBRES, HyperelasticSolid, Term
+from warp_peri.materials.hyperelastic.energies import FIBRES, HyperelasticSolid, Term
 
 COMPRESSIBLE = {"neo_hookean", "volumetric"}
 INCOMPRESSIBLE = {"plane_stress", "mooney"}

@@ -1,0 +1,1 @@
+"""Hyperelastic sheets: energies in torch, their operator and equilibria, fits."""
