@@ -2,7 +2,6 @@
 
     python tools/benchmark.py operator [--quick] [--threads 1]
     python tools/benchmark.py roofline [--quick]
-    python tools/benchmark.py launch [--quick]
     python tools/benchmark.py solve [--quick] [--model MODEL.json] [--out TABLE.json]
     python tools/benchmark.py crystals [--quick]
     python tools/benchmark.py broken [--quick] [--threads 1] --json
@@ -25,7 +24,6 @@ import sys
 import time
 from collections.abc import Callable
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +32,13 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 import numpy as np
 import torch
 import warp as wp
+from scipy.special import comb
 
 from tools import (
     benchmark_crystals,
     benchmark_damage,
     benchmark_gradient,
     benchmark_ranks,
-    launch_costs,
     numba_rival,
     numba_rows,
     rivals,
@@ -53,9 +51,8 @@ from warp_peri import Points
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
-from warp_peri.lps.bonds import Bonds, Tabulated, influence_inputs
-from warp_peri.lps.operator import lps_force
-from warp_peri.lps.rows import BLOCKS
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import BLOCKS, lps_force
 from warp_peri.methods import Solid
 from warp_peri.points.families import families_of
 from warp_peri.structures.calculators import LammpsError, lammps_class
@@ -92,11 +89,11 @@ def ours(bonds: Bonds, fields: np.ndarray, dtype: torch.dtype) -> tuple[Callable
     alpha, D = (torch.as_tensor(MODEL[key], dtype=dtype) for key in ("alpha", "D"))
 
     def forward() -> np.ndarray:
-        bonds.forget()  # the rivals compute K every time
+        bonds.kept = None  # the rivals compute K every time
         return lps_force(bonds, u, Solid(lam, mu, alpha, D)).numpy()
 
     def both() -> list[np.ndarray]:
-        bonds.forget()
+        bonds.kept = None
         leaves = [value.detach().requires_grad_() for value in (u, D, alpha)]
         Lu = lps_force(bonds, leaves[0], Solid(lam, mu, leaves[2], leaves[1]))
         return [gradient.numpy() for gradient in torch.autograd.grad(Lu, leaves, g)]
@@ -108,13 +105,6 @@ def ours_kept(bonds: Bonds, u: np.ndarray, dtype: torch.dtype) -> Callable[[], n
     """The library's differentiable forward pass while D and α stay as they are: K is kept."""
     field, solid = torch.as_tensor(u, dtype=dtype), Solid(**MODEL)
     return lambda: lps_force(bonds, field, solid).numpy()
-
-
-def ours_fixed(bonds: Bonds, u: np.ndarray) -> Callable[[], np.ndarray]:
-    """What LPSOperator does for a fixed model on scattered points: tables of the bonds."""
-    field: Any = wp.array(u[None], dtype=bonds.vec, device="cpu")
-    force, solid = Tabulated(bonds), Solid(**MODEL)
-    return lambda: force(field, solid).numpy()[0]
 
 
 def on_threads(count: int, function: Callable[[], Any]) -> Callable[[], Any]:
@@ -169,7 +159,7 @@ def copy_bandwidth(*, quick: bool = False) -> float:
 def traffic(bonds: Bonds, nodes: int, count: int, size: int) -> int:
     """Bytes a forward pass must move if every array is read or written once a sweep."""
     fields = nodes * (2 * (2 * size + size) + 2 * size)  # u and θ in both sweeps, L u out
-    if bonds.laid_out is not None:
+    if bonds.layout.in_rows:
         return fields
     if bonds.lattice:
         return 2 * 4 * count + fields
@@ -207,10 +197,9 @@ def measure(
         forward["warp_peri, 1 thread"] = on_threads(1, force)
         both["warp_peri, 1 thread"] = on_threads(1, gradient)
     if kind == "scattered":
-        forward["warp_peri, K kept"] = ours_kept(bonds, fields[0], dtype)
-        forward["warp_peri, fixed"] = fixed = ours_fixed(bonds, fields[0])
+        forward["warp_peri, K kept"] = kept = ours_kept(bonds, fields[0], dtype)
         if THREADS > 1:
-            forward["warp_peri, fixed, 1 thr."] = on_threads(1, fixed)
+            forward["warp_peri, kept, 1 thr."] = on_threads(1, kept)
     t = rivals.tables(bonds, points.x, np.array(box), *fields, **MODEL)
     if count < LARGE:
         forward["torch scatter"], both["torch scatter"] = rivals.torch_scatter(t, dtype)
@@ -224,7 +213,7 @@ def measure(
     report("forward", seconds, count)
     share = traffic(bonds, nodes, count, size) / seconds["warp_peri"] / bandwidth
     print(f"    of copy bandwidth: {100 * share:.0f} %")
-    if bonds.laid_out is not None:
+    if bonds.layout.in_rows:
         lists = share + 2 * 4 * count / seconds["warp_peri"] / bandwidth
         print(f"    with the lists of neighbours that others read: {100 * lists:.0f} %")
     backward = interleaved(both, rounds, tolerance)
@@ -252,16 +241,13 @@ def add_numba(
 
 def memory(bonds: Bonds, size: int) -> int:
     """Bytes of all arrays of the operator, of one evaluation and of its gradient."""
-    parts: list[Any] = [bonds, bonds.arrays]
-    planes = 0
-    if bonds.laid_out is not None:
-        parts += [bonds.laid_out, bonds.laid_out.pieces]
-        planes = 2 * 3 * bonds.laid_out.places  # u and θ, h and τ
-    held = [value for part in parts for value in vars(part).values() if isinstance(value, wp.array)]
+    law, layout = bonds.law(*Solid(**MODEL).values()), bonds.layout
+    planes = 2 * 3 * layout.places if layout.in_rows else 0  # u and θ, h and τ
+    held = [*bonds.links, *bonds.tables, law.table.own, law.table.far, law.table.volumes]
+    held += [value for value in vars(layout).values() if isinstance(value, wp.array)]
     total = sum({array.ptr: array.capacity for array in held}.values()) + size * planes
-    count, classes, nodes = len(bonds.families.neighbour), len(bonds.r), bonds.nodes
-    volumes = 1 if bonds.lattice else nodes
-    state = classes + volumes + nodes * (2 + 1 + 2)  # K W, m; u, θ, L u
+    count, classes, nodes = len(bonds.families.neighbour), len(bonds.families.r), bonds.nodes
+    state = classes + nodes * (2 + 1 + 2)  # K W; u, θ, L u
     bars = len(bonds.families.pattern) or count / BLOCKS  # ∂/∂(K W), one block a thread
     gradient = THREADS * bars + nodes * (2 + 2 + 1 + 2)  # g, h, τ, ∂/∂u
     return total + round(size * (state + gradient))
@@ -280,7 +266,8 @@ def setting_up(side: int, forward: float) -> None:
     part = 2_000_000  # K of so many bonds, each by itself
     r = np.resize(families.r[families.classes.bond_class], part)
     degree = len(MODEL["D"]) - 1
-    inputs = (*influence_inputs(small, degree)[:2], small.floats(r), small.floats(np.ones(part)))
+    known = comb(degree, np.arange(degree + 1)), r, np.log(r), np.ones(part)
+    inputs = (small.scalar(HORIZON), *map(small.floats, known))
     alpha, D = small.floats(np.array([MODEL["alpha"]])), small.floats(MODEL["D"])
     kernel, out = influence(degree, small.scalar), small.zeros(part)
     times = []
@@ -383,33 +370,6 @@ def ceilings(*, quick: bool) -> None:
             roofline.roofline(bonds, Solid(**MODEL), u, bandwidth)
 
 
-def launches(*, quick: bool, threads: int = 2) -> None:
-    """Where one forward sweep's time goes, on one thread and two; by rows in Numba beside it."""
-    rival_there = find_spec("numba") is not None
-    if not rival_there:
-        print("Numba is not installed: pip install 'warp_peri[bench]'")
-    for side in (QUICK,) if quick else (200, 400, 1000):
-        points, box = problem("lattice", side)
-        fields = np.random.default_rng(1).normal(size=(2, side**2, 2))
-        for precision in PRECISIONS[: 1 if quick else 2]:
-            bonds = Bonds(points, HORIZON, precision=precision)
-            t = rivals.tables(bonds, points.x, np.array(box), *fields, **MODEL)
-            for count in range(1, threads + 1):
-                set_threads(count)
-                torch.set_num_threads(count)
-                forward, _ = ours(bonds, fields, getattr(torch, precision))
-                others = {}
-                if rival_there:
-                    import numba
-
-                    numba.set_num_threads(count)
-                    others["Numba by rows"] = numba_rows.numba_rows(t, getattr(np, precision))
-                solid = Solid(**MODEL)
-                seconds = launch_costs.parts(bonds, solid, fields[0], forward, others)
-                told = "; ".join(f"{name} {1e3 * part:.2f}" for name, part in seconds.items())
-                print(f"{side}², {precision}, {count} threads, ms: {told}", flush=True)
-
-
 def broken(*, quick: bool, threads: int = 2) -> None:
     """Bodies that break, the lattice's force and scattered points beside their rivals, as JSON."""
     global THREADS
@@ -438,10 +398,7 @@ def broken(*, quick: bool, threads: int = 2) -> None:
     print(json.dumps(found, indent=1))
 
 
-KINDS = (
-    *("operator", "roofline", "launch", "solve", "crystals", "ranks", "choice"),
-    *("gradient", "broken"),
-)
+KINDS = (*("operator", "roofline", "solve", "crystals", "ranks", "choice"), *("gradient", "broken"))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -452,7 +409,7 @@ def main(arguments: list[str] | None = None) -> int:
         action="store_true",
         help="all of it in seconds, on few nodes; its times say nothing",
     )
-    parser.add("--threads", type=int, default=2, help="operator, launch: of every candidate")
+    parser.add("--threads", type=int, default=2, help="operator, broken: of every candidate")
     parser.add("--json", action="store_true", help="gradient, broken: print JSON")
     parser.add("--long", action="store_true", help="gradient: motions of 100 000 steps too")
     parser.add("--model", type=Path, help="of solve and choice (default: learned)")
@@ -462,7 +419,6 @@ def main(arguments: list[str] | None = None) -> int:
     work: dict[str, Callable[..., Any]] = {
         "operator": partial(operator, threads=given.threads),
         "roofline": ceilings,
-        "launch": partial(launches, threads=given.threads),
         "solve": partial(solve_study.solve_study, **files),
         "crystals": benchmark_crystals.crystals,
         "broken": partial(broken, threads=given.threads),

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from warp_peri.kernels.lps.adjoint import structs
 from warp_peri.kernels.peak import peak
-from warp_peri.launch import filled, zeros
-from warp_peri.lps.bonds import Bonds, influence
+from warp_peri.launch import zeros
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import evaluate, sweep
 from warp_peri.methods import Solid
 
 PER_BOND = {"dilatation": (4, 3, 2), "force": (7, 7, 3)}
@@ -44,24 +44,20 @@ def peak_pairs(scalar: Any) -> float:
 
 def sweeps(bonds: Bonds, solid: Solid, u: np.ndarray) -> dict[str, float]:
     """Seconds of the two sweeps of a lattice laid out in rows."""
-    rows = bonds.laid_out
-    if rows is None:
-        raise RuntimeError("the lattice is not laid out in rows")
-    lam, mu, alpha, D = (bonds.floats(np.atleast_1d(value)) for value in solid.values())
-    kw, m = influence(bonds, alpha, D)
-    law = filled(structs(bonds.scalar, bonds.dimension).Law, kw, m, kw, m, lam, mu)
-    planes, theta = rows.planes("forward", 1)
-    values: Any = wp.array(u[None], dtype=bonds.vec, device="cpu")
-    Lu = bonds.zeros(1, len(bonds.rows), dtype=bonds.vec)
-    given = rows.one, bonds.arrays, law, values, planes, theta, Lu
-    of = rows.pieces
+    law = bonds.law(*solid.values())
+    field = bonds.floats(u.reshape(1, -1))
+    felt = evaluate(bonds, field, law)
+    fields = field, felt.planes, felt.theta, felt.Lu
     phases = {
-        "lay_out": (of.images, None, None),
-        "dilatation": (None, of.needed, None),
-        "force": (None, None, of.forces),
+        "lay_out": ("laid", None, None),
+        "dilatation": (None, "needed", None),
+        "force": (None, None, "forces"),
     }
-    kernel = rows.kernels.forward
-    return {name: least(rows.shared(kernel, each, *given)) for name, each in phases.items()}
+
+    def of(pieces: tuple[str | None, ...]) -> Callable[[], None]:
+        return lambda: sweep(bonds, law, law.forward, pieces, *fields)
+
+    return {name: least(of(pieces)) for name, pieces in phases.items()}
 
 
 def roofline(bonds: Bonds, solid: Solid, u: np.ndarray, bandwidth: float) -> None:

@@ -196,9 +196,9 @@ def known_device(device: str) -> str:
 
 
 def launch(kernel: Any, dim: Any, inputs: Sequence[Any], outputs: Sequence[Any]) -> None:
-    """Launch a kernel once, where its first output lies; on the active tape, if there is one."""
-    device = outputs[0].device
-    wp.launch(kernel, dim=dim, inputs=list(inputs), outputs=list(outputs), device=device)
+    """Launch a kernel once, where its first output lies; on no tape, which is the process's."""
+    fields: dict[str, Any] = {"inputs": list(inputs), "outputs": list(outputs)}
+    wp.launch(kernel, dim=dim, **fields, device=outputs[0].device, record_tape=False)
 
 
 def launch_slices(
@@ -213,7 +213,7 @@ def launch_slices(
     """Launch a gather kernel, whose first argument is the first index, on slices of 0 … count.
 
     With samples the dimensions are (samples, slice). `weight` is the work of an index, that of a
-    node being 1. Must not be called while a tape records. A GPU takes all of them at once.
+    node being 1. A GPU takes all of them at once.
     """
     device = outputs[0].device
     ends = _slices(count, count * max(samples, 1) * weight, device)
@@ -238,7 +238,7 @@ def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any
     nodes; inputs and outputs that are given later are None here."""
     kernel.module.load(DEVICE)
     all_of: dict[str, Any] = {"inputs": list(inputs), "outputs": list(outputs), "device": DEVICE}
-    return wp.launch(kernel, dim=dim, **all_of, record_cmd=True)
+    return wp.launch(kernel, dim=dim, **all_of, record_cmd=True, record_tape=False)
 
 
 class Shared:
@@ -294,15 +294,10 @@ class Shared:
         self._launch.launch()
 
 
-@contextmanager
-def unrecorded() -> Iterator[Any]:
-    """Warp's tape, or None where none records; what is launched inside does not go on it."""
+def recording() -> Any:
+    """Warp's tape that records, or None."""
     runtime: Any = wp._src.context.runtime  # Warp has no public name for it
-    tape, runtime.tape = runtime.tape, None
-    try:
-        yield tape
-    finally:
-        runtime.tape = tape
+    return runtime.tape
 
 
 def zeros(

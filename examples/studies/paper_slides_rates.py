@@ -16,9 +16,8 @@ from examples.studies.staggered import least_squares
 from warp_peri import InputError, Points
 from warp_peri.damage import continuum_stretch
 from warp_peri.damage.operator import unit_toughness
-from warp_peri.launch import ints
-from warp_peri.lps.bonds import Bonds, influence
 from warp_peri.lps.matrices import assemble
+from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.quadrature import ball_integral
 from warp_peri.statics.direct import MatrixProblem
@@ -165,9 +164,11 @@ def free_edge(number: int, ratio: float, *, corrected: bool) -> float:
     exact = np.stack([stretch * a + b, -a - 3 * b], axis=1)
     bonds = Bonds(body, horizon)
     if not corrected:
-        bonds.cut = ints(np.zeros(0))  # dilatation as at whole nodes, (6), its bonds broken
-    alpha, D = (bonds.floats(np.ones(1)) for _ in range(2))
-    L = assemble(bonds, *influence(bonds, alpha, D)).operator(lam, MU)
+        families = bonds.families  # dilatation as at whole nodes, (6), its bonds broken
+        whole = np.sort(np.concatenate([families.whole, families.cut]))
+        bonds.families = replace(families, whole=whole, cut=families.cut[:0])
+    table = bonds.law(lam, MU, 1.0, np.ones(1)).table
+    L = assemble(bonds, table.kw, table.m).operator(lam, MU)
     given = np.where(outside[:, None], 0.0, exact)
     u = MatrixProblem(L, body.interior).solve(0 * given[None], given[None])[0]
     return float(np.abs(u - exact)[body.interior].max())

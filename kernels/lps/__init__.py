@@ -1,1 +1,1 @@
-"""The linear peridynamic solid: influence, weighted volume, dilatation, force, adjoint."""
+"""The linear peridynamic solid: influence, dilatation, force, and what gradients are made of."""

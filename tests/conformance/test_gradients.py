@@ -97,7 +97,7 @@ def made():
 
 
 def test_the_operators_are_what_they_are_called(made):
-    assert len(made("LPS, broken bonds").bonds.cut) > 0
+    assert len(made("LPS, broken bonds").bonds.families.cut) > 0
     assert not made("coupled").is_symmetric
 
 

@@ -5,10 +5,10 @@ from warp_peri.learning.laws import LPS
 from warp_peri.lps.model import Model
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid
 from warp_peri.materials.hyperelastic.placed import PlacedSheet
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
-from warp_peri.statics.lps import PlacedLPS
 from warp_peri.third_order.material import ThirdOrderCrystal
 from warp_peri.third_order.operator import PlacedThirdOrder
 
@@ -17,7 +17,7 @@ def materials(one: Model, two: ThirdOrderCrystal, three: HyperelasticSolid) -> l
     return [one, two, three]
 
 
-def operators(one: PlacedLPS, two: PlacedThirdOrder, three: PlacedSheet) -> list[Operator]:
+def operators(one: LPSOperator, two: PlacedThirdOrder, three: PlacedSheet) -> list[Operator]:
     return [one, two, three]
 
 

@@ -11,8 +11,8 @@ from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import CutOperator, bond_weights, cut_matrix, unit_toughness
 from warp_peri.damage.solid import continuum_stretch
 from warp_peri.launch import floats, set_threads, threads, zeros
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
-from warp_peri.transfer.operator import LPSOperator
 
 DILATATIONAL = 0.32260
 """4 ∫ c(z)² dz, c the share of a ball's Σ w r² beyond a plane at height z (theory, C6)."""

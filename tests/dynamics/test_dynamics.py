@@ -12,10 +12,10 @@ from tests.support.symbols import symbol
 from warp_peri import InputError
 from warp_peri.dynamics.verlet import INERTIA, Inert, march, step
 from warp_peri.lps.matrices import matrices
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.problems import Dirichlet
 from warp_peri.proofs import critical_time_step
 from warp_peri.solving import move
-from warp_peri.transfer.operator import LPSOperator
 
 DENSITY = 2147.0
 STABLE = ("1/r", "steep", "positive")

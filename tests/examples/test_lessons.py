@@ -1,5 +1,6 @@
 """The short examples: a number of each, which it finds when it is imported."""
 
+import json
 import os
 import subprocess
 import sys
@@ -29,6 +30,15 @@ def test_an_influence_function_of_ones_own_is_found():
     from examples.own_influence import numbers
 
     assert numbers["radius"] == pytest.approx(9.0, rel=1e-5)
+
+
+def test_a_stiff_inclusion_is_found(capsys):
+    from examples import inclusion_from_displacement
+
+    assert inclusion_from_displacement.main(["--side", "14", "--steps", "25", "--json"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert numbers["map error"] < 0.2
+    assert numbers["mean in the inclusion"] == pytest.approx(4, rel=0.2)
 
 
 def own_law(folder, *on):

@@ -11,7 +11,7 @@ from tests.support.waves import fluctuation
 from warp_peri import Bernstein, InputError, Samples, diagnose
 from warp_peri.learning.diagnosis import Diagnosis, SheetFeatures
 from warp_peri.learning.fit import learn as fit
-from warp_peri.transfer.operator import LPSOperator
+from warp_peri.materials.lps_operator import LPSOperator
 
 HORIZON = 2.5
 MODEL = kernel("positive", HORIZON, lam=0.1, mu=0.7)

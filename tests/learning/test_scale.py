@@ -12,11 +12,11 @@ from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.training_data import RELATIVE_ZETA, scale_of, stiffness_of
 from warp_peri.lps.model import Model
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Conditions, Optimum, TwoStage
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.proofs import critical_time_step
-from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 TRUE = kernel("positive", HORIZON, lam=0.1, mu=0.7)

@@ -1,5 +1,6 @@
-"""The gathering adjoint: equal to Warp's tape and to differences, on any number of threads."""
+"""Gradients: equal to those of plain sweeps and to differences, on any number of threads."""
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -22,12 +23,12 @@ from tests.support.problems import (
 )
 from warp_peri import InputError
 from warp_peri.launch import set_threads, threads
-from warp_peri.lps.bonds import Bonds, evaluate
-from warp_peri.lps.operator import lps_force
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Solid
-from warp_peri.transfer.operator import LPSOperator
 
-TAPE = 1e-12
+PLAIN = 1e-12
 DIFFERENCES = 1e-8
 HORIZON = 3.0
 STEPS = {"u": (1.0, 2), "lam": (1.0, 2), "mu": (1.0, 2), "alpha": (0.005, 8), "D": (0.002, 8)}
@@ -80,18 +81,6 @@ class Problem:
         gradients = torch.autograd.grad(self.scalar(*given), given)
         return {part: by.numpy() for part, by in zip(self.leaves, gradients)}
 
-    def taped(self):
-        types = [wp.vec2d] + (len(self.leaves) - 1) * [wp.float64]
-        arrays = [
-            wp.array(leaf, dtype=dtype, requires_grad=True, device="cpu")
-            for leaf, dtype in zip(self.leaves.values(), types)
-        ]
-        with wp.Tape() as tape:
-            Lu = evaluate(self.bonds, *arrays, gradient=True).Lu
-        g = wp.array(self.seed + Lu.numpy() / 50, dtype=wp.vec2d, device="cpu")
-        tape.backward(grads={Lu: g})
-        return {part: array.grad.numpy() for part, array in zip(self.leaves, arrays)}
-
     def value(self, part, leaf):
         leaves = self.leaves | {part: leaf.reshape(self.leaves[part].shape)}
         with torch.no_grad():
@@ -104,11 +93,15 @@ def error(value, expected):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("name", RICH)
-def test_is_the_tape(name, kind):
-    problem = Problem(name, kind)
-    expected = problem.taped()
-    for part, by in problem.gathered().items():
-        assert error(by, expected[part]) <= TAPE, part
+def test_is_that_of_plain_sweeps(name, kind, monkeypatch):
+    """As other devices than the processor run them, bond by bond in Warp's own words."""
+    swept = Problem(name, kind)
+    assert swept.bonds.layout.in_rows == (kind in ("lattice", "periodic lattice"))
+    gradients = swept.gathered()
+    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
+    expected = Problem(name, kind).gathered()
+    for part, by in gradients.items():
+        assert error(by, expected[part]) <= PLAIN, part
 
 
 @pytest.mark.parametrize(
@@ -190,6 +183,23 @@ def test_threads_change_no_bit(kind, monkeypatch):
         assert all(np.array_equal(results[0][part], other[part]) for part in other)
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_four_python_threads_on_one_set_of_bonds_change_no_bit(kind):
+    problem = Problem("sign-changing", kind)
+    jobs = [{part: (1 + 0.1 * n) * leaf for part, leaf in problem.leaves.items()} for n in range(4)]
+
+    def found(leaves):
+        given = [torch.tensor(leaf, requires_grad=True) for leaf in leaves.values()]
+        with torch.no_grad():
+            alone = problem.scalar(*given)
+        return [alone, *torch.autograd.grad(problem.scalar(*given), given)]
+
+    expected = [found(job) for job in jobs]
+    with ThreadPoolExecutor(4) as pool:
+        for number, value in enumerate(pool.map(found, 8 * jobs)):
+            assert all(map(torch.equal, value, expected[number % 4]))
+
+
 @pytest.mark.parametrize("count", [0, -1, 1.5, True, "2"])
 def test_a_number_of_threads_that_is_none_is_refused(count):
     with pytest.raises(InputError, match="threads: expected a whole number"):
@@ -235,7 +245,7 @@ def test_on_a_tape_of_the_user(name):
     if name == "broken bonds":
         points = replace(points, outside=~points.interior & (points.x[:, 0] > 3.5))
     operator = model.on(points)
-    assert (len(operator.bonds.cut) > 0) == (name == "broken bonds")
+    assert (len(operator.bonds.families.cut) > 0) == (name == "broken bonds")
     u, seed = noise(points, 2), noise(points, 2, seed=1)[:, points.interior]
     field, numbers = arrays_of(model, u)
     out = wp.zeros((2, len(seed[0])), dtype=wp.vec2d, requires_grad=True)

@@ -11,8 +11,8 @@ from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, latt
 from warp_peri import InputError
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
-from warp_peri.transfer.operator import LPSOperator
 
 every_kernel = pytest.mark.parametrize("name", KERNELS)
 HORIZON = 2.5

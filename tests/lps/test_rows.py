@@ -12,8 +12,8 @@ import torch
 from tests.support.problems import KERNELS, LAM, MU, ell, lattice, noise, periodic
 from warp_peri import Points
 from warp_peri.launch import set_threads, threads
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.operator import lps_force
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
 from warp_peri.methods import Solid
 
 HORIZON = 3.0
@@ -59,12 +59,13 @@ def everything(bonds, points, name, samples):
 def test_has_the_bits_of_the_lists_of_neighbours(kind, precision, monkeypatch):
     points = SETS[kind]()
     bonds = Bonds(points, HORIZON, precision=precision)
-    assert bonds.laid_out is not None
+    assert bonds.layout.in_rows
     for name, samples in (("sign-changing", 1), ("positive", 3)):
         by_rows = everything(bonds, points, name, samples)
         with monkeypatch.context() as patch:
-            patch.setattr(bonds, "laid_out", None)
-            by_lists = everything(bonds, points, name, samples)
+            patch.setattr("warp_peri.materials.lps_bonds.rows_of", lambda *_: None)
+            lists = Bonds(points, HORIZON, precision=precision)
+            by_lists = everything(lists, points, name, samples)
         for ours, other in zip(by_rows[:2], by_lists):
             np.testing.assert_array_equal(ours, other)
         for ours, other in zip(by_rows[2:], by_lists[2:]):  # summed in another order
@@ -75,12 +76,12 @@ def test_has_the_bits_of_the_lists_of_neighbours(kind, precision, monkeypatch):
 def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
     points = lattice(8, HORIZON)
     order = np.random.default_rng(0).permutation(len(points.x))
-    assert Bonds(numbered(points, order), HORIZON).laid_out is None
+    assert not Bonds(numbered(points, order), HORIZON).layout.in_rows
     apart = Points(np.concatenate([points.x, points.x + 200.0]), np.tile(points.interior, 2), 1.0)
-    assert Bonds(apart, HORIZON).laid_out is None
+    assert not Bonds(apart, HORIZON).layout.in_rows
     outside = points.x[:, 0] > 4
     body = replace(points, interior=points.interior & ~outside, outside=outside)
-    assert Bonds(body, HORIZON).laid_out is None
+    assert not Bonds(body, HORIZON).layout.in_rows
 
 
 def test_two_evaluations_may_be_open_at_once_and_on_any_number_of_threads(monkeypatch):

@@ -5,10 +5,9 @@ import pytest
 
 from tests.support.cubes import cube
 from tools import peri_lps
-from warp_peri.launch import floats
-from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import assemble
 from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.structures.calculators import LammpsError, lammps_class
 
 HORIZON = 2.0
@@ -42,8 +41,8 @@ def test_every_force_is_that_of_lammps_with_its_volumes():
     u = peri_lps.SIZE * np.random.default_rng(0).normal(size=lammps.x.shape)
     theirs = lammps.force(u)[there][points.interior]
     lammps.close()
-    kw = floats(classes.weight / classes.r)
-    m = floats(np.array([classes.count @ (classes.weight * classes.r)]))
+    kw = classes.weight / classes.r
+    m = classes.count @ (classes.weight * classes.r)
     model = peri_lps.solid(HORIZON)
     L = assemble(Bonds(points, HORIZON), kw, m).operator(model.lam, model.mu)
     ours = -(L @ u[there].ravel()).reshape(-1, 3)

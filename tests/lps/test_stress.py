@@ -11,8 +11,8 @@ from warp_peri import InputError
 from warp_peri.lps.matrices import node_fields
 from warp_peri.lps.model import stiffnesses
 from warp_peri.lps.symbol import long_wave_moduli
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
-from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 GRADIENT = np.array([[0.3, -0.2], [0.5, 0.1]])

@@ -10,8 +10,8 @@ from tests.support.problems import ell, fitted_order, kernel, lattice, noise
 from tests.support.solving import solve
 from warp_peri import InputError, Model, certify
 from warp_peri.lps.matrices import matrices
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import families_of
-from warp_peri.transfer.operator import LPSOperator
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 HORIZON = 3.0

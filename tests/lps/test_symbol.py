@@ -8,9 +8,9 @@ from tests.support.symbols import smallest, symbol
 from warp_peri.core.stencil import laplacian, zone_sample
 from warp_peri.lps.model import lps_stencil, stiffnesses
 from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.losses import class_pairs, lattice_group, product_basis
-from warp_peri.transfer.operator import LPSOperator
 
 every_kernel = pytest.mark.parametrize("name", KERNELS)
 

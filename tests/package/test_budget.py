@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 26_045,
-    "tokens": 310_282,
-    "lines of warp_peri": 43_052,
-    "lines of kernels": 2_400,
-    "lines of warp_peri, kernels, examples and tools": 70_226,
+    "code lines": 25_910,
+    "tokens": 308_732,
+    "lines of warp_peri": 42_839,
+    "lines of kernels": 1_461,
+    "lines of warp_peri, kernels, examples and tools": 69_029,
     "lines of the longest file": 699,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -37,12 +37,12 @@ ROOMS = {
     "diffusion": 339,
     "dynamics": 525,
     "edges": 967,
-    "face": 981,
+    "face": 976,
     "files": 546,
     "fitting": 610,
-    "learning": 1854,
-    "lps": 1400,
-    "materials": 2478,
+    "learning": 1852,
+    "lps": 584,
+    "materials": 3359,
     "micromodulus": 1065,
     "neural": 1015,
     "points": 1927,
@@ -51,10 +51,10 @@ ROOMS = {
     "regression": 587,
     "sources": 943,
     "stability": 140,
-    "statics": 1269,
+    "statics": 1107,
     "structures": 1936,
     "third_order": 329,
-    "transfer": 396,
+    "transfer": 365,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

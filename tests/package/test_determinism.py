@@ -18,8 +18,8 @@ from tests.support.solving import solve
 from warp_peri import Bernstein
 from warp_peri.launch import at_once, set_threads, threads
 from warp_peri.learning.fit import learn as fit
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import TwoStage
-from warp_peri.transfer.operator import LPSOperator
 
 ROOT = Path(__file__).parent.parent.parent
 LEARN = """

@@ -15,9 +15,9 @@ from warp_peri import Bernstein, InputError, Model, Points, certify
 from warp_peri.edges.body import Coupling, solve_body
 from warp_peri.learning.fit import learn as fit
 from warp_peri.lps.model import bernstein_basis
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.lattice import largest_strain
-from warp_peri.transfer.operator import LPSOperator
 
 
 def cancelled(horizon=2.0):

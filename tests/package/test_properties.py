@@ -12,10 +12,10 @@ from tests.support.problems import lattice, noise, periodic
 from warp_peri import Dataset, InputError, Model, Points, Samples, certify
 from warp_peri.atoms import coarse_grain, smoothing_matrix
 from warp_peri.lps.matrices import matrices
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.dataset import content_hash, load_dataset, save_dataset
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.quadrature import DEGREE, SINGULARITY, ball_integral
-from warp_peri.transfer.operator import LPSOperator
 
 # Derandomised: the same examples in every run.
 bounded = settings(max_examples=25, deadline=None, derandomize=True, database=None)

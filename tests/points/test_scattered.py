@@ -13,11 +13,11 @@ from tests.support.problems import KERNELS, QUADRATURE, ROUNDING, kernel, lattic
 from tests.support.solving import solve
 from warp_peri import InputError, Points
 from warp_peri.lps.matrices import matrices
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import HORIZON_TOLERANCE, families_of
 from warp_peri.points.quadrature import quadrature_weights
 from warp_peri.points.scattered import neighbours, reverse_bonds
 from warp_peri.proofs import solvability
-from warp_peri.transfer.operator import LPSOperator
 
 RANDOM = np.random.default_rng(3)
 CLOUDS = {

@@ -18,9 +18,9 @@ from tests.support.problems import (
 )
 from warp_peri import InputError
 from warp_peri.fitting import rows
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.regression import losses
 from warp_peri.regression.losses import FullLoss, sample_weights
-from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 2.5
 

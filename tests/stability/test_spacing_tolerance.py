@@ -11,8 +11,8 @@ from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Model, certify
 from warp_peri.lps.matrices import matrices, node_fields
 from warp_peri.lps.model import bernstein_basis, stiffnesses
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
-from warp_peri.transfer.operator import LPSOperator
 
 SPACING, HORIZON = 5.0, 12.5
 WITHIN = [1 - 0.99e-6, 1 - 5e-7, 1 + 5e-7, 1 + 0.99e-6]

@@ -14,11 +14,11 @@ from tests.support.solving import solve
 from tools.solve_study import TABLE, loads, mask_of, problem
 from warp_peri import Direct, InputError, Krylov, Model
 from warp_peri.core.stencil import q1_tensors
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Solid
 from warp_peri.statics.linear import Linear
 from warp_peri.statics.lps import choose_method, lps_linear
 from warp_peri.statics.multigrid import VCycle, prolong, restrict
-from warp_peri.transfer.operator import LPSOperator
 
 HORIZON = 3.0
 

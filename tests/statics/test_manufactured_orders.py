@@ -9,8 +9,8 @@ import pytest
 from tests.support import clouds
 from tests.support.problems import LAM, MU, ORDER, fitted_order, kernel, lattice
 from tests.support.solving import solve
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.proofs import solvability
-from warp_peri.transfer.operator import LPSOperator
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 LENGTH = 2.0

@@ -82,7 +82,7 @@ def smooth(x, samples, seed=0, wave_number=1.2):
 
 def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     """Samples in exact equilibrium with a model: any smooth u, and b = L u."""
-    from warp_peri.transfer.operator import LPSOperator
+    from warp_peri.materials.lps_operator import LPSOperator
 
     u = smooth(points.x, samples, seed, wave_number)
     b = np.zeros_like(u)

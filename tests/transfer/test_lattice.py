@@ -9,6 +9,7 @@ from tests.support.problems import kernel, lattice
 from warp_peri import Bernstein, InputError, Model, Samples
 from warp_peri.learning.fit import learn as fit
 from warp_peri.lps.model import stiffnesses
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import largest_wave_number
 from warp_peri.transfer.lattice import (
@@ -19,7 +20,6 @@ from warp_peri.transfer.lattice import (
     wave_loss,
     wave_vectors,
 )
-from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)

@@ -14,6 +14,7 @@ from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Points, evaluate
 from warp_peri.lps.model import Model
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Smoothing
 from warp_peri.points.families import carried_horizon, families_of
 from warp_peri.proofs import critical_time_step
@@ -21,7 +22,6 @@ from warp_peri.statics.solution import Direct
 from warp_peri.transfer import cache as kept
 from warp_peri.transfer import lattice as made
 from warp_peri.transfer.cache import model_for
-from warp_peri.transfer.operator import LPSOperator
 from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)

@@ -30,7 +30,7 @@ from warp_peri.points.unit_names import USUAL, Units, factors
 from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
-    from warp_peri.transfer.operator import LPSOperator
+    from warp_peri.materials.lps_operator import LPSOperator
 
 KIND = "warp_peri.waves"
 """Of checkpoints."""

@@ -21,8 +21,8 @@ from warp_peri.edges.rim import Field, Moduli, Rim, RimProblem, Traction, check_
 from warp_peri.edges.schwarz import Exchange, Schwarz, WholeBody
 from warp_peri.errors import InputError
 from warp_peri.lps.model import Model
-from warp_peri.lps.operator import NodeOperator
 from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import largest_strain
@@ -482,6 +482,6 @@ def _work(solution: BodySolution, model: Model, f: np.ndarray, b: np.ndarray) ->
     K = solution.rim.stiffness(Moduli.square(**moduli(model, classes)))
     total = float(np.vdot(f, (K @ solution.u_rim.ravel()).reshape(-1, 2)))
     if solution.points is not None:
-        force = NodeOperator(model, solution.points, allow_uncertified=True)(solution.u_bulk)
+        force = LPSOperator(model, solution.points, allow_uncertified=True)(solution.u_bulk)
         total += float(np.vdot(b, force))
     return total

@@ -18,9 +18,9 @@ import torch
 
 from warp_peri.errors import InputError
 from warp_peri.learning.methods import Constrained, Method, TwoStage
-from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.model import Solid, bernstein_basis
-from warp_peri.lps.operator import lps_force
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
 from warp_peri.points.dataset import Dataset, in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
@@ -335,7 +335,7 @@ MATTERS = 1e-6
 
 
 class ConsistencyCheck:
-    """Holds the reduced loss to the full one, and to its gradients by Warp's tape."""
+    """Holds the reduced loss to the full one, and to its gradients."""
 
     def __init__(self, grids: Sequence[ReducedLoss], full: Sequence[FullLoss]) -> None:
         self.grids, self.full = grids, full
@@ -354,7 +354,7 @@ class ConsistencyCheck:
         results = []
         for loss in (
             variables.loss(self.grids),
-            torch.stack([term.loss(*variables.leaves, taped=True) for term in self.full]).sum(),
+            torch.stack([term.loss(*variables.leaves) for term in self.full]).sum(),
         ):
             parts = torch.autograd.grad(loss, variables.leaves)
             gradient = torch.cat([part.reshape(-1) for part in parts]) * sizes
@@ -365,7 +365,7 @@ class ConsistencyCheck:
         by_loss += EPSILON * expected + ROUNDING * np.sqrt(expected) + ROUNDING**2
         held("loss", abs(reduced - expected), by_loss, expected)
         apart = float((gradient - reference).norm())
-        terms = sum(term.u.numel() for term in self.full)  # that the tape adds up one by one
+        terms = sum(term.u.numel() for term in self.full)  # that are added up
         held("gradient", apart, EPSILON * np.sqrt(terms) * size + by_gradient, size)
 
     def _sizes(self, parameters: Parameters) -> torch.Tensor:

@@ -17,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
@@ -25,8 +24,8 @@ from warp_peri.core.stencil import bend, laplacian, ratios, zone_sample
 from warp_peri.core.tensors import differentiable_once
 from warp_peri.files.atomic import ArrayFile, locked
 from warp_peri.learning.methods import TwoStage
-from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import assemble
+from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.regression.coordinates import Parameters, Variables
@@ -132,11 +131,9 @@ def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.nda
     """Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
     bonds = Bonds(points, horizon)
     unknown = np.repeat(points.interior, 2)
-    ones = wp.full(len(points.x), 1.0, dtype=wp.float64, device=bonds.device)
     gammas, phis = [], []
     for unit in np.eye(len(bonds.families.classes.r)):
-        table: wp.array[Any] = wp.array(unit, dtype=wp.float64, device=bonds.device)
-        parts = assemble(bonds, table, ones)
+        parts = assemble(bonds, unit, 1.0)
         gammas.append(parts.gamma[:, unknown].toarray())
         phis.append(parts.phi[points.interior][:, unknown].toarray())
     return np.array(gammas), np.array(phis)

@@ -27,7 +27,7 @@ from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, 
 from warp_peri.shown import error_rows, proven_rows
 
 if TYPE_CHECKING:
-    from warp_peri.statics.lps import PlacedLPS
+    from warp_peri.materials.lps_operator import LPSOperator
 
 ALPHA_BOUND = 3.0
 """The quadrature is consistent for α below this (You et al. 2021, remark 1)."""
@@ -337,20 +337,22 @@ class Model(Record, format="warp_peri.model"):
     def _read_from(self, path: Path | None) -> Model:
         return replace(self, file=path)
 
-    def on(self, points: PointsLike, **options: Any) -> PlacedLPS:
+    def on(self, points: PointsLike, **options: Any) -> LPSOperator:
         """The model on points: transferred there, certified, its bonds built when first needed.
 
         Args:
             points: a lattice or scattered points.
             options: transfer=False refuses what the model itself holds no certificate for;
                 allow_uncertified=True takes its own numbers, with a warning; device,
-                quadrature_degree.
+                quadrature_degree; lam, mu as of FieldOperator.
 
-        Raises InputError as LPSOperator does.
+        Raises InputError as LPSOperator and FieldOperator do.
         """
-        from warp_peri.statics.lps import PlacedLPS
+        from warp_peri.materials import lps_fields, lps_operator
 
-        return PlacedLPS(self, points, **options)
+        if {"lam", "mu"} & set(options):
+            return lps_fields.FieldOperator(self, points, **options)
+        return lps_operator.LPSOperator(self, points, lazy=True, **options)
 
     def summary(self) -> dict[str, Any]:
         """Constants, lattices and errors, as plain values."""

@@ -23,9 +23,9 @@ from warp_peri.errors import InputError
 from warp_peri.fitting.losses import without_noise
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import forces, rows
-from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.model import Solid, bernstein_basis
-from warp_peri.lps.operator import lps_force
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples
@@ -67,13 +67,13 @@ class FullLoss:
         self.b = torch.tensor(points.loads[:, points.interior])
         self.weight = torch.from_numpy(weight)
 
-    def _squares(self, *parameters: Any, taped: bool = False) -> torch.Tensor:
-        residual = lps_force(self.bonds, self.u, Solid(*parameters), taped=taped) - self.b
+    def _squares(self, *parameters: Any) -> torch.Tensor:
+        residual = lps_force(self.bonds, self.u, Solid(*parameters)) - self.b
         return (residual**2).sum(dim=(1, 2))
 
-    def loss(self, *parameters: Any, taped: bool = False) -> torch.Tensor:
-        """The loss at (λ, μ, α, D), differentiable; `taped` by Warp's tape."""
-        return self.weight @ self._squares(*parameters, taped=taped)
+    def loss(self, *parameters: Any) -> torch.Tensor:
+        """The loss at (λ, μ, α, D), differentiable."""
+        return self.weight @ self._squares(*parameters)
 
     def errors(self, *parameters: Any) -> np.ndarray:
         """‖L u − b‖/‖b‖ of each sample that has a load."""
