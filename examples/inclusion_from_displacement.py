@@ -19,7 +19,7 @@ import warp_peri as wp
 from warp_peri.points.unit_names import REDUCED
 
 HORIZON, RATIO, STIFFER = 3.0, 0.375, 4.0  # in spacings; λ/μ; μ inside over μ outside
-WEIGHT, SMOOTH = 0.01, 0.01  # of the total variation, and where its kink is rounded
+WEIGHT, SMOOTH = 0.001, 0.01  # of the total variation, and where its kink is rounded
 
 
 def body(side: int) -> tuple[wp.Points, np.ndarray, np.ndarray]:
