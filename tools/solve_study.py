@@ -20,9 +20,9 @@ from warp_peri import InputError, Krylov, Model, Points, load
 from warp_peri.core.grid import Grid
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.force import lps_force
 from warp_peri.lps.model import lps_stencil
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import lps_force
 from warp_peri.methods import Solid
 from warp_peri.statics.linear import STIFF, Linear
 from warp_peri.statics.lps import lps_linear

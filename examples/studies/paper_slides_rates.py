@@ -16,8 +16,8 @@ from examples.studies.staggered import least_squares
 from warp_peri import InputError, Points
 from warp_peri.damage import continuum_stretch
 from warp_peri.damage.operator import unit_toughness
+from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import assemble
-from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.quadrature import ball_integral
 from warp_peri.statics.direct import MatrixProblem

@@ -22,8 +22,8 @@ from tools.make_scenes import DISK, make_scenes
 from tools.make_strained import strained_file
 from tools.samples import read_sample
 from warp_peri import InputError, Model, Points, Samples
+from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import matrices
-from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.methods import Smoothing
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import PointsLike

@@ -23,8 +23,8 @@ from tests.support.problems import (
 )
 from warp_peri import InputError
 from warp_peri.launch import set_threads, threads
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import lps_force
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.force import lps_force
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Solid
 
@@ -98,7 +98,7 @@ def test_is_that_of_plain_sweeps(name, kind, monkeypatch):
     swept = Problem(name, kind)
     assert swept.bonds.layout.in_rows == (kind in ("lattice", "periodic lattice"))
     gradients = swept.gathered()
-    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
+    monkeypatch.setattr("warp_peri.lps.bonds.DEVICE", "elsewhere")
     expected = Problem(name, kind).gathered()
     for part, by in gradients.items():
         assert error(by, expected[part]) <= PLAIN, part

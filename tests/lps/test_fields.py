@@ -11,8 +11,8 @@ from tests.lps.test_adjoint import HORIZON, KINDS, bonds_of, error
 from tests.support.problems import KERNELS, LAM, MU, difference, kernel, lattice, noise, periodic
 from warp_peri import InputError
 from warp_peri.core.proof import largest
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import evaluate, gradient, pulled
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.force import evaluate, gradient, pulled
 
 SHAPE = tuple(KERNELS["sign-changing"][name] for name in ("alpha", "D"))
 
@@ -68,7 +68,7 @@ def test_derivatives_are_those_of_differences_and_plain_sweeps(kind, monkeypatch
         ahead = problem.force(problem.u + t * way, *expected)[1].ravel() @ flat
         here = problem.force(problem.u, lam, mu)[1].ravel() @ flat
         assert part == pytest.approx(ahead - here, rel=1e-10)
-    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
+    monkeypatch.setattr("warp_peri.lps.bonds.DEVICE", "elsewhere")
     plain = Problem(kind).gradient()
     assert error(by.u.numpy(), plain.u.numpy()) < 1e-12
     for name in ("lam", "mu", "alpha", "D"):

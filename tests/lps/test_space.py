@@ -12,11 +12,11 @@ from tests.support.cubes import cube, periodic_cloud, solid
 from tests.support.problems import difference
 from warp_peri import load, save
 from warp_peri.errors import InputError
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.force import lps_force
 from warp_peri.lps.matrices import matrices, node_fields
 from warp_peri.lps.model import Model
 from warp_peri.lps.symbol import moduli
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import lps_force
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Solid
 from warp_peri.points.families import bond_classes, families_of

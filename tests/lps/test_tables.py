@@ -9,10 +9,10 @@ import torch
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, ROUNDING, kernel, noise
 from warp_peri import InputError
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.force import lps_force
 from warp_peri.lps.matrices import matrices
 from warp_peri.lps.model import bernstein_basis
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import lps_force
 from warp_peri.materials.lps_operator import LPSOperator
 
 HORIZON = 3.0

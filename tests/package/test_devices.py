@@ -7,8 +7,8 @@ import warp as wp
 
 from tests.support.problems import GRADIENT, ROUNDING, kernel, lattice, noise
 from warp_peri import InputError
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import lps_force
+from warp_peri.lps.bonds import Bonds
+from warp_peri.lps.force import lps_force
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Solid
 
@@ -38,7 +38,7 @@ def test_forces_are_those_of_the_processor(device):
 @pytest.mark.parametrize("device", DEVICES)
 def test_the_plain_sweeps_that_a_gpu_uses_give_the_gradient_of_the_processor(device, monkeypatch):
     here_too = gradients("cpu")
-    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
+    monkeypatch.setattr("warp_peri.lps.bonds.DEVICE", "elsewhere")
     for there, here in zip(gradients(device), here_too):
         np.testing.assert_allclose(there, here, rtol=0, atol=GRADIENT * np.abs(here).max())
 

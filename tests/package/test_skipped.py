@@ -7,7 +7,7 @@ import warp as wp
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.launch import launch_slices
-from warp_peri.materials import lps_bonds, lps_force
+from warp_peri.lps import bonds, force
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
@@ -24,7 +24,7 @@ def launched(monkeypatch):
         names.append(kernel.key)
         launch_slices(kernel, *rest, **options)
 
-    for module in (lps_bonds, lps_force):
+    for module in (bonds, force):
         monkeypatch.setattr(module, "launch_slices", note)
     real = wp.Launch.launch  # of what is packed once
 

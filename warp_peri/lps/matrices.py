@@ -10,9 +10,9 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
+from warp_peri.lps.bonds import Bonds, Stiffness, check_volumes, surface
 from warp_peri.lps.model import Model, on_nominal_lattice
-from warp_peri.materials.lps_bonds import Bonds, Stiffness, check_volumes, surface
-from warp_peri.materials.lps_rows import listed
+from warp_peri.lps.rows import listed
 from warp_peri.points.arrays import plain
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE

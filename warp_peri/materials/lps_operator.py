@@ -16,10 +16,8 @@ from numpy.typing import ArrayLike
 from warp_peri.contract import OnPoints, is_tensor
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE, recording
-from warp_peri.lps.matrices import Matrices, matrices, node_fields
-from warp_peri.lps.model import Model, Solid, lps_stencil, on_nominal_lattice
-from warp_peri.materials.lps_bonds import Bonds, SweepLaw, check_volumes
-from warp_peri.materials.lps_force import (
+from warp_peri.lps.bonds import Bonds, SweepLaw, check_volumes
+from warp_peri.lps.force import (
     Felt,
     check_bond_based,
     check_field,
@@ -28,6 +26,8 @@ from warp_peri.materials.lps_force import (
     gradient,
     pulled,
 )
+from warp_peri.lps.matrices import Matrices, matrices, node_fields
+from warp_peri.lps.model import Model, Solid, lps_stencil, on_nominal_lattice
 from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.lattice import largest_strain
 from warp_peri.points.quadrature import DEGREE

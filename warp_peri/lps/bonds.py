@@ -16,7 +16,7 @@ from warp_peri.kernels.lps.influence import influence
 from warp_peri.kernels.lps.sweeps import struct, sweeps
 from warp_peri.launch import DEVICE, empty, filled, floats, ints, known_device, launch_slices, zeros
 from warp_peri.lps.model import CANCELLED, Model
-from warp_peri.materials.lps_rows import Layout, listed, lists_of, rows_of
+from warp_peri.lps.rows import Layout, listed, lists_of, rows_of
 from warp_peri.points.families import families_of
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
