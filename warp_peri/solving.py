@@ -6,6 +6,7 @@ from typing import Any
 
 from warp_peri.contract import offered, uncompiled
 from warp_peri.dynamics.motion import Motion, refuse_learning
+from warp_peri.files.checkpoint import ALONE, agreed
 from warp_peri.statics.solution import Solution, Solver, told
 
 PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
@@ -35,7 +36,8 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
     """
     solved = offered(problem, "solved", "solve", PROBLEMS)
     if _on_ranks(problem) or not hasattr(problem, "learns"):
-        refuse_learning(problem, options, "solve")
+        with agreed(getattr(getattr(problem, "points", None), "comm", ALONE)):
+            refuse_learning(problem, options, "solve")
     if _on_ranks(problem):
         return told(lambda: problem.points.solve(material, problem, solver, options))
     return told(uncompiled(lambda: solved(material, solver, options)))
@@ -62,7 +64,8 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
     if _on_ranks(problem) or not hasattr(problem, "learns"):
-        refuse_learning(problem, options, "move")
+        with agreed(getattr(getattr(problem, "points", None), "comm", ALONE)):
+            refuse_learning(problem, options, "move")
     if _on_ranks(problem):
         return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
     return uncompiled(moved)(material, options)  # type: ignore[no-any-return]

@@ -1,12 +1,15 @@
 """What a file beside a run says of the run: every field of points, samples, settings, functions."""
 
+import json
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 import torch
+from scipy.interpolate import PchipInterpolator
 
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
@@ -52,6 +55,7 @@ def test_where_a_value_stands_and_of_what_kind_it_is_counts():
     parts = [
         (base, None), (None, base), (ones, 2), (ones.reshape(2, 2), 2), (ones.astype(int), 2),
         ([1, 2], 3), ([1], 2, 3), ({"a": 1},), ({"a": 2},), ("1",), (1,), (None,),
+        (0,), ([],), ("0",), (set(),),
     ]  # fmt: skip
     assert len({fingerprint(*one) for one in parts}) == len(parts)
     assert fingerprint(np.float64(0.1), np.int64(3)) == fingerprint(0.1, 3)
@@ -98,6 +102,75 @@ def test_a_second_fit_of_the_same_numbers_is_the_same_material():
     solid = kernel("positive", 2.5)
     again = replace(solid, provenance={"seconds": 3.0})
     assert fingerprint(solid) == fingerprint(again)
+
+
+LIMIT = {"above": 0.3}
+
+
+def above_a_limit(field):
+    return (field > LIMIT["above"]).sum()
+
+
+class Slotted:
+    __slots__ = ("limit",)
+
+    def __init__(self, limit):
+        self.limit = limit
+
+
+def test_what_a_function_reads_and_an_object_holds_counts(monkeypatch):
+    first = fingerprint(above_a_limit)
+    monkeypatch.setitem(LIMIT, "above", 0.4)
+    assert fingerprint(above_a_limit) != first
+    x = np.arange(4.0)
+    pairs = [
+        (Slotted(0.3), Slotted(0.4)),
+        (PchipInterpolator(x, x**2), PchipInterpolator(x, x**3)),
+        (np.poly1d([1.0, 2.0]), np.poly1d([1.0, 2.0 + 1e-10])),
+        (torch.nn.Linear(2, 2), torch.nn.Linear(2, 2)),
+        ({1: 0}, {"1": 0}),
+        ({1: x, "1": x}, {1: x, "1": 2 * x}),
+    ]
+    for one, other in pairs:
+        assert fingerprint(one) == fingerprint(one) != fingerprint(other)
+    assert fingerprint(2100, 20.0, Path("a")) == fingerprint(2100.0, 20, "a")
+    assert fingerprint({"most", "largest"}) == fingerprint({"largest", "most"})
+    assert fingerprint(torch.ones(2, requires_grad=True)) == fingerprint(torch.ones(2))
+
+
+def test_a_motion_from_rest_is_of_one_crack_and_of_moduli_of_one_field(tmp_path):
+    x = wp.damage.rectangle(12.0, 12.0, 1.0)
+    points = wp.Points(x, (np.abs(x) < 2).all(axis=1), 1.0)
+    model = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, certified_on=(1.0,))
+    wave = {"density": 2000.0, "step": 0.002, "checkpoint_every": 1}
+
+    def cut(tip, steps, path):
+        problem = wp.Cracked(points, cracks=[[(-6.5, 0.0), (tip, 0.0)]])
+        return wp.move(model, problem, **wave, steps=steps, checkpoint=path)
+
+    cut(0.0, 2, tmp_path / "crack.h5")
+    cut(0.0, 3, tmp_path / "crack.h5")
+    with pytest.raises(wp.InputError, match="expected a checkpoint of this motion"):
+        cut(3.0, 4, tmp_path / "crack.h5")
+    at_rest, path = wp.Dirichlet(points, None, 0 * x), tmp_path / "field.h5"
+    for number, size in enumerate((0.1, 0.1, 0.2)):
+        operator = model.on(points, mu=0.4 + size * np.sin(x[:, 0]) ** 2)
+        how = {**wave, "steps": 2 + number, "checkpoint": path}
+        if size == 0.2:
+            with pytest.raises(wp.InputError, match="expected a checkpoint of this motion"):
+                wp.move(operator, at_rest, **how)
+        else:
+            wp.move(operator, at_rest, **how)
+
+
+def test_the_last_step_is_written_whatever_is_recorded(tmp_path):
+    points, path = lattice(6, 2.5), tmp_path / "run.h5"
+    how = {"density": 2000.0, "step": 0.003, "checkpoint": path}
+    problem = wp.Dirichlet(points, None, np.zeros_like(points.x))
+    for steps in (3, 25):
+        wp.move(kernel("positive", 2.5), problem, steps=steps, **how)
+        with h5py.File(path) as file:
+            assert json.loads(file["values"][()].tobytes())["steps"] == steps
 
 
 def materials(points):

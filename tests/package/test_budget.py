@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 25_910,
-    "tokens": 308_732,
-    "lines of warp_peri": 42_839,
+    "code lines": 25_949,
+    "tokens": 309_157,
+    "lines of warp_peri": 42_882,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 69_029,
+    "lines of warp_peri, kernels, examples and tools": 69_072,
     "lines of the longest file": 699,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -32,13 +32,13 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "cli": 1209,
-    "core": 1735,
+    "core": 1740,
     "damage": 1992,
     "diffusion": 339,
-    "dynamics": 525,
+    "dynamics": 530,
     "edges": 967,
-    "face": 976,
-    "files": 546,
+    "face": 978,
+    "files": 569,
     "fitting": 610,
     "learning": 1852,
     "lps": 1089,
@@ -47,7 +47,7 @@ ROOMS = {
     "neural": 1015,
     "points": 1927,
     "prediction": 886,
-    "ranks": 916,
+    "ranks": 920,
     "regression": 587,
     "sources": 943,
     "stability": 140,

@@ -31,7 +31,6 @@ from warp_peri.ranks import gather, lattice, partition, together
 from warp_peri.ranks.processes import total, world
 
 H = 0.5
-PAUSE = [0.0]
 
 
 def digest(values):
@@ -317,7 +316,7 @@ def crack(folder, by="rows", steps="60", pause="0"):
         wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")), 2.5, toughness=1e-4
     )
     ends = np.abs(x[:, 1]) > 9
-    PAUSE[0] = float(pause)  # a global, so no part of what a checkpoint knows a run by
+    os.environ["PAUSE"] = pause  # no part of what a checkpoint knows a run by
     if pause != "0":
         print("pids", *points.comm.allgather(os.getpid()), flush=True)
     motion = wp.move(
@@ -330,7 +329,7 @@ def crack(folder, by="rows", steps="60", pause="0"):
         no_fail=np.abs(x[:, 1]) > 7,
         regions={"top": x[:, 1] > 0},
         sections={"middle": [(-20.5, 6.0), (20.5, 6.0)]},
-        watch={"worst": lambda phi: time.sleep(PAUSE[0]) or phi.max()},
+        watch={"worst": lambda phi: time.sleep(float(os.environ["PAUSE"])) or phi.max()},
         checkpoint=folder / "state.h5",
         checkpoint_every=1,
         series=folder / "series",

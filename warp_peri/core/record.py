@@ -249,8 +249,13 @@ class Record(Shown):
         return found
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write a JSON file, whole or not at all."""
-        write_json(path, self.content())
+        """Write a JSON file, whole or not at all; InputError for what JSON does not know."""
+        try:
+            write_json(path, self.content())
+        except InputError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{path}: expected plain, finite values ({error})") from None
 
     def in_units(self, units: Any) -> Self:
         """The same with its numbers in other units; records of how it came to be stay.

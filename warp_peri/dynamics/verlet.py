@@ -36,6 +36,8 @@ KIND = "warp_peri.waves"
 """Of checkpoints."""
 INERTIA = 1e-8
 """1 kg/m³ in TPa ps²/Å²."""
+PROBE, SMALL = np.array([[1.3, -0.7, 2.1], [0.4, 1.9, -1.1], [-2.3, 0.6, 0.9]]), 1e-4
+"""Waves of a field that feels every bond, and its size in spacings."""
 
 
 def critical_time_step(
@@ -348,7 +350,7 @@ def marched(
             if record is not None:
                 seen.append((before.u[record] + state.u[record]) / 2)
         if kept is not None and (recorded or number + 1 == steps):
-            kept.reached(number + 1, state, energy, recorded=recorded)
+            kept.reached(number + 1, state, energy, recorded=recorded, last=number + 1 == steps)
     time = (np.arange(len(energy)) * every + 0.5) * dt
     history = {"energy": np.array(energy)} | ({} if record is None else {"u": np.array(seen)})
     if bent and bent > (proven := operator.model.proven_strain(operator.points.spacing)) > 0:
@@ -386,8 +388,10 @@ class KeptMotion:
         if self.file is None:
             return state, 0, []
         body, v = self.body, self.body.on_all(state.v)
-        ahead = state.u + self.dt * v  # feels the law, wherever it begins
-        fields = state.u, v, body.on_all(body.operator(ahead) - body.load)
+        x = body.operator.points.x
+        probe = np.sin(x @ PROBE[: x.shape[1], : x.shape[1]] / body.operator.points.spacing)
+        felt = body.operator(state.u + SMALL * body.operator.points.spacing * probe)
+        fields = state.u, v, body.on_all(felt - body.load)  # the law, cracks, moduli of nodes
         sizes = self.dt, body.inertia, self.every
         of: Any = body.operator
         known = fingerprint(of.model, of.points.units, of.points.axis, body.signal)
@@ -407,13 +411,15 @@ class KeptMotion:
         there = body.state(arrays["u"], arrays["v"][body.interior], values["steps"])
         return there, values["steps"], values["energy"]
 
-    def reached(self, done: int, state: State, energy: list[float], *, recorded: bool) -> None:
+    def reached(
+        self, done: int, state: State, energy: list[float], *, recorded: bool, last: bool
+    ) -> None:
         """After so many steps: a record, or the end."""
         nodal = {"u": state.u, "v": self.body.on_all(state.v)}
         if self.series is not None and recorded:
             fields = {"displacement": nodal["u"], "velocity": nodal["v"]}
             self.series.write(done, done * self.dt, fields)
-        if self.file is not None and (not recorded or len(energy) % self.often == 0):
+        if self.file is not None and (last or len(energy) % self.often == 0):
             values = {"mark": self._mark, "steps": done, "energy": energy}
             times = {} if self.series is None else self.series.times
             self.file.write(nodal, values | {"files": times})

@@ -90,8 +90,8 @@ def fingerprint(*parts: Any) -> str:
 
     Arrays count with kind and shape; data classes (points, samples, settings, problems) with all
     their fields, so that none is forgotten; materials with what their file holds; functions with
-    their code and what it encloses; other objects with their attributes; numbers alike whatever
-    type they are of. The version of the library counts, too.
+    their code and the values that it reads; other objects with their attributes; numbers alike
+    whatever type they are of. The version of the library counts, too.
     """
     digest = hashlib.sha256(__version__.encode())
     for text in _spelled(parts):
@@ -101,43 +101,66 @@ def fingerprint(*parts: Any) -> str:
 
 def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
     """What tells a value from others, bit by bit; `above` are those that it is a part of."""
-    if hasattr(part, "numpy") and not isinstance(part, type):  # of torch and Warp
+    if hasattr(part, "detach"):  # of torch
+        part = part.detach().cpu()
+    if hasattr(part, "numpy") and not isinstance(part, type):  # and of Warp
         part = part.numpy()
     inside = above | {id(part)}
     if isinstance(part, (bool, int, float, np.number, np.bool_)):
-        yield repr(float(part) if isinstance(part, (float, np.floating)) else int(part)).encode()
+        number = float(part)
+        yield repr(int(part) if number.is_integer() else number).encode()
     elif isinstance(part, np.ndarray) and part.dtype != object:
         yield from (part.dtype.str.encode(), repr(part.shape).encode(), part.tobytes())
     elif id(part) in above:
         yield b"above"
     elif isinstance(part, Mapping):
-        yield from _spelled(sorted((str(key), value) for key, value in part.items()), inside)
+        named = sorted(((repr(key), key) for key in part), key=lambda pair: pair[0])
+        yield from _spelled([(name, part[key]) for name, key in named], inside)
+    elif isinstance(part, (set, frozenset)):
+        yield b"set"
+        yield from _spelled(sorted(map(fingerprint, part)), inside)
     elif isinstance(part, (list, tuple, np.ndarray)):
-        yield str(len(part)).encode()
+        yield f"{len(part)} of".encode()
         for one in part:
             yield from _spelled(one, inside)
     elif inspect.iscode(part):
         yield part.co_code
         yield from _spelled([part.co_consts, part.co_names], inside)
     elif inspect.isroutine(part) and hasattr(part, "__code__"):
-        enclosed = inspect.getclosurevars(part).nonlocals  # of a bound method none
         given = getattr(part, "__defaults__", None), getattr(part, "__kwdefaults__", None)
         bound = getattr(part, "__self__", None)
-        yield from _spelled([part.__code__, given, enclosed, bound], inside)
+        yield from _spelled([part.__code__, given, _read_by(part), bound], inside)
     elif isinstance(part, partial):
         yield from _spelled([part.func, part.args, part.keywords], inside)
-    elif not isinstance(part, type) and hasattr(part, "content"):
-        # a function that is in no file is what makes a material of one's own
-        yield from _spelled([_lasting(part.content()), getattr(part, "energy", None)], inside)
-    elif dataclasses.is_dataclass(part) and not isinstance(part, type):
+    elif isinstance(part, (str, bytes, os.PathLike)):
+        yield repr(os.fspath(part)).encode()
+    elif isinstance(part, type):
+        yield f"{part.__module__}.{part.__qualname__}".encode()
+    elif hasattr(part, "content"):
+        yield from _spelled(_lasting(part.content()), inside)
+        yield from _spelled(getattr(part, "state_dict", dict)(), inside)  # of networks
+    elif dataclasses.is_dataclass(part):
         yield type(part).__name__.encode()
         fields = (field.name for field in dataclasses.fields(part))
         yield from _spelled([(name, getattr(part, name)) for name in fields], inside)
     else:
-        text = repr(part)
-        yield re.sub(r" at 0x[0-9a-f]+", "", text).encode()
-        if " object at 0x" in text:
-            yield from _spelled(getattr(part, "__dict__", None), inside)
+        yield re.sub(r" at 0x[0-9a-f]+", "", repr(part)).encode()
+        slots = (getattr(kind, "__slots__", ()) for kind in type(part).__mro__)
+        names = [name for some in slots for name in ([some] if isinstance(some, str) else some)]
+        own = {name: getattr(part, name, None) for name in names if name[:2] != "__"}
+        yield from _spelled(own | getattr(part, "__dict__", {}), inside)
+
+
+def _read_by(function: Any) -> dict[str, Any]:
+    """What a function encloses, and the values that it reads of its module."""
+    found = inspect.getclosurevars(function)
+    home = getattr(function, "__module__", None)
+    read = {
+        name: one
+        for name, one in found.globals.items()
+        if not inspect.ismodule(one) and (not callable(one) or one.__module__ == home)
+    }
+    return {**read, **found.nonlocals}
 
 
 def _lasting(content: Any) -> Any:
@@ -224,7 +247,7 @@ class RunFile:
                 values = parsed(text.tobytes())
             except ValueError as error:
                 raise InputError(f"{self.path}: not a readable checkpoint ({error})") from None
-        if attributes.get("mark") != self._mark({n: found[n][nodes.own] for n in found}, text):
+        if str(attributes.get("mark")) != self._mark({n: found[n][nodes.own] for n in found}, text):
             raise InputError(f"{self.path}: the contents are not what was written")
         return found, values
 
@@ -311,6 +334,8 @@ def read_arrays(
                     for name in place:
                         one = file[name]
                         laid[name] = one.id.get_offset(), one.shape, one.dtype
+                        if one.dtype.kind not in "biuf":
+                            raise ValueError(f"{name} holds no numbers")
                         if laid[name][0] + one.nbytes > os.path.getsize(path):
                             raise ValueError(f"{name} has more bytes than the file")
                         if comm is ALONE:

@@ -99,13 +99,17 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
 
     Raises InputError on all, before anything is sent that depends on what was given.
     """
-    asked = {f.name: getattr(problem, f.name) for f in fields(problem)} | dict(options)
-    nodal = [name for name in NODAL if np.ndim(asked.get(name, 0)) > 0]
-    stacked = {name: np.shape(asked.pop(name))[:-2] for name in nodal}
-    regions = sorted(asked.pop("regions", None) or ())
-    asked = {name: one for name, one in asked.items() if name not in NODAL}
+    comm = problem.points.comm
+    with agreed(comm):
+        asked = {f.name: getattr(problem, f.name) for f in fields(problem)} | dict(options)
+        given = {name: asked.pop(name, None) for name in NODAL}
+        try:
+            stacked = [given[n] is not None and np.shape(given[n])[:-2] for n in ("b", "u")]
+        except ValueError as error:
+            raise InputError(f"b, u: expected arrays ({error})") from None
+        regions = sorted(asked.pop("regions", None) or ())
     kind = type(problem).__name__
-    same(problem.points.comm, material=material, problem=(kind, stacked, regions), **asked)
+    same(comm, material=material, problem=(kind, stacked, regions), **asked)
 
 
 def solved(
