@@ -18,6 +18,7 @@ from tests.support import cubes
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.damage import lattice_body
 from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.files.checkpoint import ALONE
 from warp_peri.micromodulus import tensors_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -586,7 +587,7 @@ def test_what_would_lose_a_gradient_says_so(made):
         lambda: op.load(leaf),
         lambda: op.product(leaf, leaf),
         lambda: op.stress(leaf),
-        lambda: wp.move(op, wp.Dirichlet(SimpleNamespace(comm=None), leaf, leaf)),  # ranks
+        lambda: wp.move(op, wp.Dirichlet(SimpleNamespace(comm=ALONE), leaf, leaf)),  # ranks
     ):
         with pytest.raises(wp.InputError, match="gradient"):
             lost()
