@@ -35,9 +35,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
     True
     """
     solved = offered(problem, "solved", "solve", PROBLEMS)
-    if _on_ranks(problem) or not hasattr(problem, "learns"):
-        with agreed(getattr(getattr(problem, "points", None), "comm", ALONE)):
-            refuse_learning(problem, options, "solve")
+    _refuse_learning(problem, options, "solve")
     if _on_ranks(problem):
         return told(lambda: problem.points.solve(material, problem, solver, options))
     return told(uncompiled(lambda: solved(material, solver, options)))
@@ -63,12 +61,17 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     (441, 2)
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
-    if _on_ranks(problem) or not hasattr(problem, "learns"):
-        with agreed(getattr(getattr(problem, "points", None), "comm", ALONE)):
-            refuse_learning(problem, options, "move")
+    _refuse_learning(problem, options, "move")
     if _on_ranks(problem):
         return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
     return uncompiled(moved)(material, options)  # type: ignore[no-any-return]
+
+
+def _refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
+    """Where a problem has no gradient InputError for tensors that ask for one, on all ranks."""
+    if _on_ranks(problem) or not hasattr(problem, "learns"):
+        with agreed(problem.points.comm if _on_ranks(problem) else ALONE):
+            refuse_learning(problem, options, verb)
 
 
 def _on_ranks(problem: Any) -> bool:

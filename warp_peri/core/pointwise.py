@@ -84,7 +84,7 @@ class Pointwise(OnPoints):
         numbers: Mapping[str, Any] | None = None,
     ) -> None:
         self.points, self.density, self.has_energy = nodes_of(points), density, back is None
-        self._steps, d = steps, steps.shape[1]
+        d = steps.shape[1]
         ball = half_ball(horizon / self.points.spacing, d)
         ball = np.concatenate([ball, -ball, 0 * ball[:1]])
         far = (ball[:, None] + np.concatenate([steps, -steps])).reshape(-1, d)

@@ -209,8 +209,8 @@ class BreakingBody:
 
     def share(self, time: float) -> float:
         """The ramp at a time; InputError where it is no number."""
-        value = 1.0 if self.ramp is None else self.ramp(time)
-        return float(checked(f"ramp at t = {time:g}", value, float, ()))
+        ramp, name = self.ramp, f"ramp at t = {time:g}"
+        return 1.0 if ramp is None else float(checked(name, ramp(time), float, ()))
 
     def start(
         self,

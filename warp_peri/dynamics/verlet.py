@@ -388,14 +388,13 @@ class KeptMotion:
         if self.file is None:
             return state, 0, []
         body, v = self.body, self.body.on_all(state.v)
-        x = body.operator.points.x
-        probe = np.sin(x @ PROBE[: x.shape[1], : x.shape[1]] / body.operator.points.spacing)
-        felt = body.operator(state.u + SMALL * body.operator.points.spacing * probe)
-        fields = state.u, v, body.on_all(felt - body.load)  # the law, cracks, moduli of nodes
-        sizes = self.dt, body.inertia, self.every
         of: Any = body.operator
+        x, h = of.points.x, of.points.spacing
+        probe = SMALL * h * np.sin(x @ PROBE[: x.shape[1], : x.shape[1]] / h)
+        felt = of(state.u + probe) - body.load  # of the law, cracks, moduli of nodes
         known = fingerprint(of.model, of.points.units, of.points.axis, body.signal)
-        self._mark = self.nodes.mark(*fields, of.points.x, body.interior, *sizes, known)
+        sizes = self.dt, body.inertia, self.every
+        self._mark = self.nodes.mark(state.u, v, body.on_all(felt), x, body.interior, *sizes, known)
         if (kept := self.file.read("u", "v")) is None:
             return state, 0, []
         arrays, values = kept

@@ -15,7 +15,7 @@ import numpy as np
 
 from warp_peri.core.stencil import central_weights
 from warp_peri.errors import InputError
-from warp_peri.fitting.rows import load_sizes
+from warp_peri.fitting.rows import over_loads
 from warp_peri.points.lattice import lattice_steps, neighbour_table
 from warp_peri.points.samples import Samples
 
@@ -31,10 +31,6 @@ NOTHING = 1e-13
 
 def long_wave_moduli(samples: Samples, allowed: np.ndarray) -> tuple[np.ndarray, float]:
     """The elastic tensor that the longest waves of fields have (theory, T10).
-
-    Smooth test fields v that end before the nodes do see of a solid only its moduli:
-    Σ b·v = −Σ u·div(C : grad v), linear in C. Long waves dominate both sides, whatever else the
-    fields hold.
 
     Args:
         samples: fields and loads on a lattice, periodic or with a collar.
@@ -280,8 +276,7 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
     geometric = [one + more for one, more in zip(linear, felt)]
     table = np.stack([*linear, *geometric, *bent, *six, *felt[2:]], axis=-1)
     values = derived(lines, np.zeros(2, dtype=int))
-    size = load_sizes(samples)
-    weight = np.divide(1, size, out=np.zeros_like(size), where=size > 0)[:, None, None]
+    weight = over_loads(samples)[:, None, None]
     return table * weight[..., None], weight * np.einsum("vn,snk->svk", values, b, optimize=True)
 
 
