@@ -5,14 +5,11 @@ from __future__ import annotations
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
-from xml.etree.ElementTree import Element, ElementTree, SubElement
 
-import h5py
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import whole_file
-from warp_peri.files.series import in_space, item, meshio_of, write_vtu
+from warp_peri.files.series import in_space, meshio_of, write_vtu
 from warp_peri.lps.matrices import node_fields
 from warp_peri.lps.model import Model
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
@@ -20,7 +17,6 @@ from warp_peri.points.samples import PointsLike, Samples, nodes_of
 if TYPE_CHECKING:
     from warp_peri.edges.body import BodySolution
 
-XDMF_CELLS = {"quad": "Quadrilateral", "hexahedron": "Hexahedron", "vertex": "Polyvertex"}
 AROUND = {
     2: ("quad", ((0, 0), (1, 0), (1, 1), (0, 1))),
     3: (
@@ -29,16 +25,10 @@ AROUND = {
     ),
 }
 """Cells of a lattice and the steps to their corners, in VTK's order."""
-XDMF_TYPES = {1: "Scalar", 3: "Vector", 6: "Matrix"}  # of Tensor6 readers permute the components
 
 
 def write_fields(
-    folder: str | os.PathLike[str],
-    model: Any,
-    points: Samples,
-    u: np.ndarray,
-    *,
-    format: str = "vtu",
+    folder: str | os.PathLike[str], model: Any, points: Samples, u: np.ndarray
 ) -> list[Path]:
     """What a displacement does, and how far off it is, for ParaView.
 
@@ -54,21 +44,27 @@ def write_fields(
         model: a material.
         points: the set, with u to compare, and b where it is known.
         u: displacement [Å], shape [S, N, d].
-        format: "vtu" for one file a sample, sample_0000.vtu and so on; "xdmf" for one file with
-            the samples as time steps 0 to S - 1, samples.xdmf, and its arrays in samples.h5.
 
-    Raises InputError for another format, for "vtu" without meshio (the extra `export`) or into a
-    folder where more samples than S lie already, which ParaView would show as one group, or as
-    node_fields does.
+    Returns:
+        One file for each sample, sample_0000.vtu and so on.
+
+    Raises InputError without meshio (the extra `export`), for a folder where more samples than S
+    lie already, which ParaView would show as one group, or as node_fields does.
     """
-    writers = {"vtu": _write_vtu, "xdmf": _write_xdmf}
-    if format not in writers:
-        raise InputError(f"format: expected one of {', '.join(writers)}, got {format!r}")
+    meshio_of()
     u = np.asarray(u, dtype=float)
     if u.shape != points.u.shape:
         raise InputError(f"u: expected the samples of the set, {points.u.shape}, got {u.shape}")
-    x = in_space(points.x)
-    return writers[format](Path(folder), x, *_cells(points), _samples(model, points, u))
+    folder, cells = Path(folder), _cells(points)
+    paths = [folder / f"sample_{s:04d}.vtu" for s in range(len(u))]
+    if left := sorted(set(folder.glob("sample_*.vtu")) - set(paths)):
+        raise InputError(
+            f"{folder}: expected a folder without samples of another export, "
+            f"got {left[0].name}; remove it or name another folder"
+        )
+    for path, data in zip(paths, _samples(model, points, u)):
+        write_vtu(path, points.x, cells, data)
+    return paths
 
 
 def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, float]:
@@ -90,71 +86,6 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
         "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
         "largest_stress": float(np.linalg.eigvalsh(stress).max()),
     }
-
-
-def _write_vtu(
-    folder: Path, x: np.ndarray, kind: str, cells: np.ndarray, samples: list[dict[str, np.ndarray]]
-) -> list[Path]:
-    asked = {"instead": ", or take xdmf"}
-    meshio_of(**asked)
-    paths = [folder / f"sample_{s:04d}.vtu" for s in range(len(samples))]
-    left = sorted(set(folder.glob("sample_*.vtu")) - set(paths))
-    if left:
-        raise InputError(
-            f"{folder}: expected a folder without samples of another export, "
-            f"got {left[0].name}; remove it or name another folder"
-        )
-    return [write_vtu(path, x, (kind, cells), data, **asked) for path, data in zip(paths, samples)]
-
-
-def _write_xdmf(
-    folder: Path, x: np.ndarray, kind: str, cells: np.ndarray, samples: list[dict[str, np.ndarray]]
-) -> list[Path]:
-    """The samples as time steps; there is never a samples.xdmf beside another export's arrays.
-
-    Every step names nodes and cells again, though they are stored once: where steps include them
-    from one place, as meshio writes it, one of ParaView's readers shows each mesh twice.
-    """
-    light, heavy = folder / "samples.xdmf", folder / "samples.h5"
-    root = Element("Xdmf", Version="3.0")
-    steps = SubElement(
-        SubElement(root, "Domain"),
-        "Grid",
-        Name="samples",
-        GridType="Collection",
-        CollectionType="Temporal",
-    )
-    with (
-        whole_file(light) as xml,
-        whole_file(heavy) as hdf,
-        h5py.File(hdf, "w", locking=False) as arrays,
-    ):
-
-        def laid(parent: Element, name: str, values: np.ndarray) -> None:
-            if name not in arrays:
-                arrays[name] = values
-            kind = "Float" if values.dtype.kind == "f" else "Int"
-            item(parent, values.shape, f"{heavy.name}:/{name}", kind, values.dtype.itemsize)
-
-        for s, data in enumerate(samples):
-            grid = SubElement(steps, "Grid", Name=f"sample_{s:04d}", GridType="Uniform")
-            SubElement(grid, "Time", Value=str(s))
-            laid(SubElement(grid, "Geometry", GeometryType="XYZ"), "nodes", x)
-            topology = SubElement(
-                grid, "Topology", TopologyType=XDMF_CELLS[kind], NumberOfElements=str(len(cells))
-            )
-            if kind == "vertex":
-                topology.set("NodesPerElement", "1")
-            laid(topology, "cells", cells)
-            for name, values in data.items():
-                columns = values.size // len(x)
-                attribute = SubElement(
-                    grid, "Attribute", Name=name, Center="Node", AttributeType=XDMF_TYPES[columns]
-                )
-                laid(attribute, f"sample_{s:04d}/{name}", values)
-        ElementTree(root).write(xml)
-        light.unlink(missing_ok=True)  # an old one must not meet the new arrays
-    return [light, heavy]
 
 
 def _samples(model: Any, points: Samples, u: np.ndarray) -> list[dict[str, np.ndarray]]:

@@ -6,7 +6,9 @@ from typing import Any
 
 from warp_peri.contract import offered, uncompiled
 from warp_peri.dynamics.motion import Motion, refuse_learning
+from warp_peri.files.atomic import as_path
 from warp_peri.files.checkpoint import ALONE, agreed
+from warp_peri.points.arrays import check_flag, check_mapping
 from warp_peri.statics.solution import Solution, Solver, told
 
 PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
@@ -35,7 +37,7 @@ def solve(material: Any, problem: Any, *, solver: Solver = None, **options: Any)
     True
     """
     solved = offered(problem, "solved", "solve", PROBLEMS)
-    _refuse_learning(problem, options, "solve")
+    _check(problem, options, "solve")
     if _on_ranks(problem):
         return told(lambda: problem.points.solve(material, problem, solver, options))
     return told(uncompiled(lambda: solved(material, solver, options)))
@@ -61,16 +63,29 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     (441, 2)
     """
     moved = offered(problem, "moved", "move", "a problem that moves, as Dirichlet(points, b, u)")
-    _refuse_learning(problem, options, "move")
+    _check(problem, options, "move")
     if _on_ranks(problem):
         return problem.points.move(material, problem, options)  # type: ignore[no-any-return]
     return uncompiled(moved)(material, options)  # type: ignore[no-any-return]
 
 
-def _refuse_learning(problem: Any, options: dict[str, Any], verb: str) -> None:
-    """Where a problem has no gradient InputError for tensors that ask for one, on all ranks."""
-    if _on_ranks(problem) or not hasattr(problem, "learns"):
-        with agreed(problem.points.comm if _on_ranks(problem) else ALONE):
+FLAGS = {"transfer", "allow_uncertified", "allow_unstable", "count_cracks"}
+"""Options that are True or False."""
+
+
+def _check(problem: Any, options: dict[str, Any], verb: str) -> None:
+    """InputError, on all ranks, for options of another kind than their names say, and for tensors
+    that ask for a gradient of a problem that has none."""
+    with agreed(problem.points.comm if _on_ranks(problem) else ALONE):
+        for name in FLAGS & options.keys():
+            check_flag(name, options[name])
+        for name in {"parameters", "watch", "regions", "sections"} & options.keys():
+            if options[name] is not None:
+                check_mapping(name, options[name])
+        for name in {"checkpoint", "series"} & options.keys():
+            if options[name] is not None:
+                as_path(name, options[name])
+        if _on_ranks(problem) or not hasattr(problem, "learns"):
             refuse_learning(problem, options, verb)
 
 

@@ -144,3 +144,82 @@ def test_parameters_are_real_numbers_of_the_shape_that_they_have(name):
             with pytest.raises(wp.InputError) as told:
                 wp.solve(operator, problem, parameters={which: bad})
             assert str(told.value).startswith((which, "parameters")), kind
+
+
+WRONG_OPTIONS = {
+    "parameters": (3, "mu", {3: 1.0}),
+    "transfer": ("no", 3, None),
+    "allow_uncertified": ("no", 3, None),
+    "record": ("a", 1j, [0, 10**6], {"a": 1}, [[1], [2, 3]]),
+    "series": ("", 3, True, b"", []),
+    "checkpoint": ("", 3, True, b"", 1.5),
+    "every": (1e300, 0, 1.5, "a", None, np.inf),
+    "checkpoint_every": (1e300, "a"),
+    "step": ("a", None, 1j, np.nan, True),
+    "density": ("a", None, 1j, np.nan, True),
+}
+
+
+@pytest.mark.parametrize("option", WRONG_OPTIONS)
+def test_options_of_a_motion(option):
+    name = next(name for name in LAWS if name.startswith("LPS"))
+    points, material = LAWS[name].points(5), LAWS[name].material()
+    problem = wp.Dirichlet(points, None, 1e-4 * points.x)
+    for bad in WRONG_OPTIONS[option]:
+        given = {"density": 1.0, "step": 1e-9, "steps": 2} | {option: bad}
+        with pytest.raises(wp.InputError, match=f"^{option}:"):
+            wp.move(material, problem, **given)
+        if option in ("parameters", "transfer", "allow_uncertified"):
+            with pytest.raises(wp.InputError, match=f"^{option}:"):
+                wp.solve(material, problem, **{option: bad})
+
+
+WRONG_OF_BREAKING = {
+    "count_cracks": ("no", 1),
+    "allow_unstable": ("no", 1),
+    "ramp": (3.0, "a"),
+    "watch": ({"a": 3}, 3, ["a"]),
+    "regions": (3, ["a"], {"a": [1, [2]]}, {"a": [0, 1]}),
+    "sections": (3, ["a"]),
+    "every": (1e300, "a"),
+    "checkpoint": (3, ""),
+    "series": (3, ""),
+}
+
+
+@pytest.mark.parametrize("option", WRONG_OF_BREAKING)
+def test_options_of_a_body_that_breaks(option):
+    points, u, _ = cracked(7.0)
+    for bad in WRONG_OF_BREAKING[option]:
+        with pytest.raises(wp.InputError, match=f"^{option.rstrip('s')}"):
+            wp.move(solid(), Cracked(points, u=u), **{"step": 1e-4, "steps": 2, option: bad})
+    for bad in ("no", 1, None):
+        with pytest.raises(wp.InputError, match="^corrected: expected True or False"):
+            Cracked(points, u=u, corrected=bad)
+
+
+def test_what_points_samples_and_data_sets_are_made_of():
+    x = np.indices((3, 3)).reshape(2, -1).T * 1.0
+    inside = np.ones(len(x), bool)
+    boxes = ("a", 3.0, (1.0,), (0, 0), (-1.0, 2.0), (np.nan, 1.0), ("a", "b"), (True, True), 1j)
+    for bad in boxes:
+        with pytest.raises(wp.InputError, match="^box: expected"):
+            wp.Points(x, inside, 1.0, box=bad)
+    for bad in ("a", [1, [2]], {"a": 1}, [[1, 2], [3]], True):
+        with pytest.raises(wp.InputError, match="^axis: expected"):
+            wp.Points(x, inside, 1.0, axis=bad)
+    points, u = wp.Points(x, inside, 1.0), 1e-3 * x[None]
+    for bad in (3, "x", {3: [1.0]}, {"a/b": [1.0]}, {"a": [[1], [2, 3]]}, {"a": object()}):
+        with pytest.raises(wp.InputError, match="^(arrays|a): "):
+            wp.Samples(points, u, u, bad)
+    for bad in (3, "x", {3: wp.Samples(points, u, u)}, {"a": u}, {"a": None}):
+        with pytest.raises(wp.InputError, match="^(sets|a): expected"):
+            wp.Dataset(bad, thickness=1.0, density=1.0)
+
+
+def test_a_list_of_masked_rows_is_masked():
+    name = next(name for name in LAWS if name.startswith("LPS"))
+    points, material = LAWS[name].points(5), LAWS[name].material()
+    hidden = [np.ma.masked_array(row, np.arange(len(row)) == 0) for row in points.x]
+    with pytest.raises(wp.InputError, match="^u: expected float values, got masked entries"):
+        material.on(points)(hidden)

@@ -3,9 +3,7 @@
 import json
 import sys
 from dataclasses import replace
-from xml.etree import ElementTree
 
-import h5py
 import meshio
 import numpy as np
 import pytest
@@ -63,63 +61,7 @@ def symmetric(six):
     return six[:, [[0, 3, 5], [3, 1, 4], [5, 4, 2]]]
 
 
-def test_xdmf_holds_what_the_vtu_files_hold(model, points, tmp_path):
-    u = 1.01 * points.u
-    singles = [meshio.read(path) for path in write_fields(tmp_path / "a", model, points, u)]
-    paths = write_fields(tmp_path / "b", model, points, u, format="xdmf")
-    assert [path.name for path in paths] == ["samples.xdmf", "samples.h5"]
-    moved = (tmp_path / "b").rename(tmp_path / "c")  # the two files belong together, not the place
-    assert sorted(path.name for path in moved.iterdir()) == ["samples.h5", "samples.xdmf"]
-    with meshio.xdmf.TimeSeriesReader(moved / "samples.xdmf") as reader:
-        x, cells = reader.read_points_cells()
-        np.testing.assert_array_equal(x, singles[0].points)
-        np.testing.assert_array_equal(cells[0].data, singles[0].cells_dict["quad"])
-        assert reader.num_steps == len(singles) == 2
-        for s, single in enumerate(singles):
-            time, data, _ = reader.read_data(s)
-            assert time == s
-            assert data.keys() == single.point_data.keys()
-            for name, values in data.items():
-                np.testing.assert_array_equal(values, single.point_data[name])
-
-
-def test_every_step_of_the_xdmf_file_stands_for_itself(model, points, tmp_path):
-    # what ParaView's readers need and meshio's does not look at
-    path, heavy = write_fields(tmp_path, model, points, points.u, format="xdmf")
-    steps = ElementTree.parse(path).findall("./Domain/Grid/Grid")
-    assert [step.find("Time").get("Value") for step in steps] == ["0", "1"]
-    with h5py.File(heavy) as arrays:
-        for step in steps:
-            kinds = {name.get("Name"): name.get("AttributeType") for name in step.iter("Attribute")}
-            assert kinds["stress"] == "Matrix"  # Tensor6 comes back permuted from XDMFReader
-            assert {"Geometry", "Topology"} <= {part.tag for part in step}
-            for item in step.iter("DataItem"):
-                file, _, place = item.text.partition(":")
-                assert file == "samples.h5"
-                array = arrays[place]
-                assert item.get("Dimensions") == " ".join(map(str, array.shape))
-                assert item.get("Precision") == str(array.dtype.itemsize)
-
-
-@pytest.mark.parametrize("broken", ["create_dataset", "write"])
-def test_a_failed_export_leaves_the_files_of_the_last(model, points, tmp_path, monkeypatch, broken):
-    paths = write_fields(tmp_path, model, points, points.u, format="xdmf")
-    before = [path.read_bytes() for path in paths]
-
-    def full(*_, **__):
-        raise OSError("No space left on device")
-
-    where = h5py.Group if broken == "create_dataset" else ElementTree.ElementTree
-    monkeypatch.setattr(where, broken, full)
-    with pytest.raises(OSError, match="No space left"):
-        write_fields(tmp_path, model, points, 2 * points.u, format="xdmf")
-    assert [path.read_bytes() for path in paths] == before
-    assert sorted(tmp_path.iterdir()) == sorted(paths)
-
-
-def test_refused_formats_and_folders(model, points, tmp_path):
-    with pytest.raises(InputError, match="expected one of vtu, xdmf, got 'vtk'"):
-        write_fields(tmp_path, model, points, points.u, format="vtk")
+def test_refused_folders(model, points, tmp_path):
     write_fields(tmp_path, model, points, points.u)
     single = replace(points, u=points.u[:1], b=points.b[:1])
     with pytest.raises(InputError, match=r"without samples .* got sample_0001\.vtu"):
@@ -154,10 +96,6 @@ def test_fields_in_space(law, tmp_path):
     )
     np.testing.assert_allclose(symmetric(mesh.point_data["stress"][inside])[0], expected)
     assert np.abs(expected[[1, 0], [2, 2]]).min() > 0  # YZ and XZ
-    light, _ = write_fields(tmp_path / "x", material, points, u, format="xdmf")
-    with meshio.xdmf.TimeSeriesReader(light) as reader:
-        _, (cells,) = reader.read_points_cells()
-    assert cells.type == "hexahedron"
 
 
 def test_a_crystal_from_the_shell(tmp_path, capsys):
@@ -193,11 +131,6 @@ def test_scattered_points_stand_alone(tmp_path):
     points = Samples(points, u)
     (path,) = write_fields(tmp_path, plain(3.0), points, u)
     assert list(meshio.read(path).cells_dict) == ["vertex"]
-    path, _ = write_fields(tmp_path, plain(3.0), points, u, format="xdmf")
-    with meshio.xdmf.TimeSeriesReader(path) as reader:
-        _, (cells,) = reader.read_points_cells()
-    assert cells.type == "vertex"
-    assert len(cells.data) == len(points.x)
 
 
 @pytest.mark.filterwarnings("ignore:transferred:UserWarning")
@@ -224,12 +157,6 @@ def test_the_command(model, points, tmp_path):
     mesh = meshio.read(tmp_path / "vtu" / "sample_0001.vtu")
     u = solve(model, points, points.b, points.u)
     np.testing.assert_allclose(mesh.point_data["displacement"][:, :2], u[1], atol=1e-12)
-    again = ["export", m, d, "--format", "xdmf", "--out", str(tmp_path / "x")]
-    assert main(again) == 0
-    with meshio.xdmf.TimeSeriesReader(tmp_path / "x" / "samples.xdmf") as reader:
-        reader.read_points_cells()
-        _, data, _ = reader.read_data(1)
-    np.testing.assert_allclose(data["displacement"][:, :2], u[1], atol=1e-12)
     assert main(["export", "--config", str(tmp_path / "vtu" / "export.toml")]) == 0
 
 

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 25_947,
-    "tokens": 309_106,
-    "lines of warp_peri": 42_879,
+    "code lines": 25_915,
+    "tokens": 308_879,
+    "lines of warp_peri": 42_845,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 69_069,
+    "lines of warp_peri, kernels, examples and tools": 69_035,
     "lines of the longest file": 699,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -31,21 +31,21 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "cli": 1209,
+    "cli": 1205,
     "core": 1740,
-    "damage": 1992,
+    "damage": 1993,
     "diffusion": 339,
     "dynamics": 529,
     "edges": 967,
-    "face": 978,
-    "files": 569,
+    "face": 932,
+    "files": 573,
     "fitting": 609,
     "learning": 1852,
     "lps": 1089,
     "materials": 2854,
     "micromodulus": 1065,
     "neural": 1015,
-    "points": 1927,
+    "points": 1940,
     "prediction": 886,
     "ranks": 920,
     "regression": 587,

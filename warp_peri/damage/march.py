@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,10 @@ from tqdm import tqdm
 from warp_peri.damage.lattice_body import HAIR, cells, crossing_bonds, size_and_normal
 from warp_peri.damage.motion import BreakingBody, BreakingState, check_step, step
 from warp_peri.errors import InputError
+from warp_peri.files.atomic import as_path
 from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
-from warp_peri.points.arrays import check_whole, checked
+from warp_peri.points.arrays import check_mapping, check_whole, checked
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""
@@ -157,25 +157,27 @@ class CrackRun:
         with agreed(comm):
             check_step(body, step, allow_unstable=allow_unstable)
             check_whole("every", every, 1)
-            if not isinstance(watch, Mapping | None):
+            for name, given in (("watch", watch), ("regions", regions), ("sections", sections)):
+                check_mapping(name, given or {})
+            if not all(map(callable, (watch or {}).values())):
                 raise InputError(f"watch: expected functions by name, got {watch!r:.50}")
             check_whole("checkpoint_every", checkpoint_every, 1)
-            self.regions = {name: np.asarray(mask) for name, mask in (regions or {}).items()}
-            for name, mask in self.regions.items():
-                if mask.shape != (len(x),) or mask.dtype != bool:
-                    raise _no_region(name, mask, len(x))
+            self.regions = {
+                name: checked(f"region {name}", mask, bool, (len(x),))
+                for name, mask in (regions or {}).items()
+            }
             lines = (sections or {}).items()
             self.sections = {name: Section(body, line, own) for name, line in lines}
         self._size = {name: int(comm.allreduce(int(m.sum()))) for name, m in self.regions.items()}
         for name, size in self._size.items():
             if not size:
-                raise _no_region(name, self.regions[name], len(x))
+                raise InputError(f"region {name}: expected one node or more, got none")
         for section in self.sections.values():
             if not comm.allreduce(section.count):
                 raise no_section(section.ends)
         self.body, self.dt, self.every = body, float(step), int(every)
         self.watch = dict(watch or {})
-        self.path = None if checkpoint is None else Path(checkpoint)
+        self.path = None if checkpoint is None else as_path("checkpoint", checkpoint)
         self.checkpoint_every = int(checkpoint_every)
         self.series = None
         if series is not None and comm is ALONE:
@@ -297,7 +299,7 @@ class CrackRun:
                 "name another file for a shorter run"
             )
 
-    def _save(self, path: Path, state: BreakingState) -> None:
+    def _save(self, path: Any, state: BreakingState) -> None:
         own = self.nodes.own
         arrays = {name: getattr(state, name).numpy() for name in NODAL}
         arrays |= {"dissipated": state.dissipated, "whole": state.whole, "left": self._left(state)}
@@ -330,10 +332,3 @@ class CrackRun:
         if self.series is not None:
             self.series.times = content["files"]
         return state
-
-
-def _no_region(name: str, mask: np.ndarray, count: int) -> InputError:
-    return InputError(
-        f"regions: expected some of {count} nodes as bool, got {name!r} of shape "
-        f"{list(mask.shape)} with {np.count_nonzero(mask)}"
-    )

@@ -198,6 +198,8 @@ class BreakingBody:
                 raise InputError(
                     "corrected: expected a linear peridynamic solid whose bonds break at a stretch"
                 )
+        if not (ramp is None or callable(ramp)):
+            raise InputError(f"ramp: expected a function of time, got {ramp!r:.50}")
         self.exchange: Callable[[wp.array[Any]], Callable[[], None]] | None = None
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:

@@ -18,7 +18,7 @@ from warp_peri.damage.slow_growth import grow
 from warp_peri.damage.softening import SoftBody
 from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arrays import check_flag, checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.solution import Direct, Krylov, Solution, refuse_solver
@@ -67,6 +67,9 @@ class Cracked:
     pressure: ArrayLike | None = None
     corrected: bool = False
     learns = True  # at rest, and pulled
+
+    def __post_init__(self) -> None:
+        check_flag("corrected", self.corrected)
 
     @property
     def held(self) -> np.ndarray:

@@ -310,7 +310,7 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
         if nodes.dtype != bool and (nodes < 0).any():  # NumPy counts these from the end
             raise IndexError(f"index {nodes.min()} is below 0")
         return np.asarray(np.arange(count)[nodes])
-    except (IndexError, TypeError) as error:
+    except (IndexError, TypeError, ValueError) as error:
         raise InputError(f"record: expected nodes among {count}: {error}") from None
 
 

@@ -25,7 +25,7 @@ import numpy as np
 
 from warp_peri import __version__
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import PART, destination, parsed, whole_file
+from warp_peri.files.atomic import PART, as_path, destination, parsed, whole_file
 
 Placed = tuple[np.ndarray, np.ndarray | None, int]
 """Rows [n, ...], their rising places in the whole or None for all, and how many it has."""
@@ -207,7 +207,7 @@ class RunFile:
     """
 
     def __init__(self, path: str | os.PathLike[str], kind: str, nodes: Any) -> None:
-        self.path, self.kind, self.nodes = Path(path), kind, nodes
+        self.path, self.kind, self.nodes = as_path("checkpoint", path), kind, nodes
 
     def write(self, nodal: Mapping[str, np.ndarray], values: Mapping[str, Any]) -> None:
         """Write arrays [n, ...] on the own nodes, and what JSON knows; all ranks come here."""

@@ -11,16 +11,13 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 import numpy as np
 
 from warp_peri.errors import optional
-from warp_peri.files.atomic import whole_file, write_text
+from warp_peri.files.atomic import as_path, whole_file, write_text
 from warp_peri.files.checkpoint import write_arrays
 
 
-def meshio_of(extra: str = "export", instead: str = "") -> Any:
-    """meshio, which writes VTU; InputError names the extra that brings it, and what goes without.
-
-    `extra` is its name and `instead` what is said beside it.
-    """
-    return optional("meshio", f"meshio is not installed: pip install 'warp_peri[{extra}]'{instead}")
+def meshio_of(extra: str = "export") -> Any:
+    """meshio, which writes VTU; InputError names the extra that brings it."""
+    return optional("meshio", f"meshio is not installed: pip install 'warp_peri[{extra}]'")
 
 
 def write_vtu(
@@ -28,7 +25,7 @@ def write_vtu(
     x: np.ndarray,
     cells: tuple[str, np.ndarray],
     data: Mapping[str, np.ndarray],
-    **asked: str,
+    extra: str = "export",
 ) -> Path:
     """Write nodes, cells of one kind and fields on the nodes; vectors in the plane get a third
     component.
@@ -38,9 +35,9 @@ def write_vtu(
         x: positions, shape [N, d].
         cells: their kind and nodes, shape [C, n].
         data: fields by name, shape [N, ...].
-        asked: of meshio_of.
+        extra: that brings meshio.
     """
-    meshio, data = meshio_of(**asked), {name: in_space(field) for name, field in data.items()}
+    meshio, data = meshio_of(extra), {name: in_space(field) for name, field in data.items()}
     with whole_file(path) as temporary:
         meshio.Mesh(in_space(x), [cells], point_data=data).write(temporary, "vtu")
     return Path(path)
@@ -70,7 +67,7 @@ class Series:
     ) -> None:
         if cells is not None:
             meshio_of()
-        self.folder, self.nodes, self.cells = Path(folder), nodes, cells
+        self.folder, self.nodes, self.cells = as_path("series", folder), nodes, cells
         self.x = in_space(nodes.x if x is None else x)
         self.times: dict[str, float] = {}
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,27 +13,31 @@ LARGEST = 1e100
 """Values above it are no data, and their squares soon no numbers."""
 
 
+MOST = 2**53
+"""Counts above it are none, nor whole numbers told apart in float64."""
+
+
 GRADIENT = "expected values without a gradient, which is not had here, got tensors with one"
 
 
-def _made(name: str, make: Callable[[Any], Any], value: Any) -> Any:
-    """An array of what a user gave; InputError for what makes none."""
+def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
+    """An array of what a user gave, masked where its parts are; InputError for what makes none."""
     try:
-        return make(value)
+        return np.ma.array(np.ma.asanyarray(value), copy=False)
     except RuntimeError:  # of torch, which would have the gradient thrown away
         raise InputError(f"{name}: {GRADIENT}") from None
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise InputError(f"{name}: expected an array ({error})") from None
 
 
 def plain(name: str, value: Any) -> np.ndarray:
     """An array of float64, whose values may be anything; InputError for a tensor whose gradient
     would be lost, for masked entries, complex numbers, text and objects."""
-    found = _made(name, np.asarray, value)
-    if found.dtype.kind not in "fiu" or np.ma.is_masked(value):
-        got = "masked entries" if np.ma.is_masked(value) else found.dtype
+    found = as_array(name, value)  # that of a list of masked arrays too
+    if found.dtype.kind not in "fiu" or np.ma.is_masked(found):
+        got = "masked entries" if np.ma.is_masked(found) else found.dtype
         raise InputError(f"{name}: expected float values, got {got}")
-    return np.asarray(found, dtype=float)
+    return np.asarray(found.data, dtype=float)
 
 
 def checked(
@@ -55,7 +59,7 @@ def checked(
     Raises InputError for complex numbers, text and objects, for masked entries, for numbers that
     are not finite or beyond LARGEST, and for another shape.
     """
-    masked = _made(name, np.ma.asanyarray, value)  # that of a list of masked arrays too
+    masked = as_array(name, value)  # that of a list of masked arrays too
     value = np.asarray(masked.data)
     if value.dtype.kind not in {bool: "b", int: "iu"}.get(kind, "fiu"):
         raise InputError(f"{name}: expected {kind.__name__} values, got {value.dtype}")
@@ -132,10 +136,22 @@ def check_positive(name: str, value: Any) -> None:
 
 
 def check_whole(name: str, value: Any, least: int) -> int:
-    """The whole number that it is; InputError for what is none from `least` on."""
-    if not (is_number(value) and value >= least and value % 1 == 0):
+    """The whole number that it is; InputError for what is none from `least` on, or no count."""
+    if not (is_number(value) and least <= value <= MOST and value % 1 == 0):
         raise InputError(f"{name}: expected a whole number ≥ {least}, got {value!r:.60}")
     return int(value)
+
+
+def check_flag(name: str, value: Any) -> None:
+    """Raise InputError for what is neither True nor False: a text "no" would count as true."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name}: expected True or False, got {value!r:.60}")
+
+
+def check_mapping(name: str, value: Any) -> None:
+    """Raise InputError for what is no mapping of names."""
+    if not (isinstance(value, Mapping) and all(isinstance(key, str) for key in value)):
+        raise InputError(f"{name}: expected values by name, as {{'name': …}}, got {value!r:.60}")
 
 
 def is_name(name: Any) -> bool:

@@ -17,7 +17,7 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5
-from warp_peri.points.arrays import check_positive, is_name, is_number
+from warp_peri.points.arrays import check_mapping, check_positive, is_name, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
@@ -48,11 +48,14 @@ class Dataset(Shown):
     def __post_init__(self) -> None:
         for name in ("thickness", "density"):
             check_positive(name, getattr(self, name))
+        check_mapping("sets", self.sets)
         if not self.sets:
             raise InputError("expected at least one point set, got none")
-        for name in self.sets:
+        for name, samples in self.sets.items():
             if not is_name(name):
                 raise InputError(f"sets: {name!r} cannot be the name of a set")
+            if not isinstance(samples, Samples):
+                raise InputError(f"{name}: expected Samples, got {type(samples).__name__}")
         if len({samples.points.units for samples in self.sets.values()}) > 1:
             named = ", ".join(
                 f"{name} in {' and '.join(samples.points.units)}"
@@ -328,7 +331,7 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
         fields["x"],
         fields["interior"],
         _attribute(group.attrs, "spacing"),
-        box=None if box is None else _periods(box),
+        box=box,
         outside=fields["outside"],
         units=units,
         axis=_axis(group.attrs) if "axis" in group.attrs else None,
@@ -340,12 +343,6 @@ def _axis(attributes: Mapping[str, Any]) -> Any:
     """A rotation in space, else a number."""
     turned = np.ndim(attributes["axis"]) == 2
     return attributes["axis"] if turned else _attribute(attributes, "axis")
-
-
-def _periods(value: Any) -> tuple[float, ...]:
-    if np.shape(value) not in ((2,), (3,)) or not np.isfinite(np.asarray(value, float)).all():
-        raise InputError(f"box: expected two or three periods, got {value!r}")
-    return tuple(float(side) for side in value)
 
 
 def _text(value: Any) -> Any:

@@ -77,7 +77,12 @@ class Points(Shown):
         if not (is_number(self.spacing) and np.isfinite(self.spacing) and self.spacing >= 0):
             raise InputError(f"spacing: expected a number ≥ 0, got {self.spacing!r}")
         object.__setattr__(self, "units", check_units(self.units))
-        if np.ndim(self.axis) == 2 and self.dimension == 3:
+        if self.box is not None:
+            box = checked("box", self.box, shape=(self.dimension,))
+            if not (box > 0).all():
+                raise InputError(f"box: expected periods > 0, got {self.box!r:.60}")
+            object.__setattr__(self, "box", tuple(box.tolist()))
+        if isinstance(self.axis, (list, tuple, np.ndarray)) and self.dimension == 3:
             turn = checked("axis", self.axis, shape=(3, 3))
             if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION:
                 raise InputError(f"axis: expected a rotation [3, 3], got {self.axis!r:.60}")

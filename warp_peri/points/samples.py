@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError, optional
-from warp_peri.points.arrays import checked, is_name
+from warp_peri.points.arrays import as_array, check_mapping, checked, is_name
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
 from warp_peri.shown import Shown
@@ -54,12 +54,14 @@ class Samples(Shown):
             count: int | str = "S" if name == "u" else len(self.u)
             field = checked(name, getattr(self, name), shape=(count, *self.x.shape))
             object.__setattr__(self, name, field)
+        check_mapping("arrays", self.arrays)
         for name, value in self.arrays.items():
             if name in FIELDS or not is_name(name):
                 raise InputError(f"arrays: {name!r} cannot be the name of an array")
-            if np.ndim(value) == 0 or len(value) != len(self.u):
+            found = as_array(name, value)
+            if found.ndim == 0 or len(found) != len(self.u):
                 raise InputError(f"{name}: expected one entry for each of {len(self.u)} samples")
-            if np.ma.is_masked(value):
+            if np.ma.is_masked(found):
                 raise InputError(f"{name}: expected values everywhere, got some that are masked")
 
     def __len__(self) -> int:
