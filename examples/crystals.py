@@ -25,14 +25,14 @@ from tools.crystal_void import Void, void, void_error
 from tools.crystals import RECIPES, force_constants, isotropic_lps, spacing_of
 from tools.options import Options
 from warp_peri import LPS, Bernstein, Micromodulus, Points, Samples
+from warp_peri.atoms.force_constants import ForceConstants
+from warp_peri.atoms.phonons import COLLAR, Loads, placed_errors, wave_loads
 from warp_peri.core.elastic import allowed_tensors, directional, named_moduli
 from warp_peri.core.groups import point_group
 from warp_peri.core.stencil import q1_tensors
 from warp_peri.errors import exit_status
 from warp_peri.methods import Optimum
 from warp_peri.micromodulus import Crystal, from_phonons, tensors_of
-from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.structures.phonons import COLLAR, Loads, placed_errors, wave_loads
 
 UNITS = ("angstrom", "TPa")
 CUBIC = {"GX": (1, 0, 0), "GK": (1, 1, 0), "GL": (1, 1, 1)}

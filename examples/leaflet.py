@@ -29,9 +29,9 @@ from tools.make_leaflet import Leaflet, make_leaflet, noisy
 from tools.options import Options
 from warp_peri import InputError, Samples
 from warp_peri.atoms import noise_of
+from warp_peri.atoms.dic import frames_of_folder
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import plain, write_json
-from warp_peri.sources.dic import frames_of_folder
 from warp_peri.tissue import (
     Dictionary,
     DisplacementFit,

@@ -23,13 +23,13 @@ from ase.calculators.emt import EMT
 import warp_peri as wp
 from tools.crystals import LEWIS_CATLOW
 from tools.options import Options
+from warp_peri.atoms.calculators import lammps_calculator
+from warp_peri.atoms.crystal_fit import errors_of, known_constants, with_errors
+from warp_peri.atoms.phonons import BORN, DIELECTRIC
+from warp_peri.atoms.relaxed import at_rest
 from warp_peri.core.elastic import allowed_tensors, named_moduli
 from warp_peri.core.groups import name_of, point_group
 from warp_peri.errors import exit_status
-from warp_peri.structures.calculators import lammps_calculator
-from warp_peri.structures.learn import errors_of, known_constants, with_errors
-from warp_peri.structures.phonons import BORN, DIELECTRIC
-from warp_peri.structures.rest import at_rest
 
 CRYSTALS = ("Al", "Cu", "Ni", "Si", "MgO")
 LEVELS = (0.0, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3)

@@ -23,11 +23,11 @@ from tools.loads import VALIDATION, Load, WaveLoad
 from tools.options import Options
 from tools.statics import Statics
 from warp_peri import load
+from warp_peri.atoms.calculators import potential_file
 from warp_peri.cli.main import main as warp_peri
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked, write_json
-from warp_peri.structures.calculators import potential_file
 
 ELEMENTS = ("B", "N")
 MASSES = [atomic_masses[atomic_numbers[name]] for name in ELEMENTS]

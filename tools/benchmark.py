@@ -48,6 +48,7 @@ from tools import (
 )
 from tools.options import Options
 from warp_peri import Points
+from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
@@ -55,7 +56,6 @@ from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.force import BLOCKS, lps_force
 from warp_peri.methods import Solid
 from warp_peri.points.families import families_of
-from warp_peri.structures.calculators import LammpsError, lammps_class
 
 HORIZON = 4.0
 """In spacings; 48 bonds a node on a lattice."""

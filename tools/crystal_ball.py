@@ -12,10 +12,10 @@ from scipy.spatial import cKDTree
 from tools.crystals import RECIPES, session
 from tools.lammps_session import SolidSession
 from warp_peri import Points, Samples
+from warp_peri.atoms.calculator_noise import EV_IN_TPA
+from warp_peri.atoms.force_constants import ForceConstants
+from warp_peri.atoms.phonons import CONE, smoothing
 from warp_peri.core.groups import point_group
-from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.structures.noise import EV_IN_TPA
-from warp_peri.structures.phonons import CONE, smoothing
 
 RADIUS, SEEN, INNER = 11.0, 8.6, 5.5
 """Of the ball, of the nodes that are smoothed cleanly, and of the unknowns, in spacings."""

@@ -20,9 +20,9 @@ from scipy.sparse.linalg import splu
 from tools.crystal_ball import at_rest, cut, lattice_inverse, response, seen, stiffness
 from tools.crystals import session
 from warp_peri import Points, Samples
+from warp_peri.atoms.force_constants import ForceConstants
+from warp_peri.atoms.phonons import CONE, relative
 from warp_peri.micromodulus import Crystal
-from warp_peri.micromodulus.force_constants import ForceConstants
-from warp_peri.structures.phonons import CONE, relative
 
 VOID, HELD, INNER = 2.6, 10.6, 7.0
 """Radii of the void, of the atoms that are held, and of the unknown nodes, in spacings."""

@@ -10,13 +10,9 @@ import numpy as np
 from scipy.optimize import least_squares, root
 
 from tools.lammps_session import SolidSession
+from warp_peri.atoms.force_constants import ForceConstants, finite_differences, from_supercell
 from warp_peri.core.stencil import bend, directions, half_ball, laplacian, zone_sample
 from warp_peri.micromodulus import Crystal, Polar
-from warp_peri.micromodulus.force_constants import (
-    ForceConstants,
-    finite_differences,
-    from_supercell,
-)
 
 HEIGHT = 40.0
 """Of the box around a sheet [Å]."""

@@ -9,7 +9,7 @@ import numpy as np
 from tools.graphene import THICKNESS, sheet
 from tools.lammps_session import LammpsSession
 from tools.statics import Statics
-from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
+from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 STRAIN = 1e-4
 CUBIC_STRAINS = (0.01, 0.03)

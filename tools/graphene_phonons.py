@@ -5,11 +5,7 @@ import numpy as np
 
 from tools.graphene import THICKNESS, bond_length, sheet
 from tools.lammps_session import LammpsSession
-from warp_peri.micromodulus.force_constants import (
-    ForceConstants,
-    finite_differences,
-    from_supercell,
-)
+from warp_peri.atoms.force_constants import ForceConstants, finite_differences, from_supercell
 
 CELLS = (9, 6)
 """Of the supercell, four atoms each; forces reach two bonds."""

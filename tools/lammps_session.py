@@ -9,7 +9,7 @@ from typing import Any, Self
 import ase.data
 import numpy as np
 
-from warp_peri.structures.calculators import (
+from warp_peri.atoms.calculators import (
     LammpsError,
     check_path,
     lammps_class,

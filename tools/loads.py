@@ -10,8 +10,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM
 from warp_peri.points.loads import mixed_waves
-from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 Box = tuple[float, float] | None
 """Periods (Lx, Ly) of the atoms [Å]; None for a free body."""

@@ -27,11 +27,11 @@ from tools.samples import Piece, Sample, cache_file, file_hash, read_sample, sol
 from tools.statics import TOLERANCE
 from warp_peri import Dataset, InputError, Points, Samples
 from warp_peri.atoms import coarse_grain, smoothing_matrix
+from warp_peri.atoms.calculators import potential_file
 from warp_peri.cluster import scheduler
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.points.dataset import save_dataset
-from warp_peri.structures.calculators import potential_file
 
 LOADS: dict[str, Sequence[Load]] = {"designed": DESIGNED}
 """What the training set may be made of in place of TRAINING, by name."""

@@ -53,10 +53,10 @@ from tools.thermal import (
     run_file,
 )
 from warp_peri import Dataset, InputError, Samples
+from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
 from warp_peri.points.dataset import save_dataset
-from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM
 
 LONGEST = 2
 """Loads with p₁² + p₂² up to this count as long waves."""

@@ -23,9 +23,9 @@ import numpy as np
 
 from tools.options import Options
 from warp_peri import Model
+from warp_peri.atoms.calculators import LammpsError, lammps_class, lammps_words
 from warp_peri.lps.symbol import moduli
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
-from warp_peri.structures.calculators import LammpsError, lammps_class, lammps_words
 
 BULK, SHEAR = 1.4, 0.5
 """Moduli asked for; their unit is that of stress, as the spacing is that of length."""

@@ -18,8 +18,8 @@ from tools.graphene import THICKNESS, area_per_atom, disk, sheet
 from tools.lammps_session import LammpsSession
 from tools.loads import Load, MixedLoad, RandomRim, Reversed, WaveLoad, atom_force
 from tools.statics import TOLERANCE, AtomsAtRest, ConvergenceError, Statics
+from warp_peri.atoms.calculators import LammpsError
 from warp_peri.files.atomic import read_arrays, whole_file
-from warp_peri.structures.calculators import LammpsError
 
 TRAINING_STRAIN = 0.02
 """Largest bond strain of every training sample (You et al. 2021, section 6)."""

@@ -19,7 +19,7 @@ from tools.loads import TEST, TRAINING, VALIDATION, Load
 from tools.make_graphene import graphene_bodies
 from tools.samples import Piece, Sample, body_record, cache_file, read_record, write_record
 from warp_peri import InputError
-from warp_peri.structures.calculators import LammpsError
+from warp_peri.atoms.calculators import LammpsError
 
 CACHE_VERSION = 1
 

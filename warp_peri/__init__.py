@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from warp_peri import shapes as shapes
     from warp_peri import tissue as tissue
     from warp_peri import transfers as transfers
+    from warp_peri.atoms.crystal_fit import from_atoms
     from warp_peri.core.tensors import Module
     from warp_peri.damage.problems import Cracked
     from warp_peri.dynamics.motion import Motion
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from warp_peri.stability.certificate import certify
     from warp_peri.statics.solution import Direct, Krylov, Newton, Solution
     from warp_peri.storage import load, save
-    from warp_peri.structures.learn import from_atoms
 
 __version__ = "0.2.0"
 
@@ -112,7 +112,7 @@ _NAMES = {
     "stability.certificate": ("certify",),
     "statics.solution": ("Direct", "Krylov", "Newton", "Solution"),
     "storage": ("load", "save"),
-    "structures.learn": ("from_atoms",),
+    "atoms.crystal_fit": ("from_atoms",),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
 _MODULES = (

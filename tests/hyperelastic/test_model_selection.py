@@ -13,12 +13,12 @@ from tests.support.sheets import NEAREST, square, waves
 from tools import make_frames
 from tools.hyperelastic_elements import Elements, quadrilaterals
 from tools.hyperelastic_energies import Family, plane_stress_hgo
+from warp_peri.atoms.dic import SheetFrame, frames_of_folder, frames_on_lattice
 from warp_peri.cli.main import main
 from warp_peri.materials.hyperelastic import model_selection
 from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
 from warp_peri.materials.hyperelastic.model_selection import KeptFits
 from warp_peri.points.outlines import Circle, box, mesh_outline
-from warp_peri.sources.dic import SheetFrame, frames_of_folder, frames_on_lattice
 from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, uniaxial
 
 C1, C2 = 0.35, 0.15

@@ -5,10 +5,10 @@ import pytest
 
 from tests.support.cubes import cube
 from tools import peri_lps
+from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.lps.bonds import Bonds
 from warp_peri.lps.matrices import assemble
 from warp_peri.lps.symbol import moduli
-from warp_peri.structures.calculators import LammpsError, lammps_class
 
 HORIZON = 2.0
 

@@ -11,14 +11,14 @@ import warp_peri
 from tests.micromodulus.crystals import cubic_tensor, dispersive, lattice, learned
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
+from warp_peri.atoms import force_constants
+from warp_peri.atoms.force_constants import Polar, from_calculator, from_supercell
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.micromodulus import force_constants
 from warp_peri.micromodulus.crystal_fit import Micromodulus, fit_symbol, from_phonons, transferred
-from warp_peri.micromodulus.force_constants import Polar, from_calculator, from_supercell
 from warp_peri.micromodulus.law import Crystal, tensors_of
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples

@@ -21,10 +21,10 @@ import pytest
 
 import warp_peri as wp
 from warp_peri import InputError
+from warp_peri.atoms.dumps import dump_frames
 from warp_peri.cli.inputs import atom_forces, shape_of
 from warp_peri.cli.learn import read_structure
 from warp_peri.cli.main import main
-from warp_peri.sources.dump_files import dump_frames
 
 EXAMPLES = Path(__file__).parent.parent.parent / "examples" / "phonopy"
 MARK = "PWNED"
@@ -67,8 +67,6 @@ PARSERS = {
     "phonopy.yaml": wp.atoms.from_phonopy,
     "any.yml": wp.atoms.from_phonopy,
     "phonopy_disp.yaml of a folder": lambda path: wp.atoms.from_phonopy(path.parent),
-    "POSCAR": wp.atoms.from_phonopy,
-    "STRU": wp.atoms.from_phonopy,
     "a.cif": read_structure,
     "vasprun.xml": read_structure,
     "a.traj": read_structure,

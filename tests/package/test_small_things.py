@@ -14,6 +14,7 @@ import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve
 from warp_peri import Bernstein, Dataset, InputError, Model, evaluate
+from warp_peri.atoms.dumps import dump_frames
 from warp_peri.cli.main import main
 from warp_peri.cli.train import in_percent
 from warp_peri.errors import exit_status
@@ -21,7 +22,6 @@ from warp_peri.learning.fit import learn as fit
 from warp_peri.points.dataset import save_dataset
 from warp_peri.points.families import families_of
 from warp_peri.regression.optimum import Conditions
-from warp_peri.sources.dump_files import dump_frames
 from warp_peri.third_order.smoothing import Smoothing
 from warp_peri.transfers import onto_lattice
 

@@ -5,7 +5,7 @@ from tools.lammps_session import POTENTIAL
 from tools.loads import PatchLoad, RimLoad, WaveLoad
 from tools.samples import Piece
 from tools.thermal import Bath, Plan
-from warp_peri.structures.calculators import potential_file
+from warp_peri.atoms.calculators import potential_file
 
 BATH = Bath(steps=90, transient=30)
 

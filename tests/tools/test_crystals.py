@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tools.crystals import RECIPES, at_rest, force_constants, isotropic_lps, session, spacing_of
+from warp_peri.atoms.phonons import wave_loads
 from warp_peri.core.elastic import allowed_tensors
 from warp_peri.core.groups import point_group
 from warp_peri.micromodulus.crystal_fit import from_phonons
-from warp_peri.structures.phonons import wave_loads
 
 STRAIN = 1e-3
 """Below it the steps of a tabulated potential show."""

@@ -8,7 +8,7 @@ from tools.graphene import THICKNESS, area_per_atom, bond_length, disk, sheet
 from tools.lammps_session import CARBON_MASS, LammpsSession
 from tools.loads import EV_PER_CUBIC_ANGSTROM, WaveLoad, atom_force
 from tools.statics import TOLERANCE, ColouredHessian, ConvergenceError, Statics, find_bonds
-from warp_peri.structures.calculators import LammpsError, potential_file
+from warp_peri.atoms.calculators import LammpsError, potential_file
 
 
 @pytest.fixture(scope="module")

@@ -68,8 +68,6 @@ input
   --hold STRAIN+ =[]  strains not relaxed, of xx yy zz yz xz xy, or all (default: none)
   --symmetry NAME =auto  point group of the crystal; auto asks spglib
 model
-  --from @source phonons|loads =phonons  learn from force constants, or from supercells under waves
-    of force
   --spacing H  distance of the nodes [Å] (default: by the cell)
   --horizon L  horizon δ [Å] (default: 3 spacings for a sheet, √6 spacings for a solid)
   --supercell N N N  repeats of the cell (default: until the forces end)

@@ -16,13 +16,12 @@ from typing import Any
 import numpy as np
 
 import warp_peri
+from warp_peri.atoms.dic import frames_of_folder, noise_of
 from warp_peri.cli.settings_file import keep
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, parsed, plain, whole_file, write_json, write_text
-from warp_peri.files.foreign import check_xml, content
+from warp_peri.files.foreign import MARKS, check_xml, content, encoding_of
 from warp_peri.points.unit_names import USUAL
-from warp_peri.sources.dic import frames_of_folder, noise_of
-from warp_peri.sources.dump_files import MARKS, encoding_of
 from warp_peri.storage import save
 
 NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
@@ -91,7 +90,6 @@ def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any
     return warp_peri.from_atoms(
         structure,
         calculator,
-        source=given.source,
         thickness=given.thickness,
         hold=given.hold,
         supercell=given.supercell,
@@ -101,7 +99,7 @@ def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any
 
 
 def read_structure(path: Path) -> Any:
-    """The last structure of a file that ASE reads, or ABACUS's STRU; InputError for any other.
+    """The last structure of a file that ASE reads; InputError for any other.
 
     Files may be packed; they are looked at first, and read as they were then, from a copy.
 
@@ -128,8 +126,6 @@ def read_structure(path: Path) -> Any:
             of_lammps = re.search(rb"xlo\s+xhi", head) is not None
             if of_lammps and not re.search(rb"(?m)^\s*Masses", head):
                 raise InputError("expected the masses of the types in a LAMMPS data file, got none")
-            if b"ATOMIC_SPECIES" in head and b"LATTICE_VECTORS" in head:
-                return warp_peri.atoms.unit_cell(readable, "abacus")
             form = "lammps-data" if of_lammps else filetype(str(readable))
             if form.startswith(REFUSED):
                 raise InputError(

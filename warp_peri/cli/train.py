@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import warp_peri
+from warp_peri.atoms import dumps
+from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep, refuse_used
 from warp_peri.errors import InputError
@@ -21,8 +23,6 @@ from warp_peri.files.atomic import locked, write_json
 from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
-from warp_peri.sources import dump_files, dumps
-from warp_peri.sources.coarse_graining import smoothing_matrix
 
 if TYPE_CHECKING:
     from warp_peri.learning.sweep import Run
@@ -53,7 +53,7 @@ TYPED_BOX = 1e-3
 def run_coarse_grain(given: argparse.Namespace) -> Result:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
     _take_sheet(given)
-    frame = next(dump_files.dump_frames(given.reference))
+    frame = next(dumps.dump_frames(given.reference))
     reference, box = frame.x, None
     if given.box:
         dumps.check_box(given.reference, tuple(given.box), frame.box, TYPED_BOX)

@@ -22,6 +22,13 @@ MOST_PER_BYTE, SMALL = 20, 2**20
 """Bytes of arrays for each byte of a file of HDF5, which may be packed; bytes any may claim."""
 PACKED: dict[bytes, Any] = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
 ZSTD = b"\x28\xb5\x2f\xfd"
+MARKS = b"\xff\xfe", b"\xfe\xff", b"\xef\xbb\xbf"
+"""Of text in UTF-16, either byte order, and in UTF-8."""
+
+
+def encoding_of(head: bytes) -> str:
+    """Of text, by the mark that it may begin with."""
+    return "utf-16" if head.startswith(MARKS[:2]) else "utf-8-sig"
 
 
 def unpacked(path: str | os.PathLike[str], head: bytes) -> Any:

@@ -1,5 +1,6 @@
 """Crystals of any symmetry in two and three dimensions: a tensor for every bond (theory, T)."""
 
+from warp_peri.atoms.force_constants import Polar, from_calculator
 from warp_peri.core.elastic import from_voigt
 from warp_peri.micromodulus.crystal_fit import (
     Micromodulus,
@@ -9,7 +10,6 @@ from warp_peri.micromodulus.crystal_fit import (
     plane_stress,
     transferred,
 )
-from warp_peri.micromodulus.force_constants import Polar, from_calculator
 from warp_peri.micromodulus.law import Crystal, StencilMaterial, tensors_of
 
 __all__ = [

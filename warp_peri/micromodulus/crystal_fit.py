@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.atoms.force_constants import ForceConstants
 from warp_peri.contract import MaterialFit
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
@@ -35,7 +36,6 @@ from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, pa
 from warp_peri.fitting.rows import compressed, over_loads, rows
 from warp_peri.fitting.symmetry import judged
 from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
-from warp_peri.micromodulus.force_constants import ForceConstants
 from warp_peri.micromodulus.law import BROKEN, Crystal
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset

@@ -46,7 +46,7 @@ def world() -> Comm:
         os.environ.setdefault("MPIR_CVAR_CH4_PROGRESS_THROTTLE", "1")
         os.environ.setdefault("MPIR_CVAR_CH4_PROGRESS_THROTTLE_NO_PROGRESS_COUNT", "10")
     if started == 1:
-        os.environ.setdefault("UCX_TLS", "self")  # as structures.lammps.find_mpi
+        os.environ.setdefault("UCX_TLS", "self")  # as atoms.find_mpi
     elif os.environ.get("UCX_TLS") == "self":
         del os.environ["UCX_TLS"]  # inherited from a process that was alone
     try:

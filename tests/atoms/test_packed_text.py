@@ -9,9 +9,9 @@ import ase.io
 import numpy as np
 import pytest
 
+from warp_peri.atoms.dumps import dump_frames
 from warp_peri.cli.learn import read_structure
 from warp_peri.errors import InputError
-from warp_peri.sources.dump_files import dump_frames
 
 AS = {
     "as it is": bytes,

@@ -9,8 +9,8 @@ import pytest
 
 from tests.support.problems import lattice
 from warp_peri import InputError, Points
-from warp_peri.sources.coarse_graining import coarse_grain, smoothing_matrix
-from warp_peri.sources.dumps import (
+from warp_peri.atoms.coarse_graining import coarse_grain, smoothing_matrix
+from warp_peri.atoms.dumps import (
     Atoms,
     coarse_grain_dumps,
     dump_displacement,

@@ -15,11 +15,10 @@ from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.files.foreign import content
+from warp_peri.files.foreign import content, encoding_of
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, SEEN, Samples
 from warp_peri.points.unit_names import LENGTHS, USUAL, Units, check_units
-from warp_peri.sources.dump_files import encoding_of
 
 MATCHID = ("disphorizontaldisplacement§", "dispverticaldisplacement§")
 MOVES = ("§", "u*", "displacement*", "*displacement", "disp*", "d*", *MATCHID)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError
+from warp_peri.atoms.dic import frames_of_folder, frames_on_lattice, noise_of, read_frame
 from warp_peri.points.samples import SEEN
-from warp_peri.sources.dic import frames_of_folder, frames_on_lattice, noise_of, read_frame
 
 X = np.argwhere(np.ones((15, 16), bool)) * 20.0 + [100.0, 60.0]
 

@@ -19,19 +19,19 @@ import scipy.sparse as sp
 from ase.data import atomic_masses
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError
-from warp_peri.micromodulus.force_constants import (
+from warp_peri.atoms.calculator_noise import EV_IN_TPA, TIMES, rattled
+from warp_peri.atoms.force_constants import (
     STEP,
     ForceConstants,
     Polar,
     finite_differences,
     from_supercell,
 )
+from warp_peri.atoms.relaxed import Reference
+from warp_peri.errors import InputError
 from warp_peri.micromodulus.law import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.structures.noise import EV_IN_TPA, TIMES, rattled
-from warp_peri.structures.rest import Reference
 
 CONE = 2.0
 """Radius of the smoothing, in spacings."""

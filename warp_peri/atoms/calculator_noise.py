@@ -13,10 +13,7 @@ import scipy.sparse as sp
 from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.spatial.transform import Rotation
 
-from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
-from warp_peri.core.groups import by_spglib, kinds_of
-from warp_peri.errors import InputError
-from warp_peri.micromodulus.force_constants import (
+from warp_peri.atoms.force_constants import (
     TINY,
     ForceConstants,
     Polar,
@@ -25,6 +22,9 @@ from warp_peri.micromodulus.force_constants import (
     from_supercell,
     relaxing,
 )
+from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
+from warp_peri.core.groups import by_spglib, kinds_of
+from warp_peri.errors import InputError
 from warp_peri.points.unit_names import STRESSES
 
 EV_IN_TPA = STRESSES["eV/angstrom^3"]

@@ -13,12 +13,8 @@ from ase.neighborlist import neighbor_list
 
 import warp_peri as wp
 from examples.noisy_calculators import Noisy, study
-from warp_peri.core.elastic import allowed_tensors
-from warp_peri.core.groups import point_group
-from warp_peri.micromodulus import Polar, from_calculator
-from warp_peri.structures import learn, phonons
-from warp_peri.structures.calculators import lammps_calculator
-from warp_peri.structures.noise import (
+from warp_peri.atoms import crystal_fit, phonons
+from warp_peri.atoms.calculator_noise import (
     BENDING,
     LARGEST,
     PULLED,
@@ -31,8 +27,12 @@ from warp_peri.structures.noise import (
     projected,
     rattled,
 )
-from warp_peri.structures.phonons import at_zone_edge, check_phonons
-from warp_peri.structures.rest import at_rest
+from warp_peri.atoms.calculators import lammps_calculator
+from warp_peri.atoms.phonons import at_zone_edge, check_phonons
+from warp_peri.atoms.relaxed import at_rest
+from warp_peri.core.elastic import allowed_tensors
+from warp_peri.core.groups import point_group
+from warp_peri.micromodulus import Polar, from_calculator
 
 ALUMINIUM = {"C11": 53.3253, "C12": 32.8906, "C44": 36.2004}
 """Under EMT, by finite strains of 1e-4 [GPa]."""
@@ -199,8 +199,8 @@ def test_force_constants_that_are_unstable_within_their_error_are_mended_by_stra
     reference = at_rest(ase.build.bulk("Al"), calculator)
     true = from_calculator(reference.cell, EMT(), (5, 5, 5))
     unsure = replace(true, values=-0.2 * true.values, doubt=1.2 * true.values[None])
-    monkeypatch.setattr(learn, "force_constants", lambda *_: (unsure, {}))
-    found, _, told = learn.known_constants(reference, calculator)
+    monkeypatch.setattr(crystal_fit, "force_constants", lambda *_: (unsure, {}))
+    found, _, told = crystal_fit.known_constants(reference, calculator)
     assert "C44 -7" in told["moduli, force constants alone"]
     moduli = wp.atoms.from_force_constants(found).content()["moduli_GPa"]["atoms"]
     assert moduli == pytest.approx(ALUMINIUM, rel=3e-3)
@@ -339,7 +339,7 @@ def test_phonons_of_a_rough_surface_on_a_third_of_the_displacement_lie_within_th
     cell, seen = ase.build.bulk("Al", a=2**0.5 * Dimpled.REST), []
     told = measured(cell, Dimpled(), False)
     for most in (0.03, 0.01):
-        monkeypatch.setattr("warp_peri.structures.noise.MOST", most)
+        monkeypatch.setattr("warp_peri.atoms.calculator_noise.MOST", most)
         how = {"thickness": None, "polar": None, "stress": None}
         atoms, _ = rattled(cell, cell.repeat(4), Dimpled(), told, **how)
         seen.append(at_zone_edge(atoms))

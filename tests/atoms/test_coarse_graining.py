@@ -7,9 +7,9 @@ from tests.support import reference
 from tests.support.problems import ROUNDING
 from warp_peri import InputError
 from warp_peri.atoms import coarse_grain, smoothing_matrix
+from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM, force_on_mesh
 from warp_peri.points.outlines import Circle, mesh_outline
 from warp_peri.points.outlines import box as rectangle
-from warp_peri.sources.coarse_graining import EV_PER_CUBIC_ANGSTROM, force_on_mesh
 
 RANDOM = np.random.default_rng(3)
 BOX = (11.0, 13.5)  # not commensurate with the nodes

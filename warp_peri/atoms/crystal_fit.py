@@ -1,4 +1,4 @@
-"""From a structure and its calculator to a law: the campaign, the law, its picture."""
+"""From a structure and its calculator to a law, its errors and its picture."""
 
 from __future__ import annotations
 
@@ -12,6 +12,11 @@ import ase
 import numpy as np
 from matplotlib.figure import Figure
 
+from warp_peri.atoms.calculator_noise import PULLED, SMALLER, by_strains, joined
+from warp_peri.atoms.calculator_noise import STRAIN as STRETCH
+from warp_peri.atoms.force_constants import STEP, WIDER, ForceConstants
+from warp_peri.atoms.phonons import Loads, at_zone_edge, check_phonons, force_constants, wave_loads
+from warp_peri.atoms.relaxed import Reference, at_rest, usual_spacing
 from warp_peri.core.elastic import (
     acoustic,
     allowed_tensors,
@@ -24,172 +29,10 @@ from warp_peri.core.elastic import (
 from warp_peri.core.groups import Symmetry, name_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.crystal_fit import Micromodulus, from_phonons
-from warp_peri.micromodulus.force_constants import STEP, WIDER, ForceConstants
+from warp_peri.micromodulus.crystal_fit import from_phonons
 from warp_peri.micromodulus.law import Crystal
-from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
-from warp_peri.structures.noise import EV_IN_TPA, PULLED, SMALLER, by_strains, joined
-from warp_peri.structures.noise import STRAIN as STRETCH
-from warp_peri.structures.phonons import (
-    Loads,
-    at_zone_edge,
-    check_phonons,
-    force_constants,
-    forces_of,
-    watched,
-    wave_loads,
-)
-from warp_peri.structures.rest import Reference, at_rest, usual_spacing
-
-INTERIOR, LOADS, WAVES = {2: 16, 3: 8}, {2: 24, 3: 10}, 6
-"""Nodes along an axis where equilibrium is asked, loads, and waves of each."""
-PERIOD, SHORTEST = {2: 18.0, 3: 9.0}, 2.7
-"""Of the supercell, and the shortest wave, in spacings."""
-STRAIN = 2e-3
-"""Largest sum of |k| |u| over the waves of a load."""
-QUIET, TRIES = 1e-6, 60
-"""Forces left, over the largest of the load, and the steps that may take."""
-
-
-def load_campaign(
-    reference: Reference,
-    atoms: ForceConstants,
-    calculator: Any,
-    spacing: float,
-    horizon: float,
-    *,
-    seed: int = 0,
-) -> Samples:
-    """Displacement and load on nodes of a supercell under waves of force, relaxed.
-
-    The force constants give each step of the relaxation and are no part of its answer.
-
-    Args:
-        reference, atoms: the crystal at rest and its force constants.
-        calculator: with forces.
-        spacing, horizon: of the nodes, and of the law that the collar is to carry [Å].
-        seed: of the loads.
-
-    Raises InputError where a load does not come to rest.
-    """
-    d, cell = reference.dimension, reference.cell
-    edges = np.array(cell.cell)
-    heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
-    counts = np.ceil(PERIOD[d] * spacing / heights).astype(int)
-    counts[d:] = 1
-    many = cell.repeat(tuple(counts.tolist()))
-    x = np.array(many.positions)
-    k, to_waves, from_waves = _transforms(atoms, counts, x)
-    D = atoms.dynamical(k[:, :d])
-    flexible = np.empty_like(D)
-    flexible[1:] = np.linalg.inv(D[1:])
-    flexible[0] = np.linalg.pinv(D[0], rcond=1e-6, hermitian=True)  # translations stay
-    forces = forces_of(many, calculator)
-    still = forces(x)
-    pushes, answers = [], []
-    rng = np.random.default_rng(seed)
-    for _ in range(LOADS[d]):
-        push = _push(rng, k[:, :d], x[:, :d], d, spacing)
-        u = _answer(flexible, to_waves, from_waves, push, atoms.moving)
-        push *= STRAIN / _steepest(u, k, to_waves)
-        u *= 0.0
-        for _ in range(TRIES):
-            left = forces(x + u) - still + push
-            left -= left.mean(axis=0)
-            if d == 2:  # a sheet's mean height is held
-                whole = left.reshape(-1, len(cell), 3)
-                whole[:, :, 2] -= whole[:, :, 2].mean(axis=1, keepdims=True)
-            if np.abs(left).max() <= QUIET * np.abs(push).max():
-                break
-            u += _answer(flexible, to_waves, from_waves, left, atoms.moving)
-        else:
-            raise InputError(
-                f"loads: a load of strain {STRAIN} does not come to rest; learn from phonons"
-            )
-        pushes.append(push[:, :d])
-        answers.append(u[:, :d] - u[:, :d].mean(axis=0))
-    return _seen(atoms, counts, np.array(answers), np.array(pushes), spacing, horizon)
-
-
-def _transforms(
-    atoms: ForceConstants, counts: np.ndarray, x: np.ndarray
-) -> tuple[np.ndarray, Callable[..., np.ndarray], Callable[..., np.ndarray]]:
-    """Waves of a supercell [K, 3], and what takes fields [A, m] to their amplitudes and back."""
-    n = len(atoms.positions)
-    shape = tuple(counts.tolist())
-    parts = np.stack(np.meshgrid(*(np.fft.fftfreq(c) for c in counts), indexing="ij"), axis=-1)
-    k = 2 * np.pi * parts.reshape(-1, 3) @ np.linalg.inv(atoms.cell).T
-    phase = np.exp(-1j * k @ atoms.positions.T)[:, :, None]  # [K, n, 1]
-
-    def to_waves(field: np.ndarray) -> np.ndarray:
-        cells = field.reshape(*shape, n, -1)
-        return np.asarray(np.fft.fftn(cells, axes=(0, 1, 2)).reshape(len(k), n, -1) * phase)
-
-    def from_waves(amplitude: np.ndarray) -> np.ndarray:
-        cells = (amplitude / phase).reshape(*shape, n, -1)
-        return np.asarray(np.fft.ifftn(cells, axes=(0, 1, 2)).real.reshape(len(x), -1))
-
-    return k, to_waves, from_waves
-
-
-def _answer(
-    flexible: np.ndarray,
-    to_waves: Callable[..., np.ndarray],
-    from_waves: Callable[..., np.ndarray],
-    force: np.ndarray,
-    m: int,
-) -> np.ndarray:
-    """Displacement [A, 3] of atoms whose force constants are all there is."""
-    waves = to_waves(force[:, :m])
-    moved = np.einsum("kab,kb->ka", flexible, waves.reshape(len(waves), -1))
-    u = np.zeros((len(force), 3))
-    u[:, :m] = from_waves(moved.reshape(waves.shape))
-    return u
-
-
-def _steepest(u: np.ndarray, k: np.ndarray, to_waves: Callable[..., np.ndarray]) -> float:
-    """Σ |k| |u| over waves, of the mean of a cell's atoms."""
-    amplitude = to_waves(u).mean(axis=1) / len(k)
-    return float((np.linalg.norm(k, axis=1) * np.linalg.norm(amplitude, axis=1)).sum())
-
-
-def _push(
-    rng: np.random.Generator, k: np.ndarray, x: np.ndarray, d: int, spacing: float
-) -> np.ndarray:
-    """A force on every atom [eV/Å], [A, 3], of a few waves of the supercell."""
-    size = np.linalg.norm(k, axis=1)
-    fits = np.flatnonzero((size > 0) & (size < 2 * np.pi / (SHORTEST * spacing)))
-    weight = size[fits] ** -(d - 1.0)  # every length as often as any other
-    push = np.zeros((len(x), 3))
-    for pick in rng.choice(fits, size=WAVES, p=weight / weight.sum()):
-        wave = np.cos(x @ k[pick] + rng.uniform(0, 2 * np.pi))
-        push[:, :d] += np.outer(wave, size[pick] * rng.normal(size=d))
-    push -= push.mean(axis=0)
-    return push
-
-
-def _seen(
-    atoms: ForceConstants,
-    counts: np.ndarray,
-    u: np.ndarray,
-    force: np.ndarray,
-    spacing: float,
-    horizon: float,
-) -> Samples:
-    """Smoothed on nodes: an interior, and a collar of twice the horizon."""
-    d, n = atoms.dimension, len(atoms.positions)
-    collar = int(np.ceil(2 * horizon / spacing - 1e-9))
-    points, x, kind, smooth = watched(atoms, spacing, INTERIOR[d], collar, None)
-    cell = np.rint((x - atoms.positions[kind, :d]) @ np.linalg.inv(atoms.cell[:d, :d])).astype(int)
-    number = np.ravel_multi_index(tuple((cell % counts[:d]).T), tuple(counts[:d])) * n + kind
-    density = np.asarray(smooth.sum(axis=1))
-    share = EV_IN_TPA / (spacing**d * (atoms.thickness or 1.0))
-    displacement = np.array([smooth @ field[number] / density for field in u])
-    load = np.array([share * (smooth @ field[number]) for field in force])
-    return Samples(points, displacement, load)
-
 
 PATHS: dict[int, dict[str, tuple[int, ...]]] = {
     2: {"[10]": (1, 0), "[01]": (0, 1), "[11]": (1, 1)},
@@ -488,7 +331,6 @@ def from_atoms(
     atoms: ase.Atoms,
     calculator: Any = None,
     *,
-    source: str = "phonons",
     thickness: float | None = None,
     hold: Sequence[str] = (),
     spacing: float | None = None,
@@ -500,13 +342,12 @@ def from_atoms(
     """The model of a crystal from its structure and a calculator.
 
     The structure is relaxed, checked (forces, stress, imaginary phonons), and brought to its
-    smallest cell. Force constants are made, and the model is learned from them or from loads. It is
-    put to loads that it never saw.
+    smallest cell. Force constants are made, and the model is learned from them. It is put to loads
+    that it never saw.
 
     Args:
         atoms: periodic in space, or in a plane with vacuum (8 Å) or without a period across.
         calculator: any ASE calculator; None takes the one of the atoms.
-        source: "phonons", or "loads": supercells under waves of force, relaxed and smoothed.
         thickness: of a sheet [Å]; by default from the lowest to the highest nucleus and a van der
             Waals radius beyond each.
         hold: strains that are not relaxed: of xx, yy, zz, yz, xz, xy, or "all".
@@ -529,8 +370,6 @@ def from_atoms(
     calculator = atoms.calc if calculator is None else calculator
     if calculator is None:
         raise InputError("calculator: expected an ASE calculator, or atoms that have one")
-    if source not in ("phonons", "loads"):
-        raise InputError(f"source: expected phonons or loads, got {source!r}")
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
     h = _spacing(spacing, reference.spacing, reference.dimension)
     constants, strained, taken = known_constants(reference, calculator, supercell, symmetry)
@@ -544,12 +383,7 @@ def from_atoms(
             raise InputError(f"moduli: {told}")
         warnings.warn(f"moduli: {told}", stacklevel=2)
         said["moduli disagree"] = told
-    samples = None
-    if source == "loads":
-        reach = h * REACH[reference.dimension] if horizon is None else horizon
-        samples = load_campaign(reference, constants, calculator, h, reach)
-        said |= {"loads": f"{len(samples)}, on {int(samples.interior.sum())} interior nodes"}
-    return _learned(constants, h, horizon, symmetry, units, said, strained, samples)
+    return _learned(constants, h, horizon, symmetry, units, said, strained)
 
 
 def known_constants(
@@ -612,7 +446,7 @@ def from_force_constants(
                 f"force constants: the rules that they break (space group, exchange of atoms, "
                 f"rotations) leave moduli unsure by {share:.0%}; expected less than {RULES:.0%}"
             )
-    return _learned(atoms, h, horizon, symmetry, check_units(units), said, None, None)
+    return _learned(atoms, h, horizon, symmetry, check_units(units), said, None)
 
 
 def _doubts(atoms: ForceConstants) -> dict[str, str]:
@@ -651,15 +485,11 @@ def _learned(
     units: Units,
     said: dict[str, str],
     strained: np.ndarray | None,
-    samples: Samples | None,
 ) -> LearnedCrystal:
     d = atoms.dimension
     reach = spacing * REACH[d] if horizon is None else horizon
     group = _group(atoms, symmetry)
-    if samples is None:
-        law = from_phonons(atoms, spacing, reach, symmetry=group)
-    else:
-        law = Micromodulus(reach, group).learn(samples).material
+    law = from_phonons(atoms, spacing, reach, symmetry=group)
     found = LearnedCrystal(law, atoms, strained, said)
     record: dict[str, Any] = {"moduli_error": found.unsure}  # relative, of any sound wave
     law = replace(law, provenance=law.provenance | record) if found.errors is not None else law

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
+from warp_peri.atoms.dic import ON_LATTICE, spacing_of, surrounded
 from warp_peri.errors import InputError
 from warp_peri.files.foreign import check_hdf5
 from warp_peri.points.arrays import checked, is_number
@@ -26,7 +27,6 @@ from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, check_units
-from warp_peri.sources.dic import ON_LATTICE, spacing_of, surrounded
 
 EV_PER_CUBIC_ANGSTROM = 0.1602176634
 """1 eV/Å³ in TPa."""

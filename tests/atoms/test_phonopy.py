@@ -1,7 +1,6 @@
 """Files of phonopy: the shipped ones, force constants in their place, and what is refused."""
 
 import shutil
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -93,32 +92,12 @@ def test_charges_of_a_sheet_are_refused_by_name():
 
 
 def test_what_is_no_file_of_phonopy_is_refused(tmp_path):
-    with pytest.raises(wp.InputError, match="expected a file of phonopy"):
+    with pytest.raises(wp.InputError, match="a file of phonopy .* `phonopy -d --dim …` writes"):
         wp.atoms.from_phonopy(tmp_path)
     with pytest.raises(wp.InputError, match="no such file or folder"):
         wp.atoms.from_phonopy(tmp_path / "nowhere")
     (tmp_path / "phonopy.yaml").write_text("nothing: here\n")
     with pytest.raises(wp.InputError, match="phonopy does not read it"):
-        wp.atoms.from_phonopy(tmp_path)
-
-
-@pytest.mark.filterwarnings("ignore::ResourceWarning")  # phonopy leaves files open
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.filterwarnings("ignore:primitive_matrix")
-@pytest.mark.filterwarnings("ignore:.* taken for a supercell:UserWarning")
-def test_lengths_that_phonopy_reads_wrongly_are_refused(tmp_path):
-    """Its reader of SIESTA takes 5.43 Å for 1 bohr behind a line that ends in a number."""
-    pytest.importorskip("phonopy")
-    (tmp_path / "Si.fdf").write_text(
-        "%block ChemicalSpeciesLabel\n 1 14 Si\n%endblock ChemicalSpeciesLabel\n"
-        "AtomicCoordinatesFormat Fractional\nNumberOfAtoms 2\nLatticeConstant 5.43 Ang\n"
-        "%block LatticeVectors\n 0 0.5 0.5\n 0.5 0 0.5\n 0.5 0.5 0\n%endblock LatticeVectors\n"
-        "%block AtomicCoordinatesAndAtomicSpecies\n 0 0 0 1\n 0.25 0.25 0.25 1\n"
-        "%endblock AtomicCoordinatesAndAtomicSpecies\n"
-    )
-    rows = "\n".join(["2 2"] + [f"{i} {j}\n0 0 0\n0 0 0\n0 0 0" for i in (1, 2) for j in (1, 2)])
-    (tmp_path / "FORCE_CONSTANTS").write_text(rows + "\n")
-    with pytest.raises(wp.InputError, match=r"got 0.23 Å between .* are lengths not in Å"):
         wp.atoms.from_phonopy(tmp_path)
 
 
@@ -132,66 +111,3 @@ def test_forces_that_have_not_decayed_at_half_the_width_are_told_by_number(tmp_p
     assert found.said["at the supercell's edge"] == "100.0% of Σ |Φ| r²"
     with pytest.warns(UserWarning, match="100% of what moduli are made of"):
         moduli(narrow)
-
-
-@pytest.mark.parametrize("large", [pytest.param(True, marks=pytest.mark.slow), False])
-def test_a_folder_of_a_structure_and_forces_alone_is_read(tmp_path, large):
-    phonopy = pytest.importorskip("phonopy")
-    vasp = pytest.importorskip("phonopy.interface.vasp")
-    known = phonopy.load(EXAMPLES / "copper" / "phonopy_disp.yaml", produce_fc=False)
-    vasp.write_vasp(tmp_path / "POSCAR", known.unitcell)
-    if large:
-        vasp.write_vasp(tmp_path / "SPOSCAR", known.supercell)
-    shutil.copy(EXAMPLES / "copper" / "FORCE_SETS", tmp_path)
-    with warnings.catch_warnings(record=True) as seen:
-        warnings.simplefilter("always")
-        found = wp.atoms.from_phonopy(tmp_path)
-    assert any("taken for a supercell" in str(one.message) for one in seen) is not large
-    wanted = moduli(wp.atoms.from_phonopy(EXAMPLES / "copper"))
-    assert moduli(found) == pytest.approx(wanted, rel=1e-6)
-
-
-@pytest.mark.filterwarnings("ignore::ResourceWarning")  # phonopy leaves files open
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.filterwarnings("ignore:primitive_matrix")
-@pytest.mark.parametrize(
-    ("code", "name"),
-    [
-        ("abacus", "STRU"),
-        pytest.param("qe", "copper.in", marks=pytest.mark.slow),
-        pytest.param("aims", "geometry.in", marks=pytest.mark.slow),
-        pytest.param("siesta", "copper.fdf", marks=pytest.mark.slow),
-    ],
-)
-def test_unit_cells_of_other_codes_are_read_in_their_units(tmp_path, code, name):
-    """Written by phonopy itself, lengths and forces as each code has them."""
-    phonopy = pytest.importorskip("phonopy")
-    interface = pytest.importorskip("phonopy.interface.calculator")
-    file_io = pytest.importorskip("phonopy.file_IO")
-    known = phonopy.load(EXAMPLES / "copper" / "phonopy_disp.yaml", produce_fc=False)
-    units = interface.get_calculator_physical_units(code)
-    cell = known.unitcell.copy()
-    cell.cell = known.unitcell.cell / units.distance_to_A
-    numbers = {
-        "qe": {"pp_filenames": {"Cu": "Cu.upf"}},
-        "abacus": {"pps": {"Cu": "Cu.upf"}, "orbitals": {}, "abfs": {}},
-    }
-    told = getattr(interface, f"{code.capitalize()}StructureInfo", interface.StructureInfo)
-    info = told(unitcell_filename=name, **numbers.get(code, {}))
-    interface.write_crystal_structure(tmp_path / name, cell, code, info)
-    if code == "qe":  # the part of a file that is the same for each supercell
-        text = (tmp_path / name).read_text()
-        (tmp_path / name).write_text(f"&system ibrav = 0, nat = 4, ntyp = 1 /\n{text}")
-    (tmp_path / "supercell-001.in").write_text("displaced")
-    dataset = file_io.parse_FORCE_SETS(filename=EXAMPLES / "copper" / "FORCE_SETS")
-    lines = [str(dataset["natom"]), str(len(dataset["first_atoms"]))]
-    for one in dataset["first_atoms"]:
-        moved = one["displacement"] / units.distance_to_A
-        lines += ["", str(one["number"] + 1), " ".join(f"{x:.12f}" for x in moved)]
-        scaled = one["forces"] / units.force_to_eVperA
-        lines += [" ".join(f"{x:.12f}" for x in force) for force in scaled]
-    (tmp_path / "FORCE_SETS").write_text("\n".join(lines) + "\n")
-    with pytest.warns(UserWarning, match="taken for a supercell"):
-        found = wp.atoms.from_phonopy(tmp_path)
-    wanted = moduli(wp.atoms.from_phonopy(EXAMPLES / "copper"))
-    assert moduli(found) == pytest.approx(wanted, rel=1e-5)

@@ -6,8 +6,7 @@ import io
 import os
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from fnmatch import fnmatch
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +17,19 @@ import numpy as np
 from ase.constraints import FixSymmetry
 from ase.data import vdw_radii
 from ase.filters import FrechetCellFilter
+from ase.geometry import minkowski_reduce
 from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 from ase.spacegroup.symmetrize import refine_symmetry
 from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.linalg import sqrtm
 
+from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
+from warp_peri.atoms.calculators import LammpsError
+from warp_peri.atoms.force_constants import ForceConstants, Polar, from_supercell
 from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
 from warp_peri.errors import InputError, optional
 from warp_peri.files.foreign import check_hdf5, check_yaml, content
-from warp_peri.micromodulus.force_constants import ForceConstants, Polar, from_supercell
-from warp_peri.structures.calculators import LammpsError
-from warp_peri.structures.noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
 
 VACUUM = 8.0
 """A gap between atoms [Å] that counts as vacuum."""
@@ -118,7 +118,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     periodic, cell = np.array(atoms.pbc), np.array(atoms.cell)
     if not periodic.any():
         raise InputError("structure: expected a crystal with a periodic cell, got a free cluster")
-    empty = [a for a in range(3) if not periodic[a] or gap(atoms, a) >= VACUUM]
+    empty = [a for a in range(3) if not periodic[a] or gap(atoms, a)[0] >= VACUUM]
     if len(empty) > 1:
         raise InputError(
             f"structure: expected a sheet or a solid; along {len(empty)} edges of the cell there "
@@ -128,7 +128,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     ready.set_constraint()
     ready.calc = None
     if not empty:
-        widest = max(gap(atoms, a) for a in range(3))
+        widest = max(gap(atoms, a)[0] for a in range(3))
         if widest >= WIDE:
             warnings.warn(
                 f"structure: taken for a solid, with a gap of {widest:.3g} Å along an edge; a "
@@ -148,8 +148,9 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
         first, second = (first, second) if up[2] > 0 else (second, first)
         turn = np.eye(3)
     x = np.array(ready.positions) @ turn.T
-    if periodic[empty[0]]:  # a sheet that the period cuts is put together at the gap
-        x = _joined(atoms, empty[0], x, turn)
+    if periodic[axis := empty[0]]:  # a sheet that the period cuts is put together at the gap
+        part = _parts(atoms)[:, axis]
+        x = x - np.outer(np.floor(part - gap(atoms, axis)[1] + ROUNDING), turn @ cell[axis])
     edges = np.array([turn @ cell[first], turn @ cell[second], [0, 0, HEIGHT + np.ptp(x[:, 2])]])
     x[:, 2] += edges[2, 2] / 2 - (x[:, 2].min() + x[:, 2].max()) / 2
     ready.set_cell(edges)
@@ -158,29 +159,17 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     return ready, True
 
 
-def _heights(atoms: ase.Atoms, axis: int) -> tuple[np.ndarray, np.ndarray, float]:
-    """Parts of an edge at which atoms are, rising, their order, and how far its faces are apart."""
-    part = np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T)[axis] % 1.0
-    order = np.argsort(part)
+def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
+    """Largest distance between neighbours along an edge [Å], and the part of it where it ends."""
+    part = np.sort(_parts(atoms)[:, axis] % 1.0)
     apart = 1 / np.linalg.norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
-    return part[order], order, float(apart)
+    steps = np.diff(part, prepend=part[-1] - 1)
+    return float(steps.max() * apart), float(part[steps.argmax()])
 
 
-def gap(atoms: ase.Atoms, axis: int) -> float:
-    """Largest distance between neighbours along an edge [Å]."""
-    part, _, apart = _heights(atoms, axis)
-    return float(np.diff(np.append(part, part[0] + 1)).max() * apart)
-
-
-def _joined(atoms: ase.Atoms, axis: int, x: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    part, order, _ = _heights(atoms, axis)
-    last = int(np.diff(np.append(part, part[0] + 1)).argmax())
-    edge = turn @ np.array(atoms.cell)[axis]
-    whole = np.floor(np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T)[axis])
-    x = x - np.outer(whole, edge)
-    if last < len(part) - 1:
-        x[order[: last + 1]] += edge
-    return x
+def _parts(atoms: ase.Atoms) -> np.ndarray:
+    """Positions in parts of the cell's edges, not wrapped."""
+    return np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T).T
 
 
 def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
@@ -287,6 +276,9 @@ def at_rest(
     if not flat and thickness is not None:
         raise InputError("thickness: the structure is a solid, periodic in space; expected none")
     cell = smallest(cell, flat, calculator)
+    short = minkowski_reduce(np.array(cell.cell), [True, True, not flat])[0]
+    if np.linalg.norm(short) < (1 - ROUNDING) * np.linalg.norm(cell.cell):
+        cell.set_cell(short)  # a skewed cell's repeats would be many
     cell.calc = calculator
     before = np.array(cell.cell)
     _check_forces(cell)
@@ -434,56 +426,35 @@ def _solid_spacing(cell: ase.Atoms) -> float:
 
 def _sheet_spacing(cell: ase.Atoms) -> float:
     """The longer edge of the smallest rectangle; √(2 area) where no small one is a cell."""
-    a, b = np.array(cell.cell)[:2, :2]
-    for _ in range(100):
-        if b @ b < a @ a:
-            a, b = b, a
-        shift = np.rint((a @ b) / (a @ a))
-        if not shift:
-            break
-        b = b - shift * a
-    part = abs(a @ b) / (a @ a)
+    edges = minkowski_reduce(np.array(cell.cell), [True, True, False])[0][:2]
+    a, b = sorted(edges, key=np.linalg.norm)
+    part, long, area = abs(a @ b) / (a @ a), np.linalg.norm(a), abs(np.linalg.det([a[:2], b[:2]]))
     if part < 1e-3:
         return float(np.linalg.norm(b))
     if abs(part - 0.5) < 1e-3:  # a, and what stands on it
-        return float(max(np.linalg.norm(a), 2 * abs(a[0] * b[1] - a[1] * b[0]) / np.linalg.norm(a)))
-    if abs(np.linalg.norm(a) / np.linalg.norm(b) - 1) < 1e-3:  # a rhombus: its diagonals
+        return float(max(long, 2 * area / long))
+    if abs(long / np.linalg.norm(b) - 1) < 1e-3:  # a rhombus: its diagonals
         return float(max(np.linalg.norm(a + b), np.linalg.norm(a - b)))
-    return float(np.sqrt(2 * abs(a[0] * b[1] - a[1] * b[0])))
+    return float(np.sqrt(2 * area))
 
 
 WITHOUT = "phonopy: pip install 'warp_peri[phonons]'"
 BESIDE = ("FORCE_CONSTANTS", "force_constants.hdf5", "FORCE_SETS", "BORN")
 """Files that are read where they lie beside the one that is named."""
 YAML = ("phonopy.yaml", "phonopy_params.yaml", "phonopy_disp.yaml")
-CELLS = {
-    "POSCAR-unitcell": "vasp",
-    "POSCAR": "vasp",
-    "STRU": "abacus",
-    "geometry.in": "aims",
-    "*.fdf": "siesta",
-    "*.in": "qe",
-}
-"""Names of files with a unit cell, and phonopy's of their code: of a folder, the first there."""
-LARGE = ("supercell", "header")
-"""What names of files begin with that hold no unit cell."""
 
 
 def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None) -> ForceConstants:
     """Force constants of what phonopy computed.
 
     Beside phonopy.yaml may lie FORCE_CONSTANTS, force_constants.hdf5, FORCE_SETS and BORN; nothing
-    is read of any other folder. Without phonopy.yaml the unit cell of VASP (POSCAR), ABACUS (STRU),
-    Quantum ESPRESSO (*.in), FHI-aims (geometry.in) or SIESTA (*.fdf) is read; the supercell then is
-    that of SPOSCAR, or the most even one with as many atoms, which is warned of. Each code's units
-    are those that phonopy has for it.
+    is read of any other folder. Units are those that phonopy has for the code it names.
     Force constants are brought to what space group, exchange of atoms, translations and rotations
     ask, and how far they move is their error. With Born charges the field of the ions is part of
     every wave (theory, T18); a solid of several elements without BORN is warned of.
 
     Args:
-        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, a unit cell as above, or the
-            folder that has one of them.
+        path: phonopy.yaml, phonopy_params.yaml or phonopy_disp.yaml, or the folder that has one.
         thickness: of a sheet across z [Å]; by default as `from_atoms` has it.
 
     Raises InputError where phonopy is not installed, for files that it does not read, for forces
@@ -497,101 +468,69 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         found, told = _opened(file, beside)
         force_constants = _force_constants(found, told, beside)
         ions = told.nac_params
-        if ions is None and "BORN" in beside:
+        if "BORN" in beside:
             reader = optional("phonopy.file_IO", WITHOUT)
             ions = reader.parse_BORN(found.primitive, filename=beside["BORN"])
+        units = optional("phonopy.interface.calculator", WITHOUT)
+        units = units.get_calculator_physical_units(found.calculator)
     except Exception as error:  # phonopy raises whatever its parsing runs into
-        hint = "" if file.suffix in (".yaml", ".yml") else "; a structure needs a calculator"
-        raise InputError(f"{path}: phonopy does not read it ({error}){hint}") from None
+        raise InputError(f"{path}: phonopy does not read it ({error})") from None
     if force_constants is None:
         raise InputError(f"{path}: expected FORCE_CONSTANTS or FORCE_SETS beside it, found neither")
-    units = _units(found.calculator)
     small, large, x = found.primitive, found.supercell, units.distance_to_A
     cell, supercell = (
         ase.Atoms(part.numbers, positions=x * part.positions, cell=x * part.cell, pbc=True)
         for part in (small, large)
     )
-    _check_sites(cell)  # phonopy passes over some lengths of SIESTA
+    _check_sites(cell)
     if small.magnetic_moments is not None:  # sites that they tell apart are no images
         cell.set_initial_magnetic_moments(small.magnetic_moments)
     displaced = np.asarray(small.p2s_map).tolist()
     phi = units.force_to_eVperA / x * np.asarray(force_constants)
     phi = (phi if len(phi) == len(displaced) else phi[displaced]).transpose(0, 2, 1, 3)
-    if gap(cell, 2) >= VACUUM and thickness is None:
+    if gap(cell, 2)[0] >= VACUUM and thickness is None:
         thickness = thickness_of(cell)[0]
     polar = None
     if ions is not None:
-        born, dielectric = (np.asarray(ions[n]) for n in ("born", "dielectric"))
-        polar = Polar(born, dielectric)
+        polar = Polar(*(np.asarray(ions[name]) for name in ("born", "dielectric")))
     elif thickness is None and len(set(cell.numbers)) > 1:
         warnings.warn(
             f"{file.parent}: no BORN is there; if ions carry charges, their field misses in its "
             "waves",
             stacklevel=2,
         )
-    across = float(np.abs(cell.cell[:2, 2]).max()) < 1e-6
-    if thickness is not None and polar is None and not across:
+    if thickness is not None and polar is None and np.abs(cell.cell[:2, 2]).max() > 1e-6:
         raise InputError(f"{path}: expected a sheet across z")
     made = from_supercell(cell, supercell, phi, displaced, thickness=thickness, polar=polar)
     return projected(made, supercell)
 
 
-@dataclass
-class _Told:
-    """What phonopy is told of a crystal, and what its own file holds beside it."""
-
-    unitcell: Any
-    supercell_matrix: Any
-    primitive_matrix: Any = "auto"
-    calculator: str | None = None
-    is_symmetry: bool = True
-    nac_params: Any = None
-    dataset: Any = None
-    force_constants: Any = None
-
-
-def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, _Told]:
-    """phonopy's crystal of a file; nothing is read that lies elsewhere than beside it."""
-    phonopy = optional("phonopy", WITHOUT)
+def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
+    """phonopy's crystal, and what its file says; nothing is read that lies elsewhere."""
     for name, path in beside.items():
         if name.endswith(".hdf5"):
             with h5py.File(path) as held:
                 check_hdf5(held, path.stat().st_size)
         else:
             content(path)
-    code = next((code for name, code in CELLS.items() if fnmatch(file.name, name)), None)
-    told = _of_yaml(file, beside) if code is None else _of_cell(file, code, beside)
-    found = phonopy.Phonopy(
+    text = content(file)
+    check_yaml(file, text)
+    told: Any = optional("phonopy.interface.phonopy_yaml", WITHOUT).PhonopyYaml()
+    told.read(io.StringIO(text.decode()))
+    if getattr(told, "site_mixture_scheme", None) is not None:
+        raise InputError("site_mixture_scheme: sites of several elements are not read")
+    matrix, primitive = told.supercell_matrix, told.primitive_matrix
+    found = optional("phonopy", WITHOUT).Phonopy(
         told.unitcell,
-        told.supercell_matrix,
-        primitive_matrix=told.primitive_matrix,
+        np.eye(3, dtype=int) if matrix is None else matrix,
+        primitive_matrix="auto" if primitive is None else primitive,
         calculator=told.calculator,
-        is_symmetry=told.is_symmetry,
         log_level=0,
     )
     return found, told
 
 
-def _of_yaml(file: Path, beside: dict[str, Path]) -> _Told:
-    text = content(file)
-    check_yaml(file, text)
-    read: Any = optional("phonopy.interface.phonopy_yaml", WITHOUT).PhonopyYaml()
-    read.read(io.StringIO(text.decode()))
-    if getattr(read, "site_mixture_scheme", None) is not None:
-        raise InputError("site_mixture_scheme: sites of several elements are not read")
-    matrix, primitive = read.supercell_matrix, read.primitive_matrix
-    return _Told(
-        read.unitcell,
-        np.eye(3, dtype=int) if matrix is None else matrix,
-        "auto" if primitive is None else primitive,
-        read.calculator,
-        nac_params=None if "BORN" in beside else read.nac_params,
-        dataset=read.dataset,
-        force_constants=read.force_constants,
-    )
-
-
-def _force_constants(found: Any, told: _Told, beside: dict[str, Path]) -> Any:
+def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
     """Of phonopy's own file, else of those beside it, else from its forces; None without them."""
     reader, rows = optional("phonopy.file_IO", WITHOUT), found.primitive.p2s_map
     if told.force_constants is not None:
@@ -601,87 +540,28 @@ def _force_constants(found: Any, told: _Told, beside: dict[str, Path]) -> Any:
     if (name := "force_constants.hdf5") in beside:
         helper = optional("phonopy.cui.load_helper", WITHOUT)
         return helper.read_force_constants_from_hdf5(beside[name], rows, found.calculator)
-    data, count = told.dataset, len(found.supercell)
-    if not _has_forces(data) and "FORCE_SETS" in beside:
+    data, count = told.dataset or {}, len(found.supercell)
+    if "forces" not in data | data.get("first_atoms", [{}])[0]:
+        if "FORCE_SETS" not in beside:
+            return None
         data = reader.parse_FORCE_SETS(natom=count, filename=beside["FORCE_SETS"])
         if data.get("natom", count) != count:
             raise InputError(f"FORCE_SETS: expected forces on {count} atoms, got {data['natom']}")
-    if not _has_forces(data):
-        return None
     found.dataset = data
     by = "symfc" if "displacements" in data else None
     found.produce_force_constants(calculate_full_force_constants=False, fc_calculator=by)
     return found.force_constants
 
 
-def _has_forces(data: Any) -> bool:
-    return data is not None and ("forces" in data or "forces" in data.get("first_atoms", [{}])[0])
-
-
-def _units(code: str | None) -> Any:
-    """Of a code, as phonopy has them."""
-    calculator = optional("phonopy.interface.calculator", WITHOUT)
-    return calculator.get_calculator_physical_units(code)
-
-
-def unit_cell(path: Path, code: str) -> ase.Atoms:
-    """A code's unit cell as phonopy reads it, in Å. Raises InputError without phonopy."""
-    calculator = optional("phonopy.interface.calculator", WITHOUT)
-    cell: Any = calculator.read_crystal_structure(path, code)[0]
-    x = _units(code).distance_to_A
-    moments = cell.magnetic_moments
-    edges, places = x * cell.cell, x * cell.positions
-    return ase.Atoms(cell.numbers, positions=places, cell=edges, pbc=True, magmoms=moments)
-
-
-def _of_cell(file: Path, code: str, beside: dict[str, Path]) -> _Told:
-    """A unit cell, and its supercell by SPOSCAR or by the atoms of its forces."""
-    content(file)
-    calculator = optional("phonopy.interface.calculator", WITHOUT)
-    cell: Any = calculator.read_crystal_structure(file, code)[0]
-    if cell is None or not len(cell):
-        raise InputError(f"expected a unit cell of {code}")
-    told = _Told(cell, None, calculator=code)
-    if "BORN" in beside:
-        lines = [line.split() for line in beside["BORN"].read_text().splitlines() if line.strip()]
-        if len(lines) == 2 + len(cell):  # one of each atom, where symmetry was left aside
-            values = np.array(lines[1:], dtype=float).reshape(-1, 3, 3)
-            ions = {"dielectric": values[0], "born": values[1:]}
-            told = replace(told, nac_params=ions, is_symmetry=False, primitive_matrix=np.eye(3))
-    if (large := file.parent / "SPOSCAR").is_file():
-        whole: Any = ase.io.read(large, format="vasp")
-        matrix = np.rint(np.array(whole.cell) @ np.linalg.inv(cell.cell)).T.astype(int)
-        return replace(told, supercell_matrix=matrix)
-    for name in ("FORCE_SETS", "FORCE_CONSTANTS"):
-        if name in beside:
-            with open(beside[name], encoding="ascii", errors="replace") as forces:
-                count = int(forces.readline().split()[-1])
-            break
-    else:
-        raise InputError("expected FORCE_SETS or FORCE_CONSTANTS beside it")
-    size, left = divmod(count, len(cell))
-    if left:
-        raise InputError(f"expected a supercell of {len(cell)} atoms, got one of {count}")
-    counts = [(i, j, size // (i * j)) for i in range(1, size + 1) for j in range(1, size // i + 1)
-              if size % (i * j) == 0]  # fmt: skip
-    lengths = np.linalg.norm(cell.cell, axis=1)
-    best = min(counts, key=lambda n: float(np.ptp(np.log(n * lengths))))
-    warnings.warn(f"{file}: taken for a supercell of {best} cells, by its atoms", stacklevel=3)
-    return replace(told, supercell_matrix=best)
-
-
 def _yaml(path: Path) -> Path:
-    if path.is_file():
-        return path
+    """phonopy's file, of a folder the first of YAML that is there."""
+    there = [path, *(path / name for name in YAML)]
+    for one in there:
+        if one.is_file():
+            return one
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    for name in (*YAML, *CELLS):
-        there = [one for one in sorted(path.glob(name)) if not one.name.startswith(LARGE)]
-        if len(there) > 1:
-            names = ", ".join(one.name for one in there)
-            raise InputError(f"{path}: expected one unit cell, got {names}; give the file")
-        if there:
-            return there[0]
     raise InputError(
-        f"{path}: expected a file of phonopy or a folder with {' or '.join((*YAML, *CELLS))}"
+        f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; `phonopy -d "
+        "--dim …` writes the last beside a unit cell of any code"
     )

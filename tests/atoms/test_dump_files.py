@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from warp_peri import InputError, Points
-from warp_peri.sources.dump_files import dump_frames
-from warp_peri.sources.dumps import dump_displacement, write_atoms
-from warp_peri.structures.calculators import lammps_class
+from warp_peri.atoms.calculators import lammps_class
+from warp_peri.atoms.dumps import dump_displacement, dump_frames, write_atoms
 
 CELL = np.array([[12.0, 0, 0], [3.0, 9.0, 0], [0, 0, 10.0]])
 random = np.random.default_rng(1)

@@ -1,1 +1,0 @@
-"""From measurements to nodes: dumps and coarse graining."""

@@ -1,1 +1,0 @@
-"""From a structure of atoms and what holds them together to a law of their crystal."""
