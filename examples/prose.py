@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
+from tools.options import Options
 from warp_peri.errors import InputError
 
 NUMBER = re.compile(r"-?\d+\.?\d*(?:e[-+]?\d+)?")
@@ -75,3 +76,16 @@ def said_by(call: Callable[[], Any]) -> str:
     if not caught:
         raise RuntimeError("expected an error or a warning, got neither")
     return f"UserWarning: {caught[0].message}"
+
+
+Table = tuple[Sequence[str], Iterable[Sequence[str]]]
+"""Heads of columns, and rows of cells."""
+
+
+def print_tables(doc: str | None, tables: Sequence[Callable[..., Table]], *given: Any) -> None:
+    """What a script of tables does: print those that the command names, all by default."""
+    parser = Options(doc)
+    names = {make.__name__: make for make in tables}
+    parser.add("table", nargs="*", choices=[[], *names], help="which; default: all")
+    for name in parser.parse_args().table or names:
+        print(f"{names[name].__doc__}\n\n{table(*names[name](*given))}\n")

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.optimize import least_squares
 from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -27,9 +28,7 @@ import warp_peri as wp
 from examples.exact import plate_with_hole
 from examples.figures import Panel, draw_panels
 from examples.prose import said_by
-from examples.studies.drawings import SHARES, negative_as_broken, without_conditions
-from examples.studies.paper_slides_incompressible import curl_and_pressure
-from examples.studies.paper_slides_rates import lattice
+from examples.reproduce.slides import curl_and_pressure, lattice
 from tools.options import Options
 from warp_peri.dynamics.verlet import INERTIA
 from warp_peri.errors import exit_status
@@ -38,6 +37,8 @@ from warp_peri.methods import Optimum
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.quadrature import family_weights
 from warp_peri.points.samples import part
+from warp_peri.regression.coordinates import Coordinates, Parameters
+from warp_peri.regression.losses import reduce, sample_weights
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 LAM, MU = 0.3, 0.8  # of solids made up here [TPa], whose nodes lie 1 Å apart
@@ -95,9 +96,24 @@ def error(u: np.ndarray, exact: np.ndarray) -> float:
     return float(100 * np.linalg.norm(u - exact) / np.linalg.norm(exact))
 
 
+def unconditioned(train: wp.Samples, horizon: float, degree: int) -> wp.Model:
+    """The least residual of kernels of a degree, and nothing else."""
+    grid = reduce(train, horizon, sample_weights([train], normalise=False)[0])
+    (i, j), space = grid.pairs, Coordinates([grid.classes], 1.0, degree)
+
+    def residual(y: np.ndarray) -> np.ndarray:
+        point = space.point(y)
+        v = point.v[0]
+        return np.asarray(grid.R @ np.concatenate([v, point.kappa * v[i] * v[j], [1.0]]))
+
+    start = space.start(Parameters(-0.2, 0.7, 1.0, np.ones(degree + 1)))
+    found = space.parameters(least_squares(residual, start, x_scale="jac", xtol=1e-12).x, [])
+    return wp.Model(found.lam, found.mu, found.alpha, found.D, horizon)
+
+
 def no_conditions() -> Case:
     horizons, train = (15.0, 20.0, 22.5), wp.load(DATA)["train"]
-    free = [without_conditions(train, horizon, 15) for horizon in horizons]
+    free = [unconditioned(train, horizon, 15) for horizon in horizons]
     fits = {"none": free, "default": [learned(15, horizon) for horizon in horizons]}
     y = {n: [wp.certify(m, spacing=5.0).symbol_min for m in row] for n, row in fits.items()}
     said = said_by(lambda: wp.solve(free[-1], wp.Dirichlet(train, train.loads, train.u)))
@@ -247,12 +263,18 @@ def large_strains() -> Case:
 
 def broken_kernel() -> Case:
     solids = {"learned": learned(), "positive": wp.damage.positive_kernel(learned(), 20.0)}
-    x = wp.damage.rectangle(100.0, 100.0, 5.0)
-    plate = wp.Cracked(wp.Points(x, np.ones(len(x), bool), 5.0))
+    x, shares = wp.damage.rectangle(200.0, 200.0, 5.0), (0.0, 0.01, 0.02, 0.05, 0.1)
+    inside, draw = (np.abs(x) < 60).all(axis=1), np.random.default_rng(0).random(len(x))
+    y: dict[str, list[float]] = {"learned": [], "positive": []}
+    for share, name in product(shares, solids):
+        gone = (np.hypot(*x.T) < 40) & (draw < share)
+        points = wp.Points(x, inside & ~gone, 5.0, outside=gone)
+        y[name].append(wp.proofs.solvability(solids[name], points).symmetric_min)
     brittle = wp.damage.BrittleSolid(learned(), 2147.0, critical_stretch=0.1)
+    plate = wp.Cracked(wp.Points(x, np.ones(len(x), bool), 5.0))
     said = said_by(lambda: wp.move(brittle, plate, step=1e-4, steps=1))
-    shares, y = 100 * np.array(SHARES), negative_as_broken(solids, 28, 5.0)
-    return Case("a broken kernel", shares, "broken bonds [%]", "negative eigenvalues", y, said)
+    missing = 100 * np.array(shares)
+    return Case("a broken kernel", missing, "missing nodes [%]", "least eigenvalue", y, said)
 
 
 def unstated_axis() -> Case:

@@ -1,6 +1,4 @@
-"""Fields on nodes from .mat files that the tests write: shapes, versions, refusals, and a row."""
-
-import json
+"""Fields on nodes from .mat files that the tests write: shapes, versions, refusals."""
 
 import h5py
 import numpy as np
@@ -8,9 +6,7 @@ import pytest
 from scipy.io import savemat
 
 import warp_peri as wp
-from examples.studies import published_fields
-from tests.hyperelastic.test_model_selection import SHEET
-from tests.support.sheets import square, waves
+from tests.support.sheets import square
 from warp_peri import InputError
 from warp_peri.atoms import read_fields
 
@@ -101,41 +97,6 @@ def test_no_mat_file_no_square_and_no_interior(tmp_path):
     whole = written(tmp_path / "whole.mat", **GOOD)
     with pytest.raises(InputError, match="within 22 spacings around them, got none of 21 × 21"):
         read_fields(whole, reach=11)
-
-
-@pytest.mark.slow
-def test_a_row_on_the_authors_own_data(tmp_path, capsys):
-    """Loads of a linear solid, which finds itself, beside what is printed of the network."""
-    solid = wp.Model(0.3, 0.7, 1.0, np.ones(1), horizon=15.05, certified_on=(5.0,))
-    points = square(19, spacing=5.0)  # so that loads are known where the file's interior is
-    k = RANDOM.uniform(-1, 1, (40, 2)) * np.linspace(0.05, 0.25, 40)[:, None]
-    u = np.sin(points.x @ k.T + 1.0).T[..., None] * RANDOM.normal(size=(40, 1, 2))
-    b = np.zeros_like(u)
-    b[:, points.interior] = solid.on(points)(u)
-    keep = (np.abs(points.x - points.x.mean(axis=0)) <= 52.5).all(axis=1)
-    path = written(tmp_path / "a.mat", coords=points.x[keep], disps=u[:, keep], forces=b[:, keep])
-    published_fields.main([str(path), "--symmetry", "4mm", "--json"])
-    found = json.loads(capsys.readouterr().out)
-    assert found["samples"] == 40
-    assert found["their network, printed"]["E_res val"] == 0.0802
-    for key in ("E_res test", "E_u test"):
-        assert found["linear solid"][key] < 1e-6
-        assert found["tensors"][key] < 0.2  # whose bonds are shorter than what the solid couples
-
-
-def test_a_row_on_frames_without_loads(tmp_path, capsys):
-    """Of a sheet of Mooney and Rivlin, whose frames a sheet of theirs answers best."""
-    points = square(9)
-    bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
-    edges = [bent * (n + 3) / 8 + 0.6 * waves(points, 0.25, n) for n in range(6)]
-    u = np.array([wp.solve(SHEET, wp.Dirichlet(points, None, edge)).u for edge in edges])
-    path = written(tmp_path / "a.mat", u=np.moveaxis(u.reshape(6, 21, 21, 2), 3, 1))
-    words = "--load none --displacement u --positions 0.1 --units mm MPa --frames 5 --json"
-    published_fields.main([str(path), *words.split()])
-    found = json.loads(capsys.readouterr().out)
-    errors = {name: row["E_u test"] for name, row in list(found.items())[2:]}
-    assert errors["Mooney-Rivlin"] < 5e-3
-    assert min(errors, key=errors.get) == "Mooney-Rivlin"
 
 
 @pytest.mark.parametrize(

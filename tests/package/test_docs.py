@@ -73,12 +73,9 @@ def test_the_api_lists_every_public_name():
 
 
 def test_every_page_is_in_the_menu():
-    """Or, below archive/, in the index of the archive; and what the menu names is there."""
     menu = (DOCS.parent / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
     named = set(re.findall(r"^ +- (?:[^:\n]+: )?(\S+)\.md$", menu, re.MULTILINE))
-    index = re.findall(r"\]\(([\w/]+)\.md[)#]", PAGES.get("archive/index", ""))
-    assert {*PAGES} - named - {f"archive/{page}" for page in index} == set()
-    assert named - {*PAGES} == set()
+    assert {*PAGES} == named
 
 
 def test_what_says_how_has_no_studies():
@@ -88,12 +85,12 @@ def test_what_says_how_has_no_studies():
 
 
 def test_every_page_opens_with_its_title_and_shows_small_pictures():
-    """Small ones: but for the papers, whose figures have many panels, and the archive."""
+    """Small ones: but for the papers, whose figures have many panels."""
     for page, text in PAGES.items():
         assert re.match(r"(?:---\n.*?\n---\n+)?# \S", text, re.DOTALL), page
         for picture in re.findall(r"!\[[^\]]*\]\(([^)\s#]+)", text):
             path = DOCS / Path(page).parent / picture
-            many = page.startswith(("papers/", "archive/"))
+            many = page.startswith("papers/")
             assert path.stat().st_size <= (400_000 if many else 200_000), f"{page}: {picture}"
 
 

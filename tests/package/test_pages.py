@@ -23,11 +23,7 @@ TEXT = {"README": (ROOT / "README.md").read_text(encoding="utf-8")} | {
 }
 """Each page by its path below docs/, without suffix, as "how-to/cracks"."""
 BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
-BLOCKS = {
-    name: found
-    for name, text in TEXT.items()
-    if not name.startswith("archive/") and (found := BLOCK.findall(text))
-}
+BLOCKS = {name: found for name, text in TEXT.items() if (found := BLOCK.findall(text))}
 """The code of each page, and what stands below it as printed, or nothing."""
 ELSEWHERE = ("README", "tutorials/graphene")
 """Run by tests/examples/test_examples.py and test_docs.py, which look at what comes out."""

@@ -43,7 +43,7 @@ def commands(text):
 TYPED = {
     name: found
     for name, text in TEXT.items()
-    if not name.startswith(("archive/", "papers/")) and (found := commands(text))
+    if not name.startswith("papers/") and (found := commands(text))
 }
 ELSEWHERE = ("tutorials/graphene",)
 """Run by tests/examples/test_examples.py, on graphene's own data."""
