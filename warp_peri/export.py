@@ -71,7 +71,9 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
     """Displacement [Å] and stress [TPa] of a body on its mesh, as one VTU file.
 
     `elements` is 1 at corners whose values the elements gave, those of the outline among them, and
-    0 where the lattice did. Returns the largest displacement and the largest principal stress.
+    0 where the lattice did.
+
+    Returns the largest displacement of a corner [Å] and the largest principal stress at one [TPa].
 
     Raises InputError without meshio (the extra `bodies`).
     """
@@ -84,7 +86,7 @@ def write_body(path: str | os.PathLike[str], body: BodySolution) -> dict[str, fl
     write_vtu(path, mesh.x, (kind, mesh.cells), data, extra="bodies")
     return {
         "largest_displacement": float(np.linalg.norm(u, axis=1).max()),
-        "largest_stress": float(np.linalg.eigvalsh(stress).max()),
+        "largest_principal_stress": float(np.linalg.eigvalsh(stress).max()),
     }
 
 

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 25_709,
-    "tokens": 306_358,
-    "lines of warp_peri": 42_560,
+    "code lines": 25_719,
+    "tokens": 306_475,
+    "lines of warp_peri": 42_582,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 62_717,
+    "lines of warp_peri, kernels, examples and tools": 62_739,
     "lines of the longest file": 699,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -32,7 +32,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 3072,
-    "cli": 1200,
+    "cli": 1209,
     "core": 1740,
     "damage": 1993,
     "diffusion": 339,
@@ -47,7 +47,7 @@ ROOMS = {
     "micromodulus": 693,
     "neural": 1015,
     "points": 1940,
-    "prediction": 886,
+    "prediction": 887,
     "ranks": 920,
     "regression": 587,
     "stability": 140,

@@ -143,7 +143,8 @@ def run_solve(given: argparse.Namespace) -> Result:
         )
         keep(given, given.out.with_suffix(".solve.toml"))
     size = np.linalg.norm(u[:, points.interior], axis=-1).max(axis=1, initial=0)
-    return {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
+    result = {"file": str(given.out), "set": given.set, "largest_displacement": size.tolist()}
+    return with_units(given, result, data.units)
 
 
 def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
@@ -172,7 +173,7 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
         largest = warp_peri.export.write_body(given.out, solution)
         keep(given, given.out.with_suffix(".solve.toml"))
     exchange = solution.exchange
-    return {
+    result = {
         "file": str(given.out),
         **largest,
         "units": list(material.units),
@@ -185,6 +186,7 @@ def run_solve_body(given: argparse.Namespace) -> dict[str, Any]:
         "bulk_residual": exchange.bulk_residual,
         "overlap": solution.overlap,
     }
+    return with_units(given, result, material.units)
 
 
 def refuse_options(given: argparse.Namespace, of: dict[str, Any], whose: str) -> None:
@@ -307,6 +309,19 @@ def set_summary(points: Samples) -> Result:
         "spacing": points.spacing,
         "arrays": sorted(points.arrays),
     }
+
+
+UNITS = {"largest_principal_stress": 1}
+UNITS |= dict.fromkeys(("largest_displacement", "spacing", "horizon", "overlap"), 0)
+"""Numbers with a unit: 0 that of length, 1 that of stress."""
+
+
+def with_units(given: argparse.Namespace, result: Result, units: Sequence[str]) -> Result:
+    """The result, whose numbers are told with their units; JSON names these apart."""
+    named = symbols(units)
+    shown = {f"{k} [{named[UNITS[k]]}]" if k in UNITS else k: v for k, v in result.items()}
+    given.told = "\n".join(lines_of(shown))
+    return result
 
 
 def lines_of(result: Result, indent: str = "") -> Sequence[str]:

@@ -51,7 +51,11 @@ class Motion:
 
     @property
     def drift(self) -> float:
-        """Largest departure of the energy from its first value, relative; 0 where there is none."""
+        """Largest departure of the energy from its first value, relative.
+
+        Raises InputError for a motion that records no energy, as that of a body that breaks, whose
+        books are `missing`.
+        """
         energy = self.energy
         gone = float(np.abs(energy - energy[0]).max())
         return gone / float(np.abs(energy[0])) if gone else 0.0

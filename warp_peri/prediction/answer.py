@@ -99,7 +99,8 @@ def guarantee(placed: PlacedMembers, load: np.ndarray, u: np.ndarray) -> Guarant
     relative = bound / whole if whole > 0 else np.inf
     moved = bound / np.sqrt(smallest) / max(placed.norm(inner), 1e-300)
     words = (
-        f"The model's own solution lies within {relative:.2g} of this answer in the energy norm"
+        f"The model's own solution lies within {100 * relative:.2g} % of this answer in the energy "
+        "norm, the root of twice the strain energy of their difference over that of the answer"
         + (f", and no other has |H| ≤ {largest:.2%}." if placed.nonlinear else ".")
     )
     return Guarantee(bound, relative, q, largest, without / (1 - q), moved, words)
