@@ -9,9 +9,10 @@ from tests.conformance.test_laws import hyperelastic, tissue
 from tests.support.sheets import hgo_dictionary, square, waves
 from warp_peri import Dirichlet, InputError, Samples, solve
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
-from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, StaticProblem
+from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, Sheet, StaticProblem
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import hyperelastic_errors, largest_stretch
+from warp_peri.statics.equilibria import stable_way
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
 
@@ -41,7 +42,7 @@ def test_a_known_equilibrium_is_found(manufactured, direct):
 def test_the_smallest_eigenvalue_is_that_of_the_matrix(manufactured):
     op, u, _ = manufactured
     problem = StaticProblem(op)
-    dense = np.linalg.eigvalsh(problem.pattern.matrix(u, COEFFICIENTS).toarray())[0]
+    dense = np.linalg.eigvalsh(problem.pattern.matrix(problem.op, u, COEFFICIENTS).toarray())[0]
     assert problem.smallest_eigenvalue(COEFFICIENTS, u) == pytest.approx(dense, rel=1e-2)
 
 
@@ -53,7 +54,7 @@ def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is(stretch):
     problem = StaticProblem(op)
     c = np.array([0.05] * 4 + [1.0, 1.0, 0.0])
     u = points.x * [stretch - 1, 0.0]
-    values = np.linalg.eigvalsh(problem.pattern.matrix(u, c).toarray())
+    values = np.linalg.eigvalsh(problem.pattern.matrix(problem.op, u, c).toarray())
     assert values[0] < -100
     assert values[np.abs(values).argmin()] > 0
     assert problem.smallest_eigenvalue(c, u) == pytest.approx(values[0], rel=1e-6)
@@ -61,12 +62,13 @@ def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is(stretch):
 
 def test_continuation_leads_where_one_step_does(manufactured):
     op, u, b = manufactured
-    problem = StaticProblem(op)
     collar = np.where(op.points.interior[:, None], 0.0, u)
-    followed, done, steps = problem._continue(COEFFICIENTS, b[op.interior], collar)
-    assert done == 1.0
-    assert steps > 1
-    np.testing.assert_allclose(followed, u, atol=1e-6 * np.abs(u).max())
+    sheet = Sheet(StaticProblem(op), COEFFICIENTS, b[op.interior], collar)
+    far = np.where(op.points.interior[:, None], 9 * u, u)  # folded: nothing is found from there
+    found, _, parts, followed = stable_way(sheet, far, None, 1e-8)
+    assert followed
+    assert parts > 1
+    np.testing.assert_allclose(found, u, atol=1e-6 * np.abs(u).max())
 
 
 def test_a_sheet_pushed_together_is_stable_or_refused(manufactured):

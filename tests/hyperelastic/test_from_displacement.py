@@ -121,9 +121,9 @@ def test_a_frame_left_out_by_one_step_is_as_by_a_fit_of_its_own(frames):
 def test_a_material_that_fits_takes_three_tangents_a_frame(frames, monkeypatch):
     made, factors = [], TangentPattern.factors
 
-    def counted(pattern, u, c):
+    def counted(pattern, op, u, *how):
         made.append(u)
-        return factors(pattern, u, c)
+        return factors(pattern, op, u, *how)
 
     monkeypatch.setattr(TangentPattern, "factors", counted)
     seen = noisy(frames, 1e-3)

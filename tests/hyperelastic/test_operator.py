@@ -57,7 +57,7 @@ def test_the_product_is_the_slope_of_the_force(problem):
 def test_the_sparse_tangent_is_the_product(problem):
     op, u, c, v = problem
     inside = np.where(op.points.interior[:, None], v[0], 0.0)
-    K = TangentPattern.of(op).matrix(u[0], c)
+    K = TangentPattern(op).matrix(op, u[0], c)
     expected = op.product(u[0], c, inside)[op.interior].ravel()
     np.testing.assert_allclose(
         K @ inside[op.interior].ravel(), expected, atol=1e-11 * np.abs(expected).max()

@@ -4,6 +4,9 @@ u ← u + L₀⁻¹ (b − f(u)), L₀ the solid at rest, whose inverse is all t
 beside its force. The last steps are mixed (D. G. Anderson, 1965). Where that stalls, clipped
 gradients make it a contraction if a strain is proven (theory, N13–N15); then Newton's method
 with GMRES on the same preconditioned residual; then the load in parts.
+
+Of a solid with an energy Newton's method goes down its potential instead, through tangents that are
+positive definite; then the load in parts; then past negative curvature, to another minimum.
 """
 
 from __future__ import annotations
@@ -12,7 +15,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -24,7 +27,7 @@ from warp_peri.points.arrays import checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.stability.certificate import smallest_eigenvalue
-from warp_peri.statics.conjugate_gradients import HERE, newton, norm
+from warp_peri.statics.conjugate_gradients import HERE, definite, newton, norm
 from warp_peri.statics.linear import DIRECT, Inverse
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 
@@ -73,14 +76,15 @@ MEMORY = 5
 """Differences that Anderson acceleration mixes."""
 MOST_STEPS, PATIENCE = 60, 8
 """Of the fixed point; it is given up after so many steps without a smaller residual."""
-PARTS = (2, 4, 8)
-"""Equal parts that a load and what is given on the collar are applied in, until all are found."""
-
-
-class Correction(Protocol):
-    """The step that answers a residual, to a relative residual of its own."""
-
-    def __call__(self, residual: np.ndarray, to: float) -> np.ndarray: ...
+FIRST_PART, LEAST_PART = 1 / 2, 1 / 64
+"""Of a load and what is given on the collar, that is applied at once where all is too much."""
+KRYLOV, MANY = 1e-4, 12
+"""Residual that conjugate gradients leave of a step's equation; products that make factors of
+another tangent dearer than its own."""
+STEPS_DOWN, STEPS_PAST = 15, 60
+"""Most of Newton's steps through stable tangents, and past others."""
+SHORTEST, DESCENT, NEARER = 1e-4, 1e-4, 0.5
+"""Shortest part of a step down; what of its promise it must keep, or by what residuals shrink."""
 
 
 Force = Callable[[np.ndarray], np.ndarray]
@@ -146,16 +150,26 @@ class Equilibria:
         if scale == 0:
             record.residual = 0.0
             return field, record
-        begin = self.inverse(right, ROUGH)
-        record.solves += 1
-        inner = self._found(load, field, begin, scale, tolerance, record)
-        if not record.residual <= tolerance:
-            inner = self._in_parts(load, field, inner, scale, tolerance, record)
-        if not record.residual <= tolerance:
-            raise InputError(
-                f"no equilibrium was found: residual {record.residual:.1e} of the right-hand side "
-                f"after {record.solves} linear solves; the load may be more than the solid bears"
-            )
+
+        def part(share: float, guess: np.ndarray | None) -> np.ndarray | None:
+            if guess is None:
+                record.solves += 1
+                guess = self.inverse(share * right, ROUGH)
+            of_share = share * load, share * field, guess, share * scale
+            inner = self._found(*of_share, tolerance, record)
+            return inner if record.residual <= tolerance else None
+
+        inner = part(1.0, None)
+        if inner is None:
+            residual = record.residual
+            inner, done, _ = follow(part)
+            record.method = "parts"
+            if done < 1:
+                raise InputError(
+                    f"no equilibrium was found: residual {residual:.1e} of the right-hand side "
+                    f"after {record.solves} linear solves; the load may be more than the solid "
+                    "bears"
+                )
         field[self.inside] = inner
         return field, record
 
@@ -169,10 +183,8 @@ class Equilibria:
         record, field = NonlinearRecord(method="newton"), start.copy()
         zero = np.where(self.inside[:, None], 0.0, start)
         scale = float(np.linalg.norm(load - self.force(zero))) or 1.0
-        begin = start[self.inside]
-        field[self.inside] = self._found(
-            load, field.copy(), begin, scale, tolerance, record, mixes=False
-        )
+        given = load, start.copy(), start[self.inside], scale
+        field[self.inside] = self._found(*given, tolerance, record, mixes=False)
         return field, record
 
     def _found(
@@ -188,88 +200,56 @@ class Equilibria:
     ) -> np.ndarray:
         """The interior as far as it comes; the record's residual tells how far."""
 
-        def left(force: Force, inner: np.ndarray) -> np.ndarray:
+        def left(inner: np.ndarray, force: Force = self.force) -> np.ndarray:
             field[self.inside] = inner
             with np.errstate(all="ignore"):  # of a step that ran away
                 return np.asarray((load - force(field)) / scale)
 
-        def correction(residual: np.ndarray, to: float) -> np.ndarray:
+        def correction(to: float, residual: np.ndarray) -> np.ndarray:
             record.solves += 1
             return self.inverse(residual * scale, to)
 
-        def clipped() -> Callable[[np.ndarray], np.ndarray] | None:
-            return None if self._clipped is None else partial(left, self._clipped())
-
-        return balanced(
-            partial(left, self.force), correction, begin, tolerance, record,
-            clipped=clipped, mixes=mixes,
-        )  # fmt: skip
-
-    def _in_parts(
-        self,
-        load: np.ndarray,
-        field: np.ndarray,
-        best: np.ndarray,
-        scale: float,
-        tolerance: float,
-        record: NonlinearRecord,
-    ) -> np.ndarray:
-        """The interior by a load that grows in equal parts, each begun where the last leads to."""
-        residual = record.residual
-        for parts in PARTS:
-            inner = self.inverse((load - self.straight(field)) / parts, ROUGH)
-            for part in range(1, parts + 1):
-                share = part / parts
-                inner = self._found(
-                    share * load, share * field, inner, share * scale, tolerance, record
-                )
-                if not record.residual <= tolerance:
-                    break
-                if part == parts:
-                    record.method = "parts"
-                    return inner
-                inner = (part + 1) / part * inner
-        record.residual = residual
-        return best
+        v, size, rough = begin, np.inf, partial(correction, ROUGH)
+        if mixes:
+            v, size = anderson(left, rough, begin, tolerance)
+            if size > tolerance and self._clipped is not None:
+                record.method = "clipped"
+                v, _ = anderson(partial(left, force=self._clipped()), rough, begin, tolerance)
+                size = HERE.norm(left(v))
+        if not size <= tolerance:
+            record.method = "newton"
+            exact = partial(correction, LINEAR_SHARE * tolerance)
+            goal = NEWTON_SHARE * tolerance * HERE.norm(v)
+            v = newton(lambda w: exact(left(w)), v, goal)
+            size = HERE.norm(left(v))
+        record.residual = float(size)
+        return v
 
 
-def balanced(
-    left: Callable[[np.ndarray], np.ndarray],
-    correction: Correction,
-    start: np.ndarray,
-    tolerance: float,
-    record: NonlinearRecord,
-    *,
-    clipped: Callable[[], Callable[[np.ndarray], np.ndarray] | None] = lambda: None,
-    mixes: bool = True,
-) -> np.ndarray:
-    """The field whose residual vanishes, as far as it comes; the record tells how far, and how.
+def follow(
+    solve: Callable[[float, np.ndarray | None], np.ndarray | None],
+) -> tuple[Any, float, int]:
+    """Answers from a share of zero to one, in steps that halve where nothing is found.
 
     Args:
-        left: residual of a field, relative.
-        correction: the step that answers a residual, to a relative residual of its own.
-        start: a field.
-        tolerance: of the residual's norm.
-        record: takes method and residual.
-        clipped: gives the residual with clipped gradients, or None.
-        mixes: False begins with Newton's method.
+        solve: the answer to a share of the load, from a guess by the last two; None where none is
+            found. At first there is no guess.
+
+    Returns:
+        The last answer, zero where there is none, its share, and the number of steps.
     """
-    v, size = start, np.inf
-    if mixes:
-        rough = partial(correction, to=ROUGH)
-        v, size = anderson(left, rough, start, tolerance)
-        if size > tolerance and (small := clipped()) is not None:
-            record.method = "clipped"
-            v, _ = anderson(small, rough, start, tolerance)
-            size = HERE.norm(left(v))
-    if not size <= tolerance:
-        record.method = "newton"
-        exact = partial(correction, to=LINEAR_SHARE * tolerance)
-        goal = NEWTON_SHARE * tolerance * HERE.norm(v)
-        v = newton(lambda w: exact(left(w)), v, goal)
-        size = HERE.norm(left(v))
-    record.residual = float(size)
-    return v
+    done, last, step, steps = 0.0, 0.0, FIRST_PART, 0
+    now: Any = 0.0
+    before = now
+    while done < 1 and step >= LEAST_PART:
+        share, guess = min(1.0, done + step), None
+        if steps:
+            guess = now + (share - done) / (done - last) * (now - before)
+        if (found := solve(share, guess)) is None:
+            step /= 2
+        else:
+            before, last, now, done, steps = now, done, found, share, steps + 1
+    return now, done, steps
 
 
 def anderson(
@@ -310,6 +290,115 @@ def anderson(
             by_field = np.stack([earlier - fields[-1] for earlier in fields[:-1]], axis=-1)
             u = u + (by_step + by_field) @ _mixture(by_step, steps[-1])
     return best
+
+
+Inner = Callable[[np.ndarray], np.ndarray]
+"""What a matrix, or its inverse, makes of the interior [I, d]."""
+
+
+def stable_way(
+    solid: Any, start: np.ndarray | None, near: Inner | None, tolerance: float
+) -> tuple[np.ndarray | None, int, int, bool]:
+    """Down from a start; without `near` by the load in parts, too, and past negative curvature.
+
+    Args:
+        solid: with an energy, under a load, as hyperelastic.equilibrium.Sheet.
+        start: a field of all nodes; where the solid says that a search begins, if there is none.
+        near: the inverse of a tangent near the start.
+        tolerance: of the largest residual, over the largest force.
+
+    Returns:
+        The stable equilibrium or None, Newton's steps, parts that the load was applied in, and
+        whether stable equilibria lead to it from rest, as far as the steps tell.
+    """
+    count = 0
+
+    def down(solid: Any, u: np.ndarray, **how: Any) -> np.ndarray | None:
+        nonlocal count
+        found, steps = descend(solid, solid.on_collar(u), tolerance, **how)
+        count += steps
+        return found
+
+    def part(share: float, guess: np.ndarray | None) -> np.ndarray | None:
+        of_share = solid.part(share)
+        return down(of_share, of_share.begin() if guess is None else guess)
+
+    first = solid.begin() if start is None else start
+    found = down(solid, first, near=near)
+    if found is not None or near is not None:
+        return found, count, 1, True
+    branch, done, parts = follow(part)
+    if done == 1:
+        return branch, count, parts, True
+    for guess in (branch / done, first) if done else (first,):
+        if found is None:
+            found = down(solid, guess, shifts=True)
+    return found, count, parts, False
+
+
+def descend(
+    solid: Any, u: np.ndarray, tolerance: float, *, near: Inner | None = None, shifts: bool = False
+) -> tuple[np.ndarray | None, int]:
+    """Where the potential is least down from u, and Newton's steps; None where it does not come.
+
+    Without shifts it also ends where the tangent is not positive definite: the branch of stable
+    equilibria that u lies near has been left. With the inverse of a tangent `near` none is
+    factorised; else the first and the last are, and those that many products tell to be far.
+    """
+    given, folds = near is not None, solid.folds(u)
+    near = near or solid.rough
+    for steps in range(STEPS_PAST if shifts else STEPS_DOWN):
+        left, scale = solid.left(u)
+        if not (folds < np.inf and np.isfinite(scale)):
+            break
+        small = np.abs(left).max() <= tolerance * scale
+        step, stable, near = direction(
+            solid, u, left, solid.rough if small and not given else near, shifts
+        )
+        if step is None or not (stable or shifts):
+            break
+        if small and stable:
+            return (None if folds else u), steps
+        if (ahead := _searched(solid, u, step, left, tolerance * scale, folds)) is None:
+            break
+        u, folds = ahead
+    return None, steps
+
+
+def direction(
+    solid: Any, u: np.ndarray, left: np.ndarray, near: Inner | None, shifts: bool
+) -> tuple[Any, bool, Inner | None]:
+    """A step down, whether the tangent is positive definite as far as it tells, and its inverse or
+    one near."""
+    if near is not None:
+        try:
+            step, record = definite(partial(solid.product, u), near, left, KRYLOV)
+            kept = near is solid.rough or record.iterations <= MANY
+            return step, True, near if kept else None
+        except InputError:  # of negative curvature
+            if near is solid.rough:
+                return near(left), False, near
+    inverse, stable = solid.inverse(u, shifts)
+    return inverse and inverse(left), stable, None if shifts else inverse
+
+
+def _searched(
+    solid: Any, u: np.ndarray, step: np.ndarray, left: np.ndarray, small: float, folds: float
+) -> tuple[np.ndarray, float] | None:
+    """u after the longest part of a step that lowers the potential, or the residual near the end;
+    and how it is folded."""
+    before, slope, part = solid.potential(u), float((left * step).sum()), 1.0
+    while part > SHORTEST:
+        ahead = solid.moved(u, part * step)
+        if (turned := solid.folds(ahead)) <= folds:
+            if solid.potential(ahead) <= before - DESCENT * part * slope:
+                return ahead, turned
+            there = solid.left(ahead)[0]
+            nearer = np.linalg.norm(there) < NEARER * np.linalg.norm(left)
+            if nearer or np.abs(there).max() < small:
+                return ahead, turned
+        part /= 2
+    return None
 
 
 def _mixture(differences: np.ndarray, step: np.ndarray) -> np.ndarray:

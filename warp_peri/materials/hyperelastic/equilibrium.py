@@ -1,9 +1,9 @@
-"""Equilibria of sheets: tangents and their factors, Newton, continuation to stable branches."""
+"""Equilibria of sheets: their tangent as a band, and the ways of the one driver to a stable one."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -18,116 +18,49 @@ from warp_peri.materials.hyperelastic.energies import Term
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
 from warp_peri.stability.certificate import lanczos_start, smallest_eigenvalue
-from warp_peri.statics.conjugate_gradients import definite
-from warp_peri.statics.direct import definite_factors
+from warp_peri.statics.equilibria import Inner, direction, stable_way
 
-LARGEST_BAND = 4 * 10**7
-"""Entries of a band that is eliminated as one, in a quarter of the time of sparse factors."""
+DIRECT = 20_000
+"""Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
+LINEAR = 1e-5
+"""Strain below which what rounding leaves of forces is seen, and answers are in proportion."""
+SHIFTS = 1e-3 * 4.0 ** np.arange(12)
+"""Of the largest entry of the diagonal, added to all until a tangent is positive definite."""
 
 
 @dataclass(frozen=True, eq=False)
 class BandFactors:
-    """Cholesky's factors of a banded matrix, as rows of nodes on a lattice have it.
+    """Cholesky's factors of a tangent, by diagonals, its unknowns in another order."""
 
-    Attributes:
-        factor: the lower triangle by diagonals.
-        order: of the unknowns in it.
-    """
-
-    factor: np.ndarray
+    band: np.ndarray
     order: np.ndarray
 
     def solve(self, y: np.ndarray) -> np.ndarray:
         """K⁻¹ y by the factors, in their precision."""
-        given = y[self.order].astype(self.factor.dtype)  # else SciPy turns the factor, every time
+        given = y[self.order].astype(self.band.dtype)  # else SciPy turns the band, every time
         x = np.empty(y.shape)
-        x[self.order] = cho_solve_banded((self.factor, True), given, check_finite=False)
+        x[self.order] = cho_solve_banded((self.band, True), given, check_finite=False)
         return x
 
-
-@dataclass(frozen=True, eq=False)
-class Band:
-    """Where the entries of a symmetric sparse matrix stand in a band.
-
-    Attributes:
-        order: of the unknowns in it.
-        below: which of the entries belong to its lower triangle.
-        places: theirs, diagonal by diagonal of each column.
-        width: number of diagonals.
-    """
-
-    order: np.ndarray
-    below: np.ndarray
-    places: np.ndarray
-    width: int
-
-    @classmethod
-    def of(cls, indices: np.ndarray, ends: np.ndarray, order: np.ndarray) -> Band:
-        """The band of a matrix by columns."""
-        place = np.argsort(order)
-        row, column = place[indices], np.repeat(place, np.diff(ends))
-        width = int((row - column).max()) + 1
-        places = column * width + row - column
-        below = np.flatnonzero(row >= column)
-        below = below[np.argsort(places[below])]
-        return cls(order, below, places[below], width)
-
-    def filled(self, entries: np.ndarray) -> np.ndarray | None:
-        """The lower triangle by diagonals; None where they are too many, or entries no numbers."""
-        values, size = entries[self.below], self.width * len(self.order)
-        if size > LARGEST_BAND or not np.isfinite(values).all():
-            return None
-        band = np.zeros(size)
-        band[self.places] = values
-        return band.reshape((self.width, -1), order="F")
+    def rough(self) -> BandFactors:
+        """The same in half the memory, for fields near by."""
+        return BandFactors(self.band.astype(np.float32), self.order)
 
 
-def positive_factors(K: sp.csc_matrix, band: Band | None = None) -> Any:
-    """Factors with a `solve` of a symmetric matrix where it is positive definite, else None.
-
-    Where its entries stand in a band is found in the order of the unknowns, unless it is given.
-    """
-    band = band or Band.of(K.indices, K.indptr, np.arange(K.shape[0]))
-    if (filled := band.filled(K.data)) is None:
-        return definite_factors(K)
-    try:
-        return BandFactors(cholesky_banded(filled, True, True, check_finite=False), band.order)
-    except np.linalg.LinAlgError:
-        return None
-
-
-def rough(factors: Any) -> Any:
-    """The same in half the memory where that is large: for fields near by."""
-    if isinstance(factors, BandFactors):
-        return BandFactors(factors.factor.astype(np.float32), factors.order)
-    return factors
-
-
-@dataclass(frozen=True, eq=False)
 class TangentPattern:
-    """What the tangent is made of, apart from the field: build once for an operator.
+    """Where the entries of the tangent between interior nodes stand: built once for an operator.
 
     Attributes:
-        op: the operator.
         half: places of the nodes in a row, 0 and one of each ±, by lattice steps.
         row: of every node, the number of interior nodes I for those of the collar, shape [N].
         taken: places in blocks [half, 2, 2, I] that are entries of the matrix, row by row.
         columns: their columns.
         ends: where rows begin among them.
-        band: of the matrix, narrow by lines of nodes along the shorter side.
+        order: of the unknowns in a band that is narrow, by lines of nodes along the shorter side.
+        width: number of its diagonals.
     """
 
-    op: HyperelasticOperator
-    half: dict[tuple[int, ...], int]
-    row: np.ndarray
-    taken: np.ndarray
-    columns: np.ndarray
-    ends: np.ndarray
-    band: Band
-
-    @classmethod
-    def of(cls, op: HyperelasticOperator) -> TangentPattern:
-        """The pattern of an operator."""
+    def __init__(self, op: HyperelasticOperator) -> None:
         bonds, interior, inside = op.bonds, op.interior, len(op.interior)
         family = np.concatenate([0 * bonds.steps[:1], bonds.steps])
         steps = np.unique((family[:, None] + family).reshape(-1, 2), axis=0)
@@ -141,30 +74,49 @@ class TangentPattern:
         block = 4 * np.abs(which - middle)[:, None, None] + np.where(turned, 2 * b + a, 2 * a + b)
         taken = inside * block + np.where(turned[:, 0, 0], column, row)[:, None, None]
         rows, columns = ((2 * n[:, None, None] + k).ravel() for n, k in ((row, a), (column, b)))
-        order = np.lexsort((columns, rows))
-        ends = np.searchsorted(rows[order], np.arange(2 * inside + 1)).astype(np.int32)
+        sorting = np.lexsort((columns, rows))
+        self.ends = np.searchsorted(rows[sorting], np.arange(2 * inside + 1)).astype(np.int32)
+        self.taken, self.columns = taken.ravel()[sorting], columns[sorting].astype(np.int32)
+        self.half = {tuple(step): n for n, step in enumerate(steps[middle:].tolist())}
+        self.row = number[:-1]
         inner = bonds.grid[interior]
         shorter = int(np.argmin(np.ptp(inner, axis=0)))
         nodes = np.lexsort((inner[:, shorter], inner[:, 1 - shorter]))
-        unknowns = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
-        columns = columns[order].astype(np.int32)
-        half = {tuple(step): n for n, step in enumerate(steps[middle:].tolist())}
-        band = Band.of(columns, ends, unknowns)
-        return cls(op, half, number[:-1], taken.ravel()[order], columns, ends, band)
+        self.order = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
+        place = np.argsort(self.order).astype(np.int32)
+        across, diagonal = np.repeat(place, np.diff(self.ends)), place[self.columns]
+        diagonal = diagonal - across
+        self._below = np.flatnonzero(diagonal >= 0)
+        self._at = diagonal[self._below], across[self._below]
+        self.width = int(self._at[0].max()) + 1
 
-    def matrix(self, u: np.ndarray, c: np.ndarray) -> sp.csc_matrix:
+    def matrix(self, op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> sp.csc_matrix:
         """K between interior nodes at a field u of shape [N, 2], (H10), shape [2 I, 2 I]."""
         size = len(self.ends) - 1
-        entries = self._blocks(u, c).ravel()[self.taken]  # symmetric: rows stand for columns
+        entries = self._blocks(op, u, c).ravel()[self.taken]  # symmetric: rows stand for columns
         return sp.csc_matrix((entries, self.columns, self.ends), shape=(size, size))
 
-    def factors(self, u: np.ndarray, c: np.ndarray) -> Any:
-        """Factors of that matrix where it is positive definite, else None."""
-        return positive_factors(self.matrix(u, c), self.band)
+    def factors(
+        self, op: HyperelasticOperator, u: np.ndarray, c: np.ndarray, shifts: bool = False
+    ) -> tuple[BandFactors | None, bool]:
+        """Factors of that matrix where it is positive definite, and whether it is.
 
-    def _blocks(self, u: np.ndarray, c: np.ndarray) -> np.ndarray:
+        With shifts of it and a multiple of one that is enough, where it is not.
+        """
+        band = np.zeros((self.width, len(self.order)), order="F")
+        band[self._at] = self._blocks(op, u, c).ravel()[self.taken[self._below]]
+        diagonal = band[0].copy()
+        for shift in (0.0, *SHIFTS) if shifts else (0.0,):
+            band[0] = diagonal + shift * np.abs(diagonal).max()
+            try:
+                return BandFactors(cholesky_banded(band, lower=True), self.order), shift == 0
+            except (np.linalg.LinAlgError, ValueError):  # not definite, or no numbers
+                continue
+        return None, False
+
+    def _blocks(self, op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> np.ndarray:
         """Blocks of the rows at the steps of a half, shape [half, 2, 2, I]."""
-        op, inside = self.op, self.op.interior
+        inside = op.interior
         K, axis = np.zeros((len(self.half), 2, 2, len(inside))), np.arange(2)
         tension, Y, curved = op.curvatures(u, c)
         K[0, axis, axis] = abs(op.bonds.ends[inside]) @ tension
@@ -189,24 +141,6 @@ class TangentPattern:
         return K
 
 
-FEW = 1200
-"""Unknowns up to which the tangent of every step is factorised."""
-KRYLOV = 1e-4
-"""Residual that conjugate gradients leave of a step's equation."""
-MANY = 12
-"""Products that make factors of another tangent dearer than its own."""
-DIRECT = 20_000
-"""Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""
-LINEAR = 1e-5
-"""Strain below which what rounding leaves of forces is seen, and answers are in proportion."""
-SMALLEST_STEP = 1 / 64
-"""Of the load, in continuation."""
-STIFFER = 6.0
-"""Times that deviations are stiffened where a plain solve fails; then they soften again."""
-SOFTENING = (1.5, 1.01)
-"""Largest and smallest ratio of two stiffnesses on that way."""
-
-
 class NoEquilibrium(RuntimeError):
     """No stable equilibrium was found; the message says how far the load was followed."""
 
@@ -223,8 +157,8 @@ class Equilibrium:
             unknowns it is a lower bound of that, see StaticProblem.smallest_eigenvalue.
         iterations: Newton steps.
         load_steps: 1 where no continuation was needed.
-        followed: whether stable equilibria lead to it, from rest along the load or from stiffer
-            deviations, as far as the steps tell; false for another minimum, found by going down.
+        followed: whether stable equilibria lead to it from rest along the load, as far as the
+            steps tell; false for another minimum, found by going down.
     """
 
     u: np.ndarray
@@ -250,21 +184,18 @@ class StaticProblem:
         self, op: HyperelasticOperator, *, tolerance: float = 1e-8, direct: int = DIRECT
     ) -> None:
         self.op, self.tolerance = op.near_interior(), tolerance
-        self.pattern = TangentPattern.of(self.op) if 2 * len(op.interior) <= direct else None
+        self.pattern = TangentPattern(op) if 2 * len(op.interior) <= direct else None
         near, inside = op.bonds.ends[:, op.bonds.pairs[2] < 2], op.points.interior
         laplacian = (near @ near.T).tocsr()[op.interior] / op.bonds.spacing**2
-        self._laplacian, self._to_collar = (
-            laplacian[:, inside],
-            laplacian @ sp.diags_array(1.0 * ~inside),
-        )
-        self._laplace = splu(self._laplacian.tocsc())
-        self._count = 0  # of Newton steps of a search
-        self.softest = _nearest_zero(self._laplacian, self._laplace.solve, 1e-4)
+        self._laplacian = laplacian[:, inside]
+        self._to_collar = laplacian @ sp.diags_array(1.0 * ~inside)
+        self.laplace = splu(self._laplacian.tocsc()).solve
+        self.softest = _softest(len(op.interior), self.laplace, 1e-4)
 
     def lift(self, u: np.ndarray) -> np.ndarray:
         """u with its interior replaced by the harmonic extension of the collar."""
         lifted = u.copy()
-        lifted[self.op.interior] = self._laplace.solve(-(self._to_collar @ u))
+        lifted[self.op.interior] = self.laplace(-(self._to_collar @ u))
         return lifted
 
     def solve(
@@ -302,7 +233,7 @@ class StaticProblem:
         u: np.ndarray,
         *,
         start: np.ndarray | None = None,
-        near: Any = None,
+        near: BandFactors | None = None,
     ) -> Equilibrium | None:
         """As solve, without the smallest eigenvalue (NaN); None where no equilibrium is found.
 
@@ -314,43 +245,19 @@ class StaticProblem:
         load, collar = checked_fields(self.op.points, b, u)
         if collar.shape != nodes:
             raise InputError(f"u: expected shape {list(nodes)}, got {list(collar.shape)}")
-        load, collar[inside] = load[inside], 0.0
-        first = self.lift(collar) if start is None else start
-        if (times := self._too_small(c, load, collar)) > 1:
+        collar[inside] = 0.0
+        sheet = Sheet(self, c, load[inside], collar)
+        if (times := sheet.too_small()) > 1:
             known = None if start is None else times * start
             larger = self.find(c, None if b is None else times * b, times * u, start=known)
             return larger and replace(larger, u=larger.u / times)
-        self._count, steps, followed = 0, 1, True
-        first = np.where(inside[:, None], first, collar)
-        field = self._newton(c, load, first, near=near)
-        if field is None and near is None:
-            softened, factor = self._soften(c, load, collar, first)
-            field = softened if factor == 1.0 else None
-            if field is None:
-                branch, done, steps = self._continue(c, load, collar)
-                followed = done == 1.0
-                field = branch if followed else None
-                ahead = np.where(inside[:, None], branch / (done or 1.0), collar)
-                for guess in (softened, ahead, first):
-                    if field is None and guess is not None:
-                        field = self._newton(c, load, guess, shifts=True)
-        if field is None:
+        inverse = None if near is None else sheet.by(near)
+        found, steps, parts, followed = stable_way(sheet, start, inverse, self.tolerance)
+        if found is None:
             return None
-        f = self.op.everywhere(field, c)
-        left = load - f[self.op.interior]
-        residual = float(np.abs(left).max() / max(np.abs(load).max(), np.abs(f).max(), 1e-300))
-        return Equilibrium(field, residual, np.nan, self._count, steps, followed)
-
-    def _too_small(self, c: np.ndarray, load: np.ndarray, collar: np.ndarray) -> float:
-        """Times by which load and collar must grow for strains that rounding leaves; or 1.
-
-        Below, what answers them is in proportion: strains are differences of products near one.
-        """
-        strain = float(np.ptp(self.lift(collar), axis=0).max()) / self.op.bonds.spacing
-        if load.any() and strain < LINEAR / 2:
-            step = self._direction(c, np.zeros_like(collar), load, False)[0]
-            strain = max(strain, float(np.abs(step).max()) / self.op.bonds.spacing)
-        return LINEAR / strain if 0 < strain < LINEAR / 2 else 1.0
+        left, scale = sheet.left(found)
+        residual = float(np.abs(left).max() / scale)
+        return Equilibrium(found, residual, np.nan, steps, parts, followed)
 
     def with_terms(self, terms: Sequence[Term]) -> StaticProblem:
         """The same lattice with other strain energies; what is built once is shared."""
@@ -362,173 +269,14 @@ class StaticProblem:
 
     def _with(self, op: HyperelasticOperator) -> StaticProblem:
         other = copy(self)
-        other.op, other.pattern = op, self.pattern and replace(self.pattern, op=op)
+        other.op = op
         return other
 
-    def _soften(
-        self, c: np.ndarray, load: np.ndarray, collar: np.ndarray, first: np.ndarray
-    ) -> tuple[np.ndarray | None, float]:
-        """Solve with stiffer deviations and follow the answer while they soften.
-
-        The last answer, and how stiff its deviations were.
-        """
-        deviations = slice(self.op.dictionary.first_deviation, self.op.dictionary.first_term)
-        stiff, factor, ratio = c.copy(), STIFFER, SOFTENING[0]
-        if not np.any(c[deviations] > 0):
-            return None, factor
-        stiff[deviations] *= factor
-        last = self._newton(stiff, load, first)
-        if last is None:
-            branch, done, _ = self._continue(stiff, load, collar)
-            last = branch if done == 1.0 else None
-        while last is not None and factor > 1.0 and ratio > SOFTENING[1]:
-            target = max(1.0, factor / ratio)
-            stiff[deviations] = target * c[deviations]
-            field = self._newton(stiff, load, last)
-            if field is None:
-                ratio = ratio**0.5
-            else:
-                last, factor = field, target
-        return last, factor
-
-    def _continue(
-        self, c: np.ndarray, load: np.ndarray, collar: np.ndarray
-    ) -> tuple[np.ndarray, float, int]:
-        """Follow load and collar from rest: the last field, how far, load steps."""
-        done, step, steps = 0.0, 0.25, 0
-        now = before = np.zeros_like(collar)
-        last = 0.0
-        while done < 1 and step >= SMALLEST_STEP:
-            target = min(1.0, done + step)
-            if done > last:
-                guess = now + (target - done) / (done - last) * (now - before)
-            else:
-                guess = self.lift(target * collar)
-            field = self._newton(c, target * load, guess)
-            if field is None:
-                step /= 2
-            else:
-                before, last, now, done, steps = now, done, field, target, steps + 1
-        return now, done, steps
-
-    def _newton(
-        self,
-        c: np.ndarray,
-        load: np.ndarray,
-        u: np.ndarray,
-        *,
-        shifts: bool = False,
-        near: Any = None,
-    ) -> np.ndarray | None:
-        """Minimise the potential from u; None where that does not end in an equilibrium.
-
-        Without shifts it also ends where the tangent is not positive definite: the branch of
-        stable equilibria that u lies near has been left. With factors of a tangent near none is
-        factorised. Else, of many unknowns, the first and the last are.
-        """
-        if self.op.smallest_area(u) <= SMALLEST_AREA:
-            return None
-        given, again = near is not None, not shifts and 2 * len(self.op.interior) > FEW
-        for _ in range(60 if shifts else 15):
-            f = self.op.everywhere(u, c)
-            residual = load - f[self.op.interior]
-            scale = max(np.abs(load).max(), np.abs(f).max(), 1e-300)
-            if not np.isfinite(f).all():  # a bond or the short strain is folded
-                return None
-            small = np.abs(residual).max() <= self.tolerance * scale
-            if small and not given:
-                near = None
-            step, shift, factor = self._direction(c, u, residual, shifts, near)
-            near = factor if given or again else None
-            if shift > 0 and not shifts:
-                return None
-            if small and shift == 0.0:
-                return None if self._folded(u) else u
-            moved = self._search(c, load, u, step, residual, scale)
-            if moved is None:
-                return None
-            self._count, u = self._count + 1, moved
-        return None
-
-    def _direction(
-        self, c: np.ndarray, u: np.ndarray, residual: np.ndarray, shifts: bool, near: Any = None
-    ) -> tuple[np.ndarray, float, Any]:
-        """A direction of descent, the shift that makes the tangent positive definite, factors."""
+    def factors(self, c: np.ndarray, u: np.ndarray, shifts: bool = False) -> Any:
+        """As TangentPattern.factors."""
         if self.pattern is None:
-            return *self._krylov(c, u, residual, self._laplace.solve)[:2], None
-        if near is not None:
-            inverse = lambda r: near.solve(r.ravel()).reshape(r.shape)  # noqa: E731
-            step, shift, products = self._krylov(c, u, residual, inverse)
-            if shift == 0:
-                return step, shift, near if products <= MANY else None
-        K = self.pattern.matrix(u, c)
-        shift, diagonal = 0.0, K.diagonal()
-        size = 1e-3 * abs(diagonal).max()
-        for _ in range(12):
-            factor = positive_factors(K, self.pattern.band)
-            if factor is not None:
-                return factor.solve(residual.ravel()).reshape(residual.shape), shift, factor
-            shift = size if shift == 0 else 4 * shift
-            K.setdiag(diagonal + shift)  # a sum would drop entries that are zero
-            if not shifts:
-                break
-        return residual / size, size, None
-
-    def _krylov(
-        self,
-        c: np.ndarray,
-        u: np.ndarray,
-        residual: np.ndarray,
-        inverse: Callable[[np.ndarray], np.ndarray],
-    ) -> tuple[np.ndarray, float, int]:
-        """Direction, shift and products of conjugate gradients.
-
-        At negative curvature it is what the inverse answers.
-        """
-        v = np.zeros_like(u)
-
-        def product(p: np.ndarray) -> np.ndarray:
-            v[self.op.interior] = p
-            return self.op.product(u, c, v)[self.op.interior]
-
-        try:
-            step, record = definite(product, inverse, residual, KRYLOV)
-        except InputError:
-            return inverse(residual), 1.0, 0
-        return step, 0.0, record.iterations
-
-    def _search(
-        self,
-        c: np.ndarray,
-        load: np.ndarray,
-        u: np.ndarray,
-        step: np.ndarray,
-        residual: np.ndarray,
-        scale: float,
-    ) -> np.ndarray | None:
-        """u after the longest step that lowers the potential, or the residual near the end."""
-        inner = self.op.interior
-
-        def potential(u: np.ndarray) -> float:
-            return float(self.op.energy(u, c) / self.op.bonds.spacing**2 - (load * u[inner]).sum())
-
-        before, slope, folded = potential(u), (residual * step).sum(), self._folded(u)
-        part, moved = 1.0, u.copy()
-        while part > 1e-4:
-            moved[inner] = u[inner] + part * step
-            if self.op.smallest_area(moved) > SMALLEST_AREA and self._folded(moved) <= folded:
-                if potential(moved) <= before - 1e-4 * part * slope:
-                    return moved
-                left = load - self.op.everywhere(moved, c)[inner]
-                nearer = np.linalg.norm(left) < 0.5 * np.linalg.norm(residual)
-                if nearer or np.abs(left).max() < self.tolerance * scale:
-                    return moved
-            part /= 2
-        return None
-
-    def _folded(self, u: np.ndarray) -> int:
-        """Corners that are turned over, which their energies, functions of C, do not see."""
-        return self.op.folded(u) if self.op.dictionary.cornered else 0
+            raise InputError("problem: expected one whose tangent is factorised")
+        return self.pattern.factors(self.op, u, c, shifts)
 
     def smallest_eigenvalue(self, c: np.ndarray, u: np.ndarray) -> float:
         """Smallest eigenvalue of the tangent between interior nodes at u [stress / length²].
@@ -536,36 +284,105 @@ class StaticProblem:
         Where it is not factorised: its smallest ratio to the Laplacian's quadratic form, times the
         Laplacian's smallest eigenvalue. That has the same sign and, where positive, is not larger.
         """
+        size, shape = 2 * len(self.op.interior), (-1, 2)
         if self.pattern is not None:
-            K = self.pattern.matrix(u, c)
-            factor = positive_factors(K, self.pattern.band)
-            if factor is None:  # what is nearest to zero need not be the smallest
-                return smallest_eigenvalue(K)
-            return _nearest_zero(K, factor.solve, 1e-3)
-        inner, v = self.op.interior, np.zeros_like(u)
-
-        def product(p: np.ndarray) -> np.ndarray:
-            v[inner] = p.reshape(-1, 2)
-            Kp: np.ndarray = self.op.product(u, c, v)[inner].ravel()
-            return Kp
-
-        size = 2 * len(inner)
-        K = LinearOperator((size, size), product, dtype=float)
-        L = sp.kron(self._laplacian, sp.eye(2)).tocsr()
-        inverse = LinearOperator(
-            (size, size), lambda p: self._laplace.solve(p.reshape(-1, 2)).ravel(), dtype=float
-        )
-        values = eigsh(
-            K, 1, M=L, Minv=inverse, which="SA", v0=lanczos_start(size), return_eigenvectors=False,
-            tol=1e-2, maxiter=2000,
-        )  # fmt: skip
-        return float(values[0]) * self.softest
+            factors = self.factors(c, u)[0]
+            if factors is None:  # what is nearest to zero need not be the smallest
+                return smallest_eigenvalue(self.pattern.matrix(self.op, u, c))
+            return _softest(size, factors.solve, 1e-3)
+        sheet = Sheet(self, c, np.zeros((1, 2)), u)
+        product = lambda p: sheet.product(u, p.reshape(shape)).ravel()  # noqa: E731
+        inverse = lambda p: self.laplace(p.reshape(shape)).ravel()  # noqa: E731
+        K, Minv = (LinearOperator((size, size), f, dtype=float) for f in (product, inverse))
+        L, start = sp.kron(self._laplacian, sp.eye(2)).tocsr(), lanczos_start(size)
+        ends: dict[str, Any] = {"v0": start, "return_eigenvectors": False, "maxiter": 2000}
+        return self.softest * float(eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, **ends)[0])
 
 
-def _nearest_zero(K: Any, solve: Callable[[np.ndarray], np.ndarray], tolerance: float) -> float:
-    """The eigenvalue of a symmetric matrix that is nearest to zero."""
-    if K.shape[0] == 1:
-        return float(K.diagonal()[0])
-    inverse, start = LinearOperator(K.shape, solve, dtype=float), lanczos_start(K.shape[0])
-    ends = {"v0": start, "return_eigenvectors": False, "tol": tolerance}
-    return float(eigsh(K, 1, sigma=0, OPinv=inverse, **ends)[0])
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A sheet under a load, as the driver asks: fields are of all nodes, loads of the interior."""
+
+    problem: StaticProblem
+    c: np.ndarray
+    load: np.ndarray
+    collar: np.ndarray
+
+    def part(self, share: float) -> Sheet:
+        """The same under a share of load and collar."""
+        return replace(self, load=share * self.load, collar=share * self.collar)
+
+    def begin(self) -> np.ndarray:
+        """Where a search begins."""
+        return self.problem.lift(self.collar)
+
+    def on_collar(self, u: np.ndarray) -> np.ndarray:
+        """A field with what is given on the collar."""
+        return np.where(self.problem.op.points.interior[:, None], u, self.collar)
+
+    def moved(self, u: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """A field after a step of the interior."""
+        u = u.copy()
+        u[self.problem.op.interior] += step
+        return u
+
+    def left(self, u: np.ndarray) -> tuple[np.ndarray, float]:
+        """What forces leave of the load, and the largest of both."""
+        f = self.problem.op.everywhere(u, self.c)
+        scale = max(np.abs(self.load).max(), np.abs(f).max(), 1e-300)
+        return self.load - f[self.problem.op.interior], scale
+
+    def potential(self, u: np.ndarray) -> float:
+        """Of all forces, over the area of a node."""
+        op = self.problem.op
+        stored = op.energy(u, self.c) / op.bonds.spacing**2
+        return float(stored - (self.load * u[op.interior]).sum())
+
+    def folds(self, u: np.ndarray) -> float:
+        """Corners that are turned over, which their energies, functions of C, do not see; infinite
+        where the nodal strain folds."""
+        op = self.problem.op
+        if not op.smallest_area(u) > SMALLEST_AREA:
+            return np.inf
+        return op.folded(u) if op.dictionary.cornered else 0
+
+    def product(self, u: np.ndarray, p: np.ndarray) -> np.ndarray:
+        """The tangent at u along p on the interior."""
+        op, v = self.problem.op, np.zeros_like(u)
+        v[op.interior] = p
+        return op.product(u, self.c, v)[op.interior]
+
+    def inverse(self, u: np.ndarray, shifts: bool) -> tuple[Inner | None, bool]:
+        """The inverse of the tangent, or of one that is positive definite, and whether it is."""
+        factors, stable = self.problem.factors(self.c, u, shifts)
+        return factors and self.by(factors), stable
+
+    @property
+    def rough(self) -> Inner | None:
+        """The inverse that stands for those of all tangents, where none is factorised."""
+        return None if self.problem.pattern else self.problem.laplace
+
+    def by(self, factors: BandFactors) -> Inner:
+        """The inverse of a residual by some factors."""
+        return lambda r: factors.solve(r.ravel()).reshape(r.shape)
+
+    def too_small(self) -> float:
+        """Times by which load and collar must grow for strains that rounding leaves; or 1.
+
+        Below, what answers them is in proportion: strains are differences of products near one.
+        """
+        spacing, rest = self.problem.op.bonds.spacing, np.zeros_like(self.collar)
+        strain = float(np.ptp(self.begin(), axis=0).max()) / spacing
+        if self.load.any() and strain < LINEAR / 2:
+            step = direction(self, rest, self.load, self.rough, False)[0]
+            strain = max(strain, float(np.abs(step).max()) / spacing)
+        return LINEAR / strain if 0 < strain < LINEAR / 2 else 1.0
+
+
+def _softest(size: int, inverse: Inner, tolerance: float) -> float:
+    """The smallest eigenvalue of what is positive, by its inverse."""
+    if size <= 2:
+        return 1 / float(np.linalg.eigvalsh(inverse(np.eye(size)))[-1])
+    ends = {"v0": lanczos_start(size), "return_eigenvectors": False, "tol": tolerance}
+    K = LinearOperator((size, size), inverse, dtype=float)
+    return 1 / float(eigsh(K, 1, which="LA", **ends)[0])

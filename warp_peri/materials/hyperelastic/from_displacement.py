@@ -18,7 +18,7 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
 from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds, triangle
-from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, StaticProblem, rough
+from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, StaticProblem
 from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
@@ -428,19 +428,17 @@ class Search:
         equilibria.
         """
         op = self.problem.op
-        if (pattern := self.problem.pattern) is None:
-            raise InputError("problem: expected one whose tangent is factorised")
         linear: dict[int, tuple[np.ndarray, Any]] = {}
         for n in self.kept:
             u = self.fields[n]
-            factor = pattern.factors(u, self.c)
+            factor = self.problem.factors(self.c, u)[0]
             if factor is None:
                 continue
             F = [columns(op, u, self.moving, self.c)]
             if self.thickness is not None:
                 slopes = op.by_thickness(u, self.c, self.thickness.slopes(self.x))
                 F.append(slopes.reshape(len(F[0]), -1))
-            linear[n] = -factor.solve(np.concatenate(F, axis=1)), rough(factor)
+            linear[n] = -factor.solve(np.concatenate(F, axis=1)), factor.rough()
         self.linear, self.stale = linear, False
         self._reduce(ahead=ahead)
         return len(linear) == len(self.kept)

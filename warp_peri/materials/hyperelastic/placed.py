@@ -97,7 +97,7 @@ def hyperelastic_errors(
             solved, start = None, None
             if near is not None:
                 start = _combined(problem, near, samples.u[n])
-                factors = problem.pattern and problem.pattern.factors(start, solid.coefficients)
+                factors = problem.pattern and problem.factors(solid.coefficients, start)[0]
                 solved = factors and problem.find(
                     solid.coefficients, b, samples.u[n], start=start, near=factors
                 )
@@ -182,8 +182,8 @@ class PlacedSheet(OnPoints):
 
     def stiffness_at(self, u: np.ndarray) -> Any:
         """The derivative of the force at a field, between interior nodes, sparse [2 I, 2 I]."""
-        pattern = TangentPattern.of(self.energies.near_interior())
-        return pattern.matrix(u, self.model.coefficients)
+        op = self.energies.near_interior()
+        return TangentPattern(op).matrix(op, u, self.model.coefficients)
 
     def energy(self, u: np.ndarray) -> np.ndarray:
         """Elastic energy [stress · area], shape [...]."""
