@@ -52,8 +52,8 @@ from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.errors import exit_status
 from warp_peri.kernels.lps.influence import influence
 from warp_peri.launch import launch_slices, set_threads
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import BLOCKS, lps_force
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import BLOCKS, lps_force
 from warp_peri.methods import Solid
 from warp_peri.points.families import families_of
 

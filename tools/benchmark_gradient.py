@@ -14,7 +14,7 @@ import torch
 import warp_peri as wp
 from tools import rivals
 from warp_peri.launch import set_threads
-from warp_peri.lps.bonds import Bonds
+from warp_peri.materials.lps_bonds import Bonds
 
 SPACING, HORIZON, DENSITY = 1.0, 4.0, 2200.0
 SOLID: dict[str, Any] = {

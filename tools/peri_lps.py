@@ -24,7 +24,7 @@ import numpy as np
 from tools.options import Options
 from warp_peri import Model
 from warp_peri.atoms.calculators import LammpsError, lammps_class, lammps_words
-from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps import moduli
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 
 BULK, SHEAR = 1.4, 0.5

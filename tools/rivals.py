@@ -11,8 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.model import bernstein_basis
+from warp_peri.materials.lps import bernstein_basis
+from warp_peri.materials.lps_bonds import Bonds
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import warp as wp
 
 from warp_peri.kernels.peak import peak
 from warp_peri.launch import zeros
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import evaluate, sweep
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import evaluate, sweep
 from warp_peri.methods import Solid
 
 PER_BOND = {"dilatation": (4, 3, 2), "force": (7, 7, 3)}

@@ -20,12 +20,12 @@ from warp_peri import InputError, Krylov, Model, Points, load
 from warp_peri.core.grid import Grid
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import lps_force
-from warp_peri.lps.model import lps_stencil
+from warp_peri.materials.lps import lps_stencil
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Solid
 from warp_peri.statics.linear import STIFF, Linear
-from warp_peri.statics.lps import lps_linear
 
 SIDES = (64, 128, 250, 500, 1000, 2000)
 QUICK = (24, 32)
@@ -89,7 +89,7 @@ def measure(model: Model, shape: str, side: int, method: str, material: str) -> 
     spacing = model.certified_on[0]
     points = problem(mask_of(shape, side), model.horizon, spacing)
     start = time.perf_counter()
-    linear = lps_linear(points, model.solid, model.horizon)
+    linear = LPSOperator(model, points).linear
     layout = time.perf_counter() - start
     start = time.perf_counter()
     linear.check_definite()
@@ -168,8 +168,11 @@ def adjoint_ratio(model: Model, side: int) -> float:
     operator = model.on(points)
     noise = torch.from_numpy(np.random.default_rng(0).normal(size=(1, len(points.x), 2)))
     inside = torch.from_numpy(points.interior)[:, None]
-    law = Solid(model.lam, model.mu, model.alpha, model.D).map(
-        lambda value: torch.tensor(value, dtype=torch.float64).reshape(-1).requires_grad_()
+    law = Solid(
+        *(
+            torch.tensor(value, dtype=torch.float64).reshape(-1).requires_grad_()
+            for value in model.learnable.values()
+        )
     )
     b = (noise * inside).requires_grad_()
     ratios = []

@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, fit
     from warp_peri.learning.methods import Bernstein
-    from warp_peri.lps.model import Model
+    from warp_peri.materials.certificate import certify
     from warp_peri.materials.density import Density, DensityMaterial
+    from warp_peri.materials.lps import Model
     from warp_peri.materials.third_order_fit import ThirdOrder
     from warp_peri.micromodulus.crystal_fit import Micromodulus
     from warp_peri.points.dataset import Dataset
@@ -48,7 +49,6 @@ if TYPE_CHECKING:
     from warp_peri.prediction.predict import predict
     from warp_peri.problems import Body, Dirichlet, Periodic
     from warp_peri.solving import move, solve
-    from warp_peri.stability.certificate import certify
     from warp_peri.statics.solution import Direct, Krylov, Newton, Solution
     from warp_peri.storage import load, save
 
@@ -99,7 +99,7 @@ _NAMES = {
     "learning.laws": ("LPS", "fit"),
     "learning.methods": ("Bernstein",),
     "micromodulus.crystal_fit": ("Micromodulus",),
-    "lps.model": ("Model",),
+    "materials.lps": ("Model",),
     "materials.density": ("Density", "DensityMaterial"),
     "materials.third_order_fit": ("ThirdOrder",),
     "points.dataset": ("Dataset",),
@@ -109,7 +109,7 @@ _NAMES = {
     "prediction.predict": ("predict",),
     "problems": ("Body", "Dirichlet", "Periodic"),
     "solving": ("move", "solve"),
-    "stability.certificate": ("certify",),
+    "materials.certificate": ("certify",),
     "statics.solution": ("Direct", "Krylov", "Newton", "Solution"),
     "storage": ("load", "save"),
     "atoms.crystal_fit": ("from_atoms",),

@@ -10,8 +10,8 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.files.series import in_space, meshio_of, write_vtu
-from warp_peri.lps.matrices import node_fields
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
+from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
 if TYPE_CHECKING:

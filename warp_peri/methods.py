@@ -3,7 +3,7 @@
 from warp_peri.learning.methods import Constrained, TwoStage
 from warp_peri.learning.sweep import Sweep, sweep
 from warp_peri.learning.uncertainty import Resampled, resample_loads
-from warp_peri.lps.model import Solid
+from warp_peri.materials.lps import Solid
 from warp_peri.regression.optimum import Conditions
 from warp_peri.regression.settings import Optimum
 from warp_peri.statics.solution import Coupling

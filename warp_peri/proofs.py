@@ -2,7 +2,7 @@
 
 from warp_peri.core.proof import Proof
 from warp_peri.dynamics.verlet import critical_time_step
-from warp_peri.stability.certificate import Certificate, Solvability, certify, solvability
+from warp_peri.materials.certificate import Certificate, Solvability, certify, solvability
 from warp_peri.third_order.uniqueness import Uniqueness, uniqueness
 
 __all__ = [

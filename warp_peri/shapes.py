@@ -1,6 +1,6 @@
 """Shapes of influence functions: what users call warp_peri.shapes."""
 
-from warp_peri.lps.shapes import (
+from warp_peri.materials.influence import (
     InfluenceFunction,
     conical,
     damped_wave,

@@ -28,8 +28,8 @@ from warp_peri import InputError, Points
 from warp_peri.damage import continuum_stretch
 from warp_peri.damage.operator import unit_toughness
 from warp_peri.errors import exit_status
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.matrices import Matrices, assemble, matrices
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_matrices import Matrices, assemble, matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
 from warp_peri.points.interpolation import mean_spacing
 from warp_peri.points.quadrature import ball_integral

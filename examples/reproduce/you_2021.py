@@ -44,7 +44,7 @@ from tools.thermal import (
 )
 from warp_peri import Bernstein, Dataset, Points, Samples
 from warp_peri.errors import exit_status
-from warp_peri.lps.model import bernstein_basis
+from warp_peri.materials.lps import bernstein_basis
 from warp_peri.methods import Optimum, Sweep, TwoStage
 from warp_peri.regression.losses import ReducedLoss, class_weights, reduce, sample_weights
 

@@ -23,7 +23,7 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Dataset, InputError, Samples, load
 from warp_peri.cli.inputs import atom_forces
 from warp_peri.cli.main import _parser, main
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.micromodulus import fit_symbol
 from warp_peri.points.dataset import load_dataset, save_dataset
 

@@ -7,9 +7,9 @@ import warp_peri as wp
 from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.plates import plate
 from warp_peri.core import pointwise
-from warp_peri.lps import bonds
-from warp_peri.materials import lps_operator
+from warp_peri.materials import lps_bonds as bonds
 from warp_peri.materials.hyperelastic import operator as tissue
+from warp_peri.transfer import cache
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 
@@ -52,7 +52,7 @@ def test_no_samples_have_no_answers(name):
 @pytest.mark.parametrize(
     ("name", "resolved", "linked"),
     [
-        ("LPS", (lps_operator, "model_for"), ((bonds, "families_of"),)),
+        ("LPS", (cache, "model_for"), ((bonds, "families_of"),)),
         ("third order, energy", None, ((pointwise, "grid_of"),)),
         ("hyperelastic", None, ((tissue, "lattice_bonds"),)),
     ],

@@ -2,9 +2,9 @@
 
 from warp_peri.contract import Law, Material, Operator, Problem
 from warp_peri.learning.laws import LPS
-from warp_peri.lps.model import Model
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid
 from warp_peri.materials.hyperelastic.placed import PlacedSheet
+from warp_peri.materials.lps import Model
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.points.points import Points

@@ -22,7 +22,7 @@ from warp_peri.core.stencil import (
     ratios,
     squared,
 )
-from warp_peri.lps.model import lps_stencil
+from warp_peri.materials.lps import lps_stencil
 
 NOTHING = {d: np.array([np.eye(d), -np.eye(d)], dtype=int) for d in (2, 3)}
 SQUARE = lattice_group(2)

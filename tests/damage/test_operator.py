@@ -11,7 +11,6 @@ from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.damage.operator import CutOperator, bond_weights, cut_matrix, unit_toughness
 from warp_peri.damage.solid import continuum_stretch
 from warp_peri.launch import floats, set_threads, threads, zeros
-from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.families import bond_classes
 
 DILATATIONAL = 0.32260
@@ -124,7 +123,7 @@ def test_an_uncut_interior_is_the_linear_peridynamic_solid(lam, points):
     body = lattice_body(points.x, 1.0, horizon)
     force, _ = swept(CutOperator(model, body), u, body.neighbour)
     with pytest.warns(UserWarning, match="certified"):
-        whole = LPSOperator(model, points, allow_uncertified=True)
+        whole = model.on(points, allow_uncertified=True)
     np.testing.assert_allclose(-force[points.interior], whole(u), atol=1e-11)
 
 

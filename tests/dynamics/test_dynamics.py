@@ -11,8 +11,7 @@ from tests.support.solving import velocity_verlet
 from tests.support.symbols import symbol
 from warp_peri import InputError
 from warp_peri.dynamics.verlet import INERTIA, Inert, march, step
-from warp_peri.lps.matrices import matrices
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_matrices import matrices
 from warp_peri.problems import Dirichlet
 from warp_peri.proofs import critical_time_step
 from warp_peri.solving import move
@@ -51,7 +50,7 @@ def test_stable_just_below_and_unstable_just_above(name, spacing):
     below = velocity_verlet(model, points, u, rest, step=0.99 * critical, **options)
     assert np.abs(below.u).max() < 30 * np.abs(u).max()
     assert below.drift < 1e-12
-    body = Inert(LPSOperator(model, points), points.interior, DENSITY, 0.0)
+    body = Inert(model.on(points), points.interior, DENSITY, 0.0)
     above = body.state(u, rest[points.interior])
     for _ in range(options["steps"]):
         above = step(body, above, 1.01 * critical)
@@ -177,7 +176,7 @@ def test_scattered_points_have_no_motion():
 
 def test_waves_go_on_from_a_checkpoint_with_the_same_bits_and_go_to_paraview(tmp_path):
     model, points = kernel("positive", 2.5), lattice(ell(), 2.5)
-    operator, u = LPSOperator(model, points), noise(points)
+    operator, u = model.on(points), noise(points)
     dt = 0.5 * critical_time_step(model, spacing=points.spacing, density=DENSITY)
     options, path = {"density": DENSITY, "step": dt, "every": 3}, tmp_path / "run.h5"
     files = {"checkpoint": path, "checkpoint_every": 1, "series": tmp_path / "s"}

@@ -17,7 +17,7 @@ from tests.package.test_pages import BLOCKS, TEXT
 from tests.package.test_shell_pages import run_as_typed
 from warp_peri import LPS, Bernstein, fit, load, save
 from warp_peri.cli.main import main as command
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.dataset import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent

@@ -9,7 +9,7 @@ from examples import own_material
 from tools.graphene import sheet
 from tools.lammps_session import LammpsSession
 from tools.statics import find_bonds
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 
 
 @pytest.mark.slow

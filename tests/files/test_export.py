@@ -16,9 +16,9 @@ from tests.support.solving import solve
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.cli.main import main
 from warp_peri.export import write_fields
-from warp_peri.lps.matrices import node_fields
+from warp_peri.materials.certificate import certify
+from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.dataset import save_dataset
-from warp_peri.stability.certificate import certify
 
 HORIZON = 2.5
 

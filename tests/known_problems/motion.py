@@ -28,7 +28,7 @@ from warp_peri.damage.problems import Cracked
 from warp_peri.damage.solid import BrittleSolid
 from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, lps_stencil
+from warp_peri.materials.lps import Model, lps_stencil
 from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet
 from warp_peri.ranks import gather, partition

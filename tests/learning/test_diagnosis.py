@@ -11,7 +11,6 @@ from tests.support.waves import fluctuation
 from warp_peri import Bernstein, InputError, Samples, diagnose
 from warp_peri.learning.diagnosis import Diagnosis, SheetFeatures
 from warp_peri.learning.fit import learn as fit
-from warp_peri.materials.lps_operator import LPSOperator
 
 HORIZON = 2.5
 MODEL = kernel("positive", HORIZON, lam=0.1, mu=0.7)
@@ -35,7 +34,7 @@ def planted(samples, cause):
     grid = SheetFeatures(samples, HORIZON)
     if cause == "dispersion":
         other = kernel("steep", HORIZON, lam=0.4, mu=0.7)
-        return LPSOperator(other, samples.points)(samples.u)
+        return other.on(samples.points)(samples.u)
     if cause == "anisotropy":
         return grid.pairs()[..., 0]
     if cause == "nonlinearity":
@@ -58,7 +57,7 @@ def test_the_planted_cause_is_named(samples, cause):
 def test_forces_that_species_share_unlike_their_masses_are_named():
     """Two atoms a cell, one of them loaded: their mean moves by κ b beyond what it answers to b."""
     points = lattice(11, HORIZON)
-    operator, inside = LPSOperator(MODEL, points), points.interior
+    operator, inside = MODEL.on(points), points.interior
     u = noise(points, COUNT) + manufactured(MODEL, points, COUNT).u
     b = np.zeros_like(u)
     b[:, inside] = operator(u)

@@ -11,7 +11,7 @@ from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import Bernstein
 from warp_peri.learning.fit import learn
 from warp_peri.learning.training_data import ConsistencyCheck
-from warp_peri.lps.model import bernstein_basis
+from warp_peri.materials.lps import bernstein_basis
 from warp_peri.methods import Constrained, Optimum
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import FullLoss, reduce, sample_weights

@@ -11,8 +11,7 @@ from tests.support.waves import waves
 from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.training_data import RELATIVE_ZETA, scale_of, stiffness_of
-from warp_peri.lps.model import Model
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import Model
 from warp_peri.methods import Conditions, Optimum, TwoStage
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
@@ -100,7 +99,7 @@ def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, un
     for use in (
         lambda: solve(result.material, data, data.b, data.u),
         lambda: evaluate(plain.material, there),
-        lambda: LPSOperator(plain.material, there),
+        lambda: plain.material.on(there),
     ):
         with pytest.raises(InputError, match=r"units: the model is in .*in_units\(.* converts"):
             use()

@@ -10,8 +10,8 @@ from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, sol
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import learn as fit
-from warp_peri.lps.model import Model, stiffnesses
-from warp_peri.lps.shapes import gaussian, named, table
+from warp_peri.materials.influence import gaussian, named, table
+from warp_peri.materials.lps import Model, stiffnesses
 from warp_peri.methods import Conditions, Optimum, TwoStage
 from warp_peri.points.families import bond_classes
 from warp_peri.shapes import InfluenceFunction

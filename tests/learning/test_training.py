@@ -10,8 +10,7 @@ from warp_peri import Bernstein, InputError, certify, evaluate
 from warp_peri.learning import stages
 from warp_peri.learning import training_data as training
 from warp_peri.learning.fit import learn as fit
-from warp_peri.lps.model import Model, stiffnesses
-from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps import Model, moduli, stiffnesses
 from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.optimum import LatticeConditions

@@ -16,7 +16,7 @@ from warp_peri.learning.two_stage import (
     _class_matrices,
     _dense,
 )
-from warp_peri.lps.model import stiffnesses
+from warp_peri.materials.lps import stiffnesses
 from warp_peri.methods import TwoStage
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.optimum import Conditions, LatticeConditions

@@ -23,9 +23,8 @@ from tests.support.problems import (
 )
 from warp_peri import InputError
 from warp_peri.launch import set_threads, threads
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import lps_force
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
 from warp_peri.methods import Solid
 
 PLAIN = 1e-12
@@ -98,7 +97,7 @@ def test_is_that_of_plain_sweeps(name, kind, monkeypatch):
     swept = Problem(name, kind)
     assert swept.bonds.layout.in_rows == (kind in ("lattice", "periodic lattice"))
     gradients = swept.gathered()
-    monkeypatch.setattr("warp_peri.lps.bonds.DEVICE", "elsewhere")
+    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
     expected = Problem(name, kind).gathered()
     for part, by in gradients.items():
         assert error(by, expected[part]) <= PLAIN, part
@@ -301,7 +300,7 @@ def test_a_launch_takes_other_numbers_than_equal_ones():
 
 def test_gradient_of_a_model_is_the_transposed_operator():
     points, _ = periodic((7, 8))
-    operator = LPSOperator(kernel("sign-changing", HORIZON), points)
+    operator = kernel("sign-changing", HORIZON).on(points)
     u = torch.from_numpy(noise(points)).requires_grad_()
     v = noise(points, seed=9)
     gradient = torch.autograd.grad(operator(u), u, torch.from_numpy(v))[0].numpy()

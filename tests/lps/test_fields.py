@@ -11,8 +11,8 @@ from tests.lps.test_adjoint import HORIZON, KINDS, bonds_of, error
 from tests.support.problems import KERNELS, LAM, MU, difference, kernel, lattice, noise, periodic
 from warp_peri import InputError
 from warp_peri.core.proof import largest
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import evaluate, gradient, pulled
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import evaluate, gradient, pulled
 
 SHAPE = tuple(KERNELS["sign-changing"][name] for name in ("alpha", "D"))
 
@@ -68,7 +68,7 @@ def test_derivatives_are_those_of_differences_and_plain_sweeps(kind, monkeypatch
         ahead = problem.force(problem.u + t * way, *expected)[1].ravel() @ flat
         here = problem.force(problem.u, lam, mu)[1].ravel() @ flat
         assert part == pytest.approx(ahead - here, rel=1e-10)
-    monkeypatch.setattr("warp_peri.lps.bonds.DEVICE", "elsewhere")
+    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
     plain = Problem(kind).gradient()
     assert error(by.u.numpy(), plain.u.numpy()) < 1e-12
     for name in ("lam", "mu", "alpha", "D"):
@@ -147,7 +147,7 @@ def test_uniform_fields_are_the_model():
 def test_functions_are_averaged_harmonically():
     model, points, *_ = laid()
     op = model.on(points, mu=lambda x: np.where(x[:, 0] < 0, 1.0, 3.0), lam=1.0)
-    mu = op.moduli[1][points.x[:, 1] == 0]
+    mu = op.model.mu[points.x[:, 1] == 0]
     at = points.x[points.x[:, 1] == 0, 0]
     assert mu[at < -HORIZON / 2] == pytest.approx(1.0)
     assert mu[at > HORIZON / 2] == pytest.approx(3.0)
@@ -174,6 +174,35 @@ def test_what_fields_refuse():
         model.on(points, mu=-mu)
     with pytest.raises(InputError, match="K W ≥ 0"):
         kernel("sign-changing", HORIZON).on(points, mu=mu).stiffest_wave()
-    whole = periodic((12, 12))[0]
-    with pytest.raises(InputError, match="expected nodes with a collar"):
-        wp.solve(model, wp.Periodic(whole, noise(whole)), mu=np.ones(144))
+    near = lattice(5, HORIZON)
+    with pytest.raises(InputError, match=f"points: expected the {len(mu)} nodes of the fields"):
+        model.spread(points, None, mu).on(near)
+    solid, cracked = model.spread(points, None, mu), wp.Cracked(points, u=noise(points))
+    for use in (
+        lambda: wp.certify(solid, spacing=1.0),
+        lambda: wp.solve(solid, cracked),
+        lambda: wp.micromodulus.tensors_of(solid, 1.0),
+        lambda: wp.damage.BrittleSolid(solid, 1.0, toughness=1.0),
+    ):
+        with pytest.raises(InputError, match="expected numbers, got fields"):
+            use()
+
+
+def test_a_period_with_fields_is_solved_and_a_file_keeps_them(tmp_path):
+    model, whole = kernel("positive", HORIZON), periodic((12, 14))[0]
+    mu = MU * (1.5 + np.sin(2 * np.pi * whole.x[:, 0] / 12))
+    solid = model.spread(whole, 0.4 * mu, mu)
+    b = noise(whole)
+    answer = wp.solve(solid, wp.Periodic(whole, b))
+    assert error(answer.operator(answer.u), b - b.mean(axis=0)) < 1e-7
+    assert answer.proven is None
+    wp.save(tmp_path / "m.json", solid)
+    again = wp.load(tmp_path / "m.json")
+    assert np.array_equal(again.mu, mu)
+    assert np.array_equal(again.on(whole)(b), answer.operator(b))
+    other = again.in_units(("nm", "GPa"))
+    there = wp.Points(
+        whole.x / 10, whole.interior, 0.1, np.array(whole.box) / 10, units=other.units
+    )
+    assert error(other.on(there)(b / 10), 1e4 * answer.operator(b)) < 1e-13
+    assert "λ, least and largest" in repr(again)

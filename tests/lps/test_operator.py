@@ -9,9 +9,8 @@ import torch
 from tests.support import reference
 from tests.support.problems import KERNELS, LAM, MU, ROUNDING, ell, kernel, lattice, noise, periodic
 from warp_peri import InputError
-from warp_peri.lps.matrices import matrices
-from warp_peri.lps.symbol import moduli
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import moduli
+from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import bond_classes
 
 every_kernel = pytest.mark.parametrize("name", KERNELS)
@@ -29,7 +28,7 @@ def test_is_the_reference(name, horizon, angle):
     points = lattice(ell(), horizon, angle=angle, origin=(5.0, -2.0))
     u = noise(points)
     expected = reference.operator(points.x, points.interior, model, u)
-    assert relative(LPSOperator(model, points)(u), expected) < 10 * ROUNDING
+    assert relative(model.on(points)(u), expected) < 10 * ROUNDING
     L = matrices(model, points).operator(model.lam, model.mu)
     assert relative((L @ u.ravel()).reshape(-1, 2), expected) < 10 * ROUNDING
 
@@ -40,7 +39,7 @@ def test_is_the_reference_on_a_periodic_lattice(name):
     points, box = periodic((6, 7))
     u = noise(points)
     expected = reference.operator(points.x, points.interior, model, u, np.array(box))
-    assert relative(LPSOperator(model, points)(u), expected) < 10 * ROUNDING
+    assert relative(model.on(points)(u), expected) < 10 * ROUNDING
 
 
 @every_kernel
@@ -53,7 +52,7 @@ def test_matrices_split_the_operator_as_printed(name):
     needed = np.unique(parts.psi.indices)
     expected = [reference.dilatation(points.x, i, model, u) for i in needed]
     assert relative(theta[needed], expected) < 10 * ROUNDING
-    deviatoric = LPSOperator(replace(model, lam=1.0, mu=1.0), points)(u)
+    deviatoric = replace(model, lam=1.0, mu=1.0).on(points)(u)
     assert relative((parts.gamma @ u.ravel()).reshape(-1, 2), deviatoric) < 10 * ROUNDING
 
 
@@ -68,15 +67,15 @@ def test_scale_and_sign_of_the_influence_function_have_no_effect():
     model = kernel("sign-changing", HORIZON)
     points = lattice(3, HORIZON)
     u = noise(points)
-    expected = LPSOperator(model, points)(u)
+    expected = model.on(points)(u)
     for factor in (-1.0, 1e-9, 1e9):
         scaled = replace(model, D=factor * model.D)
-        assert relative(LPSOperator(scaled, points)(u), expected) < 10 * ROUNDING
+        assert relative(scaled.on(points)(u), expected) < 10 * ROUNDING
 
 
 def test_samples_are_independent_and_arrays_of_any_layout_serve():
     points = lattice(3, HORIZON)
-    operator = LPSOperator(kernel("steep", HORIZON), points)
+    operator = kernel("steep", HORIZON).on(points)
     u = noise(points, 3)
     expected = np.stack([operator(field) for field in u])
     frozen = u.copy()
@@ -100,6 +99,6 @@ def test_samples_are_independent_and_arrays_of_any_layout_serve():
     ids=["few nodes", "too deep", "no sample", "in space"],
 )
 def test_displacements_that_do_not_fit_are_refused(u):
-    operator = LPSOperator(kernel("1/r", HORIZON), lattice(3, HORIZON))
+    operator = kernel("1/r", HORIZON).on(lattice(3, HORIZON))
     with pytest.raises(InputError, match=r"u: expected float64 of shape \[S, 169, 2\], S ≥ 1"):
         operator(u)

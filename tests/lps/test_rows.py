@@ -12,8 +12,8 @@ import torch
 from tests.support.problems import KERNELS, LAM, MU, ell, lattice, noise, periodic
 from warp_peri import Points
 from warp_peri.launch import set_threads, threads
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import lps_force
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
 from warp_peri.methods import Solid
 
 HORIZON = 3.0
@@ -63,7 +63,7 @@ def test_has_the_bits_of_the_lists_of_neighbours(kind, precision, monkeypatch):
     for name, samples in (("sign-changing", 1), ("positive", 3)):
         by_rows = everything(bonds, points, name, samples)
         with monkeypatch.context() as patch:
-            patch.setattr("warp_peri.lps.bonds.rows_of", lambda *_: None)
+            patch.setattr("warp_peri.materials.lps_bonds.rows_of", lambda *_: None)
             lists = Bonds(points, HORIZON, precision=precision)
             by_lists = everything(lists, points, name, samples)
         for ours, other in zip(by_rows[:2], by_lists):

@@ -11,8 +11,8 @@ from tests.support.problems import GRADIENT, REDUCED, difference, kernel, lattic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from warp_peri import InputError, certify
 from warp_peri.fitting.regression import Regression
-from warp_peri.lps.model import stiffnesses
-from warp_peri.lps.shapes import gaussian, table
+from warp_peri.materials.influence import gaussian, table
+from warp_peri.materials.lps import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.coordinates import Parameters, ShapeCoordinates
 from warp_peri.regression.losses import FullLoss, reduce, sample_weights

@@ -12,12 +12,10 @@ from tests.support.cubes import cube, periodic_cloud, solid
 from tests.support.problems import difference
 from warp_peri import load, save
 from warp_peri.errors import InputError
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import lps_force
-from warp_peri.lps.matrices import matrices, node_fields
-from warp_peri.lps.model import Model
-from warp_peri.lps.symbol import moduli
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import Model, moduli
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
+from warp_peri.materials.lps_matrices import matrices, node_fields
 from warp_peri.methods import Solid
 from warp_peri.points.families import bond_classes, families_of
 
@@ -29,7 +27,7 @@ HORIZON = {"lattice": 2.0, "cloud": 2.9}
 
 def placed(name, **law):
     points, model = SETS[name](), solid(HORIZON[name], **LAW | law)
-    return points, model, LPSOperator(model, points, allow_uncertified=True)
+    return points, model, model.on(points, allow_uncertified=True)
 
 
 def reference(model, points, u):
@@ -136,7 +134,7 @@ def test_broken_bonds_keep_affine_dilatations():
     needed = np.diff(L.phi.indptr) > 0
     np.testing.assert_allclose(theta[needed], np.trace(G), atol=1e-12)
     u = np.random.default_rng(7).normal(size=points.x.shape)
-    Lu = LPSOperator(model, cut, allow_uncertified=True)(u)
+    Lu = model.on(cut, allow_uncertified=True)(u)
     np.testing.assert_allclose(
         (L.operator(model.lam, model.mu) @ u.ravel()).reshape(Lu.shape), Lu, atol=1e-10
     )
@@ -158,12 +156,12 @@ def test_forces_turn_with_the_lattice_and_follow_the_units(tmp_path):
     u = np.random.default_rng(8).normal(size=points.x.shape)
     turn = Rotation.from_euler("xyz", [25, -40, 65], degrees=True).as_matrix()
     turned = replace(points, x=points.x @ turn.T)
-    force = LPSOperator(model, turned, allow_uncertified=True)(u @ turn.T)
+    force = model.on(turned, allow_uncertified=True)(u @ turn.T)
     np.testing.assert_allclose(force, operator(u) @ turn.T, atol=1e-11)
     save(tmp_path / "m.json", model)
     other = load(tmp_path / "m.json", units=("nm", "GPa"))
     small = replace(points, x=points.x / 10, spacing=0.1, units=other.units)
-    force = LPSOperator(other, small, allow_uncertified=True)(u / 10)
+    force = other.on(small, allow_uncertified=True)(u / 10)
     np.testing.assert_allclose(force, 1e4 * operator(u), rtol=1e-9, atol=1e-7)
 
 
@@ -174,6 +172,6 @@ def test_a_model_knows_its_dimension_in_its_file_and_on_points(tmp_path):
     with pytest.raises(InputError, match="μ > 0 and λ \\+ 2μ/3 > 0"):
         solid(2.0, lam=-0.6)
     with pytest.raises(InputError, match="expected 2 dimensions, the model's"):
-        LPSOperator(replace(model, dimension=2), cube(2, 2.0), allow_uncertified=True)
+        replace(model, dimension=2).on(cube(2, 2.0), allow_uncertified=True)
     with pytest.raises(InputError, match="dimension: expected 2 or 3, got 4"):
         replace(model, dimension=4)

@@ -6,9 +6,9 @@ import pytest
 from tests.support.cubes import cube
 from tools import peri_lps
 from warp_peri.atoms.calculators import LammpsError, lammps_class
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.matrices import assemble
-from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps import moduli
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_matrices import assemble
 
 HORIZON = 2.0
 

@@ -8,10 +8,8 @@ import pytest
 from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import KERNELS, fitted_order, kernel, lattice, noise, periodic
 from warp_peri import InputError
-from warp_peri.lps.matrices import node_fields
-from warp_peri.lps.model import stiffnesses
-from warp_peri.lps.symbol import long_wave_moduli
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import long_wave_moduli, stiffnesses
+from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.families import bond_classes
 
 HORIZON = 3.0
@@ -51,7 +49,7 @@ def test_energies_add_up_to_half_the_work(name):
     model = kernel(name, HORIZON, lam=-0.2)
     u = noise(points)
     fields = node_fields(model, points, u)
-    work = (u * LPSOperator(model, points)(u)).sum()
+    work = (u * model.on(points)(u)).sum()
     assert fields.energy.sum() == pytest.approx(work / 2, rel=1e-12)
 
 
@@ -69,7 +67,7 @@ def test_its_divergence_balances_the_force_to_second_order():
         of = np.fft.fft2(stress, axes=(0, 1))
         divergence = of[..., 0] * wave[:, None, None] + of[..., 1] * wave[None, :, None]
         balance = np.fft.ifft2(divergence, axes=(0, 1)).real.reshape(-1, 2)
-        force = LPSOperator(model, points)(u)
+        force = model.on(points)(u)
         errors.append(np.abs(balance + force).max() / np.abs(force).max())
     assert fitted_order(spacings, errors) > 1.9
 

@@ -9,8 +9,7 @@ from tests.support.clouds import cloud, plain
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise
 from tests.support.solving import solve
 from warp_peri import InputError, Model, certify
-from warp_peri.lps.matrices import matrices
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import families_of
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -45,7 +44,7 @@ def test_dilatation_of_an_affine_field_is_exact_on_a_cut_body(points, name):
 def test_force_of_an_affine_field_vanishes_where_the_ball_of_twice_the_horizon_is_full(points):
     outside = notched(points)
     body = replace(points, interior=points.interior & ~outside, outside=outside)
-    operator = LPSOperator(plain(HORIZON), body, allow_uncertified=True)
+    operator = plain(HORIZON).on(body, allow_uncertified=True)
     force = operator(points.x @ GRADIENT.T)
     gap = np.linalg.norm(body.x[body.interior][:, None] - points.x[outside], axis=2).min(axis=1)
     full = gap > 2 * HORIZON
@@ -59,7 +58,7 @@ def test_force_is_exact_deep_in_a_body_with_a_far_surface():
     points = lattice(14, HORIZON)
     outside = points.x[:, 0] > 12.5
     body = replace(points, interior=points.interior & ~outside, outside=outside)
-    operator = LPSOperator(plain(HORIZON), body, allow_uncertified=True)
+    operator = plain(HORIZON).on(body, allow_uncertified=True)
     force = operator(points.x @ GRADIENT.T)
     deep = body.x[body.interior, 0] < 13 - 2 * HORIZON
     assert deep.sum() >= 14 * 7
@@ -73,7 +72,7 @@ def test_matrices_are_the_operator_on_a_cut_body():
     body = replace(points, interior=points.interior & ~outside, outside=outside)
     model = kernel("sign-changing", HORIZON)
     u = noise(points)
-    expected = LPSOperator(model, body, allow_uncertified=True)(u)
+    expected = model.on(body, allow_uncertified=True)(u)
     L = matrices(model, body).operator(model.lam, model.mu)
     np.testing.assert_allclose((L @ u.ravel()).reshape(-1, 2), expected, rtol=0, atol=1e-9)
 

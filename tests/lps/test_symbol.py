@@ -6,9 +6,7 @@ import pytest
 from tests.support.problems import KERNELS, kernel, periodic
 from tests.support.symbols import smallest, symbol
 from warp_peri.core.stencil import laplacian, zone_sample
-from warp_peri.lps.model import lps_stencil, stiffnesses
-from warp_peri.lps.symbol import moduli
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import lps_stencil, moduli, stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.losses import class_pairs, lattice_group, product_basis
 
@@ -25,7 +23,7 @@ def matrix(model, classes, k):
 def test_plane_waves_through_the_operator(name, spacing):
     model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
     points, box = periodic((8, 7), spacing)
-    operator = LPSOperator(model, points)
+    operator = model.on(points)
     a = np.array([0.7 + 0.2j, -0.4 + 1.1j])
     for p, q in ((1, 0), (0, 2), (3, 2), (4, 0), (-2, 3)):
         k = 2 * np.pi * np.array([p, q]) / box

@@ -9,11 +9,10 @@ import torch
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import KERNELS, LAM, ROUNDING, kernel, noise
 from warp_peri import InputError
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import lps_force
-from warp_peri.lps.matrices import matrices
-from warp_peri.lps.model import bernstein_basis
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import bernstein_basis
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
+from warp_peri.materials.lps_matrices import matrices
 
 HORIZON = 3.0
 pytestmark = pytest.mark.filterwarnings("ignore:spacing")
@@ -45,7 +44,7 @@ def relative(value, expected):
 @pytest.mark.parametrize("name", KERNELS)
 def test_is_the_force_to_rounding(kind, name):
     points = SETS[kind]()
-    operator = LPSOperator(kernel(name, HORIZON), points, allow_uncertified=True)
+    operator = kernel(name, HORIZON).on(points, allow_uncertified=True)
     u = noise(points, 2)
     assert relative(operator(u), anew(operator, u)) < ROUNDING
     np.testing.assert_array_equal(operator(u[1]), operator(u)[1])
@@ -57,7 +56,7 @@ def test_is_the_force_to_rounding(kind, name):
 def test_is_the_force_without_a_dilatation():
     points = cloud(5, HORIZON / 3)
     bond_based = kernel("sign-changing", HORIZON, lam=0.8, mu=0.8)
-    operator = LPSOperator(bond_based, points, allow_uncertified=True)
+    operator = bond_based.on(points, allow_uncertified=True)
     assert operator.bonds.bond_based
     assert relative(operator(noise(points)), anew(operator, noise(points))) < ROUNDING
 
@@ -68,7 +67,7 @@ def test_a_bond_that_the_function_does_not_see(D):
     x = cloud(5, HORIZON).x
     points = replace(cloud(5, HORIZON), x=np.round(x * 4) / 4)
     model = replace(kernel("sign-changing", HORIZON), D=D)
-    operator = LPSOperator(model, points, allow_uncertified=True)
+    operator = model.on(points, allow_uncertified=True)
     u = noise(points)
     assert (operator.bonds.families.r == HORIZON).any()
     assert relative(operator(u), anew(operator, u)) < ROUNDING
@@ -77,7 +76,7 @@ def test_a_bond_that_the_function_does_not_see(D):
 def test_no_table_is_stale():
     points = cloud(5, HORIZON)
     u = noise(points)
-    operator = LPSOperator(kernel("positive", HORIZON), points, allow_uncertified=True)
+    operator = kernel("positive", HORIZON).on(points, allow_uncertified=True)
     before = operator(u)
     for change in (
         {"lam": -0.1},
@@ -94,7 +93,7 @@ def test_no_table_is_stale():
 
 def test_refuses_what_the_force_refuses():
     points = cloud(5, HORIZON)
-    operator = LPSOperator(kernel("positive", HORIZON), points, allow_uncertified=True)
+    operator = kernel("positive", HORIZON).on(points, allow_uncertified=True)
     with pytest.raises(InputError, match="u: expected float64 of shape"):
         operator(np.zeros((3, 2)))
     with pytest.raises(InputError, match="u: expected float64 of shape"):

@@ -17,7 +17,6 @@ from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
-from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.micromodulus.crystal_fit import Micromodulus, fit_symbol, from_phonons, transferred
 from warp_peri.micromodulus.law import Crystal, tensors_of
 from warp_peri.points.points import Points
@@ -310,7 +309,7 @@ def test_a_linear_peridynamic_solid_is_one_of_twice_the_range(name):
     law = tensors_of(model, 1.0)
     points = plane_lattice(5, 2.0)
     u = np.random.default_rng(3).normal(size=points.x.shape)
-    force = LPSOperator(model, points, allow_uncertified=True)(u)
+    force = model.on(points, allow_uncertified=True)(u)
     np.testing.assert_allclose(law.on(Points(points.x, points.interior, 1.0))(u), force, atol=1e-11)
     assert law.horizon <= 2 * model.horizon
 

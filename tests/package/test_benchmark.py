@@ -9,7 +9,7 @@ import torch
 
 from tools import benchmark, rivals
 from warp_peri.launch import set_threads, threads
-from warp_peri.lps.bonds import Bonds
+from warp_peri.materials.lps_bonds import Bonds
 
 
 @pytest.fixture(autouse=True)

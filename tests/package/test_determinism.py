@@ -18,7 +18,6 @@ from tests.support.solving import solve
 from warp_peri import Bernstein
 from warp_peri.launch import at_once, set_threads, threads
 from warp_peri.learning.fit import learn as fit
-from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import TwoStage
 
 ROOT = Path(__file__).parent.parent.parent
@@ -68,7 +67,7 @@ def test_sweeps_and_solves_have_the_same_bits_on_any_number_of_threads():
     hashes = set()
     for count in (1, 2, 3, 5):
         set_threads(count)
-        Lu = LPSOperator(model, points)(u)
+        Lu = model.on(points)(u)
         hashes.add(hashlib.sha256(Lu.tobytes()).hexdigest())
     assert len(hashes) == 1
     small = problem()
@@ -88,7 +87,7 @@ def test_a_process_that_forks_after_threads_have_run_has_threads_of_its_own(monk
     monkeypatch.setattr("warp_peri.launch.SLICE", 10)
     set_threads(2)
     points = lattice(10, 2.5)
-    operator, u = LPSOperator(kernel("positive", 2.5), points), noise(points)
+    operator, u = kernel("positive", 2.5).on(points), noise(points)
     expected = operator(u)
     child = os.fork()
     if child == 0:  # an alarm ends it where it waits for threads that are not there
@@ -106,7 +105,7 @@ def test_sweeps_of_several_threads_at_once_share_helpers_and_none_takes_another_
     monkeypatch.setattr("warp_peri.launch.SLICE", 10)
     set_threads(3)
     points = lattice(20, 2.5)
-    operator = LPSOperator(kernel("positive", 2.5), points)
+    operator = kernel("positive", 2.5).on(points)
     fields = [noise(points, seed=n) for n in range(3)]
     expected, wrong = [operator(u) for u in fields], []
 

@@ -7,9 +7,8 @@ import warp as wp
 
 from tests.support.problems import GRADIENT, ROUNDING, kernel, lattice, noise
 from warp_peri import InputError
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import lps_force
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
 from warp_peri.methods import Solid
 
 HORIZON = 3.0
@@ -31,18 +30,18 @@ def gradients(device):
 def test_forces_are_those_of_the_processor(device):
     points = lattice(6, HORIZON, angle=0.3)
     u = noise(points, 2)
-    here, there = LPSOperator(MODEL, points)(u), LPSOperator(MODEL, points, device=device)(u)
+    here, there = MODEL.on(points)(u), MODEL.on(points, device=device)(u)
     np.testing.assert_allclose(there, here, rtol=0, atol=ROUNDING * np.abs(here).max())
 
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_the_plain_sweeps_that_a_gpu_uses_give_the_gradient_of_the_processor(device, monkeypatch):
     here_too = gradients("cpu")
-    monkeypatch.setattr("warp_peri.lps.bonds.DEVICE", "elsewhere")
+    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
     for there, here in zip(gradients(device), here_too):
         np.testing.assert_allclose(there, here, rtol=0, atol=GRADIENT * np.abs(here).max())
 
 
 def test_a_device_that_is_not_there_is_named():
     with pytest.raises(InputError, match="device: expected one of .*cpu.*got 'cuda:99'"):
-        LPSOperator(MODEL, lattice(3, HORIZON), device="cuda:99")
+        MODEL.on(lattice(3, HORIZON), device="cuda:99")

@@ -10,7 +10,7 @@ import pytest
 import warp_peri
 from tests.support.problems import lattice, manufactured
 from warp_peri.cli.main import main
-from warp_peri.lps.shapes import InfluenceFunction, exponential
+from warp_peri.materials.influence import InfluenceFunction, exponential
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 PAGES = {

@@ -14,8 +14,7 @@ from tests.support.solving import solve, solve_periodic
 from warp_peri import Bernstein, InputError, Model, Points, certify
 from warp_peri.edges.body import Coupling, solve_body
 from warp_peri.learning.fit import learn as fit
-from warp_peri.lps.model import bernstein_basis
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import bernstein_basis
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.lattice import largest_strain
 
@@ -31,14 +30,14 @@ def cancelled(horizon=2.0):
 def test_a_vanishing_weighted_volume_is_refused():
     model, points = cancelled(), lattice(3, 2.0)
     for use in (
-        lambda: LPSOperator(model, points),
+        lambda: model.on(points),
         lambda: certify(model, spacing=1.0),
         lambda: solve(model, points, noise(points), noise(points)),
     ):
         with pytest.raises(InputError, match="weighted volume m .* is zero"):
             use()
     nearly = replace(model, D=model.D * [1.0, 1.0 + 1e-6])
-    assert np.isfinite(LPSOperator(nearly, points)(noise(points))).all()
+    assert np.isfinite(nearly.on(points)(noise(points))).all()
 
 
 @pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -53,7 +52,7 @@ def test_a_vanishing_weighted_volume_of_scattered_points_is_counted():
     )
     model = Model(0.3, 0.8, 1.0, [1.0, -a / b], 3.5)
     with pytest.raises(InputError, match="is zero at 1 nodes"):
-        LPSOperator(model, points, allow_uncertified=True)
+        model.on(points, allow_uncertified=True)
 
 
 def test_strain_of_known_fields():

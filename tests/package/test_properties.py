@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from tests.support.problems import lattice, noise, periodic
 from warp_peri import Dataset, InputError, Model, Points, Samples, certify
 from warp_peri.atoms import coarse_grain, smoothing_matrix
-from warp_peri.lps.matrices import matrices
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.dataset import content_hash, load_dataset, save_dataset
 from warp_peri.points.families import bond_classes, families_of
 from warp_peri.points.quadrature import DEGREE, SINGULARITY, ball_integral
@@ -82,7 +81,7 @@ def test_the_operator_on_lattices_is_symmetric_and_blind_to_rigid_motion(model, 
     L = matrices(model, points).operator(model.lam, model.mu)[:, unknown].toarray()
     size = np.abs(L).max()
     np.testing.assert_allclose(L, L.T, rtol=0, atol=1e-11 * size)
-    operator = LPSOperator(model, points)
+    operator = model.on(points)
     a, b, turn = np.random.default_rng(seed).normal(size=3)
     rigid = np.array([a, b]) + turn * points.x @ np.array([[0, 1], [-1, 0]])
     assert np.abs(operator(rigid)).max() <= 1e-9 * size * np.abs(rigid).max()
@@ -92,7 +91,7 @@ def test_the_operator_on_lattices_is_symmetric_and_blind_to_rigid_motion(model, 
 @given(models(ratio=st.floats(2.0, 3.0)), seeds, finite)
 def test_the_operator_is_linear_and_balances_momentum(model, seed, factor):
     points, _ = periodic((8, 7))
-    operator = LPSOperator(model, points)
+    operator = model.on(points)
     u, v = noise(points, seed=seed), noise(points, seed=seed + 1)
     size = np.abs(operator(u)).max() + np.abs(operator(v)).max()
     both = operator(u + factor * v)

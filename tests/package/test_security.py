@@ -19,7 +19,7 @@ from warp_peri import InputError
 from warp_peri.core import record
 from warp_peri.files.atomic import read_arrays
 from warp_peri.learning.two_stage import Checkpoint
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.dataset import load_dataset
 
 ROOT = Path(__file__).parent.parent.parent

@@ -7,8 +7,7 @@ import warp as wp
 from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.launch import launch_slices
-from warp_peri.lps import bonds, force
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials import lps_bonds, lps_force
 from warp_peri.points import families
 from warp_peri.points.families import bond_classes
 
@@ -24,7 +23,7 @@ def launched(monkeypatch):
         names.append(kernel.key)
         launch_slices(kernel, *rest, **options)
 
-    for module in (bonds, force):
+    for module in (lps_bonds, lps_force):
         monkeypatch.setattr(module, "launch_slices", note)
     real = wp.Launch.launch  # of what is packed once
 
@@ -40,24 +39,24 @@ def launched(monkeypatch):
 @pytest.mark.parametrize("points", [lattice(4, HORIZON), cloud(4, HORIZON, 0.1)])
 def test_influence_is_not_computed_again_while_only_u_changes(points, launched):
     model = kernel("sign-changing", HORIZON)
-    operator = LPSOperator(model, points, allow_uncertified=True)
+    operator = model.on(points, allow_uncertified=True)
     first, second = noise(points, seed=1), noise(points, seed=2)
     operator(first)
     launched.clear()
     again = operator(second)
     assert len(launched) == 1  # dilatation and force at once
     assert "influence" not in launched[0]
-    fresh = LPSOperator(model, points, allow_uncertified=True)(second)
+    fresh = model.on(points, allow_uncertified=True)(second)
     np.testing.assert_array_equal(again, fresh)
 
 
 def test_another_model_on_the_same_bonds_is_computed(launched):
     points = lattice(4, HORIZON)
     model, other = kernel("positive", HORIZON), kernel("sign-changing", HORIZON)
-    operator = LPSOperator(model, points)
+    operator = model.on(points)
     operator(noise(points))
     operator.model = other
-    expected = LPSOperator(other, points)(noise(points))
+    expected = other.on(points)(noise(points))
     np.testing.assert_array_equal(operator(noise(points)), expected)
 
 

@@ -14,11 +14,11 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError, Samples, diagnose, evaluate
 from warp_peri.edges.body import solve_body
 from warp_peri.learning.fit import learn as fit
-from warp_peri.lps.model import Model, stiffnesses
 from warp_peri.materials.hyperelastic.energy_fit import fit_energy
 from warp_peri.materials.hyperelastic.equilibrium import StaticProblem
 from warp_peri.materials.hyperelastic.from_displacement import fit_displacement
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
+from warp_peri.materials.lps import Model, stiffnesses
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.methods import Conditions, Constrained, Smoothing, sweep
 from warp_peri.micromodulus.crystal_fit import Micromodulus

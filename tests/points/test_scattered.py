@@ -12,8 +12,7 @@ from tests.support.clouds import cloud, periodic_cloud, plain
 from tests.support.problems import KERNELS, QUADRATURE, ROUNDING, kernel, lattice, noise
 from tests.support.solving import solve
 from warp_peri import InputError, Points
-from warp_peri.lps.matrices import matrices
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, families_of
 from warp_peri.points.quadrature import quadrature_weights
 from warp_peri.points.scattered import neighbours, reverse_bonds
@@ -81,7 +80,7 @@ def test_the_operator_is_the_reference(name):
     expected = reference.operator(points.x, points.interior, model, u)
     size = np.abs(expected).max()
     with pytest.warns(UserWarning, match="certified"):
-        force = LPSOperator(model, points, allow_uncertified=True)(u)
+        force = model.on(points, allow_uncertified=True)(u)
     np.testing.assert_allclose(force, expected, rtol=0, atol=1e-10 * size)
     L = matrices(model, points).operator(model.lam, model.mu)
     force = (L @ u.ravel()).reshape(-1, 2)
@@ -94,7 +93,7 @@ def test_the_operator_is_the_reference_in_a_periodic_box():
     u = noise(points)
     expected = reference.operator(points.x, points.interior, model, u, np.array(box))
     with pytest.warns(UserWarning, match="certified"):
-        force = LPSOperator(model, points, allow_uncertified=True)(u)
+        force = model.on(points, allow_uncertified=True)(u)
     np.testing.assert_allclose(force, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
 
 
@@ -105,7 +104,7 @@ def test_a_solve_gives_the_displacement_back(method):
     u = noise(points, 2)
     model = plain(3.0)
     b = np.zeros_like(u)
-    b[:, points.interior] = LPSOperator(model, points, allow_uncertified=True)(u)
+    b[:, points.interior] = model.on(points, allow_uncertified=True)(u)
     solved = solve(model, points, b, u, method=method, allow_uncertified=True)
     np.testing.assert_allclose(solved, u, atol=1e-7)
 
@@ -128,7 +127,7 @@ def test_solvability_figures():
 def test_sparse_solvability_is_the_dense_one(monkeypatch):
     points, model = cloud(10, 3.0), plain(3.0)
     dense = solvability(model, points)
-    monkeypatch.setattr(sys.modules["warp_peri.stability.certificate"], "DENSE", 10)
+    monkeypatch.setattr(sys.modules["warp_peri.statics.direct"], "DENSE", 10)
     sparse = solvability(model, points)
     assert sparse.symmetric_min == pytest.approx(dense.symmetric_min, rel=1e-4)
     assert sparse.singular_min == pytest.approx(dense.singular_min, rel=1e-6)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.problems import GRADIENT, difference
-from warp_peri.lps.model import bernstein_basis
+from warp_peri.materials.lps import bernstein_basis
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.coordinates import Coordinates, Parameters
 

@@ -11,8 +11,7 @@ from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.response import CollarResponse, WaveResponse, products
-from warp_peri.lps.model import Model
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import Model
 from warp_peri.methods import TwoStage
 from warp_peri.regression.losses import corrected, noise_loss, reduce, sample_weights
 
@@ -48,7 +47,7 @@ def square(grid, model):
 
 
 def test_waves_are_in_equilibrium(model, clean):
-    force = LPSOperator(model, clean, allow_uncertified=True)(clean.u)
+    force = model.on(clean, allow_uncertified=True)(clean.u)
     np.testing.assert_allclose(force, clean.b[:, clean.interior], atol=1e-12)
 
 
@@ -56,7 +55,7 @@ def test_noise_adds_what_the_correction_expects(model, clean):
     weight = sample_weights([clean], normalise=True)[0]
     noise = fluctuation(clean, 200, SIZE, seed=5)
     R = noise_loss(noise, clean, HORIZON, weight)
-    operator = LPSOperator(model, clean, allow_uncertified=True)
+    operator = model.on(clean, allow_uncertified=True)
     expected = weight.sum() * (operator(noise.u) ** 2).sum() / len(noise)
     assert np.sum((R @ products(model, reduce(clean, HORIZON, weight).classes)) ** 2) == (
         pytest.approx(expected, rel=1e-10)

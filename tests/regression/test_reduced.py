@@ -18,7 +18,6 @@ from tests.support.problems import (
 )
 from warp_peri import InputError
 from warp_peri.fitting import rows
-from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.regression import losses
 from warp_peri.regression.losses import FullLoss, sample_weights
 
@@ -100,7 +99,7 @@ def test_the_loss_is_its_definition(sets, normalise):
     residual, load = 0.0, 0.0
     for samples in sets:
         model = kernel("positive", HORIZON, samples.spacing, lam=-0.2, mu=0.7)
-        Lu = LPSOperator(model, samples)(samples.u)
+        Lu = model.on(samples)(samples.u)
         for force, b in zip(Lu, samples.b[:, samples.interior]):
             size = np.sum(b**2) if normalise else 1.0
             residual += np.sum((force - b) ** 2) / size
@@ -116,7 +115,7 @@ def test_errors_are_those_of_each_loaded_sample():
     b = points.b.copy()
     b[2] = 0
     full = FullLoss(replace(points, b=b), HORIZON, np.ones(4))
-    Lu = LPSOperator(kernel("steep", HORIZON, lam=0.1, mu=0.7), points)(points.u)
+    Lu = kernel("steep", HORIZON, lam=0.1, mu=0.7).on(points)(points.u)
     inside = b[:, points.interior]
     expected = [np.linalg.norm(Lu[s] - inside[s]) / np.linalg.norm(inside[s]) for s in (0, 1, 3)]
     errors = full.errors(0.1, 0.7, 2.9, [1.0])

@@ -17,7 +17,6 @@ from warp_peri.core.stencil import q1_tensors
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Solid
 from warp_peri.statics.linear import Linear
-from warp_peri.statics.lps import choose_method, lps_linear
 from warp_peri.statics.multigrid import VCycle, prolong, restrict
 
 HORIZON = 3.0
@@ -45,7 +44,7 @@ def test_iterative_solves_recover_a_manufactured_solution(name, method):
     iteration = dict(tolerance=1e-11, records=records)
     solved = solve(model, points, load, collar, method=method, iteration=iteration)
     np.testing.assert_allclose(solved, points.u, rtol=0, atol=2e-8)
-    left = (LPSOperator(model, points)(solved) - points.b[:, points.interior]).reshape(2, -1)
+    left = (model.on(points)(solved) - points.b[:, points.interior]).reshape(2, -1)
     assert len(records) == 2
     assert all(record.residual <= 1e-11 for record in records)
     assert all(record.iterations > 1 for record in records)
@@ -54,7 +53,7 @@ def test_iterative_solves_recover_a_manufactured_solution(name, method):
 
 
 def linear_of(points, model):
-    return lps_linear(points, model.solid, model.horizon)
+    return LPSOperator(model, points).linear
 
 
 @pytest.mark.parametrize("kind", ["sine", "multigrid", "fft"])
@@ -118,19 +117,28 @@ def test_near_incompressibility_takes_few_iterations(shape, side):
     assert np.linalg.norm(linear(u[None])[0] - load) <= 1.1e-8 * np.linalg.norm(load)
 
 
+@pytest.mark.filterwarnings("ignore:spacing")
 def test_the_method_follows_size_and_shape(monkeypatch):
     module = importlib.import_module("warp_peri.statics.linear")
     monkeypatch.setattr(module, "DIRECT", 30)
-    monkeypatch.setattr(importlib.import_module("warp_peri.statics.lps"), "LARGEST_LU", 30)
-    assert choose_method(lattice(5, HORIZON), plain=True) == "sine"
-    assert choose_method(lattice(5, HORIZON), plain=True, loads=3) == "lu"
-    assert choose_method(lattice(5, HORIZON), plain=True, stiff=True) == "lu"
-    assert choose_method(lattice(6, HORIZON, angle=0.3), plain=True, loads=3) == "sine"
-    assert choose_method(lattice(notched(), HORIZON), plain=True) == "fft"
+    monkeypatch.setattr(
+        importlib.import_module("warp_peri.materials.lps_operator"), "LARGEST_LU", 30
+    )
+    soft, stiff = (kernel("1/r", HORIZON, lam=lam) for lam in (0.3, 100.0))
+
+    def chosen(points, model=soft, loads=1):
+        operator = model.on(points, allow_uncertified=True)
+        return operator._chosen(None, loads, lambda method: method)[1]
+
+    assert chosen(lattice(5, HORIZON)) == "sine"
+    assert chosen(lattice(5, HORIZON), loads=3) == "lu"
+    assert chosen(lattice(5, HORIZON), stiff) == "lu"
+    assert chosen(lattice(6, HORIZON, angle=0.3), loads=3) == "sine"
+    assert chosen(lattice(notched(), HORIZON)) == "fft"
     monkeypatch.setattr(module, "FEW", 20)
-    assert choose_method(lattice(notched(), HORIZON), plain=True) == "multigrid"
-    assert choose_method(lattice(6, HORIZON), plain=True, stiff=True) == "strip"
-    assert choose_method(lattice(6, HORIZON), plain=False) == "gmres"
+    assert chosen(lattice(notched(), HORIZON)) == "multigrid"
+    assert chosen(lattice(6, HORIZON), stiff) == "strip"
+    assert chosen(cloud(6, HORIZON)) == "gmres"
 
 
 def test_an_indefinite_operator_is_named_by_every_method():

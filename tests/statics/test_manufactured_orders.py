@@ -9,7 +9,6 @@ import pytest
 from tests.support import clouds
 from tests.support.problems import LAM, MU, ORDER, fitted_order, kernel, lattice
 from tests.support.solving import solve
-from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.proofs import solvability
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
@@ -102,7 +101,7 @@ def test_forces_converge_and_those_of_other_kernels_to_other_constants(ratio):
         known = (points.x, LAM, MU)
         u, b = clouds.state_based_field(*known), clouds.state_based_load(*known)
         for name, found in errors.items():
-            force = LPSOperator(kernel(name, ratio * spacing, spacing), points)(u)
+            force = kernel(name, ratio * spacing, spacing).on(points)(u)
             found.append(np.abs(force - b[points.interior]).max())
     assert fitted_order(1 / NUMBERS, errors["1/r"]) >= ORDER
     assert fitted_order(1 / NUMBERS, errors["steep"]) < 0.5

@@ -11,7 +11,6 @@ from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, 
 from tests.support.solving import solve, solve_periodic
 from tests.support.symbols import smallest, symbol
 from warp_peri import Dirichlet, InputError, Model, Periodic, Points
-from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.solving import solve as at_rest
 from warp_peri.statics.linear import DIRECT, cheapest_method
 
@@ -50,7 +49,7 @@ def test_the_periodic_solve_is_the_inverse_of_the_operator(name, side):
     points, _ = periodic((9, side), spacing=2.5)
     u = noise(points, 2)
     u -= u.mean(axis=1, keepdims=True)
-    b = LPSOperator(model, points)(u).reshape(2, 9, side, 2)
+    b = model.on(points)(u).reshape(2, 9, side, 2)
     solved = solve_periodic(model, b + np.array([0.3, -5.0]), spacing=2.5)
     np.testing.assert_allclose(solved.reshape(u.shape), u, rtol=0, atol=1e-11)
     assert np.abs(solved.mean(axis=(1, 2))).max() < 1e-14
@@ -97,7 +96,7 @@ def smallest_eigenvalue(a, points):
     """Of the operator on the unknowns."""
     unknown = np.flatnonzero(np.repeat(points.interior, 2))
     pulls = np.eye(2 * len(points.x))[unknown].reshape(len(unknown), -1, 2)
-    forces = LPSOperator(passing(a), points)(pulls).reshape(len(unknown), -1)
+    forces = passing(a).on(points)(pulls).reshape(len(unknown), -1)
     return np.linalg.eigvalsh(forces)[0]
 
 

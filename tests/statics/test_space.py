@@ -12,7 +12,7 @@ from warp_peri import Direct, Krylov
 from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
 from warp_peri.learning.evaluate import without_rigid_part
-from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps import moduli
 from warp_peri.methods import Solid
 from warp_peri.micromodulus import tensors_of
 from warp_peri.points.families import bond_classes

@@ -82,11 +82,10 @@ def smooth(x, samples, seed=0, wave_number=1.2):
 
 def manufactured(model, points, samples, seed=0, wave_number=1.2, **options):
     """Samples in exact equilibrium with a model: any smooth u, and b = L u."""
-    from warp_peri.materials.lps_operator import LPSOperator
 
     u = smooth(points.x, samples, seed, wave_number)
     b = np.zeros_like(u)
-    b[:, points.interior] = LPSOperator(model, points, **options)(u)
+    b[:, points.interior] = model.on(points, **options)(u)
     return Samples(points, u, b)
 
 

@@ -6,7 +6,7 @@ import sys
 import time
 
 from warp_peri import InputError
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.dataset import content_hash, load_dataset
 
 

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from warp_peri.lps.shapes import conical, exponential, gaussian
+from warp_peri.materials.influence import conical, exponential, gaussian
 from warp_peri.points.families import bond_classes
 from warp_peri.shapes import InfluenceFunction
 

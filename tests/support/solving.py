@@ -7,7 +7,7 @@ from warp_peri import solve as solved
 from warp_peri.statics.solution import PRECONDITIONERS
 
 
-def solve(model, points, b, u, *, method="auto", iteration=None, quadrature_degree=None, **options):
+def solve(model, points, b, u, *, method="auto", iteration=None, **options):
     """Displacement; the method by its name, `iteration` as tolerance and records."""
     iteration = dict(iteration or {})
     records = iteration.pop("records", None)
@@ -15,8 +15,7 @@ def solve(model, points, b, u, *, method="auto", iteration=None, quadrature_degr
     if method in PRECONDITIONERS or (method == "auto" and iteration):
         solver = Krylov(None if method == "auto" else method, **iteration)
     elif method != "auto":
-        degree = {} if quadrature_degree is None else {"quadrature_degree": quadrature_degree}
-        solver = Direct(method == "gmres", **degree)
+        solver = Direct(method == "gmres")
     solution = solved(model, Dirichlet(points, b, u), solver=solver, **options)
     if records is not None and solution.details:
         records.extend(solution.details)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from warp_peri.core.stencil import laplacian
-from warp_peri.lps.model import stiffnesses
+from warp_peri.materials.lps import stiffnesses
 from warp_peri.points.families import bond_classes
 
 

@@ -8,8 +8,7 @@ import pytest
 from tests.support.problems import kernel, lattice
 from warp_peri import Bernstein, InputError, Model, Samples
 from warp_peri.learning.fit import learn as fit
-from warp_peri.lps.model import stiffnesses
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import largest_wave_number
 from warp_peri.transfer.lattice import (
@@ -47,7 +46,7 @@ def test_claims_hold_of_the_operator_on_points(finer, angle):
     """Loads that the material at home answers with a wave, along the axes and off them."""
     record = finer.provenance["transfer"]
     points = lattice(1, finer.horizon, spacing=0.6, angle=angle)
-    operator = LPSOperator(finer, points)
+    operator = finer.on(points)
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     for wavelength, claimed in list(zip(record["wavelength"], record["error"]))[::8]:
         k = rings(np.array([2 * np.pi / wavelength]))[0, 3]

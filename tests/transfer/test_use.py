@@ -13,8 +13,7 @@ from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Points, evaluate
-from warp_peri.lps.model import Model
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import Model
 from warp_peri.methods import Smoothing
 from warp_peri.points.families import carried_horizon, families_of
 from warp_peri.proofs import critical_time_step
@@ -101,7 +100,7 @@ def test_everything_takes_points_of_another_spacing(points, file):
         u = solve(model, points, points.b, points.u)
     # said once: a warning is an error from here on
     assert np.array_equal(u, solve(there, points, points.b, points.u))
-    assert np.array_equal(LPSOperator(model, points)(u), LPSOperator(there, points)(u))
+    assert np.array_equal(model.on(points)(u), there.on(points)(u))
     table = evaluate(model, points)
     assert table["transferred_from"] == 1.0
     assert table == evaluate(there, points)
@@ -116,7 +115,7 @@ def test_everything_takes_points_of_another_spacing(points, file):
     assert same.u.numpy() == pytest.approx(u)
 
 
-@pytest.mark.parametrize("use", [solve, LPSOperator, evaluate, model_for])
+@pytest.mark.parametrize("use", [solve, Model.on, evaluate, model_for])
 def test_refusing_is_an_option(points, use):
     fields = (points.b, points.u) if use is solve else ()
     with pytest.raises(InputError, match="certified on 1 Å, not on 0.8 Å"):
@@ -125,7 +124,7 @@ def test_refusing_is_an_option(points, use):
 
 def test_uncertified_means_the_models_own_numbers(points):
     with pytest.warns(UserWarning, match="certified on 1 Å, not on 0.8 Å"):
-        own = LPSOperator(HOME, lattice(3, 3.0, spacing=0.8), allow_uncertified=True)
+        own = HOME.on(lattice(3, 3.0, spacing=0.8), allow_uncertified=True)
     assert own.model is HOME
 
 

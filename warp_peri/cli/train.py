@@ -136,9 +136,7 @@ def _dataset(given: argparse.Namespace) -> Dataset:
 
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
-    from warp_peri.learning import methods
-    from warp_peri.learning.diagnosis import LEAST_SAMPLES, diagnose
-    from warp_peri.learning.sweep import train
+    from warp_peri.learning import diagnosis, methods, sweep
     from warp_peri.micromodulus.crystal_fit import long_waves_of_data
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
@@ -154,7 +152,7 @@ def run_train(given: argparse.Namespace) -> Result:
         unit = symbols(data.units)[0]
         kernel = shape_of(given.influence, given.horizon, samples.spacing, unit)
     with locked(given.out):
-        run = train(
+        run = sweep.train(
             samples,
             given.horizon,
             kernel,
@@ -172,11 +170,11 @@ def run_train(given: argparse.Namespace) -> Result:
             metrics["moduli of a crystal model"] = best
         if warned:
             warnings.warn(warned, stacklevel=1)
-        if samples.spacing and len(samples) >= LEAST_SAMPLES:
-            diagnosis = diagnose(run.fit.material, samples, noise)
-            metrics["residual"] = {"why": diagnosis.sentence, **diagnosis.shares}
-            if diagnosis.advice:
-                warnings.warn(diagnosis.advice, stacklevel=1)
+        if samples.spacing and len(samples) >= diagnosis.LEAST_SAMPLES:
+            found = diagnosis.diagnose(run.fit.material, samples, noise)
+            metrics["residual"] = {"why": found.sentence, **found.shares}
+            if found.advice:
+                warnings.warn(found.advice, stacklevel=1)
         return _kept(given, run, metrics, data)
 
 

@@ -52,7 +52,7 @@ KINDS: dict[tuple[str, str | None], Callable[[Any, Path | None], Any]] = {}
 PROVEN: set[tuple[type, str]] = set()
 """Contents whose proofs this process has gone through, by kind and hash."""
 HOMES = {
-    "warp_peri.model": "lps.model",
+    "warp_peri.model": "materials.lps",
     "warp_peri.third_order_crystal": "third_order.material",
     "warp_peri.density": "materials.density",
     "warp_peri.brittle_solid": "damage.solid",
@@ -89,6 +89,7 @@ class Entry:
         later: whether files of before may lack it.
         flat: whether the fields of its value stand in the file in its place.
         kept: whether it is in the file at all.
+        spread: whether a number may be one of each node instead, an array.
     """
 
     length: int = 0
@@ -100,6 +101,7 @@ class Entry:
     later: bool = False
     flat: bool = False
     kept: bool = True
+    spread: bool = False
 
 
 Positive: TypeAlias = Annotated[float, Entry(positive=True)]
@@ -319,6 +321,11 @@ class OnLinear(Record):
         @property
         def linear(self) -> Any: ...
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if getattr(self.linear, "nodes", None) is not None:
+            raise InputError("lambda, mu: expected numbers, got fields, which go with no other law")
+
     @property
     def units(self) -> Units:
         """Names of the units of length and stress."""
@@ -429,6 +436,8 @@ def taken(key: str, hint: Any, value: Any, read: bool = False, says: Any = None)
             raise InputError(f"{key}: expected {len(kinds)} of them, got {len(value)}")
         return tuple(taken(key, kind, one, read, says) for kind, one in zip(kinds, value))
     hint = origin or hint
+    if says and says.spread and (isinstance(value, (list, tuple)) or np.ndim(value)):
+        hint = np.ndarray
     if hint is float:
         return _number(key, value, bool(says and says.positive))
     if hint is np.ndarray:

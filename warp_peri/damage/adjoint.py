@@ -18,7 +18,7 @@ from warp_peri.damage.softening import BondLaw
 from warp_peri.dynamics.adjoint import in_motion as in_motion
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, bernstein_basis
+from warp_peri.materials.lps import Model, bernstein_basis
 
 
 def bond_force(

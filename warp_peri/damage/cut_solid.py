@@ -18,7 +18,7 @@ from warp_peri.damage.lattice_body import LatticeBody, cracked
 from warp_peri.damage.operator import CutRows, bond_matrix, bond_weights, bonds_of, cut_matrix
 from warp_peri.damage.solid import check_cut, check_horizon, largest_stiffness
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.statics import direct

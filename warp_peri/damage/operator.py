@@ -17,7 +17,7 @@ from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.launch import Shared, filled, floats, ints, threads, zeros
-from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.materials.lps import Model, stiffnesses
 from warp_peri.points.families import BondClasses
 from warp_peri.points.lattice import straight_steps
 

@@ -14,7 +14,7 @@ from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.damage.lattice_body import box, lattice_body, size_and_normal
 from warp_peri.damage.problems import Cracked
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.statics.solution import Direct, Krylov
 
 RADIUS = 4.0

@@ -20,7 +20,7 @@ from warp_peri.damage.operator import bonds_of, dilatations, stretch_rows, unit_
 from warp_peri.damage.solid import check_breakable, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import check_whole
 from warp_peri.points.families import BondClasses
 

@@ -25,7 +25,7 @@ from warp_peri.damage.operator import bonds_of, stretch_rows, unit_toughness
 from warp_peri.damage.solid import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked, is_number, is_positive
 from warp_peri.points.families import bond_classes
 

@@ -19,7 +19,7 @@ from warp_peri.core.record import Entry, OnLinear
 from warp_peri.damage.lattice_body import LatticeBody
 from warp_peri.damage.operator import bond_weights, stiffness_across
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, stencil_of
+from warp_peri.materials.lps import Model, stencil_of
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.statics.direct import pivots, symmetric_factors

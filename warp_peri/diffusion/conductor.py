@@ -19,7 +19,7 @@ from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
-from warp_peri.lps.model import ALPHA_BOUND, bernstein_basis
+from warp_peri.materials.lps import ALPHA_BOUND, bernstein_basis
 from warp_peri.points.arrays import checked, checked_fields, mean_inverse, plain
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of

@@ -19,7 +19,7 @@ from warp_peri.damage.solid import check_cut
 from warp_peri.diffusion.conductor import Conductivity, Conductor, DiffusionOperator
 from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same

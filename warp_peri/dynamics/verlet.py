@@ -22,7 +22,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
 from warp_peri.launch import shared_by
-from warp_peri.lps.model import lps_stencil
+from warp_peri.materials.lps import lps_stencil
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice

@@ -20,9 +20,8 @@ from warp_peri.edges.bulk import MARGIN, Bulk, Tried, bulk_lattice, bulk_points,
 from warp_peri.edges.rim import Field, Moduli, Rim, RimProblem, Traction, check_part, loads_on
 from warp_peri.edges.schwarz import Exchange, Schwarz, WholeBody
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
-from warp_peri.lps.symbol import moduli
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.certificate import with_proof
+from warp_peri.materials.lps import Model, moduli
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import largest_strain
@@ -30,7 +29,6 @@ from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
 from warp_peri.points.samples import edge_strain
 from warp_peri.points.unit_names import symbols
-from warp_peri.stability.certificate import with_proof
 from warp_peri.statics.direct import definite_factors
 from warp_peri.statics.solution import TOLERANCE, warn_beyond
 from warp_peri.statics.solution import Coupling as Coupling
@@ -482,6 +480,6 @@ def _work(solution: BodySolution, model: Model, f: np.ndarray, b: np.ndarray) ->
     K = solution.rim.stiffness(Moduli.square(**moduli(model, classes)))
     total = float(np.vdot(f, (K @ solution.u_rim.ravel()).reshape(-1, 2)))
     if solution.points is not None:
-        force = LPSOperator(model, solution.points, allow_uncertified=True)(solution.u_bulk)
+        force = model.on(solution.points, allow_uncertified=True)(solution.u_bulk)
         total += float(np.vdot(b, force))
     return total

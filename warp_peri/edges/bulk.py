@@ -13,13 +13,12 @@ from scipy.ndimage import distance_transform_edt
 
 from warp_peri.edges.rim import Field
 from warp_peri.errors import InputError
-from warp_peri.lps.matrices import node_fields
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
+from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.points.mesh import Mesh, Tetrahedra
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.statics.linear import STIFF
-from warp_peri.statics.lps import lps_linear
+from warp_peri.statics.linear import STIFF, Linear
 from warp_peri.transfer import LEAST
 from warp_peri.transfer.cache import on_lattice
 from warp_peri.transfer.lattice import TOLERANCE
@@ -102,15 +101,14 @@ class Bulk:
 
     def __init__(self, model: Any, points: Points) -> None:
         self.model, self.points = model, points
-        self.stress: Callable[[np.ndarray], np.ndarray]
+        placed: Any
         if isinstance(model, Model):
-            self.linear = lps_linear(points, model.solid, model.horizon)
-            self.stress = lambda u: np.asarray(node_fields(model, points, u).stress[0])
-            lam, mu = model.lam, model.mu
+            placed, lam, mu = LPSOperator(model, points), model.lam, model.mu
         else:
             placed = model.on(points)
-            self.linear, self.stress = placed.linear, placed.stress
             lam, mu = model.tensor()[0, 0, 1, 1], model.tensor()[0, 1, 0, 1]
+        self.linear: Linear = placed.linear
+        self.stress: Callable[[np.ndarray], np.ndarray] = placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
         self.inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=bool(lam > STIFF * mu))
 

@@ -13,7 +13,7 @@ from warp_peri.contract import linear_part, placed
 from warp_peri.errors import InputError
 from warp_peri.learning.evaluate import ROUNDING
 from warp_peri.learning.response import products
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples

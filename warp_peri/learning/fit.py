@@ -24,8 +24,9 @@ from warp_peri.learning.training_data import (
     listed,
     scaled_data,
 )
-from warp_peri.lps.shapes import InfluenceFunction, shapes_of
-from warp_peri.lps.symbol import moduli as moduli_of
+from warp_peri.materials.certificate import certify
+from warp_peri.materials.influence import InfluenceFunction, shapes_of
+from warp_peri.materials.lps import moduli as moduli_of
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, largest_strain
 from warp_peri.points.samples import Samples, largest_wave_number
@@ -33,7 +34,6 @@ from warp_peri.points.unit_names import symbols
 from warp_peri.regression.coordinates import SMALLEST_MODULUS, Parameters
 from warp_peri.regression.optimum import HEADROOM, Conditions
 from warp_peri.regression.settings import Optimum
-from warp_peri.stability.certificate import certify
 
 ON_BOUND = 1e-3
 """A modulus this near its bound, relative, has ended there."""

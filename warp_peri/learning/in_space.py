@@ -8,7 +8,7 @@ from warp_peri.contract import MaterialFit
 from warp_peri.core.elastic import allowed_tensors
 from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.micromodulus.law import tensors_of
 from warp_peri.points.samples import Samples
 from warp_peri.regression.coordinates import Parameters

@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from warp_peri.errors import InputError
 from warp_peri.learning import METHODS
-from warp_peri.lps.shapes import InfluenceFunction
+from warp_peri.materials.influence import InfluenceFunction
 from warp_peri.points.arrays import check_whole
 from warp_peri.regression.settings import Optimum
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.fitting.rows import compressed
-from warp_peri.lps.matrices import matrices
-from warp_peri.lps.model import Model, stiffnesses
+from warp_peri.materials.lps import Model, stiffnesses
+from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import WAVE_VECTOR, Samples
 from warp_peri.regression.coordinates import Parameters

@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from warp_peri.lps.model import Model
-from warp_peri.lps.shapes import InfluenceFunction
+from warp_peri.materials.certificate import Certificate
+from warp_peri.materials.influence import InfluenceFunction
+from warp_peri.materials.lps import Model
 from warp_peri.points.unit_names import shown_moduli, symbols
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.optimum import LatticeConditions
 from warp_peri.shown import Shown
-from warp_peri.stability.certificate import Certificate
 
 
 @dataclass(frozen=True)

@@ -29,8 +29,7 @@ from warp_peri.learning.two_stage import (
     positive_stage,
     sign_changing_stage,
 )
-from warp_peri.lps.model import Model
-from warp_peri.lps.symbol import moduli
+from warp_peri.materials.lps import Model, moduli
 from warp_peri.micromodulus import Crystal
 from warp_peri.micromodulus.crystal_fit import AGREE, POOR, SPREADS
 from warp_peri.points.samples import WAVE_VECTOR, Samples

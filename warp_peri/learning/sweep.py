@@ -23,7 +23,7 @@ from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.learning.methods import Bernstein, Kernel, Method, TwoStage
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols

@@ -18,9 +18,9 @@ import torch
 
 from warp_peri.errors import InputError
 from warp_peri.learning.methods import Constrained, Method, TwoStage
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import lps_force
-from warp_peri.lps.model import Solid, bernstein_basis
+from warp_peri.materials.lps import Solid, bernstein_basis
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
 from warp_peri.points.dataset import Dataset, in_units_of, scaled
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples

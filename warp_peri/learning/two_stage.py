@@ -24,8 +24,8 @@ from warp_peri.core.stencil import bend, laplacian, ratios, zone_sample
 from warp_peri.core.tensors import differentiable_once
 from warp_peri.files.atomic import ArrayFile, locked
 from warp_peri.learning.methods import TwoStage
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.matrices import assemble
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_matrices import assemble
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.regression.coordinates import Parameters, Variables

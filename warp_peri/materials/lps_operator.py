@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
+import scipy.fft
 import scipy.sparse as sp
 import torch
 import warp as wp
 from numpy.typing import ArrayLike
+from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.contract import OnPoints, is_tensor
+from warp_peri.core.proof import largest
+from warp_peri.core.sweeps import torus_symbol
 from warp_peri.errors import InputError
-from warp_peri.launch import DEVICE, recording
-from warp_peri.lps.bonds import Bonds, SweepLaw, check_volumes
-from warp_peri.lps.force import (
+from warp_peri.launch import DEVICE, known_device, recording
+from warp_peri.materials.lps import Model, Solid, on_nominal_lattice
+from warp_peri.materials.lps_bonds import Bonds, SweepLaw, check_volumes
+from warp_peri.materials.lps_force import (
     Felt,
     check_bond_based,
     check_field,
@@ -26,21 +31,22 @@ from warp_peri.lps.force import (
     gradient,
     pulled,
 )
-from warp_peri.lps.matrices import Matrices, matrices, node_fields
-from warp_peri.lps.model import Model, Solid, lps_stencil, on_nominal_lattice
+from warp_peri.materials.lps_matrices import matrices, node_fields
 from warp_peri.points.arrays import checked, checked_fields, plain
-from warp_peri.points.lattice import largest_strain
+from warp_peri.points.families import families_of
+from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.conjugate_gradients import SolveRecord
-from warp_peri.statics.direct import RESIDUAL, MatrixProblem
-from warp_peri.statics.linear import DIRECT, STIFF, Inverse, Linear
-from warp_peri.statics.lps import (
+from warp_peri.statics.direct import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
+from warp_peri.statics.linear import (
+    DIRECT,
+    STIFF,
+    Inverse,
+    Linear,
     bonds_within,
-    by_gmres,
-    choose_method,
-    lps_linear,
-    refuse_indefinite,
+    cheapest_method,
+    smallest_ratio,
 )
 from warp_peri.statics.solution import (
     TOLERANCE,
@@ -51,39 +57,38 @@ from warp_peri.statics.solution import (
     refuse_solver,
     warn_beyond,
 )
-from warp_peri.transfer.cache import model_for
 
 T = TypeVar("T")
-Numbers = Solid | Mapping[str, Any]
+SAME = 1e-6
+"""Of the horizon, within which nodes are those that fields of moduli are for."""
+LARGEST_LU = 40_000
+"""Most unknown nodes off lattices that are factorised whole."""
 
 
 class LPSOperator(OnPoints):
     """The operator of a model's material on points of any kind (theory, M2–M5).
 
     ``op(u)`` is L u [TPa/Å] of the model there, on interior nodes; in equilibrium it is b. On
-    scattered points each family has weights of its own, of which nothing is proven: they ask for
-    allow_uncertified. A model with λ = μ is bond-based: it needs no dilatation, and a collar of δ
-    is enough, but for derivatives to λ and μ.
+    scattered points each family has weights of its own, of which nothing is proven. A model with
+    λ = μ is bond-based: it needs no dilatation, and a collar of δ is enough, but for derivatives to
+    λ and μ. Of moduli that are fields the energy is the sum of those of all nodes, each with its
+    own moduli, and positive where K is; at an interface displacements are of first order in δ.
 
     Args:
-        model: certified on some lattice; on others it is transferred, which is said once.
+        model: as it is used; `Model.on` asks for its certificate, or transfers it.
         points: a lattice or scattered points, whose interior has the 2δ collar; bonds to nodes
             outside the body are broken.
         quadrature_degree: of the polynomials that the weights are exact for.
-        transfer: False refuses what the model itself is not certified on.
-        allow_uncertified: the model's own numbers, with a warning.
-        lazy: whether bonds are built when they are first asked for; solves by stencils need none.
+        allow_uncertified: whether broken bonds may leave it indefinite, with a warning.
         device: where the kernels run, as for Bonds.
 
     Attributes:
-        home: the model that was given.
-        points: the nodes that were given.
-        model: the one that is used.
-        nodes: the points as it is certified on them.
-        bonds: of the nodes.
+        model, points: that were given.
+        nodes: the points as the model is certified on them.
+        bonds: of the nodes, built when they are first asked for; solves by stencils need none.
 
-    Raises InputError for a point set that does not carry the horizon, an uncertified spacing
-    without a transfer, and scattered points without allow_uncertified.
+    Raises InputError for points of other units or dimensions, and other nodes than those of fields;
+    `bonds` does for a point set that does not carry the horizon.
     """
 
     is_linear = True
@@ -94,20 +99,18 @@ class LPSOperator(OnPoints):
         points: PointsLike,
         *,
         quadrature_degree: int = DEGREE,
-        transfer: bool = True,
         allow_uncertified: bool = False,
-        lazy: bool = False,
         device: str = DEVICE,
     ) -> None:
-        model.check_dimension(points)
-        self.home, self.allowed = model, allow_uncertified
-        how = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-        self.model = model_for(model, points, **how)
-        self.nodes, self.points = on_nominal_lattice(self.model, points), nodes_of(points)
-        self.quadrature_degree, self.device = quadrature_degree, device
-        self._problems: dict[int, MatrixProblem] = {}
-        if not lazy:
-            _ = self.bonds
+        self.model, self.allowed = model, allow_uncertified
+        self.nodes, self.points = on_nominal_lattice(model, points), nodes_of(points)
+        self.quadrature_degree, self.device = quadrature_degree, known_device(device)
+        if (x := model.nodes) is not None and not (
+            x.shape == self.shape and np.abs(x - self.points.x).max() <= SAME * model.horizon
+        ):
+            raise InputError(
+                f"points: expected the {len(x)} nodes of the fields λ and μ, got others"
+            )
 
     @cached_property
     def bonds(self) -> Bonds:
@@ -116,20 +119,15 @@ class LPSOperator(OnPoints):
         try:
             bonds = Bonds(self.nodes, self.model.horizon, **how)
         except InputError:
-            if not self.model.bond_based or np.size(self.moduli[0]) > 1:
+            if not self.model.bond_based:
                 raise
             bonds = Bonds(self.nodes, self.model.horizon, bond_based=True, **how)
         check_volumes(bonds, self.model)
         return bonds
 
     @property
-    def moduli(self) -> tuple[Any, Any]:
-        """λ and μ [TPa]: numbers, or one value a node, shape [N]."""
-        return self.model.lam, self.model.mu
-
-    @property
     def _law(self) -> SweepLaw:
-        return self.bonds.law(*self.moduli, self.model.alpha, self.model.D)
+        return self.bonds.law(*self.learnable.values())
 
     def force_in_torch(self, u: Any) -> Any:
         """The force of a tensor, which stays where it is."""
@@ -225,14 +223,15 @@ class LPSOperator(OnPoints):
 
     def matrix(self) -> sp.csr_array:
         """L as a sparse matrix of all nodes' displacements, shape [d I, d N]."""
-        return self._matrices(self.quadrature_degree).operator(*self.moduli)
+        bonds = self.bonds if self.device == DEVICE else None
+        return matrices(self.model, self.nodes, bonds).operator(self.model.lam, self.model.mu)
 
     def load(self, b: np.ndarray) -> np.ndarray:
         """What the operator equals in equilibrium with b [TPa/Å], on the interior nodes.
 
         Raises InputError for another shape than [N, d] or [S, N, d].
         """
-        b, (nodes, d) = plain("b", b), self.points.x.shape
+        b, (nodes, d) = plain("b", b), self.shape
         if b.ndim not in (2, 3) or b.shape[-2:] != (nodes, d):
             raise InputError(
                 f"b: expected shape [S, {nodes}, {d}] or [{nodes}, {d}], got {list(b.shape)}"
@@ -244,23 +243,44 @@ class LPSOperator(OnPoints):
         """Whether so is L on the interior, of a lattice without broken bonds."""
         return self.points.spacing > 0 and self.points.outside is None
 
+    @property
+    def _is_plain(self) -> bool:
+        """Whether iteration goes with the nodes: a lattice without a box or broken bonds."""
+        return self.nodes.is_plain_lattice and self.quadrature_degree == DEGREE
+
     def at(self, numbers: dict[str, Any]) -> LPSOperator:
         """The same with other numbers; InputError for no solid, or an indefinite whole lattice."""
         model = self.model.having(numbers)
-        options: dict[str, Any] = {"allow_uncertified": True, "lazy": True, "device": self.device}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # said of this one
-            made = LPSOperator(model, self.points, **options)
+        made = LPSOperator(model, self.points, allow_uncertified=True, device=self.device)
         if model.bond_based or not self.bonds.bond_based:
             made.__dict__["bonds"] = self.bonds
-        if self.nodes.is_plain_lattice or self.nodes.box is not None:
+        if model.nodes is None and (self.nodes.is_plain_lattice or self.nodes.box is not None):
             made.linear.check_definite()
         return made
 
     @cached_property
     def linear(self) -> Linear:
-        """Its stencil on the nodes of a lattice."""
-        return lps_linear(self.nodes, self.model.solid, self.model.horizon)
+        """Its stencil on the nodes of a lattice; of fields that of their means, beside products
+        with all of them."""
+        nodes, mean = self.nodes, self.model.mean
+        try:
+            stencil = mean.stencil(nodes.spacing)
+            linear = Linear(stencil, nodes, least=2 * int(mean.horizon / nodes.spacing + 1e-6))
+        except InputError:
+            families_of(nodes, mean.horizon, bond_based=mean.bond_based)  # which says it better
+            raise
+        if self.model.nodes is not None:
+            grid = linear.grid
+
+            def pull(planes: np.ndarray) -> np.ndarray:
+                u = np.zeros((len(planes), *self.shape))
+                flat = planes[(slice(None), slice(None), *grid.core)] if grid.periodic else planes
+                flat = flat.reshape(*planes.shape[:2], -1)[:, :, grid.place]
+                u[:, grid.near] = flat.transpose(0, 2, 1) @ grid.axes.T
+                return np.stack([grid.scatter_interior(one) for one in self.force(u)])
+
+            linear.pull = pull
+        return linear
 
     @property
     def proven(self) -> str | None:
@@ -277,12 +297,25 @@ class LPSOperator(OnPoints):
 
     def stress(self, u: np.ndarray) -> np.ndarray | None:
         """σ [TPa] at the interior nodes, [..., I, d, d]."""
-        stress = node_fields(self.model, self.points, u, self.moduli).stress
+        stress = node_fields(self.model, self.points, u).stress
         return stress if np.ndim(u) == 3 else stress[0]
 
-    def rest(
-        self, b: Any, u: Any, solver: Solver = None, *, parameters: Numbers | None = None
-    ) -> Solution:
+    def stiffest_wave(self) -> float:
+        """A bound on the eigenvalues of L [stress/length²] on a lattice, for time steps; of fields
+        that of the solid of mean moduli, times how much stiffer a node is.
+
+        Raises InputError for fields and a K that changes sign, of which that is not so.
+        """
+        model, mean = self.model, self.model.mean
+        bound = float(largest(mean.stencil(self.nodes.spacing), mean.group))
+        if model.nodes is None:
+            return bound
+        if (self.bonds.influence(model.alpha, model.D) < 0).any():
+            raise InputError("move: expected K W ≥ 0 for moduli as fields, got one below zero")
+        parts = np.asarray(model.mu), np.asarray(model.lam + 2 * model.mu / model.dimension)
+        return bound * max(float(one.max() / one.mean()) for one in parts)
+
+    def rest(self, b: Any, u: Any, solver: Solver = None, *, parameters: Any = None) -> Solution:
         """Equilibrium with b on the interior, u given on the collar (theory, 29).
 
         Args:
@@ -290,45 +323,35 @@ class LPSOperator(OnPoints):
             u: displacement [Å], same shape; only collar values count. Of torch tensors the answer
                 is one, differentiable in both.
             solver: Direct(…) or Krylov(…); None takes the cheapest by size and shape.
-            parameters: λ, μ, α and D, or some of them by name, the material's own by default; the
-                answer is differentiable in tensors among them.
+            parameters: λ, μ, α and D as a Solid, or some of them by name, the material's own by
+                default; the answer is differentiable in tensors among them.
 
         Raises InputError for arrays that do not fit, a solver that does not go with the points, or
         an operator that is singular or (with allow_uncertified a warning) not positive definite.
         """
         refuse_solver(solver, (Direct, Krylov), "a linear solid")
         if is_tensor(b) or is_tensor(u) or parameters is not None:
-            return self.rest_in_torch(b, u, solver, parameters)
+            named = vars(parameters) if isinstance(parameters, Solid) else parameters
+            return self.rest_in_torch(b, u, solver, named)  # type: ignore[no-any-return]
         load, field = checked_fields(self.points, b, u)
         records: list[SolveRecord] = []
         nodes = self.nodes
         flat_load, flat = (f.reshape(-1, *nodes.x.shape) for f in (load, field))
 
         def solved(method: str) -> np.ndarray:
-            if method not in ("lu", "gmres"):
-                return self._iterated(flat_load, flat, method, solver, records)
-            degree = self.quadrature_degree
-            if isinstance(solver, Direct):
-                degree = solver.quadrature_degree
-            return self._factorised(flat_load, flat, method, degree)
+            if method in ("lu", "gmres"):
+                return self._factorised(flat_load, flat, method)
+            asked = solver if isinstance(solver, Krylov) else self._unasked()
+            if self.model.nodes is None:
+                self.linear.check_definite()
+            answer, took = self.linear.solve(flat_load, flat, asked.tolerance, method)
+            records.extend(took)
+            return answer
 
         answer, method = self._chosen(solver, len(flat), solved)
         flat[:, nodes.interior] = answer[:, nodes.interior]
         warn_beyond(self.model, lambda: largest_strain(nodes, flat))
         return self._told(field, self.load(load), method, records)
-
-    def rest_in_torch(
-        self, b: Any, u: Any, solver: Solver = None, parameters: Numbers | None = None
-    ) -> Solution:
-        """`rest` of tensors or with other numbers; InputError for numbers that do not count."""
-        if isinstance(solver, Direct) and solver.quadrature_degree != self.quadrature_degree:
-            raise InputError(
-                f"quadrature_degree: expected that of the operator, {self.quadrature_degree}, for "
-                f"a gradient, got {solver.quadrature_degree}"
-            )
-        named = vars(parameters) if isinstance(parameters, Solid) else parameters
-        solution: Solution = super().rest_in_torch(b, u, solver, named)
-        return solution
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
         """Equilibrium on a period under a load whose mean is removed; u has zero mean.
@@ -348,27 +371,29 @@ class LPSOperator(OnPoints):
                 "problem; see Points.sheet"
             )
         load = checked("b", b, float, (..., *nodes.x.shape))
-        field = np.zeros(load.shape)
         count = int(np.prod(np.rint(np.divide(nodes.box, nodes.spacing))))
         if len(nodes.x) != count:
             raise InputError(
                 f"points: expected {count} nodes that fill the box, got {len(nodes.x)}"
             )
-        self.linear.check_definite()
-        flat = field.reshape(-1, *nodes.x.shape)
-        u, records = self.linear.solve(load.reshape(flat.shape), flat, TOLERANCE)
+        if self.model.nodes is None:
+            self.linear.check_definite()
+        flat = load.reshape(-1, *nodes.x.shape)
+        u, records = self.linear.solve(flat, np.zeros(flat.shape), TOLERANCE)
         warn_beyond(self.model, lambda: largest_strain(nodes, u))
         load = load - load.mean(axis=-2, keepdims=True)
-        return self._told(u.reshape(field.shape), load, "fft", list(records))
+        return self._told(u.reshape(load.shape), load, "fft", list(records))
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of what the operator equals on the interior [I, d], to a relative residual; set up
         once for so many loads."""
-        if self.nodes.is_plain_lattice and self.quadrature_degree == DEGREE:
-            return self.linear.cheapest_inverse(
-                loads, bonds_within(self.model.horizon, self.nodes.spacing)
-            )
-        return self._problem(self.quadrature_degree).inverse
+        if not self._is_plain:
+            return self._problem.inverse
+        if self.model.nodes is not None:
+            return lambda right, tolerance: self.linear.inverse(right, tolerance)[0]
+        return self.linear.cheapest_inverse(
+            loads, bonds_within(self.model.horizon, self.nodes.spacing)
+        )
 
     def _told(self, u: Any, load: Any, method: str, records: list[SolveRecord]) -> Solution:
         measured = max((r.residual for r in records), default=None)
@@ -389,69 +414,99 @@ class LPSOperator(OnPoints):
         return solved("lu"), "lu"
 
     def _method(self, solver: Solver, loads: int) -> str:
-        """The name of the method; InputError where it does not go with the points."""
-        plain = self.nodes.is_plain_lattice and self.quadrature_degree == DEGREE
+        """The name of the method, the cheapest by default; InputError where it does not go with
+        the points."""
+        nodes, model = self.nodes, self.model.mean
         if isinstance(solver, Direct):
             return solver.method
-        chosen = solver.preconditioner if isinstance(solver, Krylov) else None
-        if isinstance(solver, Krylov) and not plain:
-            raise InputError(
-                "solver: Krylov(…) is for lattices without a box and without broken bonds, with "
-                "quadrature of the usual degree; try Direct()"
-            )
-        if chosen is not None:
-            return chosen
-        stiff = self.model.lam > STIFF * self.model.mu
-        loads = 0 if isinstance(solver, Krylov) else loads
-        bonds = bonds_within(self.model.horizon, self.nodes.spacing)
-        return choose_method(self.nodes, plain=plain, stiff=stiff, loads=loads, bonds=bonds)
-
-    def _factorised(self, load: np.ndarray, u: np.ndarray, method: str, degree: int) -> np.ndarray:
-        """The solution of the assembled problem."""
-        model, nodes, problem = self.model, self.nodes, self._problem(degree)
-        answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
-        refuse_indefinite(
-            nodes,
-            problem.stiffness,
-            lambda: lps_stencil(model, nodes.spacing, degree=degree),
-            allowed=self.allowed,
+        if isinstance(solver, Krylov):
+            if not self._is_plain:
+                raise InputError(
+                    "solver: Krylov(…) is for lattices without a box and without broken bonds, "
+                    "with quadrature of the usual degree; try Direct()"
+                )
+            if solver.preconditioner is not None:
+                return solver.preconditioner
+            loads = 0
+        unknown = int(np.count_nonzero(nodes.interior))
+        if not self._is_plain:
+            return "lu" if unknown <= LARGEST_LU else "gmres"
+        inside = lattice_steps(nodes)[0][nodes.interior]
+        return cheapest_method(
+            unknown,
+            box=bool(np.prod(np.ptp(inside, axis=0) + 1) == unknown),
+            space=nodes.dimension == 3,
+            stiff=model.lam > STIFF * model.mu,
+            loads=loads,
+            bonds=bonds_within(model.horizon, nodes.spacing),
         )
+
+    def _factorised(self, load: np.ndarray, u: np.ndarray, method: str) -> np.ndarray:
+        """The solution of the assembled problem."""
+        problem = self._problem
+        answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
+        self._refuse_indefinite(problem.stiffness)
         return answer
 
-    def _problem(self, degree: int) -> MatrixProblem:
+    @cached_property
+    def _problem(self) -> MatrixProblem:
         """The assembled problem, which keeps its factors."""
-        if degree not in self._problems:
-            L = self._matrices(degree).operator(*self.moduli)
-            self._problems[degree] = MatrixProblem(L, self.nodes.interior)
-        return self._problems[degree]
-
-    def _matrices(self, degree: int) -> Matrices:
-        mine = degree == self.quadrature_degree and self.device == DEVICE
-        bonds = self.bonds if mine else None
-        how: dict[str, Any] = {"quadrature_degree": degree, "bonds": bonds, "mu": self.moduli[1]}
-        return matrices(self.model, self.nodes, **how)
+        return MatrixProblem(self.matrix(), self.nodes.interior)
 
     def stiffness_at(self, u: Any) -> Any:
         """L between interior nodes, sparse [d I, d I]."""
-        return self._problem(self.quadrature_degree).stiffness
+        return self._problem.stiffness
 
-    def _iterated(
-        self,
-        load: np.ndarray,
-        u: np.ndarray,
-        method: str,
-        solver: Solver,
-        records: list[SolveRecord],
-    ) -> np.ndarray:
-        """The solution by conjugate gradients, where they are asked to run."""
-        asked = solver if isinstance(solver, Krylov) else self._unasked()
-        self.linear.check_definite()
-        answer, took = self.linear.solve(load, u, asked.tolerance, method)
-        records += took
-        return answer
+    def _refuse_indefinite(self, stiffness: sp.csc_array) -> None:
+        """Raise InputError where the symmetric part of L_II is not positive definite, on plain
+        lattices and where bonds are broken: a kernel that changes sign seldom bears that (theory,
+        B9). Elsewhere nothing is asked."""
+        nodes, cut = self.nodes, self.nodes.outside is not None
+        if not (cut or nodes.is_plain_lattice):
+            return
+        if self._is_plain and self.model.nodes is None:
+            sides = np.ptp(lattice_steps(nodes)[0], axis=0) + 1
+            torus = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in sides)
+            whole = self.model.stencil(nodes.spacing)
+            if smallest_ratio(torus_symbol(torus, whole.steps, whole.tensors), torus) > 0:
+                return
+        symmetric = sp.csc_array((stiffness + stiffness.T) / 2)
+        if definite_factors(symmetric) is not None or smallest_eigenvalue(symmetric) > 0:
+            return
+        least, count = smallest_eigenvalue(symmetric), np.count_nonzero(nodes.interior)
+        if not cut:
+            raise InputError(
+                f"the operator on these {count} nodes is indefinite: its smallest eigenvalue is "
+                f"{least:.1e}, so that its equilibria are not stable"
+            )
+        message = (
+            f"outside: with these bonds broken the operator on {count} nodes is not positive "
+            f"definite: the smallest eigenvalue of its symmetric part is {least:.2g}, and its "
+            "solutions may be wrong; Body(mesh, …) does without broken bonds"
+        )
+        if not self.allowed:
+            raise InputError(message)
+        warnings.warn(message, stacklevel=4)
 
     def _unasked(self) -> Krylov:
         """Settings of an iteration that nobody asked for: closer than a factorisation is held to,
         where one would have been possible."""
         few = np.count_nonzero(self.points.interior) <= DIRECT
         return Krylov(tolerance=RESIDUAL / 10 if few else TOLERANCE)
+
+
+def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """The solution by GMRES with an incomplete factorisation, where a whole one is too large."""
+    rough = spilu(problem.stiffness, drop_tol=1e-4, fill_factor=10)
+    preconditioner = LinearOperator(problem.stiffness.shape, rough.solve)
+    right, columns = problem.right(b, u), []
+    for column in right.T:
+        solved, failed = gmres(
+            problem.stiffness, column, M=preconditioner, rtol=RESIDUAL / 10, restart=50, maxiter=20
+        )
+        if failed:
+            raise InputError("GMRES did not converge on these nodes; try the method lu")
+        columns.append(solved)
+    solution = np.stack(columns, axis=1)
+    problem.check(solution, right)
+    return problem.filled(u, solution)

@@ -25,7 +25,6 @@ from warp_peri.core.proof import Proof, largest, prove
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, lps_stencil
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
@@ -552,7 +551,7 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
         }
 
 
-def tensors_of(model: Model, spacing: float) -> Crystal:
+def tensors_of(model: Any, spacing: float) -> Crystal:
     """The law of an LPS, with one influence function or two, on a lattice, exactly.
 
     C(ξ) is minus its stencil at ξ: products of dilatations make bonds of range 2δ. Any points whose
@@ -565,9 +564,9 @@ def tensors_of(model: Model, spacing: float) -> Crystal:
 
     Raises InputError for what is no linear peridynamic solid, and a spacing without bonds.
     """
-    if not isinstance(model, Model):
+    if not callable(made := getattr(model, "stencil", None)):
         raise InputError(f"model: expected a linear peridynamic solid, got {type(model).__name__}")
-    stencil = lps_stencil(model, spacing)
+    stencil = made(spacing)
     law = Crystal(
         spacing, stencil.steps, stencil.tensors, model.units, LATTICE_GROUP[model.dimension],
         provenance={"fit": {"from": "linear peridynamic solid"}},

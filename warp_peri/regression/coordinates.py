@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from warp_peri.errors import InputError
-from warp_peri.lps.model import CANCELLED, bernstein_basis
-from warp_peri.lps.shapes import InfluenceFunction
+from warp_peri.materials.influence import InfluenceFunction
+from warp_peri.materials.lps import CANCELLED, bernstein_basis
 from warp_peri.points.families import BondClasses
 from warp_peri.regression.losses import FullLoss, ReducedLoss, class_weights
 

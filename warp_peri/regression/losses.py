@@ -23,9 +23,9 @@ from warp_peri.errors import InputError
 from warp_peri.fitting.losses import without_noise
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import forces, rows
-from warp_peri.lps.bonds import Bonds
-from warp_peri.lps.force import lps_force
-from warp_peri.lps.model import Solid, bernstein_basis
+from warp_peri.materials.lps import Solid, bernstein_basis
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples

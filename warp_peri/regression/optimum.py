@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import MET, Form, Numbers, Settled, Zone, fit
-from warp_peri.lps.symbol import long_wave_moduli
+from warp_peri.materials.lps import long_wave_moduli
 from warp_peri.points.families import BondClasses
 from warp_peri.regression.coordinates import Coordinates, Parameters, Point, ShapeCoordinates
 from warp_peri.regression.losses import ReducedLoss, class_pairs, lattice_group, product_basis

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError
 
@@ -16,6 +16,8 @@ RESIDUAL = 1e-9
 """Largest ‖L u − b‖ / ‖b − collar part‖ that a solution may have."""
 SYMMETRIC, PIVOT = 1e-12, 0.01
 """Rounding that symmetry may have; smallest pivot on the diagonal that is kept there."""
+DENSE = 1500
+"""Numbers of unknowns up to which eigenvalues are computed densely."""
 
 
 def factorised(matrix: sp.csc_array) -> Any:
@@ -142,3 +144,22 @@ class MatrixProblem:
         flat = u.reshape(len(u), len(self.unknown)).copy()
         flat[:, self.unknown] = solution.T
         return flat.reshape(u.shape)
+
+
+def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
+    """Smallest eigenvalue of what is symmetric; dense for few unknowns."""
+    if (size := symmetric.shape[0]) <= DENSE:
+        return float(np.linalg.eigvalsh(symmetric @ np.eye(size))[0])
+    found = eigsh(
+        symmetric, 1, which="SA", tol=1e-6, ncv=80, v0=lanczos_start(size),
+        return_eigenvectors=False,
+    )  # fmt: skip
+    return float(found[0])
+
+
+def lanczos_start(size: int) -> np.ndarray:
+    """A start of Lanczos iterations, shape [size], the same every time so that results repeat.
+
+    It has no symmetry of the body's: ones would be orthogonal to half of a symmetric body's modes.
+    """
+    return np.random.default_rng(0).standard_normal(size)

@@ -26,8 +26,8 @@ from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.stability.certificate import smallest_eigenvalue
 from warp_peri.statics.conjugate_gradients import HERE, definite, newton, norm
+from warp_peri.statics.direct import smallest_eigenvalue
 from warp_peri.statics.linear import DIRECT, Inverse
 from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
 

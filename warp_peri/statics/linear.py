@@ -25,6 +25,8 @@ from warp_peri.statics.multigrid import Edge, Filter, block, multigrid, sine, to
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
 """An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""
+Pull: TypeAlias = Callable[[np.ndarray], np.ndarray]
+"""Products of planes around the unknowns [S, d, *wide], at them."""
 METHODS = ("sine", "multigrid", "strip", "fft")
 """What stands before conjugate gradients; "fft", the inverse symbol, where nodes are few."""
 FEW = DIRECT = 4_000
@@ -90,7 +92,7 @@ class Linear:
             by = "fft" if len(stencil.steps) >= FFT_BONDS[self.grid.dimension] else "rows"
         self.by = by
         make: type[ByFFT | ByRows] = ByFFT if by == "fft" else ByRows
-        self.pull = make(self.grid, stencil.steps, stencil.tensors, self.dtype)
+        self.pull: Pull = make(self.grid, stencil.steps, stencil.tensors, self.dtype)
         self._filters: dict[str, Filter] = {}
 
     def __call__(self, u: np.ndarray) -> np.ndarray:
@@ -289,6 +291,11 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
             low = np.linalg.eigvalsh(D)[:, 0]
         smallest = min(smallest, float((low / s[part]).min()))
     return smallest
+
+
+def bonds_within(horizon: float, spacing: float) -> float:
+    """About how many bonds a node of a plane lattice has; BONDS off lattices."""
+    return float(np.pi * (horizon / spacing) ** 2 if spacing > 0 else BONDS)
 
 
 def cheapest_method(

@@ -14,7 +14,6 @@ import numpy as np
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arrays import is_number
 from warp_peri.points.points import Points
-from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.unit_names import symbols
 from warp_peri.shown import Shown
 
@@ -33,16 +32,14 @@ class Direct:
 
     Attributes:
         iterative: GMRES with an incomplete factorisation, for many scattered points.
-        quadrature_degree: of the polynomials that the weights are exact for.
 
-    `solve` raises InputError for a degree below 2, and for one that no weights are exact for.
+    `solve` raises InputError for a singular operator, and where GMRES does not converge.
 
     >>> wp.solve(model, wp.Dirichlet(points, None, 0.01 * x), solver=wp.Direct()).method
     'lu'
     """
 
     iterative: bool = False
-    quadrature_degree: int = DEGREE
 
     @property
     def method(self) -> str:

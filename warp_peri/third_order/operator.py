@@ -20,8 +20,7 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
 from warp_peri.statics.equilibria import SOLVES, equilibria_of, figures_of
-from warp_peri.statics.linear import Inverse
-from warp_peri.statics.lps import bonds_within
+from warp_peri.statics.linear import Inverse, bonds_within
 from warp_peri.statics.solution import Solution, Solver
 
 if TYPE_CHECKING:

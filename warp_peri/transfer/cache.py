@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model
+from warp_peri.materials.certificate import with_proof
+from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import AT_EDGES, carried_horizon
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, symbols
-from warp_peri.stability.certificate import with_proof
 from warp_peri.transfer import LEAST, RECIPE
 
 FOLDER = ".lattices"

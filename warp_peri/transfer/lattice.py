@@ -11,14 +11,14 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.fitting.rows import compressed
 from warp_peri.fitting.transfer import waves_against
-from warp_peri.lps.model import Model, lps_stencil
+from warp_peri.materials.certificate import Certificate, certify
+from warp_peri.materials.lps import Model, lps_stencil
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import ReducedLoss, product_basis
 from warp_peri.regression.optimum import Conditions, LatticeConditions, constrained_optimum
 from warp_peri.regression.settings import Optimum
-from warp_peri.stability.certificate import Certificate, certify
 from warp_peri.transfer import LEAST, RECIPE
 
 WAVES = 60

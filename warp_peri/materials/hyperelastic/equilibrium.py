@@ -17,7 +17,7 @@ from warp_peri.errors import InputError
 from warp_peri.materials.hyperelastic.energies import Term
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
-from warp_peri.stability.certificate import lanczos_start, smallest_eigenvalue
+from warp_peri.statics.direct import lanczos_start, smallest_eigenvalue
 from warp_peri.statics.equilibria import Inner, direction, stable_way
 
 DIRECT = 20_000

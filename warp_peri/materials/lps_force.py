@@ -20,9 +20,8 @@ from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.plain import plain
 from warp_peri.launch import Shared, ints, launch, launch_slices, threads
-from warp_peri.lps.bonds import Bonds, SweepLaw, inverted
-from warp_peri.lps.model import Solid
-from warp_peri.lps.rows import listed
+from warp_peri.materials.lps import Solid
+from warp_peri.materials.lps_bonds import Bonds, SweepLaw, inverted, listed
 
 BLOCKS = 8
 """Parts in which nodes are summed over, whatever the number of threads."""

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import scipy.sparse as sp
 from scipy.linalg import eigh, eigvalsh, null_space
-from scipy.sparse.linalg import LinearOperator, eigsh, splu
+from scipy.sparse.linalg import LinearOperator, splu
 
 from warp_peri.contract import LINEAR, offered, stencil_of
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
-from warp_peri.lps.matrices import matrices
-from warp_peri.lps.model import Model
+from warp_peri.materials.lps import Model
+from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import families_of
-from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
+from warp_peri.statics.direct import smallest_eigenvalue
 
 RANK_TOLERANCE = 1e-9
 """Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""
@@ -162,10 +162,6 @@ def certify(
     )
 
 
-DENSE = 1500
-"""Numbers of unknowns up to which eigenvalues are computed densely."""
-
-
 @dataclass(frozen=True)
 class Solvability:
     """Figures of L on the unknown displacements of a point set.
@@ -184,67 +180,41 @@ class Solvability:
     negative_weights: float
 
 
-def solvability(
-    model: Model, points: PointsLike, *, quadrature_degree: int = DEGREE
-) -> Solvability:
+def solvability(model: Model, points: PointsLike) -> Solvability:
     """Smallest eigenvalue of (L + Lᵗ)/2 and smallest singular value of L on the interior.
 
     On scattered points W_ij ≠ W_ji, so that L is not symmetric and no certificate speaks for it.
 
     Args:
-        model: the model; certified or not.
+        model: certified or not.
         points: a lattice or scattered points.
-        quadrature_degree: as for LPSOperator.
 
     Raises InputError for a point set that does not carry the horizon.
     """
-    L = matrices(model, points, quadrature_degree=quadrature_degree).operator(model.lam, model.mu)
+    L = matrices(model, points).operator(model.lam, model.mu)
     A = sp.csc_array(L[:, np.repeat(points.interior, points.x.shape[1])])
     symmetric = (A + A.T) / 2
     asymmetry = sp.linalg.norm(A - A.T) / (2 * sp.linalg.norm(symmetric))
-    negative = _negative_weights(model, points, quadrature_degree)
-    smallest = smallest_eigenvalue(symmetric)
-    if A.shape[0] <= DENSE:
-        singular = np.linalg.svd(A.toarray(), compute_uv=False)[-1]
-        return Solvability(float(smallest), float(singular), float(asymmetry), negative)
-    try:
-        factors = splu(A)
-    except RuntimeError:  # exactly singular
-        return Solvability(float(smallest), 0.0, float(asymmetry), negative)
-    squared = LinearOperator(A.shape, lambda v: factors.solve(factors.solve(v, "T")))
-    singular = 1 / np.sqrt(eigsh(squared, which="LM", tol=1e-8, **_one(A))[0])
-    return Solvability(float(smallest), float(singular), float(asymmetry), negative)
-
-
-def _negative_weights(model: Model, points: PointsLike, degree: int) -> float:
-    families = families_of(points, model.horizon, bond_based=model.bond_based, degree=degree)
+    families = families_of(points, model.horizon, bond_based=model.bond_based)
     if families.lattice is not None:
         weight = families.weight[families.lattice.bond_class]
     else:
         of_node = np.repeat(np.arange(len(points.x)), np.diff(families.row))
         weight = families.weight[points.interior[of_node]]
-    return float(np.mean(weight < 0))
+    try:
+        factors = splu(A)
+    except RuntimeError:  # exactly singular
+        singular = 0.0
+    else:
 
+        def below(v: np.ndarray) -> np.ndarray:
+            """Minus (AᵗA)⁻¹ v."""
+            return np.asarray(-factors.solve(factors.solve(v, "T")))
 
-def smallest_eigenvalue(symmetric: sp.csc_array | LinearOperator) -> float:
-    """Smallest eigenvalue of what is symmetric; dense for few unknowns."""
-    if (size := symmetric.shape[0]) <= DENSE:
-        return float(np.linalg.eigvalsh(symmetric @ np.eye(size))[0])
-    return float(eigsh(symmetric, which="SA", tol=1e-6, **_one(symmetric))[0])
-
-
-def _one(matrix: sp.csc_array | LinearOperator) -> dict[str, Any]:
-    """One eigenvalue, from the fixed start."""
-    start = lanczos_start(matrix.shape[0])
-    return {"k": 1, "ncv": 80, "v0": start, "return_eigenvectors": False}
-
-
-def lanczos_start(size: int) -> np.ndarray:
-    """A start of Lanczos iterations, shape [size], the same every time so that results repeat.
-
-    It has no symmetry of the body's: ones would be orthogonal to half of a symmetric body's modes.
-    """
-    return np.random.default_rng(0).standard_normal(size)
+        squared = LinearOperator(A.shape, below, matmat=below, dtype=float)
+        singular = (-smallest_eigenvalue(squared)) ** -0.5
+    least, negative = smallest_eigenvalue(symmetric), float(np.mean(weight < 0))
+    return Solvability(least, singular, float(asymmetry), negative)
 
 
 def with_proof(model: Model, spacing: float | None = None) -> Model:

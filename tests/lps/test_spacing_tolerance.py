@@ -9,9 +9,8 @@ import scipy.linalg
 from tests.support.problems import ROUNDING, lattice, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Model, certify
-from warp_peri.lps.matrices import matrices, node_fields
-from warp_peri.lps.model import bernstein_basis, stiffnesses
-from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps import bernstein_basis, stiffnesses
+from warp_peri.materials.lps_matrices import matrices, node_fields
 from warp_peri.points.families import bond_classes
 
 SPACING, HORIZON = 5.0, 12.5
@@ -56,8 +55,8 @@ def test_the_bound_is_kept_within_the_tolerance(wild, factor):
 def test_whoever_asks_gets_the_certified_lattice(wild, factor):
     there, here = points_of(factor), points_of(1.0)
     u = noise(there)
-    force = LPSOperator(wild, there)(u)
-    expected = LPSOperator(wild, here)(u)
+    force = wild.on(there)(u)
+    expected = wild.on(here)(u)
     assert force == pytest.approx(expected, rel=0, abs=ROUNDING * np.abs(expected).max())
     b = np.zeros_like(u)
     b[there.interior] = force
@@ -79,7 +78,7 @@ def test_beyond_the_tolerance_it_is_another_lattice(wild, factor):
     zeros = np.zeros_like(points.x)
     for use in (
         lambda: solve(wild, points, zeros, zeros, transfer=False),
-        lambda: LPSOperator(wild, points, transfer=False),
+        lambda: wild.on(points, transfer=False),
         lambda: wild.check_spacing(SPACING * factor),
     ):
         with pytest.raises(InputError, match="certified on 5 Å"):

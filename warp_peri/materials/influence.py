@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.lps.model import Model, bernstein_basis
+from warp_peri.materials.lps import Model, bernstein_basis
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import USUAL, Units
 

@@ -10,9 +10,8 @@ from tests.support import reference
 from tests.support.problems import KERNELS, ell, kernel, lattice, periodic
 from tests.support.symbols import smallest, symbol
 from warp_peri import InputError, Model, certify
-from warp_peri.lps.matrices import matrices
-from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.stability.certificate import DENSE, smallest_eigenvalue
+from warp_peri.materials.lps_matrices import matrices
+from warp_peri.statics.direct import DENSE, smallest_eigenvalue
 
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]
@@ -94,7 +93,7 @@ def test_dense_figures_are_those_of_the_definition(name):
     for number, (i, a) in enumerate((i, a) for i in inside for a in (0, 1)):
         pulls[number, i, a] = 1.0
     equal = replace(model, lam=1.0, mu=1.0)  # L = Γ
-    gamma = LPSOperator(equal, points)(pulls).reshape(len(pulls), -1).T
+    gamma = equal.on(points)(pulls).reshape(len(pulls), -1).T
     phi = np.array(
         [[reference.dilatation(points.x, i, model, pull) for pull in pulls] for i in inside]
     )

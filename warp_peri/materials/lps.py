@@ -1,11 +1,10 @@
-"""The linear peridynamic solid as numbers: influence function, model, file (`warp_peri.model`)."""
+"""The linear peridynamic solid as a value: its numbers, its file, its stencil on a lattice."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import comb
 
+from warp_peri.contract import is_tensor
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import Proof, prove
-from warp_peri.core.record import Entry, Length, Record, Stress, taken
+from warp_peri.core.record import Entry, Length, Record, taken
 from warp_peri.core.stencil import Stencil
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import check_whole, is_number
+from warp_peri.points.arrays import check_whole, checked, is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
@@ -68,7 +68,7 @@ class Solid:
         alpha: exponent α < 3.
         D: Bernstein coefficients, shape [M + 1].
 
-    Raises InputError where λ, μ or α is no single number, and D no list of them.
+    Raises InputError where λ, μ or α is no single real number, D no list of them, and for α ≥ 3.
     """
 
     lam: Any
@@ -77,13 +77,16 @@ class Solid:
     D: Any
 
     def __post_init__(self) -> None:
-        for name in ("lam", "mu", "alpha"):
-            if prod(shape := np.shape(getattr(self, name))) != 1:
+        given = vars(self).items()
+        found = {n: checked(n, v.detach().cpu() if is_tensor(v) else v) for n, v in given}
+        D = found.pop("D")
+        for name, value in found.items():
+            if value.size != 1:
                 raise InputError(
-                    f"{name}: expected one number of a homogeneous solid, got shape {list(shape)}"
+                    f"{name}: expected one number of a homogeneous solid, got shape "
+                    f"{list(value.shape)}"
                 )
-        if len(shape := np.shape(self.D)) > 1:
-            raise InputError(f"D: expected a list of numbers, got shape {list(shape)}")
+        check_influence(found["alpha"].item(), D.reshape(-1) if D.ndim == 0 else D)
 
     @property
     def bond_based(self) -> bool:
@@ -94,9 +97,17 @@ class Solid:
         """λ, μ, α and D."""
         return self.lam, self.mu, self.alpha, self.D
 
-    def map(self, convert: Callable[[Any], Any]) -> Solid:
-        """The same solid with every value converted."""
-        return Solid(*map(convert, self.values()))
+
+def check_influence(alpha: float, D: np.ndarray) -> None:
+    """Raise InputError for an exponent or coefficients that make no influence function."""
+    if D.ndim != 1:
+        raise InputError(f"D: expected a list of numbers, got lists of shape {list(D.shape)}")
+    if len(D) == 0:
+        raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
+    if len(D) > LARGEST_DEGREE + 1:
+        raise InputError(f"D: expected at most {LARGEST_DEGREE + 1}, got {len(D)} of them")
+    if not alpha < ALPHA_BOUND:
+        raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {alpha}")
 
 
 QUADRATURE = {"degree": DEGREE, "singularity": SINGULARITY}
@@ -104,8 +115,9 @@ SPACING_TOLERANCE = 1e-6
 """A lattice within this of a certified one, relative to its spacing, is taken as that lattice."""
 NOTHING = 1e-14
 """Relative, of tensors that are rounding."""
-LARGEST_MODULUS = 1e100
-"""[TPa]; products of larger ones soon are no numbers."""
+AVERAGED = 8
+"""Positions along the radius of the ball that moduli as a function are averaged over."""
+Modulus = ArrayLike | Callable[[np.ndarray], ArrayLike]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -113,8 +125,8 @@ class Model(Record, format="warp_peri.model"):
     """A linear peridynamic solid with K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) (theory, 4–9, V1–V3).
 
     Attributes:
-        lam: Lamé parameter λ [TPa].
-        mu: Lamé parameter μ, the shear modulus [TPa].
+        lam: Lamé parameter λ [TPa]; a number, or one of each of the `nodes`, shape [N].
+        mu: Lamé parameter μ, the shear modulus [TPa]; likewise.
         alpha: exponent α < 3.
         D: Bernstein coefficients of any sign, shape [M + 1]; their common scale has no effect.
         horizon: δ [Å].
@@ -131,6 +143,7 @@ class Model(Record, format="warp_peri.model"):
             lines say so.
         file: that the model was read from; not part of its contents.
         dimension: 2, a sheet, or 3, a solid.
+        nodes: of moduli that are fields, which are for these points alone [Å], shape [N, d].
 
     Raises InputError naming the first number out of its range.
 
@@ -138,8 +151,8 @@ class Model(Record, format="warp_peri.model"):
     1.647
     """
 
-    lam: Annotated[float, Entry(stress=1, key="lambda")]
-    mu: Stress
+    lam: Annotated[float, Entry(stress=1, key="lambda", spread=True)]
+    mu: Annotated[float, Entry(stress=1, spread=True)]
     alpha: float
     D: np.ndarray
     horizon: Length
@@ -154,35 +167,37 @@ class Model(Record, format="warp_peri.model"):
     units: Units = USUAL
     file: Annotated[Path | None, Entry(kept=False)] = None
     dimension: Annotated[int, Entry(omit=True)] = 2
+    nodes: Annotated[np.ndarray | None, Entry(length=1, omit=True)] = None
     ORDER = ("lambda", "mu", "alpha", "horizon", "degree", "D", "quadrature", "trained_on",
              "certified_on", "certificate", "errors", "provenance", "versions", "trained_strain",
-             "largest_wave_number", "dimension")  # fmt: skip
+             "largest_wave_number", "dimension", "nodes")  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        stress = symbols(self.units)[1]
         if self.dimension not in (2, 3):
             raise InputError(f"dimension: expected 2 or 3, got {self.dimension!r:.50}")
-        if self.D.ndim != 1:
-            raise InputError("D: expected a list of numbers, got lists")
-        if len(self.D) == 0:
-            raise InputError("D: expected at least one coefficient (degree ≥ 0), got none")
-        if len(self.D) > LARGEST_DEGREE + 1:
-            raise InputError(f"D: expected at most {LARGEST_DEGREE + 1}, got {len(self.D)} of them")
-        if not self.alpha < ALPHA_BOUND:
-            raise InputError(f"alpha: expected less than {ALPHA_BOUND:g}, got {self.alpha}")
-        if not max(abs(self.lam), abs(self.mu)) <= LARGEST_MODULUS:
-            raise InputError(
-                f"lambda, mu: expected at most {LARGEST_MODULUS:g} {stress}, got {self.lam}, "
-                f"{self.mu}"
-            )
-        bulk = "λ + μ" if self.dimension == 2 else "λ + 2μ/3"
-        if not (self.mu > 0 and self.lam + 2 * self.mu / self.dimension > 0):
-            raise InputError(
-                f"lambda, mu: expected μ > 0 and {bulk} > 0, got {self.lam}, {self.mu}"
-            )
+        check_influence(self.alpha, self.D)
         if not np.any(self.D):
             raise InputError("D: expected a coefficient other than 0")
+        self._check_moduli()
+
+    def _check_moduli(self) -> None:
+        """Raise InputError where they are those of no solid, or fields of other nodes."""
+        bulk = "λ + μ" if self.dimension == 2 else "λ + 2μ/3"
+        x, got = self.nodes, f"got {self.lam}, {self.mu}"
+        if x is not None:
+            checked("nodes", x, float, ("N", self.dimension))
+            got = "got others at some nodes"
+        for name, one in (("lambda", self.lam), ("mu", self.mu)):
+            if np.shape(one) not in ((), () if x is None else (len(x),)):
+                raise InputError(
+                    f"{name}: expected a number, or one of each of {0 if x is None else len(x)} "
+                    f"nodes, got shape {list(np.shape(one))}"
+                )
+        if x is not None and self.certified_on:
+            raise InputError("certified_on: expected nothing, for moduli as fields, got a spacing")
+        if not np.all((self.mu > 0) & (self.lam + 2 * self.mu / self.dimension > 0)):
+            raise InputError(f"lambda, mu: expected μ > 0 and {bulk} > 0, {got}")
 
     @property
     def degree(self) -> int:
@@ -197,11 +212,59 @@ class Model(Record, format="warp_peri.model"):
     @property
     def learnable(self) -> dict[str, Any]:
         """λ, μ, α and D by name."""
-        return dict(vars(self.solid))
+        return {name: getattr(self, name) for name in ("lam", "mu", "alpha", "D")}
 
-    def having(self, numbers: Mapping[str, Any]) -> Model:
-        """The same with other `learnable` numbers, of which nothing is proven."""
-        return replace(self, **numbers, certified_on=(), certificate={})
+    @property
+    def mean(self) -> Model:
+        """Itself, or of fields the solid of their means."""
+        if self.nodes is None:
+            return self
+        lam, mu = float(np.mean(self.lam)), float(np.mean(self.mu))
+        return replace(self, lam=lam, mu=mu, nodes=None)
+
+    def having(self, numbers: Mapping[str, Any], nodes: np.ndarray | None = None) -> Model:
+        """The same with other `learnable` numbers, of which nothing is proven; of fields those of
+        some nodes [N, d]."""
+        made = self.learnable | dict(numbers)
+        fields = np.ndim(made["lam"]) or np.ndim(made["mu"])
+        of = (self.nodes if nodes is None else nodes) if fields else None
+        return replace(self, **made, nodes=of, certified_on=(), certificate={})
+
+    def spread(self, points: PointsLike, lam: Modulus | None, mu: Modulus | None) -> Model:
+        """The same with moduli that differ from node to node.
+
+        Args:
+            points: N nodes x.
+            lam, mu: numbers, one value a node, shape [N], or functions of x [N, d], of which
+                λ + 2μ/d and μ are averaged harmonically over a ball of δ/2 around each node; None
+                for its own.
+
+        Raises InputError for others, and where μ > 0 and λ + 2μ/d > 0 do not hold everywhere.
+        """
+        x, d = nodes_of(points).x, self.dimension
+        own = self.lam if lam is None else lam, self.mu if mu is None else mu
+        given = list(zip(("lambda", "mu"), own))
+
+        def made(places: np.ndarray) -> Model:
+            at = [checked(n, v(places) if callable(v) else v) for n, v in given]
+            for (name, _), one in zip(given, at):
+                if one.shape not in ((), (len(x),)):
+                    raise InputError(
+                        f"{name}: expected a number, a function, or shape [{len(x)}], got "
+                        f"{list(one.shape)}"
+                    )
+            lam, mu = (np.broadcast_to(one, len(x)) for one in at)
+            return self.having({"lam": lam, "mu": mu}, x)
+
+        solid = made(x)
+        if not any(callable(value) for _, value in given):
+            return solid
+        steps = (np.indices((2 * AVERAGED + 1,) * d).reshape(d, -1).T - AVERAGED) / AVERAGED
+        ball = steps[(steps**2).sum(axis=1) <= 1] * self.horizon / 2
+        around = [made(x + step) for step in ball]
+        soft = np.mean([[1 / one.mu, 1 / (one.lam + 2 * one.mu / d)] for one in around], axis=0)
+        shear, bulk = 1 / soft
+        return self.having({"lam": bulk - 2 * shear / d, "mu": shear}, x)
 
     @property
     def linear(self) -> Model:
@@ -220,7 +283,7 @@ class Model(Record, format="warp_peri.model"):
     @property
     def bond_based(self) -> bool:
         """Whether λ = μ: no dilatation enters (theory, 42), and a collar of δ is enough."""
-        return self.solid.bond_based
+        return self.nodes is None and self.lam == self.mu
 
     @property
     def E(self) -> float:
@@ -337,22 +400,37 @@ class Model(Record, format="warp_peri.model"):
     def _read_from(self, path: Path | None) -> Model:
         return replace(self, file=path)
 
-    def on(self, points: PointsLike, **options: Any) -> LPSOperator:
+    def on(
+        self,
+        points: PointsLike,
+        *,
+        transfer: bool = True,
+        allow_uncertified: bool = False,
+        lam: Modulus | None = None,
+        mu: Modulus | None = None,
+        **options: Any,
+    ) -> LPSOperator:
         """The model on points: transferred there, certified, its bonds built when first needed.
 
         Args:
             points: a lattice or scattered points.
-            options: transfer=False refuses what the model itself holds no certificate for;
-                allow_uncertified=True takes its own numbers, with a warning; device,
-                quadrature_degree; lam, mu as of FieldOperator.
+            transfer: False refuses what the model itself holds no certificate for.
+            allow_uncertified: take its own numbers, with a warning.
+            lam, mu: moduli that differ from node to node, as of `spread`.
+            options: quadrature_degree and device of LPSOperator.
 
-        Raises InputError as LPSOperator and FieldOperator do.
+        Raises InputError for an uncertified spacing without a transfer, scattered points without
+        allow_uncertified, and as `spread` and LPSOperator.
         """
-        from warp_peri.materials import lps_fields, lps_operator
+        from warp_peri.materials.lps_operator import LPSOperator
+        from warp_peri.transfer.cache import model_for
 
-        if {"lam", "mu"} & set(options):
-            return lps_fields.FieldOperator(self, points, **options)
-        return lps_operator.LPSOperator(self, points, lazy=True, **options)
+        model, allowed = self, allow_uncertified
+        if self.nodes is None:
+            model = model_for(self, points, transfer=transfer, allow_uncertified=allowed)
+        if lam is not None or mu is not None:
+            model = model.spread(points, lam, mu)
+        return LPSOperator(model, points, allow_uncertified=allowed, **options)
 
     def summary(self) -> dict[str, Any]:
         """Constants, lattices and errors, as plain values."""
@@ -370,9 +448,16 @@ class Model(Record, format="warp_peri.model"):
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
         length = symbols(self.units)[0]
-        rows = [
-            ("λ, μ", shown_moduli(self.units, (self.lam, self.mu))),
-            ("E, ν", f"{shown_moduli(self.units, (self.E,))}, {self.nu:.3g}"),
+        if self.nodes is None:
+            rows = [
+                ("λ, μ", shown_moduli(self.units, (self.lam, self.mu))),
+                ("E, ν", f"{shown_moduli(self.units, (self.E,))}, {self.nu:.3g}"),
+            ]
+        else:
+            fields = (("λ", np.asarray(self.lam)), ("μ", np.asarray(self.mu)))
+            ends = ((name, shown_moduli(self.units, (x.min(), x.max()))) for name, x in fields)
+            rows = [(f"{name}, least and largest", shown) for name, shown in ends]
+        rows += [
             ("horizon", f"{self.horizon:g} {length}"),
             ("K", f"degree {self.degree}, α = {self.alpha:.3g}"),
         ]
@@ -415,6 +500,8 @@ def stiffnesses(model: Model, classes: BondClasses) -> tuple[np.ndarray, float]:
     Raises InputError for an influence function whose weighted volume is zero, and a lattice of
     another dimension than the model's.
     """
+    if model.nodes is not None:
+        raise InputError("lambda, mu: expected numbers, got fields, which have no stencil or proof")
     if classes.steps.shape[1] != model.dimension:
         raise InputError(
             f"model: expected one of {classes.steps.shape[1]} dimensions, those of the lattice, "
@@ -460,6 +547,28 @@ def stencil_of(classes: BondClasses, v: np.ndarray, kappa: float) -> Stencil:
     kept = half & (np.abs(tensors).max(axis=(1, 2)) > NOTHING * np.abs(tensors[half]).max())
     both = (tensors + tensors.transpose(0, 2, 1)) / 2
     return Stencil(classes.spacing, steps[kept], both[kept])
+
+
+def long_wave_moduli(
+    classes: BondClasses, v: np.ndarray, kappa: float
+) -> tuple[float, float, float]:
+    """C11, C12, C44 [TPa] of the symbol at long waves (theory, 22), from fourth moments of v.
+
+    C44 = (c2/2) Σ v ξ₁²ξ₂²/r², C11 = (c2/2) Σ v ξ₁⁴/r² + λ − μ, C12 = C44 + λ − μ, with c2/2 = 8 of
+    a sheet and 15 of a solid. The dilatation is exact on affine fields, hence the plain
+    λ − μ = κ μ².
+    """
+    d = classes.xi.shape[1]
+    x1, x2 = classes.xi.T[:2]
+    each = d * (d + 2) * v[classes.bond_class] / (classes.xi**2).sum(axis=1)
+    excess = kappa * (classes.count @ (v * classes.r**2)) ** 2
+    C44 = each @ (x1**2 * x2**2)
+    return float(each @ x1**4 + excess), float(C44 + excess), float(C44)
+
+
+def moduli(model: Model, classes: BondClasses) -> dict[str, float]:
+    """Long-wave moduli C11, C12, C44 [TPa] of a model's discrete operator (theory, 22)."""
+    return dict(zip(("C11", "C12", "C44"), long_wave_moduli(classes, *stiffnesses(model, classes))))
 
 
 def on_nominal_lattice(model: Model, points: PointsLike) -> Points:

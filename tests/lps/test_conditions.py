@@ -7,7 +7,7 @@ from tests.support.problems import GRADIENT, KERNELS, difference, kernel
 from tests.support.symbols import form, smallest
 from warp_peri import InputError
 from warp_peri.core.stencil import ratios
-from warp_peri.lps.model import stiffnesses
+from warp_peri.materials.lps import stiffnesses
 from warp_peri.points.families import bond_classes
 from warp_peri.regression.coordinates import Parameters
 from warp_peri.regression.losses import class_pairs, product_basis

@@ -10,12 +10,10 @@ import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
 from warp_peri.errors import InputError
-from warp_peri.lps.bonds import Bonds, Stiffness, check_volumes, surface
-from warp_peri.lps.model import Model, on_nominal_lattice
-from warp_peri.lps.rows import listed
+from warp_peri.materials.lps import Model, on_nominal_lattice
+from warp_peri.materials.lps_bonds import Bonds, Stiffness, check_volumes, listed, surface
 from warp_peri.points.arrays import plain
 from warp_peri.points.families import families_of
-from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike
 
 
@@ -42,31 +40,19 @@ class Matrices:
         return sp.csr_array(mu * self.gamma - (lam - mu) * (self.psi @ self.phi))
 
 
-def matrices(
-    model: Model,
-    points: PointsLike,
-    *,
-    quadrature_degree: int = DEGREE,
-    bonds: Bonds | None = None,
-    mu: Any = 1.0,
-) -> Matrices:
-    """Assemble Γ, Φ and Ψ of a model on a point set; the options are those of LPSOperator.
+def matrices(model: Model, points: PointsLike, bonds: Bonds | None = None) -> Matrices:
+    """Assemble Γ, Φ and Ψ of a model on a point set.
 
-    `bonds` are those of the points with this model's horizon, where they are made already; `mu` is
-    of interest where it is a field, [N].
+    `bonds` are those of the points with this model's horizon, where they are made already.
 
     Raises InputError for a point set that does not carry the horizon.
     """
     if bonds is None:
-        bonds = Bonds(
-            on_nominal_lattice(model, points),
-            model.horizon,
-            bond_based=model.bond_based,
-            quadrature_degree=quadrature_degree,
-        )
+        nodes = on_nominal_lattice(model, points)
+        bonds = Bonds(nodes, model.horizon, bond_based=model.bond_based)
         check_volumes(bonds, model)
     table = Stiffness(bonds, np.array([model.alpha]), model.D)
-    return assemble(bonds, table.kw, table.m, mu)
+    return assemble(bonds, table.kw, table.m, model.mu)
 
 
 def assemble(bonds: Bonds, kw: np.ndarray, m: Any, mu: Any = 1.0) -> Matrices:
@@ -124,9 +110,7 @@ class NodeFields:
     energy: np.ndarray
 
 
-def node_fields(
-    model: Model, points: PointsLike, u: ArrayLike, moduli: tuple[Any, Any] | None = None
-) -> NodeFields:
+def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     """Collapsed stress of S. A. Silling and R. B. Lehoucq (2008), with strain and energy.
 
     The stress is that of a family deformed as the node's own force state is; on a lattice it is
@@ -137,7 +121,6 @@ def node_fields(
         model: the model; no certificate is asked for.
         points: a lattice or scattered points; its u is not looked at.
         u: displacement [Å] on all nodes, shape [N, d] or [S, N, d].
-        moduli: λ and μ of each node, by default the model's.
 
     Raises InputError for a u of another shape, a point set that does not carry the horizon, or
     nodes outside the body: the stress is that of complete families.
@@ -147,8 +130,8 @@ def node_fields(
     nodes, d = points.x.shape
     c2 = 2 * d * (d + 2)
     inside = np.flatnonzero(points.interior)
-    given: tuple[Any, Any] = moduli or (model.lam, model.mu)
-    lam, mu = (one[inside] if np.ndim(one) else one for one in given)
+    of: tuple[Any, Any] = model.lam, model.mu
+    lam, mu = (one[inside] if np.ndim(one) else one for one in of)
     shaped = u.ndim in (2, 3) and u.size > 0 and u.shape[-2:] == (nodes, d)
     if not (shaped and np.isfinite(u).all()):
         raise InputError(

@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tests.stability.test_certificate import five_point
+from tests.lps.test_certificate import five_point
 from tests.support.problems import lattice
 from warp_peri import Model, certify
-from warp_peri.lps.matrices import matrices
+from warp_peri.materials.lps_matrices import matrices
 
 DOMAINS = 50
 HORIZON = 3.0

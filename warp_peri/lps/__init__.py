@@ -1,1 +1,0 @@
-"""The linear peridynamic solid: numbers, influence functions, force, gradient, symbol, matrices."""

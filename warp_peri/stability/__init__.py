@@ -1,1 +1,0 @@
-"""What is proven: conditions, the bound over the zone, certificates, solvability."""
