@@ -29,9 +29,9 @@ from warp_peri.files.atomic import locked
 from warp_peri.learning import METHODS, methods
 from warp_peri.learning.result import Fit
 from warp_peri.learning.sweep import train
+from warp_peri.materials.third_order import CUBIC, ThirdOrderCrystal
 from warp_peri.methods import sweep
 from warp_peri.micromodulus import Crystal
-from warp_peri.third_order.material import CUBIC, ThirdOrderCrystal
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 SMOOTHING_RADIUS = 10.0

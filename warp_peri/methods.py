@@ -4,10 +4,10 @@ from warp_peri.learning.methods import Constrained, TwoStage
 from warp_peri.learning.sweep import Sweep, sweep
 from warp_peri.learning.uncertainty import Resampled, resample_loads
 from warp_peri.materials.lps import Solid
+from warp_peri.materials.third_order import Smoothing
 from warp_peri.regression.optimum import Conditions
 from warp_peri.regression.settings import Optimum
 from warp_peri.statics.solution import Coupling
-from warp_peri.third_order.smoothing import Smoothing
 
 __all__ = [
     "Conditions",

@@ -3,7 +3,7 @@
 from warp_peri.core.proof import Proof
 from warp_peri.dynamics.verlet import critical_time_step
 from warp_peri.materials.certificate import Certificate, Solvability, certify, solvability
-from warp_peri.third_order.uniqueness import Uniqueness, uniqueness
+from warp_peri.materials.third_order import Uniqueness, uniqueness
 
 __all__ = [
     "Certificate",

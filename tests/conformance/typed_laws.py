@@ -6,11 +6,10 @@ from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSo
 from warp_peri.materials.hyperelastic.placed import PlacedSheet
 from warp_peri.materials.lps import Model
 from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.third_order import PlacedThirdOrder, ThirdOrderCrystal
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.points.points import Points
 from warp_peri.problems import Body, Dirichlet, Periodic
-from warp_peri.third_order.material import ThirdOrderCrystal
-from warp_peri.third_order.operator import PlacedThirdOrder
 
 
 def materials(one: Model, two: ThirdOrderCrystal, three: HyperelasticSolid) -> list[Material]:

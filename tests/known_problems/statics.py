@@ -16,6 +16,7 @@ from warp_peri.edges.bulk import MARGIN
 from warp_peri.edges.rim import Moduli
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
 from warp_peri.materials.lps import Model
+from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
 from warp_peri.micromodulus.crystal_fit import fit_symbol
 from warp_peri.micromodulus.law import tensors_of
 from warp_peri.points.mesh import make_mesh, make_tetrahedra
@@ -24,8 +25,6 @@ from warp_peri.points.unit_names import LENGTHS, Units
 from warp_peri.problems import Body, Dirichlet
 from warp_peri.solving import solve
 from warp_peri.statics.solution import Coupling, Direct, Krylov, Newton
-from warp_peri.third_order.material import ThirdOrderCrystal
-from warp_peri.third_order.smoothing import Smoothing
 
 FREE = np.nan
 LEVELS = 0.5, 0.7, 1.0, 1.4

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 25_529,
-    "tokens": 305_157,
-    "lines of warp_peri": 42_248,
+    "code lines": 25_518,
+    "tokens": 305_034,
+    "lines of warp_peri": 42_177,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 62_408,
+    "lines of warp_peri, kernels, examples and tools": 62_336,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -42,7 +42,7 @@ ROOMS = {
     "files": 576,
     "fitting": 609,
     "learning": 1852,
-    "materials": 3899,
+    "materials": 4217,
     "micromodulus": 693,
     "neural": 1015,
     "points": 1940,
@@ -50,7 +50,6 @@ ROOMS = {
     "ranks": 920,
     "regression": 587,
     "statics": 1095,
-    "third_order": 329,
     "transfer": 365,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""

@@ -19,6 +19,7 @@ from warp_peri.materials.hyperelastic.equilibrium import StaticProblem
 from warp_peri.materials.hyperelastic.from_displacement import fit_displacement
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.lps import Model, stiffnesses
+from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.methods import Conditions, Constrained, Smoothing, sweep
 from warp_peri.micromodulus.crystal_fit import Micromodulus
@@ -27,7 +28,6 @@ from warp_peri.points.families import bond_classes
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.unit_names import USUAL, check_units, factors
 from warp_peri.shapes import InfluenceFunction
-from warp_peri.third_order.operator import PlacedThirdOrder
 from warp_peri.transfers import on_lattice
 
 UNITS = [("nm", "Pa"), ("m", "Pa"), ("mm", "GPa")]

@@ -19,7 +19,7 @@ from warp_peri.contract import MaterialFit
 from warp_peri.edges.body import BodyGradient, Coupling, body_gradient
 from warp_peri.learning.diagnosis import Diagnosis
 from warp_peri.learning.result import Fit
-from warp_peri.third_order.material import ThirdOrderCrystal
+from warp_peri.materials.third_order import ThirdOrderCrystal
 
 SPACING, HORIZON, DENSITY, THICKNESS = 1.0, 2.5, 2200.0, 3.35
 

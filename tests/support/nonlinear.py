@@ -8,11 +8,10 @@ import torch
 
 from tests.micromodulus.crystals import cubic_tensor, dispersive
 from tests.support.problems import AXIS
+from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
 from warp_peri.micromodulus.crystal_fit import fit_symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
-from warp_peri.third_order.material import ThirdOrderCrystal
-from warp_peri.third_order.smoothing import Smoothing
 
 LAM, MU = 0.3, 0.7
 TENSOR = cubic_tensor(2, LAM + 2 * MU, LAM, MU)

@@ -17,14 +17,12 @@ from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.learning.laws import fit
+from warp_peri.materials.third_order import Smoothing, energy_density, proven_kappa
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.micromodulus.crystal_fit import Micromodulus, fit_symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.statics import linear
-from warp_peri.third_order.operator import energy_density
-from warp_peri.third_order.smoothing import Smoothing
-from warp_peri.third_order.uniqueness import proven_kappa
 
 REACH = 3.0
 AXIS = 20.0

@@ -10,9 +10,9 @@ from tests.support.nonlinear import FORMS, solid
 from tests.support.problems import ell, lattice, smooth
 from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
+from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.statics import conjugate_gradients, equilibria, linear
 from warp_peri.statics.equilibria import NonlinearRecord
-from warp_peri.third_order.operator import PlacedThirdOrder
 
 HORIZON = 3.0
 

@@ -10,7 +10,7 @@ from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, psi, rotation, solid, tangent
 from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, periodic, smooth
 from warp_peri import InputError
-from warp_peri.third_order.operator import PlacedThirdOrder
+from warp_peri.materials.third_order import PlacedThirdOrder
 
 HORIZON = 3.0
 DIFFERENCES = 1e-8

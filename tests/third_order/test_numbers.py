@@ -8,9 +8,8 @@ import pytest
 
 from tests.support.nonlinear import solid
 from warp_peri import InputError, Model, load
+from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
 from warp_peri.points.families import bond_classes
-from warp_peri.third_order.material import ThirdOrderCrystal
-from warp_peri.third_order.smoothing import Smoothing
 
 
 def test_a_file_is_read_as_what_it_is_and_one_of_before_is_refused_by_name(tmp_path):

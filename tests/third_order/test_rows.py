@@ -7,8 +7,8 @@ from tests.lps.test_rows import SETS, numbered
 from tests.support.nonlinear import far_ends, solid, tangent
 from tests.support.problems import ROUNDING, lattice, noise
 from warp_peri.core import pointwise
+from warp_peri.materials.third_order import PlacedThirdOrder
 from warp_peri.points.families import bond_classes
-from warp_peri.third_order.operator import PlacedThirdOrder
 
 HORIZON = 3.0
 

@@ -8,10 +8,14 @@ from scipy.sparse.linalg import splu
 
 from tests.support.nonlinear import FORMS, psi, solid, tangent
 from tests.support.problems import lattice, noise
+from warp_peri.materials.third_order import (
+    PlacedThirdOrder,
+    curvature_bound,
+    largest_parts,
+    proven_kappa,
+)
 from warp_peri.points.families import bond_classes
 from warp_peri.proofs import uniqueness
-from warp_peri.third_order.operator import PlacedThirdOrder
-from warp_peri.third_order.uniqueness import curvature_bound, largest_parts, proven_kappa
 
 HORIZON = 3.0
 SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))

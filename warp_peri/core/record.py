@@ -53,7 +53,7 @@ PROVEN: set[tuple[type, str]] = set()
 """Contents whose proofs this process has gone through, by kind and hash."""
 HOMES = {
     "warp_peri.model": "materials.lps",
-    "warp_peri.third_order_crystal": "third_order.material",
+    "warp_peri.third_order_crystal": "materials.third_order",
     "warp_peri.density": "materials.density",
     "warp_peri.brittle_solid": "damage.solid",
     "warp_peri.soft_solid": "damage.softening",

@@ -22,17 +22,21 @@ from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled
 from warp_peri.fitting.rows import load_sizes, rows, swept
+from warp_peri.materials.third_order import (
+    CUBIC,
+    FORMS,
+    Smoothing,
+    ThirdOrderCrystal,
+    energy_density,
+    gradient_stencil,
+)
 from warp_peri.micromodulus.crystal_fit import Micromodulus, Tensors, one_set
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples, axis_of
-from warp_peri.third_order.material import FORMS, ThirdOrderCrystal
-from warp_peri.third_order.operator import energy_density, gradient_stencil
-from warp_peri.third_order.smoothing import Smoothing, gradient_weights
 
 SETTLED = 1e-9
 """Relative, of moduli that are found."""
-CONSTANTS = ("t3", "tq2", "q3")
 
 
 @dataclass(frozen=True)
@@ -85,7 +89,7 @@ class ThirdOrder:
         turn = np.eye(2) if way is None else axes.T @ checked_orientation(way, 2)
         auto = isinstance(asked.symmetry, str) and asked.symmetry == "auto"
         tensors = Tensors(h, horizon, "isotropic" if auto else asked.symmetry, turn)
-        weights = gradient_weights(smoothing, self.form, bond_classes(h, horizon))
+        weights = smoothing.weights(bond_classes(h, horizon), self.form)
         fields = nonlinear_features(given, horizon, weights)
         extra = np.einsum("sima,ak->sikm", fields, axes)
         moduli, misfit = asked.checked_moduli(2), None
@@ -149,7 +153,7 @@ def nonlinear_features(
     """
     (steps, into), (_, out) = (gradient_stencil(points, horizon, p) for p in weights)
     energy, none = partial(energy_density, axis=axis_of(points)), np.zeros((2, 2, 2))
-    numbers, columns = dict.fromkeys((*CONSTANTS, "lam", "mu"), 0.0), []
+    numbers, columns = dict.fromkeys((*CUBIC, "lam", "mu"), 0.0), []
     operator = Pointwise(
         points, horizon, energy, steps, into, back=out, numbers=numbers,
         stencil=Stencil(points.spacing, np.eye(2, dtype=int), none),

@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
+from warp_peri.materials.third_order import curvature_bound
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
 from warp_peri.prediction.placed import Factors, Parts, PlacedMembers
 from warp_peri.shown import Shown
-from warp_peri.third_order.uniqueness import curvature_bound
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

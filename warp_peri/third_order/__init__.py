@@ -1,1 +1,0 @@
-"""A linear solid with third-order elastic constants (theory, N)."""
