@@ -52,6 +52,9 @@ def exit_status(
     what was wrong.
     """
     begin = f"{name}: " if name else ""
+    for stream in (sys.stdout, sys.stderr):  # a terminal without λ shows its number
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
     try:
         return work() or 0
     except KeyboardInterrupt:

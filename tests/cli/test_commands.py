@@ -183,6 +183,20 @@ def test_a_full_disk_behind_the_output_is_one_line(data):
     assert process.stderr == "error: [Errno 28] No space left on device\n"
 
 
+def test_a_terminal_without_greek_and_a_pipe_are_spoken_to(trained, data, tmp_path):
+    """No letters that it does not have, and no bars where nobody sees them move."""
+    words = ["train", data, "--horizon", "2.5", "--degree", "3", "--out", tmp_path / "m"]
+    words += ["--noise", "noise", "--method", "constrained"]
+    for each in (words, ["info", tmp_path / "m" / "model.json"]):
+        done = subprocess.run(
+            [sys.executable, "-m", "warp_peri", *map(str, each)],
+            env=os.environ | {"PYTHONIOENCODING": "ascii", "PYTHONPATH": str(ROOT)},
+            capture_output=True, text=True, cwd=tmp_path, check=True,
+        )  # fmt: skip
+        assert "\r" not in done.stdout + done.stderr
+    assert "\\u03bb" in done.stdout
+
+
 def test_sweep_chooses_and_keeps_its_settings(data, tmp_path, capsys):
     words = ["sweep", data, "--out", tmp_path, "--val", "test", "--noise", "noise", "--jobs", "1"]
     printed = answer(capsys, *words, "--horizons", "2.5", "--degrees", "0", "1")

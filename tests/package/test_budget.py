@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 25_518,
-    "tokens": 305_034,
-    "lines of warp_peri": 42_177,
+    "code lines": 25_523,
+    "tokens": 305_077,
+    "lines of warp_peri": 42_182,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 62_336,
+    "lines of warp_peri, kernels, examples and tools": 62_341,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -32,13 +32,13 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 3072,
-    "cli": 1209,
+    "cli": 1211,
     "core": 1747,
     "damage": 1993,
     "diffusion": 339,
     "dynamics": 529,
     "edges": 966,
-    "face": 907,
+    "face": 910,
     "files": 576,
     "fitting": 609,
     "learning": 1852,

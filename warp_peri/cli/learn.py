@@ -179,7 +179,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             uneven=not given.even,
             folder=given.out / FITS,
             done=done,
-            progress=not given.json,
+            progress=given.progress,
         )
         material = choice.material
         warp_peri.save(given.out / "material.json", material)

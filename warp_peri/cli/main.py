@@ -42,6 +42,7 @@ def _run(words: Sequence[str] | None, known: dict[str, Any]) -> int:
         warnings.simplefilter("always")
         warnings.showwarning = _warn
         given = parse(_parser(), words)
+        given.progress = sys.stderr.isatty() and not given.json  # no bars in files and pipes
         known |= vars(given)
         commands.check_output(given)
         result = given.run(given)

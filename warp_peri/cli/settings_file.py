@@ -17,7 +17,8 @@ from warp_peri.files.atomic import write_text
 from warp_peri.files.foreign import content
 
 NOT_KEPT = (
-    "command", "config", "json", "run", "trust", "from_file", "overwrite", "told", "first"
+    "command", "config", "json", "progress", "run", "trust", "from_file", "overwrite", "told",
+    "first",
 )  # fmt: skip
 
 

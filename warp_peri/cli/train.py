@@ -81,7 +81,7 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
         average=dumps.Average(given.skip, given.iota),
         node_area=given.spacing**2,
         thickness=given.thickness,
-        progress=not given.json,
+        progress=given.progress,
     )
     with locked(given.out):
         before = _take_sheet(given)  # another job may have written it meanwhile
@@ -162,7 +162,7 @@ def run_train(given: argparse.Namespace) -> Result:
             conditions=warp_peri.methods.Conditions(given.conditions, given.zeta),
             loss=given.loss,
             normalise=given.normalise,
-            progress=not given.json,
+            progress=given.progress,
         )
         metrics = training_metrics(run)
         best, warned = long_waves_of_data(run.fit.moduli[0], samples, given.horizon)
@@ -192,7 +192,7 @@ def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
     if given.law == "third-order":
         law = warp_peri.ThirdOrder(law, warp_peri.methods.Smoothing(2 * samples.spacing))
     with locked(given.out):
-        fit = warp_peri.fit(samples, law, progress=not given.json)
+        fit = warp_peri.fit(samples, law, progress=given.progress)
         run = Run(fit, *evaluated(fit.material, data.sets), {})
         material, solid = fit.material, getattr(fit.material, "linear", fit.material)
         proof: Any = getattr(fit, "certificate", None) or solid.certificate
@@ -324,7 +324,7 @@ def run_sweep(given: argparse.Namespace) -> Result:
         degrees=given.degrees or list(DEGREES),
         conditions=given.conditions,
         jobs=given.jobs,
-        progress=not given.json,
+        progress=given.progress,
     )
     result: Result = {
         "fits": len(sweep.trials),
