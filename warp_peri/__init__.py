@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from warp_peri.damage.problems import Cracked
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
-    from warp_peri.learning.diagnosis import diagnose
+    from warp_peri.fitting.diagnose import diagnose
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, fit
     from warp_peri.learning.methods import Bernstein
@@ -94,7 +94,7 @@ _NAMES = {
     "damage.problems": ("Cracked",),
     "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
-    "learning.diagnosis": ("diagnose",),
+    "fitting.diagnose": ("diagnose",),
     "learning.evaluate": ("evaluate",),
     "learning.laws": ("LPS", "fit"),
     "learning.methods": ("Bernstein",),

@@ -6,6 +6,7 @@ What needs torch or Warp is imported where a command runs, so that `--help` does
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import shlex
 import warnings
@@ -136,7 +137,7 @@ def _dataset(given: argparse.Namespace) -> Dataset:
 
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
-    from warp_peri.learning import diagnosis, methods, sweep
+    from warp_peri.learning import methods, sweep
     from warp_peri.micromodulus.crystal_fit import long_waves_of_data
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
@@ -170,8 +171,8 @@ def run_train(given: argparse.Namespace) -> Result:
             metrics["moduli of a crystal model"] = best
         if warned:
             warnings.warn(warned, stacklevel=1)
-        if samples.spacing and len(samples) >= diagnosis.LEAST_SAMPLES:
-            found = diagnosis.diagnose(run.fit.material, samples, noise)
+        with contextlib.suppress(InputError):  # scattered points, or too few samples
+            found = warp_peri.diagnose(run.fit.material, samples, noise)
             metrics["residual"] = {"why": found.sentence, **found.shares}
             if found.advice:
                 warnings.warn(found.advice, stacklevel=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from inspect import signature
@@ -9,6 +10,7 @@ from typing import Any, overload
 
 from warp_peri.contract import MaterialFit, offered, taken
 from warp_peri.errors import InputError
+from warp_peri.fitting.diagnose import warn_of_kind
 from warp_peri.learning.fit import learn
 from warp_peri.learning.in_space import learn_in_space
 from warp_peri.learning.methods import Bernstein, Kernel, Method
@@ -112,7 +114,8 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
     Returns:
         A fit with `material`, and with `certificate` and `history` where the model has them.
 
-    Raises InputError for input that cannot be used, RuntimeError where a search fails.
+    Raises InputError for input that cannot be used, RuntimeError where a search fails. A
+    UserWarning says where data ask for another kind of solid, and for which.
 
     >>> round(wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).material.mu, 3)
     0.7
@@ -120,4 +123,9 @@ def fit(samples: Any, law: Any = None, **options: Any) -> Any:
     learned = offered(law, "learn", "fit", "a model: LPS(…), ThirdOrder(…), tissue.Dictionary(…)")
     if not any(one.kind is one.VAR_KEYWORD for one in signature(learned).parameters.values()):
         (options,) = taken(options, "fit", learned)
-    return learned(samples, **options)
+    found = learned(samples, **options)
+    if isinstance(law, LPS | Micromodulus | ThirdOrder):
+        sets, noise = listed(samples, space=True), listed(options.get("noise"), "noise")
+        for each, quiet in itertools.zip_longest(sets, noise):
+            warn_of_kind(found.material, each, quiet)
+    return found
