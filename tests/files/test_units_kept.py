@@ -14,6 +14,7 @@ from warp_peri.diffusion.conductor import Conductor
 from warp_peri.materials.hyperelastic.energies import HyperelasticSolid
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
+from warp_peri.points.unit_names import check_units, factors
 from warp_peri.shapes import InfluenceFunction
 
 UNITS = [("angstrom", "TPa"), ("m", "Pa"), ("mm", "GPa")]
@@ -148,3 +149,14 @@ def test_a_brittle_solid_of_a_wrong_file_is_refused(tmp_path):
     path.write_text(json.dumps(new))
     with pytest.raises(InputError, match=r"solid.json: model: sha256: the contents are not"):
         BrittleSolid.load(path)
+
+
+def test_units_by_one_name_and_moduli_in_gpa():
+    model = Model(0.1, 0.7, 1.0, [1.0], horizon=2.5)
+    assert check_units("ase") == ("angstrom", "eV/angstrom^3")
+    assert factors("si", "metal") == pytest.approx((1e10, 1e-5))
+    assert "700 GPa" in repr(model)
+    assert "GPa" in repr(model.in_units("ase"))
+    assert "7e+05 MPa" in repr(model.in_units(("mm", "MPa")))
+    with pytest.raises(InputError, match="or ase, metal, si, reduced, got 'cgs'"):
+        check_units("cgs")
