@@ -20,9 +20,8 @@ from tools.peri_lps import PeriLps
 from warp_peri import InputError, Krylov, Model, Points, solve
 from warp_peri.atoms.calculators import LammpsError
 from warp_peri.damage import Cracked, box, lattice_body, penny
-from warp_peri.damage.motion import BreakingBody, step
-from warp_peri.damage.operator import CutOperator
-from warp_peri.damage.solid import BrittleSolid
+from warp_peri.fracture.bonds import CutOperator
+from warp_peri.fracture.dynamics import BreakingBody, BrittleSolid, step
 from warp_peri.launch import floats, set_threads, zeros
 
 SIZES = ((400, 160, 3.0), (400, 160, 4.0), (1000, 400, 3.0))

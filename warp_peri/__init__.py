@@ -30,10 +30,10 @@ if TYPE_CHECKING:
     from warp_peri import transfers as transfers
     from warp_peri.atoms.crystal_fit import from_atoms
     from warp_peri.core.tensors import Module
-    from warp_peri.damage.problems import Cracked
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
     from warp_peri.fitting.diagnose import diagnose
+    from warp_peri.fracture.problems import Cracked
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, fit
     from warp_peri.learning.methods import Bernstein
@@ -91,7 +91,7 @@ __all__ = [
 
 _NAMES = {
     "core.tensors": ("Module",),
-    "damage.problems": ("Cracked",),
+    "fracture.problems": ("Cracked",),
     "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
     "fitting.diagnose": ("diagnose",),

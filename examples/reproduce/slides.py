@@ -26,8 +26,8 @@ from examples.exact import continuum_symbol
 from examples.prose import Table, print_tables
 from warp_peri import InputError, Points
 from warp_peri.damage import continuum_stretch
-from warp_peri.damage.operator import unit_toughness
 from warp_peri.errors import exit_status
+from warp_peri.fracture.bonds import unit_toughness
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_matrices import Matrices, assemble, matrices
 from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes

@@ -16,7 +16,7 @@ from tests.support.bodies import random_breaking
 from tests.support.problems import difference, noise
 from warp_peri import launch
 from warp_peri.damage import BondLaw, BrittleSolid, Cracked, SoftSolid, box
-from warp_peri.damage.cut_solid import CutSolid
+from warp_peri.fracture.statics import CutSolid
 from warp_peri.points.unit_names import factors
 
 SIDES = {2: (9, 8), 3: (6, 5, 6)}

@@ -17,8 +17,8 @@ from tests.points.test_interpolation import cloud
 from tests.support import cubes
 from tests.support.problems import kernel, lattice, noise
 from warp_peri.damage import lattice_body
-from warp_peri.damage.cut_solid import CutSolid
 from warp_peri.files.checkpoint import ALONE
+from warp_peri.fracture.statics import CutSolid
 from warp_peri.micromodulus import tensors_of
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")

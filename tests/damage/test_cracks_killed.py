@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from tests.support.bodies import pulled
-from warp_peri.damage.march import KIND, CrackRun
 from warp_peri.files.checkpoint import AllNodes, RunFile
+from warp_peri.fracture.run import KIND, LEDGER, CrackRun
 
 ROOT = Path(__file__).parent.parent.parent
 CRACK = [[(-20, 0), (-4, 0)]]
@@ -44,7 +44,7 @@ def main(folder):
         time.sleep(0.005)
     np.savez(
         folder / "end.npz",
-        ledger=np.array(run.history.ledger),
+        ledger=np.array([run.history[name] for name in LEDGER]),
         dissipated=state.dissipated,
         left=body.operator.kept(state.links),
         **{name: getattr(state, name).numpy() for name in ("u", "v", "links", "work")},

@@ -19,8 +19,9 @@ from warp_peri.damage import (
     rectangle,
     tip_shift,
 )
-from warp_peri.damage.cut_solid import CutSolid, domain_integral
-from warp_peri.damage.slow_growth import grow
+from warp_peri.fracture.growth import grow
+from warp_peri.fracture.release import domain_integral
+from warp_peri.fracture.statics import CutSolid
 
 SPACINGS = np.array([1 / 8, 1 / 12, 1 / 16])
 

@@ -5,7 +5,7 @@ import pytest
 
 from tests.support.bodies import plate
 from warp_peri import InputError
-from warp_peri.damage.lattice_body import cracked, crossing_bonds, lattice_body, rectangle
+from warp_peri.fracture.body import cracked, crossing_bonds, lattice_body, rectangle
 
 
 def test_bonds_lead_where_their_vectors_say():

@@ -7,8 +7,8 @@ import torch
 import warp_peri as wp
 from tests.support.bodies import plate, pulled, solid
 from warp_peri import InputError
-from warp_peri.damage.march import CrackRun
-from warp_peri.damage.motion import BreakingBody, check_step, step
+from warp_peri.fracture.dynamics import BreakingBody, step
+from warp_peri.fracture.run import CrackRun
 
 CRACK = [[(-20, 0), (-4, 0)]]
 KINDS = {
@@ -32,10 +32,11 @@ def marched(kind, share, **options):
 def test_the_ledger_closes_and_better_with_shorter_steps(kind):
     body, run, state = marched(kind, 0.4)
     assert 0.05 < body.damage(state).max()
-    assert run.history.column("dissipated")[-1] > 0
-    assert run.history.missing < 3e-3
-    _, finer, _ = marched(kind, 0.1)
-    assert finer.history.missing < run.history.missing / 4
+    found = run.motion(state)
+    assert found["dissipated"][-1] > 0
+    assert found.missing < 3e-3
+    _, finer, end = marched(kind, 0.1)
+    assert finer.motion(end).missing < found.missing / 4
 
 
 def test_a_symmetric_body_breaks_symmetrically():
@@ -88,13 +89,12 @@ def test_held_nodes_move_as_told_and_their_work_counts():
         body, step=0.3 * body.longest_step, every=1, sections={"middle": [(-9, 0), (9, 0)]}
     )
     state = run.march(body.start(), steps=200)
-    ledger = np.array(run.history.ledger)
-    assert run.history.missing < 2e-3
-    np.testing.assert_allclose(body.velocity(state)[held], grip[held])
+    assert run.motion(state).missing < 2e-3
+    np.testing.assert_allclose(state.v.numpy()[held], grip[held])
     upper = state.force.numpy()[: len(held)][body.body.x[:, 1] > 0].sum(axis=0)
-    np.testing.assert_allclose(run.history.force["middle"][-1], upper, atol=1e-12)
+    np.testing.assert_allclose(run.history["force middle"][-1], upper, atol=1e-12)
     assert abs(upper[1]) > 1e-4
-    assert ledger[-1, 4] == 0
+    assert run.history["dissipated"][-1] == 0
 
 
 def test_killed_and_resumed_gives_the_same_bits(tmp_path):
@@ -117,8 +117,7 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
     for name in ("u", "v", "links", "work"):
         want, got = getattr(straight[2], name).numpy(), getattr(state, name).numpy()
         assert want.tobytes() == got.tobytes()
-    assert again.history.ledger == straight[1].history.ledger
-    assert again.history.u == straight[1].history.u
+    assert again.history == straight[1].history
     records = sorted((tmp_path / "series").glob("record_*.vtu"))
     assert len(records) == steps
     assert (tmp_path / "series" / "motion.pvd").read_text().count("DataSet") == steps
@@ -142,7 +141,7 @@ def test_a_checkpoint_of_another_watch_is_not_joined(tmp_path):
     def march(function, steps):
         run = CrackRun(body, step=dt, watch={"damage": function}, **options)
         run.march(body.start(cracks=CRACK), steps=steps)
-        return run.history.watched["damage"]
+        return run.history["damage"]
 
     march(lambda phi: phi.max(), 3)
     assert len(march(lambda phi: phi.max(), 5)) == 5
@@ -171,14 +170,12 @@ def test_a_checkpoint_of_another_history_of_loads_is_refused_wherever_it_differs
 
     march(slow, 40)
     for ramp in (lambda t: slow(t) + jump(t), None, lambda t: min(1.0, t / (59.999999 * dt))):
-        with pytest.raises(InputError, match=r"what differs: load history, from t = .* on \("):
+        with pytest.raises(InputError, match="what differs: load history$"):
             march(ramp, 60)
-    with pytest.raises(InputError, match=rf"from t = {37 * dt:g} on \("):
-        march(lambda t: slow(t) + jump(t), 60)
     again, resumed = march(slow, 60)
     straight, state = march(slow, 60, checkpoint=None)
     assert state.u.numpy().tobytes() == resumed.u.numpy().tobytes()
-    assert again.history.ledger == straight.history.ledger
+    assert again.history == straight.history
 
 
 def test_a_load_that_changes_only_later_goes_on_as_if_never_stopped(tmp_path):
@@ -236,9 +233,9 @@ def test_a_body_thrown_without_a_load_keeps_the_energy_it_started_with():
     law, body = solid(0.4, critical_stretch=0.01), plate(12, 12)
     free = BreakingBody(law, body)
     run = CrackRun(free, step=0.2 * free.longest_step, every=1)
-    run.march(free.start(v=0.05 * body.x * (1, -0.5)), steps=60)
-    assert run.history.column("dissipated")[-1] > 0
-    assert run.history.missing < 2e-3
+    found = run.motion(run.march(free.start(v=0.05 * body.x * (1, -0.5)), steps=60))
+    assert found["dissipated"][-1] > 0
+    assert found.missing < 2e-3
 
 
 def test_runs_that_would_record_nothing_are_refused():
@@ -255,19 +252,16 @@ def test_runs_that_would_record_nothing_are_refused():
         with pytest.raises(InputError, match=words):
             CrackRun(body, step=dt, **options)
     with pytest.raises(InputError, match="nothing has been recorded"):
-        print(CrackRun(body, step=dt).history.missing)
+        print(CrackRun(body, step=dt).motion(body.start()).missing)
     with pytest.raises(InputError, match="grip: expected held components"):
         BreakingBody(solid(toughness=1.0), plate(6, 6), grip=np.ones((36, 2)))
 
 
 def test_steps_beyond_the_bound_are_refused():
     body = pulled()
-    with pytest.raises(InputError, match="whatever breaks"):
-        check_step(body, 1.01 * body.longest_step)
-    with pytest.warns(UserWarning, match="whatever breaks"):
-        CrackRun(body, step=1.01 * body.longest_step, allow_unstable=True)
-    with pytest.raises(InputError, match="step: expected a number > 0"):
-        check_step(body, 0.0)
+    for step_, words in ((1.01 * body.longest_step, "whatever breaks"), (0.0, "a number > 0")):
+        with pytest.raises(InputError, match=f"step: expected .*{words}"):
+            CrackRun(body, step=step_)
 
 
 def test_one_criterion_is_asked_for():

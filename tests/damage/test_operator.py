@@ -7,9 +7,15 @@ import warp as wp
 from tests.support import cubes
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import ROUNDING, lattice
-from warp_peri.damage.lattice_body import lattice_body
-from warp_peri.damage.operator import CutOperator, bond_weights, cut_matrix, unit_toughness
-from warp_peri.damage.solid import continuum_stretch
+from warp_peri.fracture.body import lattice_body
+from warp_peri.fracture.bonds import (
+    CutOperator,
+    bond_matrix,
+    bond_weights,
+    bonds_of,
+    unit_toughness,
+)
+from warp_peri.fracture.dynamics import continuum_stretch
 from warp_peri.launch import floats, set_threads, threads, zeros
 from warp_peri.points.families import bond_classes
 
@@ -37,8 +43,7 @@ def test_the_sweep_is_the_matrix(lam, sides):
     neighbour = random_breaking(body, random, 0.3)
     u = random.standard_normal(body.x.shape)
     force, energy = swept(CutOperator(model, body), u, neighbour)
-    w = bond_weights(model, body.classes)
-    L = cut_matrix(body, w, neighbour, model.mu, model.lam - model.mu)
+    L = bond_matrix(body, neighbour, bonds_of(model, body.classes))
     expected = -(L @ u.ravel()).reshape(u.shape)
     np.testing.assert_allclose(force, expected, atol=ROUNDING * np.abs(expected).max())
     assert energy.sum() == pytest.approx(u.ravel() @ (L @ u.ravel()) / 2)

@@ -13,9 +13,10 @@ from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
 from tests.support.problems import difference
 from warp_peri import InputError, Model, load, move, save
-from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle, softening
-from warp_peri.damage.cut_solid import CutSolid
-from warp_peri.damage.softening import SoftBody
+from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle
+from warp_peri.fracture import softening
+from warp_peri.fracture.softening import SoftBody
+from warp_peri.fracture.statics import CutSolid
 
 LAWS = {
     "linear": BondLaw(0.0, 0.06),
@@ -155,7 +156,8 @@ def test_the_force_across_a_slanted_line_is_what_pulls_one_side_off_the_other(li
     along = np.subtract(line[1], line[0])
     normal = np.array([-along[1], along[0]]) / np.hypot(*along)
     above = (soft.body.x - line[0]) @ normal > 0
-    assert soft.across(u, np.ones(len(d)), line) == pytest.approx(force[above].sum(axis=0) @ normal)
+    across = soft.levers(line) @ soft.law.pull(soft.stretch(u))
+    assert across == pytest.approx(force[above].sum(axis=0) @ normal)
 
 
 def test_a_load_without_an_equilibrium_is_left_out_and_named():
@@ -175,7 +177,7 @@ def test_a_body_that_has_come_apart_along_the_line_carries_nothing():
     rest = soft.rest
 
     def loose(field, share):
-        if not share[soft.section([(-9, 0.0), (9, 0.0)])[0]].any():
+        if not share[soft.levers([(-9, 0.0), (9, 0.0)]) > 0].any():
             raise InputError("operator: parts of the body hang loose")
         return rest(field, share)
 

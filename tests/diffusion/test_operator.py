@@ -13,8 +13,8 @@ from tests.support.bodies import random_breaking
 from tests.support.clouds import cloud, periodic_cloud
 from tests.support.problems import kernel, lattice
 from warp_peri import Dirichlet, InputError, Krylov, Model, Points, move, solve
-from warp_peri.damage.lattice_body import lattice_body
 from warp_peri.diffusion import Conductor, CoupledOperator, CoupledSolid, DiffusionOperator
+from warp_peri.fracture.body import lattice_body
 from warp_peri.points.unit_names import factors
 
 CELLS = [6, 9, 13]
@@ -141,11 +141,10 @@ def test_a_kernel_that_changes_sign_is_refused_where_diffusion_would_grow(lattic
         points = Points(4 * points.x, points.interior, 1.0)
     operator = DiffusionOperator(Conductor(3.2, D=np.array([1.0, 1.0, -1.0])), points)
     inner = operator.matrix()[:, operator.rows].toarray()
-    below = int((np.linalg.eigvalsh((inner + inner.T) / 2) < 0).sum())
-    assert below > 0
+    assert (np.linalg.eigvalsh((inner + inner.T) / 2) < 0).any()
     phi = np.random.default_rng(0).standard_normal(len(points.x))
     for call in (lambda: steady(operator, phi), lambda: transient(operator, phi, 0.1, 3)):
-        with pytest.raises(InputError, match=f"L \\+ Lᵗ has {below} eigenvalues below zero"):
+        with pytest.raises(InputError, match="L \\+ Lᵗ has eigenvalues below zero"):
             call()
 
 

@@ -9,8 +9,8 @@ import pytest
 from tests.support.nonlinear import solid
 from tests.support.sheets import everything
 from warp_peri import InputError, Model, Points, load
-from warp_peri.damage.solid import BrittleSolid
 from warp_peri.diffusion.conductor import Conductor
+from warp_peri.fracture.dynamics import BrittleSolid
 from warp_peri.materials.hyperelastic.energies import HyperelasticSolid
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples

@@ -11,11 +11,11 @@ import numpy as np
 
 from examples.exact import westergaard
 from tests.known_problems.statics import LEARNED, Outcome, UnitScale, material, plane, solid
-from warp_peri.damage.lattice_body import box, penny, point_force, rectangle
-from warp_peri.damage.operator import unit_toughness
-from warp_peri.damage.problems import Cracked
-from warp_peri.damage.release import energy_release, tip_shift
-from warp_peri.damage.slow_growth import apparent_toughness, cut_by_spacing, spent
+from warp_peri.fracture.body import box, penny, point_force, rectangle
+from warp_peri.fracture.bonds import unit_toughness
+from warp_peri.fracture.growth import apparent_toughness, cut_by_spacing, spent
+from warp_peri.fracture.problems import Cracked
+from warp_peri.fracture.release import energy_release, tip_shift
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
 from warp_peri.statics.solution import Krylov

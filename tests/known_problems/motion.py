@@ -23,11 +23,11 @@ from tests.known_problems.statics import (
     solid,
 )
 from warp_peri import launch
-from warp_peri.damage.lattice_body import box, rectangle
-from warp_peri.damage.problems import Cracked
-from warp_peri.damage.solid import BrittleSolid
 from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
+from warp_peri.fracture.body import box, rectangle
+from warp_peri.fracture.dynamics import BrittleSolid
+from warp_peri.fracture.problems import Cracked
 from warp_peri.materials.lps import Model, lps_stencil
 from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet

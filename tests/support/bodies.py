@@ -3,9 +3,8 @@
 import numpy as np
 
 from warp_peri import Model
-from warp_peri.damage.lattice_body import box, lattice_body
-from warp_peri.damage.motion import BreakingBody
-from warp_peri.damage.solid import BrittleSolid
+from warp_peri.fracture.body import box, lattice_body
+from warp_peri.fracture.dynamics import BreakingBody, BrittleSolid
 
 
 def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, dimension=2, **criterion):

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import OnPoints
 from warp_peri.core.record import Entry, Length, Record
-from warp_peri.damage.solid import negative_eigenvalues
 from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
@@ -24,6 +23,7 @@ from warp_peri.points.arrays import checked, checked_fields, mean_inverse, plain
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
+from warp_peri.statics.direct import definite_factors
 from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
 
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
@@ -138,16 +138,16 @@ class DiffusionOperator(OnPoints):
     def inner(self) -> sp.csc_array:
         """The columns of `matrix` that belong to the interior, shape [I, I].
 
-        Raises InputError, with their number, where a kernel that changes sign gives L + Lᵗ
+        Raises InputError where a kernel that changes sign gives L + Lᵗ
         eigenvalues below zero: φ would grow without end.
         """
         matrix = sp.csc_array(self.matrix()[:, self.rows])
         if self._changes_sign and len(self.rows):
             shift = ROUNDING * np.abs(matrix.diagonal()).max()
-            count = negative_eigenvalues(matrix + shift * sp.eye_array(len(self.rows)))
-            if count:
+            even = (matrix + matrix.T) / 2 + shift * sp.eye_array(len(self.rows))
+            if definite_factors(even) is None:
                 raise InputError(
-                    f"influence function: it changes sign on these points, and L + Lᵗ has {count} "
+                    "influence function: it changes sign on these points, and L + Lᵗ has "
                     "eigenvalues below zero, with which φ grows without end; take D ≥ 0"
                 )
         return matrix

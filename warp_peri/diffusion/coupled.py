@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import OnPoints
 from warp_peri.core.record import Record, Stress
-from warp_peri.damage.cut_solid import in_torch
-from warp_peri.damage.lattice_body import lattice_body
-from warp_peri.damage.operator import bond_weights, cut_matrix, dilatations
-from warp_peri.damage.solid import check_cut
 from warp_peri.diffusion.conductor import Conductivity, Conductor, DiffusionOperator
 from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
+from warp_peri.fracture.body import lattice_body
+from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
+from warp_peri.fracture.statics import check_definite, in_torch, symmetric_factors
 from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import PointsLike
@@ -121,14 +120,14 @@ class CoupledOperator(OnPoints):
             gone = np.append(self.points.outside, False)
             table = np.where(gone[table] | self.points.outside[:, None], -1, table)
         self.body, self.table = body, table
-        w = bond_weights(model, body.classes)
+        bonds = bonds_of(model, body.classes)
         rows = diffusion.rows
         self.rows = rows
         self.free = np.column_stack([2 * rows, 2 * rows + 1]).ravel()
-        theta = dilatations(body, body.dimension * w, table, np.arange(len(table)))
-        self._solid = cut_matrix(body, w, table, model.mu, model.lam - model.mu)[self.free]
-        if (w < 0).any():
-            check_cut(self._solid[:, self.free])
+        theta = dilatations(body, bonds.share, table, np.arange(len(table)))
+        self._solid = bond_matrix(body, table, bonds)[self.free]
+        if (bonds.share < 0).any():
+            check_definite(symmetric_factors(self._solid[:, self.free]))
         diffusion.inner()  # refuses one that would grow
         self._pull = sp.csr_array(material.coupling * theta.T)[self.free]
         self._squeeze = sp.csr_array(-material.coupling * theta[rows])

@@ -16,20 +16,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.contract import MATERIAL, offered, taken
-from warp_peri.damage.lattice_body import lattice_body
-from warp_peri.damage.march import CrackRun
-from warp_peri.damage.motion import BreakingBody
-from warp_peri.damage.operator import bonds_of
-from warp_peri.damage.problems import Cracked, broken, options_of_steps
 from warp_peri.dynamics.motion import Motion
 from warp_peri.dynamics.verlet import march
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import RunFile, agreed, fingerprint, same
+from warp_peri.fracture.body import lattice_body
+from warp_peri.fracture.dynamics import BreakingBody
+from warp_peri.fracture.problems import Cracked, options_of_steps
+from warp_peri.fracture.run import CrackRun
 from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweep
 from warp_peri.points.arrays import checked_fields
-from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes
+from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.linear import RowOperator, tensors_at
@@ -224,9 +223,8 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         how, begin, records, run = options_of_steps(options)
     model = material.model
     d = piece.dimension
-    excess = bonds_of(model, bond_classes(piece.spacing, model.horizon, dimension=d)).excess
     build(comm, neighbours.lattice_neighbours, sweep(d).sweep, halves(d).kick_and_drift)
-    balls = 1 if excess == 0 and not problem.corrected else 2
+    balls = 1 if model.lam == model.mu and not problem.corrected else 2
     felt = balls * model.horizon * (1 + HORIZON_TOLERANCE)
     halo = NodeHalo(piece, felt)
     given: dict[str, Any] = {"load": problem.b, "held": problem.held, "u": problem.u}
@@ -249,4 +247,4 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     marching = CrackRun(moving, nodes=halo, **records)
     moving.operator.sweep_early(halo.is_own)
     moving.exchange = lambda u: halo.start(u.numpy())
-    return broken(marching, state, run)
+    return marching.motion(marching.march(state, **run))

@@ -13,16 +13,21 @@ import numpy as np
 import scipy.sparse as sp
 import warp as wp
 
-from warp_peri.damage.lattice_body import LatticeBody
+from warp_peri.core.groups import lattice_group
+from warp_peri.core.proof import largest
+from warp_peri.errors import InputError
+from warp_peri.fracture.body import LatticeBody
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.damage import sweeps as kernels
 from warp_peri.launch import Shared, filled, floats, ints, threads, zeros
-from warp_peri.materials.lps import Model, stiffnesses
+from warp_peri.materials.lps import Model, stencil_of, stiffnesses
 from warp_peri.points.families import BondClasses
 from warp_peri.points.lattice import straight_steps
 
 WEIGHT = 4
 """Work of a piece, that of a node in other sweeps being 1: two threads pay from 16 000 nodes on."""
+ROUNDING = 1e-12
+"""Relative, of weights: below it a bond is without force, whatever its sign."""
 SPANNED = 1e-3
 """Least eigenvalue of a node's shape tensor, over that of a whole ball, whose bonds span space."""
 
@@ -31,20 +36,23 @@ class SplitBonds(NamedTuple):
     """Energy of a node, ½ Σ c e² + ½ x (Σ a e)² over its unbroken bonds (theory, C1).
 
     Attributes:
-        stiffness: c of the bonds of a ball [stress / length⁴], shape [B].
+        stiffness: c of the bonds of a ball [stress / length⁴], shape [B]; or [N, B] of all bonds,
+            the same in both directions.
         share: a, of a bond in the dilatation [1 / length²], shape [B].
-        excess: x [stress].
+        excess: x [stress]; or of each node, shape [N].
     """
 
     stiffness: np.ndarray
     share: np.ndarray
-    excess: float
+    excess: Any
 
 
-def bonds_of(model: Model, classes: BondClasses) -> SplitBonds:
-    """Of the bonds of a ball."""
+def bonds_of(model: Model, classes: BondClasses, moduli: Any = None) -> SplitBonds:
+    """Of the bonds of a ball; or with other moduli than the model's, μ of bonds [N, B] and λ − μ of
+    nodes [N], those of the bonds and nodes of a body."""
     d, w, r = model.dimension, bond_weights(model, classes), classes.r[classes.bond_class]
-    return SplitBonds(d * (d + 2) * model.mu * w / r**2, d * w, model.lam - model.mu)
+    mu, excess = (model.mu, model.lam - model.mu) if moduli is None else moduli
+    return SplitBonds(d * (d + 2) * mu * w / r**2, d * w, excess)
 
 
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
@@ -72,14 +80,44 @@ def unit_toughness(model: Model, classes: BondClasses) -> float:
     return float(deviatoric + dilatational)
 
 
-def stiffness_across(model: Model, classes: BondClasses) -> tuple[float, float]:
-    """Energy per length or area at unit stretch of positive and negative bonds across a line."""
-    w = bond_weights(model, classes)
-    r2 = (classes.xi.astype(float) ** 2).sum(axis=1)
+def check_breakable(model: Model, classes: BondClasses | None = None) -> None:
+    """Refuse a model whose bonds must not break (theory, C3).
+
+    Raises InputError for an influence function that changes sign, anywhere or on a lattice.
+    """
+    if classes is None:
+        w, where = model.influence(model.horizon * np.linspace(0.1, 1.0, 91)), ""
+    else:
+        w, where = bond_weights(model, classes), f" on the lattice of spacing {classes.spacing:g}"
+    if (w < -ROUNDING * np.abs(w).max()).any():
+        raise InputError(
+            f"model: its influence function changes sign{where}, from {w.min():.4g} to "
+            f"{w.max():.4g}, and breaking some bonds leaves energies below zero; bonds may break "
+            "in a positive kernel (positive_kernel keeps its moduli)"
+        )
+
+
+def energy_bounds(model: Model) -> tuple[float, float]:
+    """Least and largest energy of a node over Σ w e²/r² of its unbroken bonds [stress] (C2)."""
     d = model.dimension
-    share = d * (d + 2) * model.mu * classes.spacing
-    each = share * np.maximum(classes.steps[:, 1], 0) * w * r2
-    return float(each[each > 0].sum()), float(each[each < 0].sum())
+    shear = d * (d + 2) * model.mu / 2
+    ends = shear, d * d / 2 * (model.lam + 2 * model.mu / d)
+    return min(ends), max(ends)
+
+
+def largest_stiffness(model: Model, classes: BondClasses) -> float:
+    """A proven upper bound of Λmax L of every body on the lattice under any breaking (C9).
+
+    max(μ, κ d / (d + 2)) max_k Λmax Γ(k), κ = λ + 2 μ/d, [stress / length²].
+
+    Raises InputError as check_breakable.
+    """
+    check_breakable(model, classes)
+    w = bond_weights(model, classes)
+    v = np.bincount(classes.bond_class, w) / classes.count
+    d = model.dimension
+    gamma = largest(stencil_of(classes, v, 0.0), lattice_group(d))
+    return energy_bounds(model)[1] / (d * (d + 2) / 2) * gamma
 
 
 def stretch_matrix(body: LatticeBody, neighbour: np.ndarray) -> tuple[sp.csr_array, np.ndarray]:
@@ -103,64 +141,36 @@ def stretch_rows(
     return sp.csr_array((values, columns, rows), shape=(count, d * len(body.x)))
 
 
-def cut_matrix(
-    body: LatticeBody,
-    weights: np.ndarray,
-    neighbour: np.ndarray,
-    mu: float | np.ndarray,
-    excess: float | np.ndarray,
-    *,
-    corrected: bool = False,
-) -> sp.csr_array:
-    """bond_matrix of w of the ball [B], and of μ, one or by bond [N, B], and λ − μ."""
-    d = body.dimension
-    stiffness, share = d * (d + 2) * mu * weights / body.r**2, d * weights
-    return bond_matrix(body, neighbour, stiffness, share, excess, corrected=corrected)
-
-
 def bond_matrix(
-    body: LatticeBody,
-    neighbour: np.ndarray,
-    stiffness: np.ndarray,
-    share: np.ndarray,
-    excess: float | np.ndarray,
-    *,
-    corrected: bool = False,
+    body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds, *, corrected: bool = False
 ) -> sp.csr_array:
     """L of a cut body as a symmetric matrix [stress / length²], shape [d N, d N] (C4).
 
     Args:
         body: the body.
         neighbour: with broken bonds, shape [N, B].
-        stiffness, share, excess: as of SplitBonds; the first by bond [N, B] too, the same in both
-            directions, the last by node [N] too.
+        bonds: of the ball, or of all.
         corrected: bonds that a node lacks take the mean gradient of those that it has (C26).
     """
     stretch, place = stretch_matrix(body, neighbour)
-    each = np.broadcast_to(stiffness, neighbour.shape)
+    each = np.broadcast_to(bonds.stiffness, neighbour.shape)
     total = stretch.T @ (sp.diags_array(each.ravel()[place]) @ stretch)
-    if np.any(excess):  # else it is as wide as two balls, and zero
-        of_nodes = np.broadcast_to(excess, len(neighbour))
-        theta = dilatations(body, share, neighbour, np.arange(len(neighbour)))
+    if np.any(bonds.excess):  # else it is as wide as two balls, and zero
+        of_nodes = np.broadcast_to(bonds.excess, len(neighbour))
+        theta = dilatations(body, bonds.share, neighbour, np.arange(len(neighbour)))
         total = total + theta.T @ (sp.diags_array(of_nodes) @ theta)
     if corrected:
-        total = total + corrections(body, neighbour, each, share, excess)
+        total = total + corrections(body, neighbour, bonds)
     total = sp.csr_array(total)
     total.eliminate_zeros()
     return total
 
 
-def corrections(
-    body: LatticeBody,
-    neighbour: np.ndarray,
-    stiffness: np.ndarray,
-    share: np.ndarray,
-    excess: float | np.ndarray,
-) -> sp.csr_array:
+def corrections(body: LatticeBody, neighbour: np.ndarray, bonds: SplitBonds) -> sp.csr_array:
     """What (C26) adds to L, of nodes near those that lack bonds; as bond_matrix."""
     node, d = np.flatnonzero((neighbour < 0).any(axis=1)), body.dimension
-    each, there = np.broadcast_to(stiffness, neighbour.shape)[node], neighbour[node] >= 0
-    spans, *made = mean_gradients(body.xi, there, each, share, SPANNED)
+    each, there = np.broadcast_to(bonds.stiffness, neighbour.shape)[node], neighbour[node] >= 0
+    spans, *made = mean_gradients(body.xi, there, each, bonds.share, SPANNED)
     node, (slopes, squares, lacked) = node[spans], (one[spans] for one in made)
     width, size = len(node), d * d
     row, bond = np.nonzero(slopes.reshape(d * width, -1))
@@ -171,12 +181,12 @@ def corrections(
     gradient = sp.csr_array(sp.kron(by_node, sp.eye_array(d)))  # rows by node, j and i
     blocks = sp.bsr_array((squares, np.arange(width), np.arange(width + 1)))
     total = gradient.T @ (sp.csr_array(blocks) @ gradient)
-    if np.any(excess):
+    if np.any(bonds.excess):
         rows = np.repeat(np.arange(width), size), np.arange(size * width)
         felt = sp.csr_array((lacked.ravel(), rows), shape=(width, size * width))
         more = felt @ gradient
-        of_nodes = sp.diags_array(np.broadcast_to(excess, len(neighbour))[node])
-        crossed = more.T @ (of_nodes @ dilatations(body, share, neighbour, node))
+        of_nodes = sp.diags_array(np.broadcast_to(bonds.excess, len(neighbour))[node])
+        crossed = more.T @ (of_nodes @ dilatations(body, bonds.share, neighbour, node))
         total = total + crossed + crossed.T + more.T @ (of_nodes @ more)
     return sp.csr_array(total)
 
@@ -307,7 +317,9 @@ class CutOperator:
         if key not in self._recorded:
             criterion = self._criterion if breaking else kernels.NONE
             turns = [[self._pieces[rows] for rows in turn] for turn in self._turns]
-            self._recorded = {key: [self._shared(turn, criterion, *arrays) for turn in turns]}
+            if len(self._recorded) > 1:
+                self._recorded.clear()
+            self._recorded[key] = [self._shared(turn, criterion, *arrays) for turn in turns]
         *early, late = self._recorded[key]
         for launch in early:
             launch()
@@ -376,34 +388,41 @@ class CutRows:
         model, corrected: as of CutSolid.
         body: not endless.
         neighbour: with broken bonds, shape [N, B].
-
-    Attributes:
-        diagonal: of L, shape [N, d].
     """
 
     def __init__(
         self, model: Model, body: LatticeBody, neighbour: np.ndarray, corrected: bool
     ) -> None:
-        self._operator = CutOperator(model, body)
-        stiffness, share, excess = self._operator.bonded
-        count, there, xi = len(body.x), neighbour >= 0, body.xi
-        u, force = (zeros(count, dtype=self._operator.vector) for _ in range(2))
-        self._fields = u, self._operator.links(neighbour), force, zeros(count)
+        self._operator, self._corrected = CutOperator(model, body), corrected
+        count, vector = len(body.x), self._operator.vector
+        self._fields = [zeros(count, dtype=one) for one in (vector, vector, wp.float64)]
+        self.cut(neighbour)
+
+    def cut(self, neighbour: np.ndarray) -> None:
+        """Have these bonds broken, and no others."""
+        self._neighbour, self._links = neighbour, self._operator.links(neighbour)
+        if self._corrected:
+            self._more = corrections(self._operator.body, neighbour, self._operator.bonded)
+
+    @property
+    def diagonal(self) -> np.ndarray:
+        """Of L, shape [N, d]."""
+        (stiffness, share, excess), xi = self._operator.bonded, self._operator.body.xi
         once, twice = (2 * stiffness)[:, None] * xi**2, share[:, None] * xi
-        self.diagonal = there @ (once + excess * twice**2) + excess * (there @ twice) ** 2
-        self._more: Any = None
-        if corrected:
-            self._more = corrections(body, neighbour, stiffness, share, excess)
-            self.diagonal += self._more.diagonal().reshape(body.x.shape)
+        there = self._neighbour >= 0
+        found = there @ (once + excess * twice**2) + excess * (there @ twice) ** 2
+        if self._corrected:
+            found = found + self._more.diagonal().reshape(found.shape)
+        return np.asarray(found)
 
     def __call__(self, fields: np.ndarray) -> np.ndarray:
         """Minus the internal force density, of all nodes."""
-        found, (u, _, force, _) = np.empty_like(fields), self._fields
+        found, (u, force, energy) = np.empty_like(fields), self._fields
         for field, out in zip(fields, found):
             u.numpy()[:] = field
-            self._operator.sweep(*self._fields)
+            self._operator.sweep(u, self._links, force, energy)
             np.negative(force.numpy(), out=out)
-            if self._more is not None:
+            if self._corrected:
                 out += (self._more @ field.ravel()).reshape(out.shape)
         return found
 

@@ -19,12 +19,11 @@ from scipy.special import hyp1f1
 from tqdm import tqdm
 
 from warp_peri.core.record import OnLinear
-from warp_peri.damage.cut_solid import check_pieces, symmetric_factors
-from warp_peri.damage.lattice_body import LatticeBody, cracked, crossing_bonds, size_and_normal
-from warp_peri.damage.operator import bonds_of, stretch_rows, unit_toughness
-from warp_peri.damage.solid import check_breakable, check_horizon, check_no_fail
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
+from warp_peri.fracture.body import LatticeBody, cracked, crossing_bonds, size_and_normal
+from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_rows, unit_toughness
+from warp_peri.fracture.statics import check_horizon, check_no_fail, check_pieces, symmetric_factors
 from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked, is_number, is_positive
 from warp_peri.points.families import bond_classes
@@ -63,18 +62,11 @@ class BondLaw:
 
     def pull(self, s: np.ndarray) -> np.ndarray:
         """Pull over k r² of a bond that has not begun to fail."""
-        return np.asarray(s * np.exp(-self.softness * np.maximum(s, 0)))
+        return np.asarray(pull_of(s, self.softness, np))
 
     def share(self, worst: np.ndarray) -> np.ndarray:
         """What is left of that pull after a largest stretch, from 1 to 0."""
-        left = (worst <= self.stretch).astype(float)
-        if self.tail == 0 or left.all():
-            return left
-        fall = 1 - (worst - self.stretch) / self.tail
-        beyond = worst > self.stretch
-        whole = self.pull(np.where(beyond, worst, 1.0))
-        ends = self.pull(np.array(self.stretch)) * np.maximum(fall, 0) / whole
-        return np.where(beyond, np.minimum(ends, 1.0), 1.0)
+        return np.asarray(share_of(worst, self.softness, np.float64(self.stretch), self.tail, np))
 
     def spent(self) -> float:
         """Energy that a bond takes to break, over k r²; s₀²/2 without softness and tail (C18).
@@ -113,6 +105,22 @@ class BondLaw:
             xtol=1e-14 * self.stretch,
         )
         return BondLaw(self.softness, float(earlier))
+
+
+def pull_of(s: Any, softness: Any, of: Any) -> Any:
+    """As BondLaw.pull, of NumPy or torch."""
+    return s * of.exp(-softness * of.clip(s, 0, None))
+
+
+def share_of(worst: Any, softness: Any, stretch: Any, tail: Any, of: Any) -> Any:
+    """As BondLaw.share, of NumPy or torch; a tail of 0 breaks at once, and has no gradient."""
+    beyond = worst > stretch
+    if tail == 0 or not beyond.any():
+        return of.where(beyond, 0.0, of.ones_like(worst))
+    fall = of.clip(1 - (worst - stretch) / tail, 0, None)
+    whole = pull_of(of.where(beyond, worst, 1.0), softness, of)
+    ends = pull_of(stretch, softness, of) * fall / whole
+    return of.where(beyond, of.clip(ends, None, 1), 1.0)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -178,15 +186,9 @@ class SoftBody:
     ) -> None:
         check_breakable(model, body.classes)
         check_horizon(model, body)
-        count, held = len(body.x), np.asarray(held)
-        safe = check_no_fail(no_fail, count)
-        if held.shape != body.x.shape or held.dtype != bool:
-            raise InputError(
-                f"held: expected shape {list(body.x.shape)} of bool, got {list(held.shape)} of "
-                f"{held.dtype}"
-            )
+        safe, table = check_no_fail(no_fail, len(body.x)), cracked(body, cracks)
+        held = checked("held", held, bool, body.x.shape)
         self.body, self.law, self.held = body, law, held
-        table = cracked(body, cracks)
         check_pieces(body, table, held)
         node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
         far = table[node, bond]
@@ -223,28 +225,22 @@ class SoftBody:
             u[self.free] -= symmetric_factors(inner).solve(force)
         raise InputError("softening: no equilibrium was found; the body may have come apart")
 
-    def across(self, u: np.ndarray, share: np.ndarray, line: ArrayLike) -> float:
-        """Force at right angles to a straight line, of one side on the other, by thickness.
+    def levers(self, line: ArrayLike) -> np.ndarray:
+        """What bonds add to the force at right angles to a straight line, in space to a flat
+        polygon, of one side on the other, tension positive, by thickness; over their law's pull
+        and what is left of it, [E].
 
-        In space to a flat polygon. u: flat [d N]; share: what is left of the pull of each bond.
-        Tension is positive.
-
-        Raises InputError for another line than two ends.
+        Raises InputError for another line than two ends, and one that no bond crosses.
         """
-        cut, normal = self.section(line)
-        pull = self.stiffness * share * self.square * self.law.pull(self.stretch(u))
-        rise = np.abs(self.body.xi[self.bond[cut]] @ normal)
-        return float(self.body.spacing**self.body.dimension * (pull[cut] * rise).sum())
-
-    def section(self, line: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Which bonds cross a straight line or flat polygon, bool, and its unit normal."""
         cut = crossing_bonds(self.body, line)[self.node, self.bond]
         ends = checked("line", line)
         if self.body.dimension == 2 and len(ends) != 2:
             raise InputError(f"line: expected two ends, got {len(ends)} corners")
         if not cut.any():
             raise InputError("line: no bond of the body crosses it, so no force can be read there")
-        return cut, size_and_normal(ends)[1]
+        rise = cut * np.abs(self.body.xi[self.bond] @ size_and_normal(ends)[1])
+        cell = self.body.spacing**self.body.dimension
+        return np.asarray(cell * rise * self.stiffness * self.square)
 
     def pull(
         self,
@@ -254,6 +250,7 @@ class SoftBody:
         line: ArrayLike,
         stop: float = 0.7,
         progress: bool = False,
+        seen: list[list[np.ndarray]] | None = None,
     ) -> Motion:
         """Raise the load step by step; at each, let bonds fail until none fails further.
 
@@ -265,6 +262,7 @@ class SoftBody:
                 in space a flat polygon [P, 3].
             stop: ends when the force has fallen to this share of its largest.
             progress: shows a bar.
+            seen: takes the displacements [d N] that each load was settled through.
 
         Returns a motion whose time is the load, with the histories load, force: per thickness at
         right angles to the line [stress · length], and broken: bonds by then.
@@ -276,56 +274,39 @@ class SoftBody:
         rise, a line that is not straight or that no bond crosses, and a first load without an
         equilibrium.
         """
-        return self.settled(u, [], loads=loads, line=line, stop=stop, progress=progress)
-
-    def settled(
-        self,
-        u: Any,
-        seen: list[Any],
-        *,
-        loads: Any,
-        line: Any,
-        stop: float = 0.7,
-        progress: bool = False,
-    ) -> Motion:
-        """As `pull`; `seen` takes the displacements that each load was settled through."""
-        loads = checked("loads", loads, float, ("n",))
-        if not len(loads):
-            raise InputError("loads: expected one factor or more, got none")
-        if loads[0] < 0 or (np.diff(loads) <= 0).any():
-            raise InputError(f"loads: expected factors that rise from ≥ 0, got {loads.tolist()}")
-        if np.shape(u) != self.held.shape:
-            raise InputError(f"u: expected shape {list(self.held.shape)}, got {list(np.shape(u))}")
-        if not np.isfinite(u).all():
-            raise InputError("u: expected finite values")
-        cut, _ = self.section(line)
-        given = np.where(self.held, u, 0).ravel()
-        share, worst = np.ones(len(self.stiffness)), np.zeros(len(self.stiffness))
-        field, rows, before = np.zeros_like(given), [], 0.0
+        loads, u = checked("loads", loads, float, ("n",)), checked("u", u, float, self.held.shape)
+        if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
+            raise InputError(
+                "loads: expected one factor or more, factors that rise from ≥ 0, got "
+                f"{loads.tolist()}"
+            )
+        levers, given = self.levers(line), np.where(self.held, u, 0).ravel()
+        share, worst = np.ones(len(levers)), np.zeros(len(levers))
+        field, rows, before = np.zeros_like(given), list[tuple[float, float, int]](), 0.0
         for load in tqdm(loads, disable=not progress, unit="load"):
-            seen.append([])
             field = field * (load / before) if before else load * np.ravel(u)
             field = np.where(self.held.ravel(), load * given, field)
+            fields, change = list[np.ndarray](), 1.0
+            if seen is not None:
+                seen.append(fields)
             try:
-                while True:
+                while not change < SETTLED:
                     field = self.rest(field, share)
-                    seen[-1].append(field)
+                    fields.append(field)
                     worst = np.where(self.breakable, np.maximum(worst, self.stretch(field)), 0)
                     lasting = np.minimum(self.law.share(worst), share)
                     change, share = np.max(share - lasting), lasting
-                    if change < SETTLED:
-                        break
             except InputError as error:
-                if not share[cut].any():  # nothing is left across the line
+                if not share[levers > 0].any():  # nothing is left across the line
                     rows.append((load, 0.0, int((share == 0).sum())))
-                    break
-                if not rows:
+                elif not rows:
                     raise
-                warnings.warn(f"load {load:g} and beyond are left out: {error}", stacklevel=2)
+                else:
+                    warnings.warn(f"load {load:g} and beyond are left out: {error}", stacklevel=2)
                 break
-            before = load
-            rows.append((load, self.across(field, share, line), int((share == 0).sum())))
-            if rows[-1][1] < stop * max(row[1] for row in rows):
+            before, force = load, float(levers @ (share * self.law.pull(self.stretch(field))))
+            rows.append((load, force, int((share == 0).sum())))
+            if force < stop * max(row[1] for row in rows):
                 break
         history = dict(zip(("load", "force", "broken"), np.array(rows).T))
         return Motion(history["load"], field.reshape(self.held.shape), None, history)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -11,13 +11,14 @@ import scipy.sparse as sp
 import torch
 from scipy.sparse.linalg import splu
 
-from warp_peri.core.tensors import as_tensor, differentiable_once, linear, real, refuse_tangents
-from warp_peri.damage.lattice_body import LatticeBody
-from warp_peri.damage.operator import stretch_matrix
-from warp_peri.damage.softening import BondLaw
+from warp_peri.core.tensors import as_tensor, linear, nonlinear, real, refuse_tangents
 from warp_peri.dynamics.adjoint import in_motion as in_motion
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
+from warp_peri.fracture.body import LatticeBody
+from warp_peri.fracture.bonds import stretch_matrix
+from warp_peri.fracture.softening import BondLaw, SoftBody, pull_of, share_of
+from warp_peri.fracture.statics import strain_of
 from warp_peri.materials.lps import Model, bernstein_basis
 
 
@@ -56,13 +57,11 @@ def bond_force(
 
 
 def pressed(cut: Any, b: Any, stress: np.ndarray, parameters: Mapping[str, Any]) -> torch.Tensor:
-    """b and cut_solid.crack_load of other numbers, [N, d], differentiable in all."""
+    """b and statics.crack_load of other numbers, [N, d], differentiable in all."""
     numbers = {name: real(name, value) for name, value in parameters.items()}
     numbers = {n: torch.tensor(v, dtype=torch.float64) for n, v in cut.learnable.items()} | numbers
-    lam, mu = numbers["lam"], numbers["mu"]
     even, sigma = torch.eye(cut.body.dimension, dtype=torch.float64), torch.from_numpy(stress)
-    strain = (sigma - lam / (len(even) * lam + 2 * mu) * sigma.trace() * even) / (2 * mu)
-    u = (torch.from_numpy(cut.body.x) @ strain)[None]
+    u = (torch.from_numpy(cut.body.x) @ strain_of(sigma, numbers["lam"], numbers["mu"], even))[None]
     whole, broken = (
         bond_force(cut.model, cut.body, table, u, numbers)[0]
         for table in (cut.body.neighbour, cut.neighbour)
@@ -70,24 +69,7 @@ def pressed(cut: Any, b: Any, stress: np.ndarray, parameters: Mapping[str, Any])
     return as_tensor("b", b) + whole - broken
 
 
-def pull_of(s: torch.Tensor, softness: torch.Tensor) -> torch.Tensor:
-    """As BondLaw.pull, of tensors."""
-    return s * torch.exp(-softness * s.clamp(min=0))
-
-
-def share_of(
-    worst: torch.Tensor, softness: torch.Tensor, stretch: torch.Tensor, tail: torch.Tensor
-) -> torch.Tensor:
-    """As BondLaw.share, of tensors; a tail of 0 breaks at once, and has no gradient."""
-    beyond = worst > stretch
-    if tail == 0 or not beyond.any():
-        return (~beyond).to(worst)
-    fall = (1 - (worst - stretch) / tail).clamp(min=0)
-    ends = pull_of(stretch, softness) * fall / pull_of(worst.where(beyond, 1.0), softness)
-    return ends.clamp(max=1).where(beyond, 1.0)
-
-
-def pulled(body: Any, u: Any, numbers: dict[str, Any], how: dict[str, Any]) -> Motion:
+def pulled(body: SoftBody, u: Any, numbers: dict[str, Any], how: dict[str, Any]) -> Motion:
     """SoftBody.pull of tensors: force and end differentiable along the path that was taken.
 
     Which bonds failed when is felt, how often a load was settled is not.
@@ -101,67 +83,64 @@ def pulled(body: Any, u: Any, numbers: dict[str, Any], how: dict[str, Any]) -> M
     Raises InputError as `pull`, for other numbers, for bonds that break at once, which have no
     gradient, and for a second derivative.
     """
-    u = as_tensor("u", u)
-    law = {
-        name: numbers.pop(name, getattr(body.law, name)) for name in ("softness", "stretch", "tail")
-    }
+    own = {name: numbers.pop(name, getattr(body.law, name)) for name in vars(body.law)}
     if numbers:
-        raise InputError(f"parameters: expected {', '.join(law)}, got {', '.join(numbers)}")
-    law = {name: real(name, value) for name, value in law.items()}
-    for name, value in law.items():
+        raise InputError(f"parameters: expected {', '.join(own)}, got {', '.join(numbers)}")
+    given, *law = (real(name, value) for name, value in {"u": u, **own}.items())
+    refuse_tangents(given, *law)
+    for name, value in zip(own, law):
         if value.numel() != 1:
             raise InputError(f"{name}: expected one number, got shape {list(value.shape)}")
-    refuse_tangents(u, *law.values())
-    body.law = BondLaw(**{name: float(value.detach()) for name, value in law.items()})
+    body.law = BondLaw(*(float(value.detach()) for value in law))
     if body.law.tail == 0:
         raise InputError("tail: expected > 0 for a gradient, which bonds that break at once lack")
     seen: list[list[np.ndarray]] = []
-    motion: Motion = body.settled(u.detach().numpy(), seen, **how)
-    given = torch.where(torch.from_numpy(body.held), u.double(), 0.0).ravel()
-    cut, normal = body.section(how["line"])
-    rise = np.abs(body.body.xi[body.bond] @ normal) * cut * body.square * body.stiffness
-    area = torch.from_numpy(body.body.spacing**body.body.dimension * rise)
-    square, breakable = torch.from_numpy(body.square), torch.from_numpy(body.breakable)
+    motion: Motion = body.pull(given.detach().numpy(), seen=seen, **how)
+    given, *law = map(_differentiated_once, (given, *law))
+    given = torch.where(torch.from_numpy(body.held), given, 0.0).ravel()
+    levers, square, breakable = map(
+        torch.from_numpy, (body.levers(how["line"]), body.square, body.breakable)
+    )
     share, worst = torch.ones_like(square), torch.zeros_like(square)
     forces, field = [], given
     for load, force, fields in zip(motion.time, motion["force"], seen):
         for one in fields:
-            field = _softened(body, one, share, law["softness"], float(load) * given)
+            field = _at_rest(body, one, share, law[0], float(load) * given)
             s = linear(field, body.rows.dot, body.rows.T.dot) / square
             worst = torch.maximum(worst, s).where(breakable, 0.0)
-            share = torch.minimum(share_of(worst, *law.values()), share)
-        across = (area * share * pull_of(s, law["softness"])).sum()
+            share = torch.minimum(share_of(worst, law[0], law[1], law[2], torch), share)
+        across = (levers * share * pull_of(s, law[0], torch)).sum()
         forces.append(across if force else 0 * across)  # 0 of a body that came apart
     history: Any = motion.history | {"force": torch.stack(forces)}
     end: Any = field.reshape(body.held.shape)
     return replace(motion, u=end, history=history)
 
 
-class _Softened(torch.autograd.Function):
-    """What is left of bonds, their softness and held components [d N] to where a body rests."""
+def _differentiated_once(x: torch.Tensor) -> torch.Tensor:
+    """A tensor itself, of which second derivatives are refused."""
+    return nonlinear(lambda x: x, None, (lambda x, upstream: upstream,), x)
 
-    @staticmethod
-    def forward(ctx: Any, body: Any, u: np.ndarray, *of: torch.Tensor) -> torch.Tensor:
-        ctx.body, ctx.u = body, u
-        ctx.save_for_backward(*of)
-        return torch.tensor(u)
 
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        body, (share, softness, _), g = ctx.body, ctx.saved_tensors, upstream[0].numpy()
-        d, left, beta = body.rows @ ctx.u, share.numpy(), float(softness)
-        s = np.maximum(d / body.square, 0)
-        weak = body.stiffness * np.exp(-beta * s)
-        K = sp.csr_array(body.rows.T @ (sp.diags_array(left * weak * (1 - beta * s)) @ body.rows))
-        free = body.free
+def _at_rest(
+    body: SoftBody, u: np.ndarray, share: Any, softness: Any, given: torch.Tensor
+) -> torch.Tensor:
+    """u at rest [d N], with derivatives to what is left of bonds, their softness and what is held:
+    those of a step of Newton's method from there, which does not move it."""
+    left, beta, factors = share.detach().numpy(), float(softness.detach()), list[Any]()
+    square, stiffness = (torch.from_numpy(one) for one in (body.square, body.stiffness))
+
+    def inverse(g: np.ndarray) -> np.ndarray:
+        if not factors:
+            s = np.maximum(body.stretch(u), 0)
+            slope = body.stiffness * left * np.exp(-beta * s) * (1 - beta * s)
+            K = sp.csr_array(body.rows.T @ (sp.diags_array(slope) @ body.rows))
+            factors.append(splu(sp.csc_array(K[body.free][:, body.free])))
         w = np.zeros_like(g)
-        w[free] = splu(sp.csc_matrix(K[free][:, free])).solve(g[free])
-        pull = body.rows @ w
-        by_share, by_softness = -pull * weak * d, float((pull * left * weak * d * s).sum())
-        by_held = np.where(free, 0.0, g - K @ w)
-        found = by_share, np.array(by_softness), by_held
-        return None, None, *map(torch.from_numpy, found)
+        w[body.free] = factors[0].solve(g[body.free])
+        return w
 
-
-_softened: Callable[..., torch.Tensor] = _Softened.apply
+    field = torch.where(torch.from_numpy(body.free), torch.from_numpy(u), given)
+    s = linear(field, body.rows.dot, body.rows.T.dot) / square
+    pull = stiffness * square * share * pull_of(s, softness, torch)
+    force = linear(pull, body.rows.T.dot, body.rows.dot)
+    return field - linear(force, np.zeros_like, inverse)

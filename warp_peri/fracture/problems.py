@@ -4,32 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import is_tensor, offered, refuse_uncut, taken
-from warp_peri.damage.cut_solid import CutSolid, crack_area, crack_load, in_torch, opening_volume
-from warp_peri.damage.lattice_body import LatticeBody, lattice_body, penny
-from warp_peri.damage.march import CrackRun
-from warp_peri.damage.motion import BreakingBody, BreakingState
-from warp_peri.damage.slow_growth import grow
-from warp_peri.damage.softening import SoftBody
 from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.errors import InputError
+from warp_peri.fracture.body import LatticeBody, lattice_body, penny
+from warp_peri.fracture.dynamics import BreakingBody
+from warp_peri.fracture.growth import grow
+from warp_peri.fracture.release import crack_area, opening_volume
+from warp_peri.fracture.run import CrackRun
+from warp_peri.fracture.softening import SoftBody
+from warp_peri.fracture.statics import CutSolid, crack_load, in_torch
 from warp_peri.points.arrays import check_flag, checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.statics.solution import Direct, Krylov, Solution, refuse_solver
-
-
-class Broken(NamedTuple):
-    """How a motion has ended: φ, the share of bonds that a node has lost, [N]; body and state."""
-
-    damage: np.ndarray
-    body: BreakingBody
-    state: BreakingState
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,14 +124,14 @@ class Cracked:
             density: waves in any positive solid, whose bonds stay; with the options of
                 dynamics.verlet.march, and its tensors.
             step, steps: motion of a BrittleSolid. Also `progress`; `every`, `regions`, `sections`,
-                `watch`, `checkpoint`, `checkpoint_every`, `series`, `allow_unstable` (CrackRun);
-                `no_fail`, `grip`, `ramp` (BreakingBody); `v`, `count_cracks` (its start). The
-                histories are the ledger's, and of regions, sections and what is watched by their
-                names; the details are Broken.
+                `watch`, `checkpoint`, `checkpoint_every`, `series` (CrackRun); `no_fail`, `grip`,
+                `ramp` (BreakingBody); `v`, `count_cracks` (its start). The histories are the
+                ledger's, and of regions, sections and what is watched by their names; the details
+                are Broken.
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
             loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16). With
                 `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
-                the displacement at the end are differentiable: see damage.adjoint.pulled.
+                the displacement at the end are differentiable: see fracture.adjoint.pulled.
         """
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
@@ -164,7 +157,8 @@ class Cracked:
         how |= {"load": self.b, "held": self.held, "corrected": self.corrected}
         moving = BreakingBody(material, body, **how)
         state = moving.start(u=self.u, cracks=self.cracks, **begin)
-        return broken(CrackRun(moving, **records), state, run)
+        marching = CrackRun(moving, **records)
+        return marching.motion(marching.march(state, **run))
 
     def _slowly(self, material: Any, body: LatticeBody, options: dict[str, Any]) -> Motion:
         u: Any = np.zeros_like(body.x) if self.u is None else self.u
@@ -175,25 +169,13 @@ class Cracked:
             return grow(material.linear, body, self.held, u, **how)
         law = offered(material, "law", "move", "a SoftSolid for loads=…")
         numbers = options.pop("parameters", None)
-        own, how = taken(options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks",))
+        own, how = taken(
+            options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks", "seen")
+        )
         soft = SoftBody(material.linear, body, law, self.held, cracks=self.cracks, **own)
         if numbers is not None or is_tensor(u):
             return in_torch().pulled(soft, u, dict(numbers or {}), how)  # type: ignore[no-any-return]
         return soft.pull(u, **how)
-
-
-def broken(marching: CrackRun, state: BreakingState, run: dict[str, Any]) -> Motion:
-    """The motion of a run from a state, at the nodes of this process."""
-    body, own = marching.body, marching.nodes.own
-    state = marching.march(state, **run)
-    history, damage = marching.history, body.damage(state)[own]
-    return Motion(
-        history.column("time"),
-        body.displacement(state)[own].copy(),
-        body.velocity(state)[own].copy(),
-        history.by_name(),
-        Broken(damage, body, state),
-    )
 
 
 def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:

@@ -7,29 +7,103 @@ order.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
+from typing import Annotated, Any
 
 import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.damage.lattice_body import LatticeBody, cracked
-from warp_peri.damage.operator import CutOperator, mean_gradients, unit_toughness
-from warp_peri.damage.solid import (
-    BrittleSolid,
-    breaking_time_step,
-    check_breakable,
-    check_horizon,
-    check_no_fail,
-)
+from warp_peri.core.record import Entry, OnLinear
 from warp_peri.errors import InputError
-from warp_peri.files.checkpoint import AllNodes
+from warp_peri.fracture.body import LatticeBody, cracked
+from warp_peri.fracture.bonds import (
+    CutOperator,
+    check_breakable,
+    largest_stiffness,
+    mean_gradients,
+    unit_toughness,
+)
+from warp_peri.fracture.statics import by_component, check_horizon, check_no_fail
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.launch import floats, launch_slices, zeros
-from warp_peri.points.arrays import check_positive, checked
+from warp_peri.materials.lps import Model
+from warp_peri.points.arrays import checked
+from warp_peri.points.families import bond_classes
+
+CRITERIA = ("toughness", "critical_stretch", "critical_energy")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=2):
+    """What breaks, and when.
+
+    Attributes:
+        model: moduli and a positive influence function, the same for the dilatation.
+        density: ρ, mass per volume.
+        toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
+        critical_stretch: s₀ itself, instead of G_c.
+        critical_energy: energy density of a bond over its quadrature weight at which it breaks
+            [stress / length^d], instead of both (C8).
+        tension_only: bonds in compression do not break.
+
+    Raises InputError unless exactly one of the three criteria is given and all numbers are > 0, and
+    for an influence function that changes sign.
+    """
+
+    model: Model
+    density: Annotated[float, Entry(length=-2, stress=1, positive=True)]
+    toughness: Annotated[float | None, Entry(length=1, stress=1, positive=True)] = None
+    critical_stretch: Annotated[float | None, Entry(positive=True)] = None
+    critical_energy: Annotated[float | None, Entry(stress=1, volume=-1, positive=True)] = None
+    tension_only: bool = True
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = [name for name in CRITERIA if getattr(self, name) is not None]
+        if len(given) != 1:
+            names = ", ".join(given) or "none"
+            raise InputError(f"criterion: expected one of {', '.join(CRITERIA)}, got {names}")
+        check_breakable(self.model)
+
+    @property
+    def linear(self) -> Model:
+        """The solid before anything breaks."""
+        return self.model
+
+    def longest_step(self, spacing: float) -> float:
+        """Time step on a lattice that is stable whatever breaks (theory, C9)."""
+        classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
+        return float(2 * np.sqrt(self.density / largest_stiffness(self.model, classes)))
+
+    @property
+    def by_energy(self) -> bool:
+        """Whether bonds break by their energy instead of their stretch."""
+        return self.critical_energy is not None
+
+
+def positive_kernel(model: Model, horizon: float) -> Model:
+    """λ and μ of a model with K = 1/r, which has them exactly on every lattice (C7).
+
+    This is how a model whose influence function changes sign goes to fracture.
+    """
+    return Model(
+        model.lam, model.mu, 1.0, np.ones(1), horizon, units=model.units, dimension=model.dimension
+    )
+
+
+def continuum_stretch(model: Model, toughness: float) -> float:
+    """s₀ of the continuum for a toughness G_c (theory, C5, V5), N. Trask and others 2019.
+
+    In three dimensions G_c is energy over the area of the crack. λ = μ is the bond-based solid.
+    """
+    lam, mu = model.lam, model.mu
+    if model.dimension == 3:
+        unit = (3 * mu + (3 / 4) ** 4 * (lam - mu)) * model.horizon
+    else:
+        unit = (6 * mu / np.pi + 16 / (9 * np.pi**2) * (lam - mu)) * model.horizon
+    return float(np.sqrt(toughness / unit))
 
 
 @dataclass(eq=False)
@@ -59,11 +133,10 @@ class BreakingState:
     time: float = 0.0
     steps: int = 0
 
-    def copy(self) -> BreakingState:
-        """The same state in memory of its own."""
-        kinds: dict[type, Any] = {wp.array: wp.clone, np.ndarray: np.copy}
-        parts = [(name, one, kinds.get(type(one))) for name, one in vars(self).items()]
-        return replace(self, **{name: clone(one) for name, one, clone in parts if clone})
+    @property
+    def swept(self) -> tuple[wp.array[Any], ...]:
+        """What a sweep reads and fills."""
+        return self.u, self.links, self.force, self.energy
 
 
 SPREAD = 0.25
@@ -147,7 +220,6 @@ class BreakingBody:
     Attributes:
         longest_step: Δt proven stable under any breaking (theory, C9); where bonds are corrected
             a little less, measured.
-        stretch: critical stretch; None where bonds break by energy.
         exchange: sends for the displacement of nodes that another process moves, and gives what
             waits for it; None where none does.
 
@@ -166,40 +238,32 @@ class BreakingBody:
         ramp: Callable[[float], float] | None = None,
         corrected: bool = False,
     ) -> None:
-        check_breakable(solid.model, body.classes)
         check_horizon(solid.model, body)
-        self.solid, self.body, self.ramp = solid, body, ramp
-        self.stretch, limits = criterion(solid, body)
-        count = len(body.x)
-        self.no_fail = check_no_fail(no_fail, count)
+        self.solid, self.body, self.ramp, self.corrected = solid, body, ramp, corrected
+        self.longest_step = solid.longest_step(body.spacing) * (SHORTER if corrected else 1)
+        self.no_fail = check_no_fail(no_fail, len(body.x))
         self.operator = CutOperator(
             solid.model,
             body,
-            limits=limits,
+            limits=limits_of(solid, body),
             by_energy=solid.by_energy,
             tension_only=solid.tension_only,
             no_fail=self.no_fail,
         )
+        if corrected and solid.by_energy:
+            raise InputError(
+                "corrected: expected a linear peridynamic solid whose bonds break at a stretch"
+            )
         if grip is not None and held is None:
             raise InputError("grip: expected held components too, whose velocity it is")
-        d = body.dimension
-        held = np.zeros((count, d), bool) if held is None else checked("held", held, bool)
-        held = np.repeat(held[:, None], d, axis=1) if held.ndim == 1 else held
-        self.load, self.held, self.grip = (
-            self._padded(name, field)
-            for name, field in (("load", load), ("held", held.astype(float)), ("grip", grip))
-        )
-        self.longest_step = breaking_time_step(solid.model, body.classes, solid.density)
-        self.corrected = corrected
-        self._correction: SurfaceCorrection | None = None
-        if corrected:
-            self.longest_step *= SHORTER
-            if solid.by_energy:
-                raise InputError(
-                    "corrected: expected a linear peridynamic solid whose bonds break at a stretch"
-                )
         if not (ramp is None or callable(ramp)):
             raise InputError(f"ramp: expected a function of time, got {ramp!r:.50}")
+        held = None if held is None else by_component(held, body.x.shape).astype(float)
+        self.load, self.held, self.grip = (
+            self._padded(name, field)
+            for name, field in (("load", load), ("held", held), ("grip", grip))
+        )
+        self._correction: SurfaceCorrection | None = None
         self.exchange: Callable[[wp.array[Any]], Callable[[], None]] | None = None
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
@@ -231,63 +295,44 @@ class BreakingBody:
 
         Raises InputError when u alone is beyond the criterion: such a body breaks at rest.
         """
-        fields = self._padded("u", u), self._padded("v", v)
-        neighbour = cracked(self.body, cracks)
-        links = self.operator.links(neighbour)
-        count = len(self.body.x)
-        force, energy = zeros(count, dtype=self.operator.vector), zeros(count)
-        if u is not None:
-            broken = self.operator.sweep(
-                fields[0], self.operator.links(neighbour), force, energy, breaking=True
-            )
-            if len(broken):
-                raise InputError(
-                    f"criterion: bonds of {len(broken)} nodes are beyond it in the displacement "
-                    "at rest, before anything moves"
-                )
-        self.operator.sweep(fields[0], links, force, energy)
-        self.correct(fields[0], links, force, energy)
-        whole = (self.body.neighbour >= 0).sum(axis=1) if count_cracks else (neighbour >= 0).sum(1)
-        kinetic = self.solid.density / 2 * np.square(fields[1].numpy()).sum(axis=1)
-        work = floats(kinetic + energy.numpy())
-        return BreakingState(
-            *fields, links, force, energy, work, np.zeros(count), whole.astype(float)
+        fields, neighbour = (self._padded("u", u), self._padded("v", v)), cracked(self.body, cracks)
+        links, count = self.operator.links(neighbour), len(self.body.x)
+        known = self.body.neighbour if count_cracks else neighbour
+        state = BreakingState(
+            *fields,
+            links,
+            force=zeros(count, dtype=self.operator.vector),
+            energy=zeros(count),
+            work=zeros(count),
+            dissipated=np.zeros(count),
+            whole=(known >= 0).sum(axis=1, dtype=float),
         )
+        broken = self.operator.sweep(*state.swept, breaking=u is not None)
+        if len(broken):
+            raise InputError(
+                f"criterion: bonds of {len(broken)} nodes are beyond it in the displacement "
+                "at rest, before anything moves"
+            )
+        self.correct(state)
+        kinetic = self.solid.density / 2 * np.square(fields[1].numpy()).sum(axis=1)
+        state.work = floats(kinetic + state.energy.numpy())
+        return state
 
-    def correct(
-        self,
-        u: wp.array[Any],
-        links: wp.array[Any],
-        force: wp.array[Any],
-        energy: wp.array[Any],
-        lost: np.ndarray | None = None,
-    ) -> Callable[[], None]:
-        """Add to force and energy what bonds that are lacked do; what takes it off again.
+    def correct(self, state: BreakingState, lost: np.ndarray | None = None) -> None:
+        """Add to force and energy what bonds that are lacked do.
 
         lost: nodes that have lost bonds since the last call.
         """
         if not self.corrected:
-            return lambda: None
-        if self._correction is None or self._correction.links is not links:  # of another state
-            self._correction = SurfaceCorrection(self.operator, links)
+            return
         correction = self._correction
-        if lost is not None:
+        if correction is None or correction.links is not state.links:  # of another state
+            correction = self._correction = SurfaceCorrection(self.operator, state.links)
+        elif lost is not None:
             correction.lose(lost)
-        more, stored = correction(u.numpy())
-        nodes, near, forces, energies = (
-            correction.nodes,
-            correction.near,
-            force.numpy(),
-            energy.numpy(),
-        )
-        plain = forces[near], energies[nodes]  # to have the same bits wherever nothing breaks
-        forces[near] += more
-        energies[nodes] += stored
-
-        def less() -> None:
-            forces[near], energies[nodes] = plain
-
-        return less
+        more, stored = correction(state.u.numpy())
+        state.force.numpy()[correction.near] += more
+        state.energy.numpy()[correction.nodes] += stored
 
     def damage(self, state: BreakingState) -> np.ndarray:
         """φ, the share of bonds that a node has lost, shape [N]."""
@@ -300,58 +345,31 @@ class BreakingBody:
         table = self.body.neighbour
         return np.where(self.operator.kept(state.links) | (table < 0), table, -1 - table)
 
-    def displacement(self, state: BreakingState) -> np.ndarray:
-        """u, shape [N, d]; shares the state's memory."""
-        field: np.ndarray = state.u.numpy()
-        return field
-
-    def velocity(self, state: BreakingState) -> np.ndarray:
-        """v, shape [N, d]; shares the state's memory."""
-        field: np.ndarray = state.v.numpy()
-        return field
-
-    def ledger(self, state: BreakingState, nodes: Any = None) -> list[float]:
+    def ledger(self, state: BreakingState, nodes: Any) -> list[float]:
         """Time, work, kinetic, elastic and dissipated energy [stress · volume] of this state, in a
-        sheet per thickness [stress · area]; of the own nodes of all processes, where `nodes` says
+        sheet per thickness [stress · area]; of the own nodes of all processes, as AllNodes says
         which those are. work = kinetic + elastic + dissipated."""
         body, density = self.body, self.solid.density
-        nodes = AllNodes(len(body.x)) if nodes is None else nodes
         kinetic = density / 2 * np.square(state.v.numpy()).sum(axis=1)
         fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)
         sums = nodes.sum(np.stack([field[nodes.own] for field in fields], axis=1))
         return [state.time, *(body.spacing**body.dimension * sums).tolist()]
 
 
-def criterion(solid: BrittleSolid, body: LatticeBody) -> tuple[float | None, np.ndarray]:
-    """Critical stretch, None by energy, and the limit of each bond of the ball, shape [B]."""
+def limits_of(solid: BrittleSolid, body: LatticeBody) -> np.ndarray:
+    """What each bond of the ball bears: of its e = s r², or of its energy density, shape [B]."""
+    stretch: Any = solid.critical_stretch
     if solid.critical_energy is not None:
-        return None, solid.critical_energy * body.classes.weight[body.classes.bond_class]
-    stretch = solid.critical_stretch
+        return np.asarray(solid.critical_energy * body.classes.weight[body.classes.bond_class])
     if solid.toughness is not None:
-        stretch = float(np.sqrt(solid.toughness / unit_toughness(solid.model, body.classes)))
-    if stretch is None:
-        raise InputError("solid: expected a critical stretch, an energy or a toughness")
-    return stretch, stretch * body.r**2
-
-
-def check_step(body: BreakingBody, dt: float, *, allow_unstable: bool = False) -> None:
-    """Refuse, or warn about, a step beyond what is proven stable under any breaking."""
-    check_positive("step", dt)
-    if dt <= body.longest_step:
-        return
-    message = (
-        f"step: expected at most {body.longest_step:.6g}, the longest that is stable whatever "
-        f"breaks, got {dt:.6g}"
-    )
-    if not allow_unstable:
-        raise InputError(message)
-    warnings.warn(message, stacklevel=3)
+        stretch = np.sqrt(solid.toughness / unit_toughness(solid.model, body.classes))
+    return np.asarray(stretch * body.r**2)
 
 
 def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
-    """Advance a state by dt, in place, and return it; `state.copy()` keeps one.
+    """Advance a state by dt, in place, and return it.
 
-    dt is not looked at: `check_step` and `run` refuse one that is too long.
+    dt is not looked at: CrackRun refuses one that is longer than `longest_step`.
     """
     operator, count = body.operator, len(body.body.x)
     density, kernels = body.solid.density, halves(body.body.dimension)
@@ -363,9 +381,8 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         (state.v, state.work, state.u),
     )
     arrive = None if body.exchange is None else body.exchange(state.u)
-    fields = state.u, state.links, state.force, state.energy
-    lost = operator.sweep(*fields, breaking=True, arrive=arrive)
-    less = body.correct(*fields)
+    lost = operator.sweep(*state.swept, breaking=True, arrive=arrive)
+    body.correct(state)
     launch_slices(
         kernels.second_kick,
         count,
@@ -374,9 +391,11 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     )
     if len(lost):
         full = state.energy.numpy()[lost]
-        less()
-        operator.again(state.links, lost, state.force, state.energy)
-        body.correct(*fields, lost)
+        if body.corrected:  # to have the same bits wherever nothing breaks
+            operator.sweep(*state.swept)
+            body.correct(state, lost)
+        else:
+            operator.again(state.links, lost, state.force, state.energy)
         state.dissipated[lost] += full - state.energy.numpy()[lost]
     state.time += dt
     state.steps += 1

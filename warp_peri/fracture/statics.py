@@ -14,10 +14,9 @@ from numpy.typing import ArrayLike
 from scipy.sparse.csgraph import connected_components
 
 from warp_peri.contract import OnPoints
-from warp_peri.damage.lattice_body import LatticeBody, cracked
-from warp_peri.damage.operator import CutRows, bond_matrix, bond_weights, bonds_of, cut_matrix
-from warp_peri.damage.solid import check_cut, check_horizon, largest_stiffness
 from warp_peri.errors import InputError
+from warp_peri.fracture.body import LatticeBody, cracked
+from warp_peri.fracture.bonds import CutRows, bond_matrix, bond_weights, bonds_of, largest_stiffness
 from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
@@ -31,7 +30,7 @@ SYMMETRIC = 1e-9
 
 def in_torch() -> Any:
     """Forces over bonds and derivatives of bodies that break, which load torch."""
-    return import_module("warp_peri.damage.adjoint")
+    return import_module("warp_peri.fracture.adjoint")
 
 
 class CutSolid(OnPoints):
@@ -72,34 +71,25 @@ class CutSolid(OnPoints):
         moves: bool = False,
     ) -> None:
         self.model, self.body, self.corrected = material.linear, body, corrected
-        self.moves = moves
-        self.solver = solver
+        self.moves, self.solver = moves, solver
         check_horizon(self.model, body)
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
-        held = np.asarray(held, dtype=bool)
-        count, d = body.x.shape
-        held = np.repeat(held[:, None], d, axis=1) if held.ndim == 1 else held
-        if held.shape != (count, d):
-            raise InputError(f"held: expected shape [{count}] or [{count}, {d}] of bool")
+        held = by_component(held, body.x.shape)
         if not moves:
             check_pieces(body, self.neighbour, held)
-        self._bonds, uneven = bonds_of(self.model, body.classes), hasattr(material, "moduli")
-        self.one = not uneven
-        if uneven:
-            weights = bond_weights(self.model, body.classes)
-            moduli = material.moduli(body, weights)
-            self.matrix = cut_matrix(body, weights, self.neighbour, *moduli, corrected=corrected)
+        self.one, moduli = not hasattr(material, "moduli"), None
+        if not self.one:
+            moduli = material.moduli(body, bond_weights(self.model, body.classes))
+        self.bonds = bonds_of(self.model, body.classes, moduli)
         self._rows: CutRows | None = None
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
         self.left = np.inf
-        squares = not uneven and not (self._bonds.stiffness < 0).any()
-        if moves and not (squares and (self.held == self.held[:, :1]).all()):
+        squares = self.one and not (self.bonds.stiffness < 0).any()
+        if moves and not (squares and (held == held[:, :1]).all()):
             raise InputError(
                 "move: expected one material with a positive influence function, whose nodes "
                 "are held in all components or in none"
             )
-        if self.one and not squares:
-            check_cut(self.matrix[self.free][:, self.free])
         if isinstance(solver, Krylov) and (not squares or solver.preconditioner):
             raise InputError(
                 "solver: expected Krylov() for one material with a positive influence "
@@ -111,13 +101,13 @@ class CutSolid(OnPoints):
         rows = sp.csr_array(self.matrix[self.free])
         self._problem = direct.MatrixProblem(rows, ~held, factorise=symmetric_factors)
         self.factors = self._problem.factors
-        if uneven:
-            check_mixed(self.factors)
+        if not squares:
+            check_definite(self.factors)
 
     @cached_property
     def matrix(self) -> sp.csr_array:
         """L of (C4), symmetric, shape [d N, d N]."""
-        return bond_matrix(self.body, self.neighbour, *self._bonds, corrected=self.corrected)
+        return bond_matrix(self.body, self.neighbour, self.bonds, corrected=self.corrected)
 
     def times(self, fields: np.ndarray) -> np.ndarray:
         """L of fields of all nodes, [S, N, d]."""
@@ -231,14 +221,37 @@ def symmetric_factors(matrix: sp.csc_array) -> Any:
         raise InputError(f"operator: parts of the body hang loose ({error})") from None
 
 
-def check_mixed(factors: Any) -> None:
-    """Raise InputError where moduli leave a body indefinite, by the factors of its operator."""
+def check_definite(factors: Any) -> None:
+    """Raise InputError where symmetric_factors show that their operator is not positive definite,
+    by the signs of their pivots (Sylvester's law of inertia)."""
     signed = direct.pivots(factors)
     if signed is None or not (signed > 0).all():
         raise InputError(
-            "mixed: the operator on the free nodes is not positive definite; hold the body, and "
-            "expect λ + μ > 0 of its materials"
+            "operator: it is not positive definite, with negative eigenvalues on the free nodes; "
+            "hold the body, take λ + μ > 0 and an influence function that bears these cuts "
+            "(positive_kernel keeps the moduli)"
         )
+
+
+def by_component(held: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
+    """Which components are given, shape [N, d], of nodes [N] or components [N, d] bool."""
+    mask = checked("held", held, bool)
+    if mask.shape == shape[:1]:
+        mask = np.repeat(mask[:, None], shape[1], axis=1)
+    return checked("held", mask, bool, shape)
+
+
+def check_horizon(model: Model, body: LatticeBody) -> None:
+    """Refuse a body whose bonds are not those of the model's ball."""
+    if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
+        raise InputError(
+            f"body: expected the horizon {model.horizon:g}, got {body.classes.horizon:g}"
+        )
+
+
+def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
+    """Nodes whose bonds do not break, shape [N] bool; InputError for numbers or another shape."""
+    return checked("no_fail", np.zeros(count, bool) if no_fail is None else no_fail, bool, (count,))
 
 
 def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> None:
@@ -272,121 +285,6 @@ def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> 
             )
 
 
-def contour_integral(solution: Solution, tip: Sequence[float], radii: tuple[float, float]) -> float:
-    """J around the tip of a crack along an axis, for its growth straight on, by a domain (C12).
-
-    From which side the crack comes is where the displacement jumps most. Gradients are differences
-    on a full box of nodes, one-sided across the crack; the weight falls from 1 to 0 between two
-    squares about the tip. In space these are cubes about a point of the front, which runs straight
-    along an axis within the larger one, and J is the mean over what is in it.
-
-    Args:
-        solution: of a Cracked on a rectangle or box of nodes, of one material, with the crack
-            midway between two of their rows, columns or layers.
-        tip: where the crack ends, shape [d].
-        radii: half sides of the squares [length], the smaller first; taken to the nearest spacing.
-
-    Raises InputError for a body that is no box, several materials, and squares that do not differ
-    by a spacing or do not fit into the body.
-    """
-    if not getattr(solution.operator, "one", False):
-        raise InputError("solution: expected that of a Cracked, of one material, isotropic")
-    return domain_integral(solution.operator.model, solution.operator.body, solution.u, tip, radii)
-
-
-def domain_integral(
-    model: Model, body: LatticeBody, u: np.ndarray, tip: Sequence[float], radii: tuple[float, float]
-) -> float:
-    """As contour_integral, of a displacement of all nodes [N, d]."""
-    h, d = body.spacing, body.dimension
-    if not (np.isfinite(radii).all() and 0 <= round(radii[0] / h) < round(radii[1] / h)):
-        raise InputError(
-            f"radii: expected 0 ≤ smaller < larger by a spacing of {h:g} or more, got "
-            f"{radii[0]:g}, {radii[1]:g}"
-        )
-    r1, r2 = (round(radius / h) * h for radius in radii)
-    if np.shape(tip) != (d,):
-        raise InputError(f"tip: expected a point of shape [{d}], got {list(np.shape(tip))}")
-    if np.shape(u) != body.x.shape:
-        raise InputError(f"u: expected shape {list(body.x.shape)}, got {list(np.shape(u))}")
-    place = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
-    sides = place.max(axis=0) + 1
-    if np.prod(sides) != len(body.x):
-        raise InputError("body: expected a full box of nodes for J")
-    order = np.lexsort(place.T[::-1])
-    x = body.x[order].reshape(*sides, d) - np.asarray(tip, dtype=float)
-    low, high = (end.min() for end in (-x.reshape(-1, d).min(axis=0), x.reshape(-1, d).max(axis=0)))
-    if (room := min(low, high)) < r2 - 1e-9 * h:
-        raise InputError(f"radii: {r2:g} is more than from the tip to the edge, {room:g}")
-    field, x = _from_the_left(u[order].reshape(*sides, d), x, r2)
-    gradient = crack_gradient(field, h, _line(x, 0) < 0, int(np.count_nonzero(_line(x, 1) < 0)))
-    strain = (gradient + gradient.swapaxes(-1, -2)) / 2
-    stress = 2 * model.mu * strain
-    trace = np.trace(strain, axis1=-2, axis2=-1)[..., None, None]
-    stress = stress + model.lam * trace * np.eye(d)
-    density = (stress * strain).sum(axis=(-1, -2)) / 2
-    away = np.abs(x)
-    across, along = away[..., :2].max(axis=-1), away[..., 2:].max(axis=-1, initial=0.0)
-    sideways = np.arange(d) == away[..., :2].argmax(axis=-1)[..., None]
-    within = np.clip((r2 - along) / (r2 - r1), 0.0, 1.0)  # along the front, in space
-    slope = np.where(sideways, within[..., None] * _fall(away, h, r1, r2), 0.0)
-    slope[..., 2:] = (np.clip((r2 - across) / (r2 - r1), 0.0, 1.0) * _fall(along, h, r1, r2))[
-        ..., None
-    ]
-    slope *= np.sign(x)
-    pull = np.einsum("...ij,...i->...j", stress, gradient[..., 0])
-    integrand = density * slope[..., 0] - (pull * slope).sum(axis=-1)
-    front = within[0, 0].sum() * h ** (d - 2)
-    return float(-integrand.sum() * h**d / front)
-
-
-def _from_the_left(field: np.ndarray, x: np.ndarray, reach: float) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and places about a tip, [n₁, …, d], turned so that the crack comes along −x₁.
-
-    Its faces then look along x₂. The jump across half a plane is what neighbours on both sides do
-    not explain.
-    """
-    d, views, jumps = x.shape[-1], [], []
-    for axes in itertools.permutations(range(d)):
-        turned, places = (np.transpose(a, (*axes, d))[..., list(axes)] for a in (field, x))
-        steps, row = np.diff(turned, axis=1), int(np.count_nonzero(_line(places, 1) < 0))
-        around = steps[:, max(row - 2, 0)] + steps[:, min(row, steps.shape[1] - 1)]
-        jump = np.square(steps[:, row - 1] - around / 2).sum(axis=-1)
-        at = places[:, row - 1]
-        near = (np.abs(np.delete(at, 1, axis=-1)) <= reach).all(axis=-1)
-        for sign in (1, -1):
-            jumps.append(jump[near & (sign * at[..., 0] < 0)].sum())
-            flip = np.where(np.arange(d) == 0, sign, 1.0)
-            views.append((turned[::sign] * flip, places[::sign] * flip))
-    return views[int(np.argmax(jumps))]
-
-
-def _line(x: np.ndarray, axis: int) -> np.ndarray:
-    """Coordinates along one axis of a box of places, [n₁, …, d]."""
-    coordinates: np.ndarray = np.moveaxis(x[..., axis], axis, -1)[(0,) * (x.shape[-1] - 1)]
-    return coordinates
-
-
-def _fall(away: np.ndarray, h: float, r1: float, r2: float) -> np.ndarray:
-    """Mean slope, over a cell, of what falls from 1 to 0 between r1 and r2.
-
-    The tip may then stand anywhere between two columns of nodes.
-    """
-    outer, inner = (np.clip((r2 - away + d) / (r2 - r1), 0.0, 1.0) for d in (-h / 2, h / 2))
-    slope: np.ndarray = (outer - inner) / h
-    return slope
-
-
-def crack_gradient(field: np.ndarray, h: float, behind: np.ndarray, row: int) -> np.ndarray:
-    """∂u_i/∂x_j by differences, shape [n₁, n₂, …, d, d], one-sided across rows row − 1 and row."""
-    d = field.shape[-1]
-    slopes = [np.gradient(field, h, axis=axis, edge_order=2) for axis in range(d)]
-    halves = (field[:, :row], field[:, row:])
-    apart = np.concatenate([np.gradient(half, h, axis=1, edge_order=2) for half in halves], axis=1)
-    slopes[1] = np.where(behind.reshape(-1, *(d * (1,))), apart, slopes[1])
-    return np.stack(slopes, axis=-1)
-
-
 def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     """Body force density [stress / length] that presses on what has been cut, shape [N, d].
 
@@ -403,46 +301,15 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     if not cut.one:
         raise InputError("pressure: expected one material, isotropic")
     model, body = cut.model, cut.body
-    lam, mu, d = model.lam, model.mu, model.dimension
-    stress = checked("stress", stress, float, (d, d))
     if np.abs(stress - stress.T).max() > SYMMETRIC * np.abs(stress).max():
         raise InputError(f"stress: expected a symmetric one, got {stress.tolist()}")
+    u = body.x @ strain_of(stress, model.lam, model.mu, np.eye(body.dimension))
+    whole = CutRows(model, body, body.neighbour, cut.corrected)
+    return np.asarray((whole(u[None]) - cut.times(u[None]))[0])
+
+
+def strain_of(stress: Any, lam: Any, mu: Any, even: Any) -> Any:
+    """Of an isotropic solid, arrays of NumPy or torch; `even` is the identity."""
+    d = len(even)
     bulk = d * (lam + 2 * mu / d)
-    strain = (stress - lam / bulk * np.trace(stress) * np.eye(d)) / (2 * mu)
-    u, whole = (body.x @ strain)[None], CutRows(model, body, body.neighbour, cut.corrected)
-    return np.asarray((whole(u) - cut.times(u))[0])
-
-
-def opening_volume(solution: Solution, normal: Sequence[float] | None = None) -> float:
-    """Room between the faces of cracks with one normal [length^d], from the bonds across them.
-
-    Each broken bond of one spacing along the normal is a column of the opening; cracks along a
-    row of nodes. The solution is that of a Cracked; the normal is the second axis unless given.
-
-    Raises InputError unless the normal is along an axis.
-    """
-    node, far, along = _columns(solution, normal)
-    body, u = solution.operator.body, solution.u
-    return float(body.spacing ** (body.dimension - 1) * ((u[far] - u[node]) @ along).sum())
-
-
-def crack_area(solution: Solution, normal: Sequence[float] | None = None) -> float:
-    """Length, in space area, of these cracks: a spacing or a square of it for each column."""
-    body = solution.operator.body
-    return float(len(_columns(solution, normal)[0]) * body.spacing ** (body.dimension - 1))
-
-
-def _columns(
-    solution: Solution, normal: Sequence[float] | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes below and above a crack, joined by a bond that it broke, and the normal."""
-    body, neighbour, d = solution.operator.body, solution.operator.neighbour, solution.u.shape[1]
-    along = np.eye(d)[1] if normal is None else np.asarray(normal, dtype=float)
-    if along.shape != (d,) or sorted(np.abs(along)) != [0] * (d - 1) + [1]:
-        raise InputError(f"normal: expected one along an axis, as {(0, 1, 0)[:d]}, got {normal}")
-    across = np.abs(body.xi - body.spacing * along).max(axis=1)
-    step = int(np.argmin(across))
-    if across[step] > 1e-6 * body.spacing:
-        raise InputError("body: expected a lattice along the axes, got a turned one")
-    node = np.flatnonzero((neighbour[:, step] < 0) & (body.neighbour[:, step] >= 0))
-    return node, body.neighbour[node, step], along
+    return (stress - lam / bulk * stress.trace() * even) / (2 * mu)

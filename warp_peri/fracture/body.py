@@ -7,7 +7,7 @@ The weights of a bond are those of the whole ball.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -127,6 +127,13 @@ def penny(radius: float, corners: int = 48) -> np.ndarray:
     return np.asarray(reach * np.stack([np.cos(t), 0 * t, np.sin(t)], axis=1))
 
 
+def through(left: float, right: float, side: float, dimension: int) -> list[tuple[float, ...]]:
+    """A crack on y = 0 from x = left to right; in space through |z| < side."""
+    if dimension == 2:
+        return [(left, 0.0), (right, 0.0)]
+    return [(left, 0.0, -side), (left, 0.0, side), (right, 0.0, side), (right, 0.0, -side)]
+
+
 def point_force(
     x: np.ndarray, spacing: float, place: Sequence[float], force: Sequence[float]
 ) -> np.ndarray:
@@ -186,72 +193,71 @@ def crossing_bonds(body: LatticeBody, polyline: ArrayLike) -> np.ndarray:
     if (np.diff(corners, axis=0) == 0).all(axis=1).any():
         raise InputError("crack: expected segments with a length")
     cut = np.zeros(body.neighbour.shape, bool)
-    if d == 3:
-        _cut_polygon(body, corners, cut)
-    else:
-        last = len(corners) - 2
-        open_ended = not np.array_equal(corners[0], corners[-1])
-        for number, (start, end) in enumerate(pairwise(corners)):
-            tips = (
-                open_ended and number == 0 and _goes_on(body, start, start - end),
-                open_ended and number == last and _goes_on(body, end, end - start),
-            )
-            _cut_segment(body, start, end, tips, cut)
+    for face in _segments(body, corners) if d == 2 else _polygon(corners):
+        _cut_face(body, *face, cut)
     node, bond = np.nonzero(cut)  # rounding at a tip must not leave half a bond
     cut[body.neighbour[node, bond], body.opposite[bond]] = True
     return cut
 
 
-def _cut_segment(
-    body: LatticeBody, start: np.ndarray, end: np.ndarray, tips: tuple[bool, bool], cut: np.ndarray
-) -> None:
-    """Mark the bonds across one segment; at its tips, not at its corners, the ends are open."""
-    near = _near(body, np.stack([start, end]))
-    along = end - start
-    length = float(np.hypot(*along))
-    normal = np.array([-along[1], along[0]]) / length
-    height = (body.x[near] - start) @ normal
-    within = (body.x[near] - start) @ along / length
-    hit = (np.abs(height) < ON_LINE * body.spacing) & (within > 0) & (within < length)
-    height = _lifted(height, hit, body.spacing, "to their right")
-    rise = body.xi @ normal
-    other = height[:, None] + rise
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = height[:, None] / -rise
-    place = (within[:, None] + share * (body.xi @ along / length)) / length
-    slack = 1e-9 * body.spacing / length
-    lowest, highest = (slack if tips[0] else -slack), 1 - (slack if tips[1] else -slack)
-    across = (height[:, None] * other < 0) & (place > lowest) & (place < highest)
-    cut[near] |= across & (body.neighbour[near] >= 0)
+Face = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+"""A flat piece of a crack: corners [P, d], unit normal [d], inward normals of its edges [P, d],
+and how far inside of each edge a bond must cross it, in lengths of these normals [P]."""
 
 
-def _cut_polygon(body: LatticeBody, corners: np.ndarray, cut: np.ndarray) -> None:
-    """Mark the bonds across a flat convex polygon in space."""
+def _segments(body: LatticeBody, corners: np.ndarray) -> Iterator[Face]:
+    """Of a polyline; a bond that meets a tip is not cut, one that meets a corner or a mouth is."""
+    open_ended, last = not np.array_equal(corners[0], corners[-1]), len(corners) - 2
+    for number, ends in enumerate(pairwise(corners)):
+        along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
+        tips = (
+            open_ended and number == 0 and _goes_on(body, ends[0], -along),
+            open_ended and number == last and _goes_on(body, ends[1], along),
+        )
+        slack = np.where(tips, 1e-9, -1e-9) * body.spacing
+        normal = np.array([-along[1], along[0]])
+        yield np.stack(ends), normal, np.stack([along, -along]), slack
+
+
+def _polygon(corners: np.ndarray) -> Iterator[Face]:
+    """Of a flat convex polygon in space, whose edges cut nothing."""
     size, normal = size_and_normal(corners)
     if not size > 0 or np.abs((corners - corners[0]) @ normal).max() > ON_LINE * size**0.5:
         raise InputError("crack: expected the corners of a flat polygon with an area")
-    inward = np.cross(normal, np.roll(corners, -1, axis=0) - corners)  # as long as its edge
-    slack = 1e-9 * size
-
-    def room(x: np.ndarray) -> np.ndarray:
-        """Inside which edge by how much at least, times its length."""
-        least: np.ndarray = (x @ inward.T - (inward * corners).sum(axis=1)).min(axis=1)
-        return least
-
-    if room(corners).min() < -slack:
+    inward = np.cross(normal, np.roll(corners, -1, axis=0) - corners)
+    if (corners @ inward.T - (inward * corners).sum(axis=1)).min() < -1e-9 * size:
         raise InputError("crack: expected a convex polygon, its corners in order; cut it in parts")
-    near = _near(body, corners)
-    height = (body.x[near] - corners[0]) @ normal
-    hit = (np.abs(height) < ON_LINE * body.spacing) & (room(body.x[near]) > slack)
-    height = _lifted(height, hit, body.spacing, "under them")
+    yield corners, normal, inward, np.full(len(corners), 1e-9 * size)
+
+
+def _cut_face(
+    body: LatticeBody,
+    corners: np.ndarray,
+    normal: np.ndarray,
+    inward: np.ndarray,
+    slack: np.ndarray,
+    cut: np.ndarray,
+) -> None:
+    """Mark the bonds across a Face; nodes on it stand on the side of its normal."""
+    near, offset = _near(body, corners), (inward * corners).sum(axis=1)
+    x, h = body.x[near], body.spacing
+    height = (x - corners[0]) @ normal
+    hit = np.abs(height) < ON_LINE * h
+    hit &= (x @ inward.T - offset > np.maximum(slack, 0)).all(axis=1)
+    if hit.any():
+        warnings.warn(
+            f"crack: {np.count_nonzero(hit)} nodes lie on it; it is moved by {HAIR:g} spacings "
+            "against its normal, to the right of a polyline",
+            stacklevel=4,
+        )
+        height = height + HAIR * h
     rise = body.xi @ normal
     for bond in np.flatnonzero(rise):
         across = np.flatnonzero(
             (height * (height + rise[bond]) < 0) & (body.neighbour[near, bond] >= 0)
         )
-        share = height[across] / -rise[bond]
-        place = body.x[near[across]] + share[:, None] * body.xi[bond]
-        cut[near[across[room(place) > slack]], bond] = True
+        place = x[across] - (height[across] / rise[bond])[:, None] * body.xi[bond]
+        cut[near[across[(place @ inward.T - offset > slack).all(axis=1)]], bond] = True
 
 
 def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
@@ -280,19 +286,6 @@ def _near(body: LatticeBody, corners: np.ndarray) -> np.ndarray:
     reach = body.classes.horizon * (1 + HORIZON_TOLERANCE)
     low, high = corners.min(axis=0) - reach, corners.max(axis=0) + reach
     return np.flatnonzero(((body.x >= low) & (body.x <= high)).all(axis=1))
-
-
-def _lifted(height: np.ndarray, hit: np.ndarray, spacing: float, whither: str) -> np.ndarray:
-    """Heights over a crack, moved by a hair where it runs through nodes, with a warning."""
-    if not hit.any():
-        return height
-    warnings.warn(
-        f"crack: {np.count_nonzero(hit)} nodes lie on it; it is moved by {HAIR:g} spacings "
-        f"{whither}",
-        stacklevel=5,
-    )
-    moved: np.ndarray = height + HAIR * spacing
-    return moved
 
 
 def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
