@@ -16,7 +16,7 @@ from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.edges.body import solve_body
 from warp_peri.edges.rim import Field, Traction
 from warp_peri.points.arrays import checked
-from warp_peri.points.mesh import Mesh, Tetrahedra
+from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.statics.solution import Coupling, Solution, refuse_solver
@@ -138,7 +138,7 @@ class Body:
     True
     """
 
-    mesh: Mesh | Tetrahedra
+    mesh: Mesh
     displacement: Mapping[str, Field | ArrayLike]
     traction: Mapping[str, Traction | ArrayLike] | None = None
     b: Field | None = None

@@ -12,7 +12,7 @@ from warp_peri.edges.body import Coupling, solve_body
 from warp_peri.edges.rim import Moduli
 from warp_peri.errors import InputError
 from warp_peri.micromodulus.crystal_fit import fit_symbol
-from warp_peri.points.mesh import make_tetrahedra
+from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Block, Circle, Sphere, box, mesh_outline, mesh_solid
 
 TURNED = {2: 20.0, 3: [[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]}
@@ -114,7 +114,7 @@ def test_tetrahedra_know_their_parts_their_voids_and_what_they_hold():
     [
         ({"coupling": Coupling(spacing=1.0)}, "coupling: expected spacing 1.5 or None, got 1"),
         (
-            {"mesh": lambda: make_tetrahedra(np.eye(4)[[3, 0, 1, 2], :3], [[0, 1, 2, 3]])},
+            {"mesh": lambda: make_mesh(np.eye(4)[[3, 0, 1, 2], :3], [[0, 1, 2, 3]])},
             "mesh: expected triangles, for a model of 2 dimensions",
         ),
         ({"stress": np.eye(2)}, "model: expected a crystal at rest"),
@@ -133,7 +133,7 @@ def test_bad_input_is_named(change, message):
 def test_a_cell_without_volume_is_named():
     flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
     with pytest.raises(InputError, match="tetrahedra: number 0 has no volume"):
-        make_tetrahedra(flat, [[0, 1, 2, 3]])
+        make_mesh(flat, [[0, 1, 2, 3]])
 
 
 @pytest.mark.slow

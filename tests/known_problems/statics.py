@@ -19,7 +19,7 @@ from warp_peri.materials.lps import Model
 from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
 from warp_peri.micromodulus.crystal_fit import fit_symbol
 from warp_peri.micromodulus.law import tensors_of
-from warp_peri.points.mesh import make_mesh, make_tetrahedra
+from warp_peri.points.mesh import make_mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import LENGTHS, Units
 from warp_peri.problems import Body, Dirichlet
@@ -104,14 +104,13 @@ def mapped(
                 middle |= dict(zip(map(tuple, (first + ends).tolist()), half))
         first += len(grid)
     named = {name: np.concatenate(some) for name, some in parts.items()}
-    make = make_mesh if d == 2 else make_tetrahedra
     corner, cell = np.concatenate(x), np.concatenate(cells)
     if split:
         new, middle = len(corner) + np.arange(len(cell)), {}
         corner = np.concatenate([corner, corner[cell].mean(axis=1)])
         parts_of = [np.where(np.arange(d + 1) == k, new[:, None], cell) for k in range(d + 1)]
         cell = np.concatenate(parts_of)
-    return make(corner * s.length, cell, named, middle)
+    return make_mesh(corner * s.length, cell, named, middle)
 
 
 def plane(E: float, nu: float, *, strain: bool = False) -> Moduli:

@@ -1,125 +1,443 @@
-"""Meshes of bodies: outlines, files, and what is refused."""
+"""Meshes of bodies: outlines, files, what is mended with a word and what is refused."""
+
+import itertools
+import subprocess
+import sys
+from contextlib import nullcontext
+from pathlib import Path
 
 import meshio
 import numpy as np
 import pytest
 
+import warp_peri as wp
 from tests.support.plates import plate
-from warp_peri import load
+from tests.support.problems import kernel
 from warp_peri.errors import InputError
-from warp_peri.points.mesh import REST, load_mesh, make_mesh
-from warp_peri.points.outlines import Circle, Polygon, box, mesh_outline
+from warp_peri.points.mesh import REST, load_mesh, make_mesh, pieces
+from warp_peri.points.outlines import Circle, Polygon, Sphere, box, mesh_outline, mesh_solid
 
-SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+ROOT = Path(__file__).parent.parent.parent
+HALVES = [[0, 1, 2], [0, 2, 3]]
+SIXTHS = []
+for order in itertools.permutations(np.eye(3, dtype=int).tolist()):
+    walk = np.cumsum([(0, 0, 0), *order], axis=0)
+    turn = {(0, 0): 0, (1, 0): 1, (1, 1): 2, (0, 1): 3}
+    SIXTHS.append([turn[x, y] + 4 * z for x, y, z in walk.tolist()])
 
 
-def area(mesh):
-    return np.linalg.det(mesh.x[mesh.triangles[:, 1:]] - mesh.x[mesh.triangles[:, :1]]).sum() / 2
+def grid(*sides, size=1.0, origin=0.0):
+    """Corners of squares or cubes, and these by their corners in turn."""
+    steps = np.stack(np.meshgrid(*[np.arange(n + 1) for n in sides], indexing="ij"), -1)
+    number = np.arange(steps[..., 0].size).reshape(steps.shape[:-1])
+    turns = ((0, 0), (1, 0), (1, 1), (0, 1))
+    turns = turns if len(sides) == 2 else [(*p, z) for z in (0, 1) for p in turns]
+    cells = [number[tuple(slice(o, o + n) for o, n in zip(p, sides))].ravel() for p in turns]
+    return origin + size * steps.reshape(-1, len(sides)).astype(float), np.stack(cells, axis=1)
 
 
-def test_an_outline_has_its_parts_curves_and_distances():
+def body(x, blocks):
+    """The mesh of squares cut in two, or cubes in six."""
+    parts = HALVES if x.shape[1] == 2 else SIXTHS
+    return make_mesh(x, np.concatenate([blocks[:, part] for part in parts]))
+
+
+def size(mesh):
+    corners = mesh.x[mesh.cells]
+    return np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])).sum() / (2, 6)[mesh.dimension - 2]
+
+
+def joined(*grids):
+    """Grids in one mesh, each with corners of its own."""
+    first = np.cumsum([0, *(len(x) for x, _ in grids)])
+    cells = [cells + n for (_, cells), n in zip(grids, first)]
+    return np.concatenate([x for x, _ in grids]), np.concatenate(cells)
+
+
+def counts(mesh):
+    return {name: len(part) for name, part in mesh.parts.items()}
+
+
+def test_an_outline_has_its_parts_curves_holes_and_distances():
     mesh = mesh_outline(box(40, 30), [Circle(5, (3, 1), size=1)], size=4)
     assert set(mesh.parts) == {"bottom", "right", "top", "left", "hole"}
-    assert np.ptp(mesh.loops) == 1
-    np.testing.assert_allclose(sorted(mesh.loop_sizes), [10, 30], rtol=1e-2)
-    hole = mesh.parts["hole"]
-    away = mesh.along(np.array([0.0, 0.25, 0.5]), hole) - (3, 1)
-    np.testing.assert_allclose(np.hypot(*away.T), 5, rtol=1e-4)
-    assert area(mesh) == pytest.approx(40 * 30 - np.pi * 25, rel=1e-2)
+    np.testing.assert_allclose(mesh.hole_sizes, [10], rtol=1e-2)
+    ends = mesh.edges[mesh.parts["hole"]]
+    for x in (mesh.x[ends[:, 0]], mesh.middle[mesh.parts["hole"]]):
+        np.testing.assert_allclose(np.linalg.norm(x - (3, 1), axis=1), 5, rtol=1e-6)
+    assert size(mesh) == pytest.approx(40 * 30 - np.pi * 25, rel=1e-2)
     inside = np.array([[0.0, 14.0], [9.0, 1.0]])
     np.testing.assert_allclose(mesh.distance(inside, 0.01), [1, 1], atol=1e-3)
     assert (mesh.holding(np.array([[3.0, 1], [21, 0]])) == -1).all()
-
-
-def test_a_polygon_of_either_sense_and_a_disk():
     corners = ((0, 0), (10, 0), (10, 4), (4, 4), (4, 10), (0, 10))
     for turned in (corners, corners[::-1]):
-        assert area(mesh_outline(Polygon(turned), size=2)) == pytest.approx(64)
-    disk = mesh_outline(
-        Circle(10, name="edge"), [Polygon(((0, 0), (3, 0), (0, 3)), ("cut",))], size=1
+        assert size(mesh_outline(Polygon(turned), size=2)) == pytest.approx(64)
+    hole = Polygon(((0, 0), (3, 0), (0, 3)), ("cut",))
+    assert set(mesh_outline(Circle(10, name="edge"), [hole], size=1).parts) == {"edge", "cut"}
+    for wrong, words in (
+        ({"outer": box(10, 10), "size": -1}, "sizes > 0"),
+        ({"outer": Polygon(corners, ("a", "b")), "size": 1}, "a name for each of 6 sides"),
+        ({"outer": Polygon(corners[:2]), "size": 1}, r"corners \[n ≥ 3, 2\]"),
+    ):
+        with pytest.raises(InputError, match=words):
+            mesh_outline(**wrong)
+    with pytest.raises(InputError, match="solid: expected radii and sizes > 0"):
+        mesh_solid(Sphere(np.nan), size=1.0)
+
+
+@pytest.mark.parametrize("sides", [(4, 3), (3, 2, 2)])
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_corners_at_one_place_are_one_and_a_word_says_so(sides, scale):
+    x, blocks = grid(*sides, size=scale)
+    whole = body(x, blocks)
+    turn = np.linalg.det(whole.x[whole.faces])  # of the outline, whose body is on its left
+    assert turn.sum() == pytest.approx(
+        np.prod(sides) * scale ** len(sides) * (2, 6)[x.shape[1] - 2]
     )
-    assert set(disk.parts) == {"edge", "cut"}
+    apart = x[blocks].reshape(-1, len(sides))
+    with pytest.warns(UserWarning, match=f"{len(apart) - len(x)} of {len(apart)} corners lie"):
+        welded = body(apart, np.arange(len(apart)).reshape(blocks.shape))
+    assert (len(welded.x), len(welded.faces)) == (len(x), len(whole.faces))
+    assert set(pieces(welded.cells)) == {0}
+
+
+@pytest.mark.parametrize("sides", [(2, 2), (2, 2, 2)])
+@pytest.mark.parametrize(
+    ("ratio", "shift", "words"),
+    [
+        (0.5, 2.0, "goes on beyond"),  # small beside large: hanging
+        (1.0, 1.7, "goes on beyond"),  # one over the other
+        (0.3, 0.4, "goes on beyond"),  # one within the other
+        (1.0, 0.0, "expected one or two at each|lie on one side"),  # twice
+    ],
+)
+def test_cells_that_overlap_or_share_parts_of_facets_are_refused(sides, ratio, shift, words):
+    for scale in (1e-6, 1e6):
+        large = grid(*sides, size=scale)
+        small = grid(*(round(n / ratio) if ratio == 0.5 else n for n in sides), size=ratio * scale)
+        small[0][:, 0] += shift * scale
+        if 0 < shift < 2:
+            small[0][:] += 0.13 * scale
+        mended = pytest.warns(UserWarning, match="lie where others do")
+        with nullcontext() if 0 < shift < 2 else mended, pytest.raises(InputError, match=words):
+            body(*joined(large, small))
+
+
+def test_a_crack_with_a_width_is_an_outline_and_one_without_is_closed():
+    x, blocks = grid(4, 4)
+    crack = (x[:, 0] < 2) & (x[:, 1] == 2)
+    number = np.where(crack, len(x) + np.cumsum(crack) - 1, np.arange(len(x)))
+    above = x[blocks].mean(axis=1)[:, 1] > 2
+    blocks[above] = number[blocks[above]]
+    assert len(body(np.concatenate([x, x[crack] + [0, 0.01]]), blocks).edges) == 16 + 4
+    with pytest.warns(UserWarning, match="2 of 27 corners .* a crack needs a width"):
+        assert len(body(np.concatenate([x, x[crack]]), blocks).edges) == 16
+
+
+NINE, FOUR = grid(2, 2)
+TRIANGLES = np.concatenate([FOUR[:, part] for part in HALVES])
+CUBE, EIGHT = grid(1, 1, 1)
+SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
+WRONG = {
+    "twice": (SQUARE, [[0, 1, 2], [0, 2, 1]], {}, "triangles: 0 and 1 lie on one side of their"),
+    "no area": (SQUARE, [[0, 1, 1]], {}, "number 0 has no area"),
+    "no volume": (CUBE, [[0, 2, 4, 6]], {}, "tetrahedra: number 0 has no volume"),
+    "no corner": (SQUARE, [[0, 1, 9]], {}, "expected corners 0 to 3"),
+    "three": (SQUARE, [[0, 1, 2], [0, 1, 3], [0, 1, 2]], {}, "some edge has more"),
+    "floats": (SQUARE, [[0.0, 1, 2]], {}, "triangles: expected int values"),
+    "quads": (SQUARE, [[0, 1, 2, 3]], {}, r"triangles: expected shape \[T, 3\]"),
+    "none": (SQUARE, np.zeros((0, 3), int), {}, "expected some, got none"),
+    "far": (NINE, TRIANGLES, {"a": [[0, 99]]}, "part 'a': expected edges of the outline, 1 of 1"),
+    "inside": (NINE, TRIANGLES, {"a": [[1, 4]]}, "part 'a': expected edges of the outline, 1 of 1"),
+    "float": (NINE, TRIANGLES, {"a": [[0.0, 1.0]]}, "part 'a': expected int values, got float64"),
+    "face": (CUBE, EIGHT[0][SIXTHS], {"a": [EIGHT[0][[0, 1, 6]]]}, "faces of the surface, 1 of 1"),
+}
+
+
+@pytest.mark.parametrize(("x", "cells", "parts", "words"), WRONG.values(), ids=WRONG)
+def test_what_is_no_mesh_of_a_body_is_refused(x, cells, parts, words):
+    with pytest.raises(InputError, match=words):
+        make_mesh(x, np.array(cells), parts)
 
 
 @pytest.mark.parametrize("suffix", ["msh", "vtu"])
 def test_a_file_of_second_order_keeps_the_curve(tmp_path, suffix):
     mesh = plate(4.0, 10.0, 3, 16)
-    number = {}
-    x = list(mesh.x)
+    x, number, cells = list(mesh.x), {}, []
     middle = {tuple(sorted(e)): m for e, m in zip(mesh.edges.tolist(), mesh.middle)}
-    cells = []
     for t in mesh.triangles.tolist():
-        halves = []
-        for pair in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0])):
-            key = tuple(sorted(pair))
+        halves = [tuple(sorted((t[k], t[k - 2]))) for k in range(3)]
+        for key in halves:
             if key not in number:
                 number[key] = len(x)
                 x.append(middle.get(key, mesh.x[list(key)].mean(axis=0)))
-            halves.append(number[key])
-        cells.append(t + halves)
-    points = np.column_stack([x, np.zeros(len(x))])
+        cells.append(t + [number[key] for key in halves])
     lines = mesh.edges[mesh.parts["hole"]]
-    kinds = [("triangle6", np.array(cells))]
-    written = meshio.Mesh(points, kinds)
-    if suffix == "msh":
-        tags = [np.full(len(lines), 7), np.full(len(cells), 8)]
-        written = meshio.Mesh(
-            points,
-            [("line", lines), *kinds],
-            cell_data={"gmsh:physical": tags, "gmsh:geometrical": tags},
-            field_data={"hole": np.array([7, 1])},
-        )
-    file = tmp_path / f"plate.{suffix}"
-    written.write(file, **({"file_format": "gmsh22", "binary": False} if suffix == "msh" else {}))
-    reread = load_mesh(file)
+    tags = [np.full(len(lines), 7), np.full(len(cells), 8)]
+    kinds = [("line", lines), ("triangle6", np.array(cells))]
+    groups = {"gmsh:physical": tags, "gmsh:geometrical": tags} if suffix == "msh" else {}
+    names = {"hole": np.array([7, 1])} if groups else {}
+    written = meshio.Mesh(np.pad(x, ((0, 0), (0, 1))), kinds, cell_data=groups, field_data=names)
+    how = {"file_format": "gmsh22", "binary": False} if groups else {}
+    written.write(tmp_path / f"plate.{suffix}", **how)
+    lost = pytest.warns(UserWarning, match="none of the 16 lines in the file is in a group")
+    with nullcontext() if groups else lost:
+        reread = wp.load(tmp_path / f"plate.{suffix}")
     assert len(reread.x) == len(mesh.x)
-    assert set(reread.parts) == ({"hole", REST} if suffix == "msh" else {REST})
+    assert set(reread.parts) == ({"hole", REST} if groups else {REST})
     radius = np.hypot(*reread.middle.T)
     assert np.count_nonzero(np.abs(radius - 4) < 1e-6) == 16
 
 
+KITE = np.array([[0.0, 0, 0], [10, 4, 0], [20, 0, 0], [10, 20, 0]])
+HOUSE = np.array([[0.0, 0, 0], [10, 0, 0], [10, 10, 0], [0, 10, 0], [20, 5, 0]])
+
+
+@pytest.mark.parametrize("turn", range(4))
+@pytest.mark.parametrize("sense", [1, -1])
+def test_quadrilaterals_are_cut_where_they_are_turned_in(tmp_path, turn, sense):
+    quad, triangle = (np.roll(corners, turn)[::sense] for corners in ([0, 1, 2, 3], [1, 4, 2, 2]))
+    meshio.Mesh(KITE, [("quad", [quad])]).write(tmp_path / "kite.vtu")
+    assert size(load_mesh(tmp_path / "kite.vtu")) == pytest.approx(160)
+    meshio.Mesh(HOUSE, [("quad", [quad[[0, 2, 1, 3]]])]).write(tmp_path / "bow.vtu")
+    with pytest.raises(InputError, match="lie on one side of their edge|goes on beyond"):
+        load_mesh(tmp_path / "bow.vtu")
+    meshio.Mesh(HOUSE, [("quad", [[0, 1, 2, 3], triangle])]).write(tmp_path / "house.vtu")
+    house = load_mesh(tmp_path / "house.vtu")
+    assert (size(house), len(house.triangles)) == (pytest.approx(150), 3)
+
+
 @pytest.mark.parametrize(
-    ("triangles", "message"),
+    ("cells", "named"),
     [
-        ([[0, 1, 2], [0, 2, 1]], "triangles: 0 and 1 lie on one side of their edge"),
-        ([[0, 1, 1]], "number 0 has no area"),
-        ([[0, 1, 9]], "expected corners 0 to 3"),
-        ([[0, 1, 2], [0, 1, 3], [0, 1, 2]], "some edge has more"),
-        ([[0.0, 1, 2]], "triangles: expected int values"),
-        ([[0, 1, 2, 3]], r"triangles: expected shape \[T, 3\]"),
+        ([("tetra", [[0, 1, 2, 4]]), ("hexahedron", [list(range(8))])], "hexahedron"),
+        ([("tetra", [[0, 1, 2, 4]]), ("quad", [[0, 1, 3, 2]])], "quad"),
+        ([("tetra", [[0, 1, 2, 4]]), ("polyhedron8", [list(range(8))])], "polyhedron8"),
+        ([("triangle", [[0, 1, 2]]), ("polygon", [[0, 1, 2, 3, 4]])], "polygon"),
+        ([("line", [[0, 1]])], "line"),
+        ([], "nothing"),
     ],
 )
-def test_bad_triangles_are_named(triangles, message):
-    with pytest.raises(InputError, match=message):
-        make_mesh(SQUARE, np.array(triangles))
+def test_no_kind_of_cell_is_dropped(tmp_path, monkeypatch, cells, named):
+    monkeypatch.setattr(meshio, "read", lambda path, file_format: meshio.Mesh(CUBE, cells))
+    (tmp_path / "some.vtu").write_text("")
+    with pytest.raises(InputError, match=f"and no other cells, got {named}"):
+        load_mesh(tmp_path / "some.vtu")
 
 
-def test_bad_files_and_outlines_are_named(tmp_path):
+LINES = {"left": [[0, 1], [1, 2]], "right": [[6, 7], [7, 8]], "low": [[0, 3], [3, 6]]}
+FLAT = np.pad(NINE, ((0, 0), (0, 1)))
+
+
+def gmsh22(path, tags, names=()):
+    """A file of Gmsh's as it writes elements of several groups: once for each."""
+    rows = [f"1 2 {tag} 1 {a + 1} {b + 1}" for tag, lines in tags for a, b in lines]
+    for tag in (20, 21):
+        rows += [f"2 2 {tag} 1 " + " ".join(str(c + 1) for c in cell) for cell in TRIANGLES]
+    text = ["$MeshFormat", "2.2 0 8", "$EndMeshFormat"]
+    if names:
+        text += ["$PhysicalNames", str(len(names)), *names, "$EndPhysicalNames"]
+    text += ["$Nodes", "9", *(f"{n + 1} {a} {b} 0" for n, (a, b) in enumerate(NINE)), "$EndNodes"]
+    text += ["$Elements", str(len(rows)), *(f"{n + 1} {row}" for n, row in enumerate(rows))]
+    path.write_text("\n".join([*text, "$EndElements"]) + "\n")
+
+
+def test_groups_keep_their_numbers_and_elements_all_their_groups(tmp_path):
+    tags = [(11, LINES["left"]), (12, LINES["right"]), (7, LINES["left"][:1] + LINES["low"])]
+    gmsh22(tmp_path / "a.msh", [*tags, (0, [[2, 5]])], ['1 12 "pulled"', '2 20 "sheet"'])
+    mesh = load_mesh(tmp_path / "a.msh")
+    assert counts(mesh) == {"11": 2, "pulled": 2, "7": 3, REST: 2}
+    assert size(mesh) == 4
+    assert len(np.intersect1d(mesh.parts["11"], mesh.parts["7"])) == 1
+    gmsh22(tmp_path / "b.msh", [(1, [*LINES["left"], [1, 4]]), (2, [[4, 7]])])
+    with pytest.warns(UserWarning, match="edges of the outline, 1 of . are not and are left out"):
+        assert counts(load_mesh(tmp_path / "b.msh")) == {"1": 2, REST: 6}
+
+
+def test_bounding_entities_are_no_part_and_named_groups_of_an_element_are_kept(tmp_path):
+    entities = ["0 4 1 0"]
+    entities += [f"{n} 0 0 0 2 2 0 {len(g)} {' '.join(map(str, g))} 2 1 -2" for n, g in (
+        (1, (11, 13)), (2, (12,)), (3, ()), (4, (13,)))]  # fmt: skip
+    entities += ["1 0 0 0 2 2 0 1 20 4 1 2 3 4"]
+    blocks = []
+    for number, lines in ((1, LINES["left"]), (2, LINES["right"]), (4, LINES["low"])):
+        rows = [f"{9 * number + n} {a + 1} {b + 1}" for n, (a, b) in enumerate(lines)]
+        blocks += [f"1 {number} 1 2", *rows]
+    cells = [f"{90 + n} " + " ".join(str(c + 1) for c in cell) for n, cell in enumerate(TRIANGLES)]
+    text = ["$MeshFormat", "4.1 0 8", "$EndMeshFormat", "$PhysicalNames", "3", '1 11 "left"',
+            '1 13 "both"', '2 20 "sheet"', "$EndPhysicalNames", "$Entities", *entities,
+            "$EndEntities", "$Nodes", "1 9 1 9", "2 1 0 9", *map(str, range(1, 10)),
+            *(f"{a} {b} 0" for a, b in NINE), "$EndNodes", "$Elements", "4 14 1 99", *blocks,
+            f"2 1 2 {len(cells)}", *cells, "$EndElements"]  # fmt: skip
+    (tmp_path / "a.msh").write_text("\n".join(text) + "\n")
+    assert counts(load_mesh(tmp_path / "a.msh")) == {"left": 2, "both": 4, "12": 2, REST: 2}
+
+
+@pytest.mark.parametrize("key", ["medit:ref", "cell_tags"])
+def test_numbers_of_converted_files_are_parts(tmp_path, key):
+    lines, tags = np.array(LINES["left"] + LINES["right"]), np.array([5, 5, 6, 6])
+    cells = [("line", lines), ("triangle", TRIANGLES)]
+    groups = {key: [tags, np.zeros(len(TRIANGLES), int)]}
+    meshio.Mesh(FLAT, cells, cell_data=groups).write(tmp_path / "a.vtu")
+    assert counts(load_mesh(tmp_path / "a.vtu")) == {"5": 2, "6": 2, REST: 4}
+    cells = [("tetra", EIGHT[0][SIXTHS]), ("triangle", EIGHT[0][[[0, 1, 2], [0, 2, 3]]])]
+    groups = {key: [np.zeros(6, int), np.array([3, 4])]}
+    meshio.Mesh(CUBE, cells, cell_data=groups).write(tmp_path / "b.vtu")
+    cube = load_mesh(tmp_path / "b.vtu")
+    assert counts(cube) == {"3": 1, "4": 1, REST: 10}
+    assert size(cube) == pytest.approx(1)
+
+
+NODES = "*NODE\n" + "".join(
+    f"{10 * n + 1}, {x}., {y}.\n"
+    for n, (x, y) in enumerate([(0, 0), (3, 0), (6, 0), (0, 2), (3, 2), (6, 2)])
+)
+CELLS = "*ELEMENT, TYPE=CPS4R, ELSET=plate\n7, 1, 11, 41,\n31\n9, 11, 21, 51, 41\n"
+PLATE = f"*HEADING\nA plate, 12 of area\n{NODES}{CELLS}"
+PART = f"*PART, NAME=P\n{NODES}{CELLS}*END PART\n*ASSEMBLY, NAME=A\n"
+INSTANCE = "*INSTANCE, NAME={}, PART=P\n{}*END INSTANCE\n"
+
+
+def abaqus(tmp_path, text):
+    (tmp_path / "a.inp").write_text(text)
+    return wp.load(tmp_path / "a.inp")
+
+
+def test_sets_of_nodes_and_of_lines_of_abaqus_are_parts(tmp_path):
+    """Whatever blocks they lie in: each is where its corners are."""
+    text = PLATE + (
+        "*ELEMENT, TYPE=T2D2, ELSET=low\n21, 1, 11\n22, 11, 21\n"
+        "*ELEMENT, TYPE=T2D2\n23, 21, 51\n*ELEMENT, TYPE=B21\n24, 51, 41\n"
+        "*ELSET,\n ELSET=right\n23\n*ELSET, ELSET=two\nright, 24\n"
+        "*NSET, NSET=left\n1, 31\n*NSET, NSET=top, GENERATE\n31, 51, 10\n"
+        "*NSET, NSET=corner\n1\n"
+    )
+    with pytest.warns(UserWarning, match="corner: no side of the outline is between its nodes"):
+        mesh = abaqus(tmp_path, text)
+    assert size(mesh) == pytest.approx(12)
+    found = counts(mesh) | {REST: 0}
+    assert found == {"low": 2, "right": 1, "two": 2, "left": 1, "top": 2, REST: 0}
+    for name, axis, value in (("low", 1, 0), ("left", 0, 0), ("right", 0, 6), ("top", 1, 2)):
+        middle = mesh.x[mesh.edges[mesh.parts[name]]].mean(axis=1)
+        np.testing.assert_allclose(middle[:, axis], value)
+    tetra = "*NODE\n1, 0, 0, 0\n2, 2, 0, 0\n3, 0, 3, 0\n4, 0, 0, 1\n*NSET, NSET=low\n1, 2, 3\n"
+    mesh = abaqus(tmp_path, tetra + "*ELEMENT, TYPE=C3D4\n1, 1, 2, 3, 4\n")
+    assert size(mesh) == pytest.approx(1)
+    np.testing.assert_array_equal(mesh.x[mesh.faces[mesh.parts["low"]]][..., 2], 0)
+
+
+def test_one_part_that_is_placed_where_it_is(tmp_path):
+    """As CAE writes it, with sets in the assembly, a material, a second block of nodes, a step."""
+    rows = NODES.splitlines(keepends=True)
+    text = (
+        "*Heading\n*Part, name=P\n" + "".join(rows[:4]) + "*Node\n" + "".join(rows[4:]) + CELLS
+        + "*Nset, nset=inner, internal\n1, 31\n"
+        "*Solid Section, elset=plate, material=m\n1.,\n*End Part\n*Assembly, name=A\n"
+        "*Instance, name=I, part=P\n*End Instance\n"
+        "*Nset, nset=left, instance=I\n1, 31\n*End Assembly\n*Material, name=m\n*Elastic\n1., .3\n"
+        "*Step\n*Boundary\nleft, 1, 2\n*End Step\n"
+    )  # fmt: skip
+    passed = r"not read: \*SOLID SECTION, \*MATERIAL, \*ELASTIC, \*STEP"
+    with pytest.warns(UserWarning, match=passed):
+        mesh = abaqus(tmp_path, text)
+    assert size(mesh) == pytest.approx(12)
+    np.testing.assert_allclose(mesh.x[mesh.edges[mesh.parts["left"]]].mean(axis=1), [[0, 1]])
+
+
+REFUSED = [
+    (PART + INSTANCE.format("I", "") + INSTANCE.format("J", ""), r"\*INSTANCE: expected one"),
+    (PART + INSTANCE.format("I", "10., 0., 0.\n"), r"\*INSTANCE: expected one that is not moved"),
+    (PART + PART, r"\*PART: expected one"),
+    (PLATE.replace("*NODE", "*NODE, SYSTEM=C"), r"\*NODE, SYSTEM is not read"),
+    (PLATE.replace("*NODE", "*Node, Input=n.txt"), r"\*NODE, INPUT is not read"),
+    (PLATE.replace("*NODE", "*SYSTEM\n0,0,0,0,1,0\n*NODE"), r"\*SYSTEM is not read"),
+    *((PLATE + f"*{word}, ANY=1\n1, 31, 10\n", rf"\*{word} is not read")
+      for word in ("ELGEN", "NGEN", "NCOPY", "NFILL", "ELCOPY", "INCLUDE", "SURFACE", "TIE")),
+    (PLATE + "*NSET, NSET=a, ELSET=plate\n", r"\*NSET, ELSET is not read"),
+    (PLATE + "*NSET, NSET=a\n77\n", r"\*NSET, a: 77 is not there"),
+    (PLATE + "*ELSET, ELSET=a\nother\n", r"\*ELSET, a: other is not there"),
+    (PLATE + "*NODE\n1, 5., 5.\n", r"\*NODE: expected each number once"),
+    (PLATE + CELLS, r"\*ELEMENT: expected each number once"),
+    (PLATE.replace("CPS4R", "CAX4"), "TYPE=CAX4 is not read"),
+    (PLATE.replace("CPS4R", "C3D8"), "TYPE=C3D8 is not read; tetrahedra"),
+    (PLATE.replace("CPS4R", "CPS6"), "TYPE=CPS6: expected 6 nodes of each"),
+    (PLATE.replace("51, 41", "52, 41"), r"\*ELEMENT: expected nodes that are there, got 52"),
+    (NODES, "got nothing"),
+    ("1, 2\n", "expected a keyword"),
+    (PLATE + "*NSET\n1\n", "not a mesh of abaqus"),
+    (PLATE + "*NSET, NSET=a, GENERATE\n1, 99999999999, 0\n", "not a mesh of abaqus"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "said"), REFUSED)
+def test_what_is_not_read_of_abaqus_is_refused_by_name(text, said, tmp_path):
+    with pytest.raises(InputError, match=said):
+        abaqus(tmp_path, text)
+
+
+def test_other_formats_and_what_is_no_file_are_refused(tmp_path):
     with pytest.raises(InputError, match="no such mesh file"):
         load_mesh(tmp_path / "none.msh")
+    for name in ("a.mesh", "a.med", "a.ele", "a.bdf", "a.su2", "a", "a.dat"):
+        (tmp_path / name).write_text("")
+        with pytest.raises(InputError, match="convert it with meshio, then check the groups"):
+            load_mesh(tmp_path / name)
     (tmp_path / "text.msh").write_text("no mesh")
     with pytest.raises(InputError, match="not a mesh of gmsh"):
         load_mesh(tmp_path / "text.msh")
-    meshio.Mesh(SQUARE, [("line", [[0, 1]])]).write(tmp_path / "line.vtu")
-    with pytest.raises(InputError, match="pyramids, and no other cells, got line"):
-        load_mesh(tmp_path / "line.vtu")
-    with pytest.raises(
-        InputError, match="part 'across': expected edges of the outline, 1 of 1 are not"
-    ):
-        make_mesh(SQUARE, np.array([[0, 1, 2], [0, 2, 3]]), {"across": np.array([[0, 2]])})
-    with pytest.raises(InputError, match="sizes > 0"):
-        mesh_outline(box(10, 10), size=-1)
-    with pytest.raises(InputError, match="a name for each of 4 sides"):
-        mesh_outline(Polygon(((0, 0), (1, 0), (1, 1), (0, 1)), ("a", "b")), size=1)
 
 
-CELLS = [("line", [[0, 1], [1, 2]]), ("triangle", [[0, 1, 2], [0, 2, 3]])]
+CUT = """
+import sys, warnings
+from pathlib import Path
+from warp_peri import InputError, load
+warnings.simplefilter("ignore")
+for path in map(Path, sys.argv[1:]):
+    whole = path.read_bytes()
+    for size in range(0, len(whole), max(1, len(whole) // 60)):
+        cut = path.with_name("cut" + path.suffix)
+        cut.write_bytes(whole[:size])
+        try:
+            load(cut)
+        except InputError:
+            pass
+print("ended")
+"""
 
 
-@pytest.mark.parametrize("suffix", ["vtu", "xdmf"])
-def test_sets_that_a_format_lost_are_missed(tmp_path, suffix):
-    points = np.column_stack([SQUARE, np.zeros(4)])
-    meshio.Mesh(points, CELLS).write(tmp_path / f"square.{suffix}")
-    with pytest.warns(UserWarning, match="none of the 2 lines in the file is in a group"):
-        mesh = load(tmp_path / f"square.{suffix}")
-    assert set(mesh.parts) == {REST}
+def test_cut_files_are_read_or_refused_and_none_waits_for_ever(tmp_path):
+    file, paths = meshio.Mesh(FLAT, [("triangle", TRIANGLES)]), []
+    for form, suffix in (("gmsh22", "msh"), ("gmsh", "msh"), ("vtk", "vtk"), ("vtu", "vtu")):
+        for binary in (True, False):
+            paths.append(tmp_path / f"{form}{binary}.{suffix}")
+            file.write(paths[-1], file_format=form, binary=binary)
+    for how in ("HDF", "XML"):
+        paths.append(tmp_path / f"{how}.xdmf")
+        file.write(paths[-1], file_format="xdmf", data_format=how)
+    paths.append(tmp_path / "a.inp")
+    paths[-1].write_text(PLATE)
+    words = [sys.executable, "-c", CUT, *map(str, paths)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
+    assert done.stdout.endswith("ended\n"), done.stderr
+
+
+@pytest.mark.parametrize("gap", [30.0, 0.0], ids=["apart", "at a corner"])
+def test_every_piece_of_a_body_is_held(gap):
+    one, two = grid(6, 6, size=5.0), grid(6, 6, size=5.0, origin=30.0 + gap)
+    x, blocks = joined(one, two)
+    if not gap:
+        blocks = np.where(blocks == len(one[0]), len(one[0]) - 1, blocks)
+    cells = np.concatenate([blocks[:, part] for part in HALVES])
+    ends = [[a, a + 1] for a in range(6)]
+    mesh = make_mesh(x, cells, {"left": ends, "right": np.add(ends, 42 + 49)})
+    problem = {"mesh": mesh, "coupling": wp.methods.Coupling(spacing=1.0)}
+
+    def solved(held):
+        body = wp.Body(displacement=held, **problem)
+        return wp.solve(kernel("positive", 2.5), body, allow_uncertified=True)
+
+    with pytest.raises(InputError, match="against shifts and turns, got left; the mesh is of 2"):
+        solved({"left": (0, 0)})
+    with pytest.warns(UserWarning, match="by elements alone"):
+        u = solved({"left": (0, 0), "right": (0.1, 0)}).u
+    assert np.abs(u).max() == pytest.approx(0.1)

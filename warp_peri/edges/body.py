@@ -25,7 +25,7 @@ from warp_peri.materials.lps import Model, moduli
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import largest_strain
-from warp_peri.points.mesh import Mesh, Tetrahedra
+from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import edge_strain
 from warp_peri.points.unit_names import symbols
@@ -138,7 +138,7 @@ def _rows(kept: np.ndarray, count: int) -> sp.csr_array:
 
 def solve_body(
     model: Any,
-    mesh: Mesh | Tetrahedra,
+    mesh: Mesh,
     *,
     displacement: Mapping[str, Field | ArrayLike],
     traction: Mapping[str, Traction | ArrayLike] | None = None,
@@ -219,7 +219,7 @@ def solve_body(
     return solution
 
 
-def _refuse_dimension(dimension: int, mesh: Mesh | Tetrahedra) -> None:
+def _refuse_dimension(dimension: int, mesh: Mesh) -> None:
     """Raise InputError for a mesh of another dimension than the law."""
     if mesh.x.shape[1] != dimension:
         kind = {2: "triangles", 3: "tetrahedra"}
@@ -229,7 +229,7 @@ def _refuse_dimension(dimension: int, mesh: Mesh | Tetrahedra) -> None:
         )
 
 
-def _of_crystal(crystal: Any, mesh: Mesh | Tetrahedra, coupling: Coupling) -> Moduli:
+def _of_crystal(crystal: Any, mesh: Mesh, coupling: Coupling) -> Moduli:
     """The long waves' moduli of a crystal; InputError for what elements cannot go on with."""
     _refuse_dimension(crystal.dimension, mesh)
     if coupling.spacing not in (None, crystal.spacing):
@@ -311,7 +311,7 @@ def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str
     )
 
 
-def _refuse_small_holes(mesh: Mesh | Tetrahedra, overlap: float, unit: str) -> None:
+def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
     """Raise InputError where a hole is smaller than the overlap."""
     smallest = mesh.hole_sizes.min(initial=np.inf)
     if smallest < overlap:
@@ -333,7 +333,7 @@ def long_wave(model: Model, spacing: float) -> Moduli:
     return stiff
 
 
-def _springs(edge: Mapping[str, float], mesh: Mesh | Tetrahedra) -> dict[str, float]:
+def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
     """Edge stiffnesses by part, checked."""
     if edge:
         _refuse_dimension(2, mesh)
@@ -362,7 +362,7 @@ def stiffness(rim: Rim, stiff: Moduli, springs: Mapping[str, float]) -> sp.csr_a
 
 
 def _rim_cells(
-    mesh: Mesh | Tetrahedra, near: np.ndarray, lattice: tuple[Points, np.ndarray] | None
+    mesh: Mesh, near: np.ndarray, lattice: tuple[Points, np.ndarray] | None
 ) -> np.ndarray:
     """Cells with a corner near the outline, or that hold the collar; shape [T] bool."""
     if lattice is None:

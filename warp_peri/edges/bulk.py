@@ -15,7 +15,7 @@ from warp_peri.edges.rim import Field
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import Model
 from warp_peri.materials.lps_operator import LPSOperator
-from warp_peri.points.mesh import Mesh, Tetrahedra
+from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.statics.linear import STIFF, Linear
@@ -38,12 +38,7 @@ LOOSEST = 1e-3
 
 
 def bulk_points(
-    mesh: Mesh | Tetrahedra,
-    spacing: float,
-    reach: float,
-    *,
-    units: Units = USUAL,
-    depth: float = 0.0,
+    mesh: Mesh, spacing: float, reach: float, *, units: Units = USUAL, depth: float = 0.0
 ) -> tuple[Points, np.ndarray] | None:
     """Lattice nodes of a body, unknown where they are a collar and a margin off the outline.
 
@@ -78,7 +73,7 @@ def bulk_points(
     return Points(x[needed], unknown[needed], spacing, units=units), held[needed]
 
 
-def check_extent(mesh: Mesh | Tetrahedra, spacing: float, units: Units = USUAL) -> None:
+def check_extent(mesh: Mesh, spacing: float, units: Units = USUAL) -> None:
     """Raise InputError for a body of more nodes than LARGEST, or of less than one spacing."""
     sides = np.ptp(mesh.x, axis=0)
     if (sides / spacing + 3).prod() > LARGEST or sides.max() < spacing:

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 
 from warp_peri.errors import InputError, optional
 from warp_peri.points.arrays import checked
-from warp_peri.points.mesh import Mesh, Tetrahedra, pieces
+from warp_peri.points.mesh import Mesh, pieces
 
 Field = Callable[[np.ndarray], np.ndarray]
 """Vectors, shape [n, d], at positions [Å], shape [n, d]."""
@@ -76,7 +76,7 @@ class Rim:
         degree: of the elements.
     """
 
-    def __init__(self, mesh: Mesh | Tetrahedra, kept: np.ndarray, degree: int = 2) -> None:
+    def __init__(self, mesh: Mesh, kept: np.ndarray, degree: int = 2) -> None:
         fem, self.d = finite_elements(), mesh.x.shape[1]
         corners, cells = np.unique(mesh.cells[kept], return_inverse=True)
         cells = cells.reshape(-1, self.d + 1)
@@ -388,7 +388,7 @@ class BodyLoads:
 
 
 def loads_on(
-    mesh: Mesh | Tetrahedra,
+    mesh: Mesh,
     displacement: Mapping[str, Field | ArrayLike],
     traction: Mapping[str, Traction | ArrayLike] | None,
     b: Field | None,
@@ -413,7 +413,7 @@ def loads_on(
     return BodyLoads(held, pulls, None if b is None else _field("b", b))
 
 
-def check_part(name: str, mesh: Mesh | Tetrahedra) -> None:
+def check_part(name: str, mesh: Mesh) -> None:
     """Raise InputError unless the outline has a part of this name."""
     if name not in mesh.parts:
         raise InputError(f"part '{name}': the outline has {', '.join(sorted(mesh.parts))}")

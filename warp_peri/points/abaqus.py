@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import warnings
-from collections import Counter
 from collections.abc import Iterator
 from types import SimpleNamespace
 
@@ -13,9 +13,8 @@ import numpy as np
 from warp_peri.errors import InputError
 
 PLANE = {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"}
-SOLID = {4: "tetra", 5: "pyramid", 6: "wedge", 8: "hexahedron", 10: "tetra10", 15: "wedge15"}
-SOLID |= {20: "hexahedron20", 27: "hexahedron27"}
-KINDS = dict.fromkeys(("CPS", "CPE", "S", "M3D"), (2, PLANE)) | {"C3D": (3, SOLID)}
+KINDS = dict.fromkeys(("CPS", "CPE", "S", "M3D"), (2, PLANE))
+KINDS |= {"C3D": (3, {4: "tetra", 10: "tetra10"})}
 KINDS |= dict.fromkeys(("T2D", "T3D"), (1, {2: "line", 3: "line3"}))
 KINDS |= dict.fromkeys(("B2", "B3"), (1, {1: "line", 2: "line3"}))
 """Dimension of elements by their letters, and meshio's names by the number behind these."""
@@ -32,34 +31,27 @@ READ = {
 FRAME = {"HEADING", "PREPRINT", "END PART", "ASSEMBLY", "END INSTANCE", "END ASSEMBLY"}
 BESIDE = {"MATERIAL", "ELASTIC", "DENSITY", "EXPANSION", "PLASTIC", "HYPERELASTIC", "DAMPING"}
 BESIDE |= {"CONDUCTIVITY", "SPECIFIC HEAT", "SOLID SECTION", "SHELL SECTION", "MEMBRANE SECTION"}
-BESIDE |= {"BEAM SECTION", "BOUNDARY", "AMPLITUDE", "INITIAL CONDITIONS", "RESTART"}
+BESIDE |= {"BEAM SECTION", "BOUNDARY", "AMPLITUDE", "INITIAL CONDITIONS", "RESTART", "STEP"}
 """Keywords that say nothing of the shape, without a word and with one."""
 
-Keyword = tuple[str, dict[str, str], list[str]]
 
-
-def keywords(text: str) -> Iterator[Keyword]:
-    """Each keyword, its options, and its lines of data; those from the first *STEP on are left."""
-    current: Keyword | None = None
-    lines = iter(line.strip() for line in text.splitlines() if not line.startswith("**"))
-    for line in lines:
-        if line.startswith("*"):
-            if current is not None:
-                yield current
-            while line.endswith(","):
-                line += next(lines, "*")
-            head, *words = (word.strip() for word in line[1:].split(","))
-            pairs = (word.partition("=") for word in words)
-            options = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
-            current = " ".join(head.upper().split()), options, []
-            if current[0] == "STEP":
-                break
-        elif line and current is None:
-            raise InputError(f"expected a keyword, as *NODE, got {line!r}")
-        elif line and current is not None:
-            current[2].append(line)
-    if current is not None:
-        yield current
+def keywords(text: str) -> Iterator[tuple[str, dict[str, str], list[list[str]]]]:
+    """Each keyword, its options, and the words of its lines; those from the first *STEP on are
+    left."""
+    lines = [line.strip() for line in text.splitlines() if not line.startswith("**")]
+    joined = re.sub(r"^(\*.*,)\n", r"\1", "\n".join(filter(None, lines)), flags=re.M)
+    first, *parts = ("\n" + joined).split("\n*")
+    if first.strip():
+        raise InputError(f"expected a keyword, as *NODE, got {first.split()[0]!r}")
+    for part in parts:
+        head, *rows = part.split("\n")
+        name, *words = (word.strip() for word in head.split(","))
+        pairs = (word.partition("=") for word in words)
+        options = {key.strip().upper(): value.strip().strip('"') for key, _, value in pairs}
+        split = ([word.strip().strip('"') for word in row.split(",")] for row in rows)
+        yield " ".join(name.upper().split()), options, [[*filter(None, row)] for row in split]
+        if name.upper() == "STEP":
+            return
 
 
 def read_abaqus(text: str) -> SimpleNamespace:
@@ -70,45 +62,43 @@ def read_abaqus(text: str) -> SimpleNamespace:
     elements of others, surfaces.
     """
     nodes: dict[int, tuple[float, ...]] = {}
-    blocks: list[tuple[int, str, np.ndarray]] = []
-    given: list[tuple[str, dict[str, str], list[str]]] = []
     elements: set[int] = set()
-    passed, once = list[str](), Counter[str]()
+    blocks: list[tuple[int, str, np.ndarray]] = []
+    sets: dict[str, dict[str, set[int]]] = {"NSET": {}, "ELSET": {}}
+    passed, once = list[str](), set[str]()
     for name, options, rows in keywords(text):
-        once[name] += 1
-        if name in BESIDE or name == "STEP":
+        if name in BESIDE:
             passed.append(f"*{name}")
+        if name in BESIDE | FRAME:
             continue
-        if name in FRAME:
-            continue
-        if more := [f", {key}" for key in options if key not in READ.get(name, options)]:
-            raise InputError(f"*{name}{more[0]}: it is not read; give one part in x, y, z as it is")
-        if name not in READ:
-            raise InputError(f"*{name} is not read; give one part with nodes, elements and sets")
-        if (name == "INSTANCE" and (rows or once[name] > 1)) or (name == "PART" and once[name] > 1):
+        more = [f", {key}" for key in options if key not in READ.get(name, options)]
+        if more or name not in READ:
+            raise InputError(
+                f"*{name}{''.join(more[:1])} is not read; give one part with nodes, elements and "
+                "sets, in x, y, z as it is"
+            )
+        if name in ("INSTANCE", "PART") and (rows or name in once):
             raise InputError(f"*{name}: expected one that is not moved; give one flat part")
+        once.add(name)
+        members: set[int] = set()
         if name == "NODE":
-            own = {int(n): x for n, *x in (row.rstrip(",").split(",") for row in rows)}
-            if len(own) < len(rows) or own.keys() & nodes.keys():
-                raise InputError("*NODE: expected each number once")
-            nodes |= {n: (*map(float, x), 0.0, 0.0)[:3] for n, x in own.items()}
-            members = [*own]
+            own = {int(n): (*map(float, x), 0.0, 0.0)[:3] for n, *x in rows}
+            members, known = {*own}, {*nodes}
+            nodes |= own
         elif name == "ELEMENT":
-            d, kind, cells = _elements(options.get("TYPE", ""), rows)
-            members = cells[:, 0].tolist()
-            if len({*members}) < len(members) or elements & {*members}:
-                raise InputError("*ELEMENT: expected each number once")
-            elements |= {*members}
-            blocks.append((d, kind, cells))
-        if name in ("NSET", "ELSET"):
-            given.append((name, options, rows))
-        elif name in ("NODE", "ELEMENT"):
-            kind_of_set = "NSET" if name == "NODE" else "ELSET"
-            if kind_of_set in options:
-                given.append((kind_of_set, options, [*map(str, members)]))
+            blocks.append(_elements(options.get("TYPE", ""), rows))
+            rows, members = [*blocks[-1][2]], {*blocks[-1][2][:, 0].tolist()}
+            known, elements = elements, elements | members
+        if members and (len(members) < len(rows) or members & known):
+            raise InputError(f"*{name}: expected each number once")
+        kind = {"NODE": "NSET", "ELEMENT": "ELSET"}.get(name, name)
+        if name in sets:
+            there = {*nodes} if kind == "NSET" else elements
+            members = _members(f"*{kind}, {options[kind]}", options, rows, sets[kind], there)
+        if name in sets or kind in options:
+            sets[kind].setdefault(options[kind], set()).update(members)
     if passed:
         warnings.warn(f"not read: {', '.join(dict.fromkeys(passed))}", stacklevel=4)
-    sets = _sets(given, {"NSET": {*nodes}, "ELSET": elements})
     row = {number: n for n, number in enumerate(nodes)}
     if missing := {n for *_, cells in blocks for n in cells[:, 1:].flat} - {*row}:
         raise InputError(f"*ELEMENT: expected nodes that are there, got {min(missing)}")
@@ -118,47 +108,42 @@ def read_abaqus(text: str) -> SimpleNamespace:
         cells=[SimpleNamespace(dim=d, type=kind, data=at(c[:, 1:])) for d, kind, c in blocks],
         cell_data={},
         field_data={},
-        point_sets={
-            name: [row[n] for n in own] for (of, name), own in sets.items() if of == "NSET"
-        },
+        point_sets={name: [row[n] for n in own] for name, own in sets["NSET"].items()},
         cell_sets={
             name: [np.flatnonzero(np.isin(cells[:, 0], [*own])) for *_, cells in blocks]
-            for (of, name), own in sets.items()
-            if of == "ELSET"
+            for name, own in sets["ELSET"].items()
         },
     )
 
 
-def _elements(told: str, rows: list[str]) -> tuple[int, str, np.ndarray]:
+def _elements(told: str, rows: list[list[str]]) -> tuple[int, str, np.ndarray]:
     """Dimension and kind of cells, and their numbers with their corners', [T, 1 + n]."""
     found = re.fullmatch(r"(CPS|CPE|S|M3D|C3D|T2D|T3D|B2|B3)(\d+)(?:[A-Z]+\d*)?", told.upper())
     d, kinds = KINDS[found[1]] if found else (0, {})
     if found is None or (size := int(found[2])) not in kinds:
-        raise InputError(f"*ELEMENT, TYPE={told}: it is not read; solids, sheets and bars are")
+        raise InputError(f"*ELEMENT, TYPE={told} is not read; tetrahedra, sheets and bars are")
     count = size + (found[1][0] == "B")
-    numbers = [int(word) for row in rows for word in row.split(",") if word.strip()]
+    numbers = [int(word) for row in rows for word in row]
     if not numbers or len(numbers) % (1 + count):
         raise InputError(f"*ELEMENT, TYPE={told}: expected {count} nodes of each")
     return d, kinds[size], np.array(numbers).reshape(-1, 1 + count)
 
 
-def _sets(
-    given: list[tuple[str, dict[str, str], list[str]]], there: dict[str, set[int]]
-) -> dict[tuple[str, str], set[int]]:
-    """Numbers in each set, by its keyword and name; InputError for those that are not there."""
-    found: dict[tuple[str, str], set[int]] = {}
-    for name, options, rows in given:
-        label, here = options.get(name, ""), set[int]()
-        for row in rows:
-            words = [word.strip().strip('"') for word in row.split(",") if word.strip()]
-            if "GENERATE" in options:
-                first, last, *step = map(int, words)
-                here |= {n for n in there[name] if n in range(first, last + 1, *step)}
-                continue
-            for word in words:
-                one = {int(word)} if word.isdigit() else found.get((name, word))
-                if one is None or not one <= there[name]:
-                    raise InputError(f"*{name}, {label}: {word} is not there")
-                here |= one
-        found[name, label] = found.get((name, label), set()) | here
+def _members(
+    told: str,
+    options: dict[str, str],
+    rows: list[list[str]],
+    sets: dict[str, set[int]],
+    there: set[int],
+) -> set[int]:
+    """Numbers of a set, of those that are there; InputError for others."""
+    if "GENERATE" in options:
+        runs = [(int(row[0]), int(row[1]) + 1, *map(int, row[2:])) for row in rows]
+        return {n for run in runs for n in there if n in range(*run)}
+    found: set[int] = set()
+    for word in itertools.chain(*rows):
+        one = {int(word)} if word.isdigit() else sets.get(word)
+        if one is None or not one <= there:
+            raise InputError(f"{told}: {word} is not there")
+        found |= one
     return found

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import numpy as np
 
 from warp_peri.errors import InputError, optional
-from warp_peri.points.mesh import Mesh, Tetrahedra, make_mesh, make_tetrahedra
+from warp_peri.points.mesh import Mesh, make_mesh
 
 GRADING = 0.2
 """Netgen's measure of how fast triangles may grow, 0 to 1."""
@@ -73,42 +75,57 @@ def mesh_outline(outer: Outline, holes: Sequence[Outline] = (), *, size: float) 
     """
     netgen = optional("netgen.geom2d", WITHOUT)
     outlines = (outer, *holes)
-    lengths = [size, *(o.radius for o in outlines if isinstance(o, Circle))]
-    lengths += [o.size for o in outlines if o.size is not None]
-    if not all(np.isfinite(length) and length > 0 for length in lengths):
-        raise InputError(f"outline: expected radii and sizes > 0, got {lengths}")
+    balls = _round("outline", outlines, size)
     geometry = netgen.SplineGeometry()
     for outline in outlines:
         _add(geometry, outline, size, inside=outline is outer)
+    return _meshed("outline", geometry, size, balls, 2)
+
+
+def _round(what: str, outlines: Sequence[Any], size: float) -> list[Any]:
+    """Circles or spheres of outlines; InputError for lengths that are none."""
+    balls = [one for one in outlines if isinstance(one, Circle | Sphere)]
+    sizes = [getattr(one, "size", None) for one in outlines]
+    lengths = [size, *(one.radius for one in balls), *(one for one in sizes if one is not None)]
+    lengths += [side for one in outlines if isinstance(one, Block) for side in one.sides]
+    if not all(np.isfinite(length) and length > 0 for length in lengths):
+        raise InputError(f"{what}: expected radii and sizes > 0, got {lengths}")
+    return balls
+
+
+def _meshed(what: str, geometry: Any, size: float, balls: list[Any], d: int) -> Mesh:
+    """A geometry's mesh, with points of the circles or spheres halfway along their edges."""
     try:
         made = geometry.GenerateMesh(maxh=float(size), grading=GRADING)
     except Exception as error:  # Netgen's own kind
-        raise InputError(f"outline: Netgen cannot mesh it ({error})") from None
-    x = np.array([point.p[:2] for point in made.Points()])
-    triangles = [[p.nr - 1 for p in element.points] for element in made.Elements2D()]
+        raise InputError(f"{what}: Netgen cannot mesh it ({error})") from None
+    x = np.array([point.p for point in made.Points()])[:, :d]
+    *_, sides, body = (made.Elements1D, made.Elements2D, made.Elements3D)[:d]
+    cells = np.array([[p.nr - 1 for p in cell.points] for cell in body()])
+    if not len(cells):
+        raise InputError(f"{what}: Netgen finds nothing inside it")
     parts: dict[str, list[list[int]]] = {}
-    for element in made.Elements1D():
-        ends = [p.nr - 1 for p in element.points]
-        parts.setdefault(made.GetBCName(element.index - 1), []).append(ends)
-    if not triangles:
-        raise InputError("outline: Netgen finds nothing inside it")
-    edges = {name: np.array(pairs) for name, pairs in parts.items()}
-    return make_mesh(x, np.array(triangles), edges, _curved(x, outlines, edges))
+    for side in sides():
+        corners = sorted(p.nr - 1 for p in side.points)
+        parts.setdefault(made.GetBCName(side.index - 1), []).append(corners)
+    middle: dict[tuple[int, int], np.ndarray] = {}
+    for one in balls:
+        away = x - one.centre
+        on = np.abs(np.linalg.norm(away, axis=1) - one.radius) < ROUND * one.radius
+        for side in parts[one.name]:
+            for a, c in itertools.combinations(side, 2):
+                if on[a] and on[c]:
+                    out = away[a] + away[c]
+                    middle[a, c] = one.centre + one.radius * out / np.linalg.norm(out)
+    return make_mesh(x, cells, parts, middle)
 
 
-def _add(geometry: object, outline: Outline, size: float, *, inside: bool) -> None:
+def _add(geometry: Any, outline: Outline, size: float, *, inside: bool) -> None:
     """One closed curve, the body on its inside or its outside."""
-    asked = {"maxh": float(outline.size or size)}
+    maxh = float(outline.size or size)
     if isinstance(outline, Circle):
-        sides = (1, 0) if inside else (0, 1)
-        geometry.AddCircle(  # type: ignore[attr-defined]
-            c=outline.centre,
-            r=outline.radius,
-            leftdomain=sides[0],
-            rightdomain=sides[1],
-            bc=outline.name,
-            **asked,
-        )
+        sides = {"leftdomain": int(inside), "rightdomain": int(not inside), "maxh": maxh}
+        geometry.AddCircle(c=outline.centre, r=outline.radius, bc=outline.name, **sides)
         return
     corners = np.asarray(outline.corners, dtype=float)
     names = outline.names if len(outline.names) > 1 else outline.names * len(corners)
@@ -117,29 +134,11 @@ def _add(geometry: object, outline: Outline, size: float, *, inside: bool) -> No
     if len(names) != len(corners):
         raise InputError(f"polygon: expected a name for each of {len(corners)} sides, got {names}")
     turn = np.roll(corners, -1, axis=0)
-    left = (corners[:, 0] * turn[:, 1] - corners[:, 1] * turn[:, 0]).sum() > 0
-    sides = (1, 0) if left == inside else (0, 1)
-    numbers = [geometry.AppendPoint(*corner) for corner in corners.tolist()]  # type: ignore[attr-defined]
+    left = ((corners[:, 0] * turn[:, 1] - corners[:, 1] * turn[:, 0]).sum() > 0) == inside
+    sides = {"leftdomain": int(left), "rightdomain": int(not left), "maxh": maxh}
+    numbers = [geometry.AppendPoint(*corner) for corner in corners.tolist()]
     for start, end, name in zip(numbers, numbers[1:] + numbers[:1], names):
-        geometry.Append(  # type: ignore[attr-defined]
-            ["line", start, end], leftdomain=sides[0], rightdomain=sides[1], bc=name, **asked
-        )
-
-
-def _curved(
-    x: np.ndarray, outlines: Sequence[Outline], edges: dict[str, np.ndarray]
-) -> dict[tuple[int, int], np.ndarray]:
-    """Points of the circles halfway along their edges."""
-    middle = {}
-    for circle in (o for o in outlines if isinstance(o, Circle)):
-        away = x - circle.centre
-        on = np.abs(np.hypot(*away.T) - circle.radius) < 1e-6 * circle.radius
-        for pair in np.sort(edges[circle.name], axis=1).tolist():
-            if on[pair].all():
-                half = away[pair].sum(axis=0)
-                point = np.asarray(circle.centre) + circle.radius * half / np.hypot(*half)
-                middle[pair[0], pair[1]] = point
-    return middle
+        geometry.Append(["line", start, end], bc=name, **sides)
 
 
 SIDES = ("left", "right", "front", "back", "bottom", "top")
@@ -147,7 +146,7 @@ SIDES = ("left", "right", "front", "back", "bottom", "top")
 
 
 ROUND = 1e-6
-"""How far from a sphere, relatively, the corners of its faces may be."""
+"""How far from a circle or a sphere, relatively, the ends of its edges may be."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +177,7 @@ class Block:
     sides: tuple[float, float, float]
 
 
-def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: float) -> Tetrahedra:
+def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: float) -> Mesh:
     """Tetrahedra between a surface and voids in it.
 
     Args:
@@ -190,49 +189,17 @@ def mesh_solid(outer: Sphere | Block, voids: Sequence[Sphere] = (), *, size: flo
     Netgen.
     """
     csg = optional("netgen.csg", WITHOUT)
-    balls = [one for one in (outer, *voids) if isinstance(one, Sphere)]
-    lengths = [size, *(ball.radius for ball in balls)]
-    lengths += [ball.size for ball in balls if ball.size is not None]
-    lengths += list(outer.sides) if isinstance(outer, Block) else []
-    if not all(np.isfinite(length) and length > 0 for length in lengths):
-        raise InputError(f"solid: expected lengths > 0, got {lengths}")
-
-    def ball(one: Sphere) -> Any:
-        made = csg.Sphere(csg.Pnt(*one.centre), one.radius).bc(one.name)
-        return made.maxh(float(one.size or size))
-
-    body: Any = ball(outer) if isinstance(outer, Sphere) else None
+    balls = _round("solid", (outer, *voids), size)
+    solids = [
+        csg.Sphere(csg.Pnt(*one.centre), one.radius).bc(one.name).maxh(float(one.size or size))
+        for one in balls
+    ]
     if isinstance(outer, Block):
+        out = np.kron(np.eye(3), [[-1.0], [1.0]])
         half = np.array(outer.sides) / 2
-        for n, name in enumerate(SIDES):
-            out = np.zeros(3)
-            out[n // 2] = 2 * (n % 2) - 1
-            plane = csg.Plane(csg.Pnt(*(out * half)), csg.Vec(*out)).bc(name)
-            body = plane if body is None else body * plane
-    for one in voids:
-        body = body - ball(one)
+        planes = [csg.Plane(csg.Pnt(*(n * half)), csg.Vec(*n)) for n in out]
+        faces = [plane.bc(name) for plane, name in zip(planes, SIDES)]
+        solids.insert(0, reduce(operator.mul, faces))
     geometry = csg.CSGeometry()
-    geometry.Add(body)
-    try:
-        made = geometry.GenerateMesh(maxh=float(size), grading=GRADING)
-    except Exception as error:  # Netgen's own kind
-        raise InputError(f"solid: Netgen cannot mesh it ({error})") from None
-    x = np.array([point.p for point in made.Points()])
-    cells = np.array([[p.nr - 1 for p in cell.points] for cell in made.Elements3D()])
-    if not len(cells):
-        raise InputError("solid: Netgen finds nothing inside it")
-    parts: dict[str, list[list[int]]] = {}
-    for face in made.Elements2D():
-        corners = [p.nr - 1 for p in face.points]
-        parts.setdefault(made.GetBCName(face.index - 1), []).append(corners)
-    middle: dict[tuple[int, int], np.ndarray] = {}
-    for one in balls:
-        centre = np.array(one.centre)
-        for face in parts[one.name]:
-            for pair in itertools.combinations(sorted(face), 2):
-                out = x[list(pair)].mean(axis=0) - centre
-                on = x[list(pair)] - centre
-                if np.allclose(np.linalg.norm(on, axis=1), one.radius, rtol=ROUND):  # of this ball
-                    middle[pair] = centre + one.radius * out / np.linalg.norm(out)
-    named = {name: np.array(faces) for name, faces in parts.items()}
-    return make_tetrahedra(x, cells, named, middle)
+    geometry.Add(reduce(operator.sub, solids))
+    return _meshed("solid", geometry, size, balls, 3)
