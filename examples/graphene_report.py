@@ -11,7 +11,7 @@ from examples.figures import panels, save_figure
 from examples.prose import fill, table
 from warp_peri import Dirichlet, Model, Samples, plots, solve
 from warp_peri.files.atomic import write_text
-from warp_peri.learning.result import Fit
+from warp_peri.fitting.result import Fit
 from warp_peri.learning.sweep import Run
 
 PAPER = {

@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from scipy.optimize import least_squares
 from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -33,12 +32,14 @@ from tools.options import Options
 from warp_peri.dynamics.verlet import INERTIA
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json
-from warp_peri.methods import Optimum
+from warp_peri.fitting.regression import Regression, settle
+from warp_peri.fitting.training_data import sample_weights
+from warp_peri.materials.lps import Solid
+from warp_peri.materials.lps_fit import LPSFound, LPSLaw, Products
+from warp_peri.methods import Conditions, Optimum
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.quadrature import family_weights
 from warp_peri.points.samples import part
-from warp_peri.regression.coordinates import Coordinates, Parameters
-from warp_peri.regression.losses import reduce, sample_weights
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 LAM, MU = 0.3, 0.8  # of solids made up here [TPa], whose nodes lie 1 Å apart
@@ -98,17 +99,13 @@ def error(u: np.ndarray, exact: np.ndarray) -> float:
 
 def unconditioned(train: wp.Samples, horizon: float, degree: int) -> wp.Model:
     """The least residual of kernels of a degree, and nothing else."""
-    grid = reduce(train, horizon, sample_weights([train], normalise=False)[0])
-    (i, j), space = grid.pairs, Coordinates([grid.classes], 1.0, degree)
-
-    def residual(y: np.ndarray) -> np.ndarray:
-        point = space.point(y)
-        v = point.v[0]
-        return np.asarray(grid.R @ np.concatenate([v, point.kappa * v[i] * v[j], [1.0]]))
-
-    start = space.start(Parameters(-0.2, 0.7, 1.0, np.ones(degree + 1)))
-    found = space.parameters(least_squares(residual, start, x_scale="jac", xtol=1e-12).x, [])
-    return wp.Model(found.lam, found.mu, found.alpha, found.D, horizon)
+    products = Products(train, horizon)
+    start = LPSFound(Solid(-0.2, 0.7, 1.0, np.ones(degree + 1)))
+    block = products.rows(sample_weights([train], normalise=False)[0])
+    law = LPSLaw([products.classes], start, Conditions(zeta=1e-6), Optimum(moduli=None))
+    problem = Regression([block], law, law.zeta, 1.0)  # without a look for cuts
+    theta, _ = settle(problem.state, law.start(start))
+    return law.found(problem.found(theta, [1.0], 0.0)).model(horizon)
 
 
 def no_conditions() -> Case:

@@ -26,8 +26,9 @@ from warp_peri.cluster import scheduler
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import locked
-from warp_peri.learning import METHODS, methods
-from warp_peri.learning.result import Fit
+from warp_peri.fitting import settings
+from warp_peri.fitting.result import Fit
+from warp_peri.learning import METHODS
 from warp_peri.learning.sweep import train
 from warp_peri.materials.third_order import CUBIC, ThirdOrderCrystal
 from warp_peri.methods import sweep
@@ -100,7 +101,7 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
 def method_of(given: argparse.Namespace) -> Any:
     """The method that was asked for, or Algorithm 1 as it is printed."""
     if not given.as_printed:
-        return methods.named(given.method, seed=given.seed)
+        return settings.named(given.method, seed=given.seed)
     return as_printed(given.seed, given.out / "as_printed.npz")
 
 

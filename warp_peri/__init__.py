@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
     from warp_peri.fitting.diagnose import diagnose
+    from warp_peri.fitting.settings import Bernstein
     from warp_peri.fracture.problems import Cracked
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, fit
-    from warp_peri.learning.methods import Bernstein
     from warp_peri.materials.certificate import certify
     from warp_peri.materials.density import Density, DensityMaterial
     from warp_peri.materials.lps import Model
@@ -97,7 +97,7 @@ _NAMES = {
     "fitting.diagnose": ("diagnose",),
     "learning.evaluate": ("evaluate",),
     "learning.laws": ("LPS", "fit"),
-    "learning.methods": ("Bernstein",),
+    "fitting.settings": ("Bernstein",),
     "micromodulus.crystal_fit": ("Micromodulus",),
     "materials.lps": ("Model",),
     "materials.density": ("Density", "DensityMaterial"),

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
@@ -44,9 +44,11 @@ from tools.thermal import (
 )
 from warp_peri import Bernstein, Dataset, Points, Samples
 from warp_peri.errors import exit_status
+from warp_peri.fitting.training_data import sample_weights
 from warp_peri.materials.lps import bernstein_basis
+from warp_peri.materials.lps_fit import Products, class_pairs, class_weights
 from warp_peri.methods import Optimum, Sweep, TwoStage
-from warp_peri.regression.losses import ReducedLoss, class_weights, reduce, sample_weights
+from warp_peri.points.families import BondClasses
 
 DATA, CACHE, SWEEPS = (
     ROOT / "data" / "graphene_0K.h5", ROOT / "data" / "graphene_0K.cache", ROOT / "runs",
@@ -167,27 +169,34 @@ def manufactured(spacing: float) -> Samples:
     return Samples(Points(x, interior, spacing), np.array(u), np.array(b))
 
 
-def relative_residual(reduced: ReducedLoss, alpha: float, D: np.ndarray) -> float:
+class Reduced(NamedTuple):
+    """The residual in few rows, ‖R (p, 1)‖² of the products p of bond classes."""
+
+    classes: BondClasses
+    R: np.ndarray
+
+
+def relative_residual(reduced: Reduced, alpha: float, D: np.ndarray) -> float:
     """‖L u − b‖/‖b‖ over all samples, at the given λ and μ."""
     return float(np.linalg.norm(_residual(reduced, alpha, D)))
 
 
-def _residual(reduced: ReducedLoss, alpha: float, D: np.ndarray) -> np.ndarray:
+def _residual(reduced: Reduced, alpha: float, D: np.ndarray) -> np.ndarray:
     exponent = torch.tensor(alpha, dtype=torch.float64)
     R = torch.from_numpy(np.asarray(reduced.R))
     return np.asarray(_products(reduced, R, exponent, torch.from_numpy(D)))
 
 
 def _products(
-    reduced: ReducedLoss, R: torch.Tensor, alpha: torch.Tensor, D: torch.Tensor
+    reduced: Reduced, R: torch.Tensor, alpha: torch.Tensor, D: torch.Tensor
 ) -> torch.Tensor:
     w = class_weights(reduced.classes, alpha, D)
-    i, j = reduced.pairs
+    i, j = class_pairs(len(w))
     return R @ torch.cat([MU * w, (LAM - MU) * w[i] * w[j], torch.ones(1, dtype=torch.float64)])
 
 
 def positive_fit(
-    reduced: ReducedLoss, degree: int, *, learn_alpha: bool, seed: int
+    reduced: Reduced, degree: int, *, learn_alpha: bool, seed: int
 ) -> tuple[float, np.ndarray]:
     """α (1 unless learned) and D ≥ 0 at the optimum from a random start."""
     start = np.random.default_rng(seed).uniform(size=degree + 1)
@@ -204,7 +213,7 @@ def positive_fit(
 
 
 def adam_fit(
-    reduced: ReducedLoss, degree: int, *, learn_alpha: bool, seed: int
+    reduced: Reduced, degree: int, *, learn_alpha: bool, seed: int
 ) -> tuple[float, np.ndarray]:
     """α (1 unless learned) and D ≥ 0 where Adam ends, as the prediction step is printed."""
     start = torch.from_numpy(np.random.default_rng(seed).uniform(size=degree + 2))
@@ -238,11 +247,13 @@ def kernel(alpha: float, D: np.ndarray, r: np.ndarray) -> np.ndarray:
 
 
 @cache
-def grid(spacing: float, quadrature_degree: int) -> ReducedLoss:
+def grid(spacing: float, quadrature_degree: int) -> Reduced:
     """The reduced loss of the 70 samples on one grid."""
     samples = manufactured(spacing)
     weight = sample_weights([samples], normalise=False)[0]
-    return reduce(samples, HORIZON, weight, quadrature_degree=quadrature_degree)
+    products = Products(samples, HORIZON, quadrature_degree=quadrature_degree)
+    rows = products.rows(weight)
+    return Reduced(products.classes, np.column_stack([rows.R, -rows.y]))
 
 
 def known_kernel() -> Table:

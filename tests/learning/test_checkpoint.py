@@ -11,9 +11,9 @@ from warp_peri import Bernstein, InputError
 from warp_peri.learning import two_stage
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.two_stage import Checkpoint
+from warp_peri.materials.lps import Solid
+from warp_peri.materials.lps_fit import OperatorLoss
 from warp_peri.methods import Conditions, TwoStage
-from warp_peri.regression.coordinates import Parameters
-from warp_peri.regression.losses import reduce, sample_weights
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ QUICK = TwoStage(epochs=100, inner_epochs=30, outer_iterations=5)
 
 def run(points, checkpoint=None, degree=3, **options):
     method = replace(QUICK, checkpoint=checkpoint)
-    return fit(points, 2.5, Bernstein(degree), method=method, **options).history[-1].parameters
+    return fit(points, 2.5, Bernstein(degree), method=method, **options).history[-1]
 
 
 @pytest.mark.parametrize("after", [1, 3])
@@ -46,9 +46,10 @@ def test_resumed_is_unbroken(points, tmp_path, monkeypatch, after):
         with pytest.raises(KeyboardInterrupt):
             run(points, path)
     resumed = run(points, path)
-    assert (resumed.lam, resumed.mu, resumed.alpha) == (unbroken.lam, unbroken.mu, unbroken.alpha)
-    np.testing.assert_array_equal(resumed.D, unbroken.D)
-    assert resumed.losses == unbroken.losses
+    first, again = unbroken.parameters, resumed.parameters
+    assert (again.lam, again.mu, again.alpha) == (first.lam, first.mu, first.alpha)
+    np.testing.assert_array_equal(again.D, first.D)
+    assert resumed.loss == unbroken.loss
 
 
 def test_a_finished_run_is_not_run_again(points, tmp_path, monkeypatch):
@@ -61,8 +62,8 @@ def test_a_finished_run_is_not_run_again(points, tmp_path, monkeypatch):
 
     monkeypatch.setattr(two_stage, "_adam", first_stage_only)
     again = run(points, tmp_path / "state.npz")
-    assert again.losses == first.losses
-    np.testing.assert_array_equal(again.D, first.D)
+    assert again.loss == first.loss
+    np.testing.assert_array_equal(again.parameters.D, first.parameters.D)
 
 
 def test_a_checkpoint_of_another_run_is_refused(points, tmp_path):
@@ -93,17 +94,11 @@ class _Fixed:
 
 def test_the_multiplier_climbs_with_the_violation(points, tmp_path):
     method = TwoStage(inner_epochs=0, outer_iterations=1)
-    weight = sample_weights([points], normalise=False)[0]
     kept = Checkpoint(tmp_path / "state.npz", "key")
-    start = Parameters(-0.1, 0.7, 1.0, np.ones(2))
-    two_stage.sign_changing_stage(
-        [reduce(points, 2.5, weight)],
-        start,
-        _Fixed(),
-        method,
-        checkpoint=kept,
-        tick=lambda loss: None,
-    )
+    start = Solid(-0.1, 0.7, 1.0, np.ones(2))
+    variables = two_stage.Variables(start, 1.0, positive=False, parametrisation="projected")
+    loss = OperatorLoss(points, 2.5, np.ones(len(points)))
+    two_stage._augmented_lagrangian([loss], variables, _Fixed(), method, kept, lambda loss: None)
     *_, slack, multiplier, previous = kept.load().tensors
     assert slack == 1.0
     assert multiplier == 1.0 * (0.5 - slack**2)  # φ ← φ + ψ H, H = margin − ϖ²

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, noise, with_nodes
+from tests.support.symbols import smallest_margins
 from warp_peri import Bernstein, InputError, certify, evaluate
-from warp_peri.learning import stages
-from warp_peri.learning import training_data as training
+from warp_peri.learning import fit as learning
 from warp_peri.learning.fit import learn as fit
 from warp_peri.materials.lps import Model, moduli, stiffnesses
+from warp_peri.materials.lps_fit import Products
 from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.optimum import LatticeConditions
 
 LAM, MU = -0.2, 0.7
 ZETA = 0.01
@@ -82,9 +82,9 @@ def test_adam_by_itself_reaches_the_constrained_optimum(kind, moduli):
     assert len(learned.starts) == 4
     assert min(learned.starts.values()) > 1e-3
     assert first.loss[-1] <= 1.001 * second.loss[-1]
-    kept = LatticeConditions(bond_classes(1.0, 2.5), asked)
-    model = Model(*(getattr(first.parameters, n) for n in ("lam", "mu", "alpha", "D")), 2.5)
-    assert kept.smallest(*shares(model)).min() >= -1e-6
+    model = Model(*first.parameters.values(), 2.5)
+    margins = smallest_margins(bond_classes(1.0, 2.5), asked, *shares(model))
+    assert margins.min() >= -1e-6
 
 
 def test_a_violating_model_ends_feasible_with_the_condition_active():
@@ -107,8 +107,8 @@ def test_the_printed_conditions_hold_densely_and_are_active():
     assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_max
     assert dense.schwarz
     assert dense.gamma_min > 0
-    kept = LatticeConditions(bond_classes(1.0, horizon), Conditions("paper", ZETA))
-    margins = kept.smallest(*shares(learned.material))
+    asked = Conditions("paper", ZETA)
+    margins = smallest_margins(bond_classes(1.0, horizon), asked, *shares(learned.material))
     assert (margins >= -1e-8).all()
     # the model that made the data keeps (i) and breaks (iii)
     assert margins[2] == pytest.approx(0, abs=1e-6)
@@ -121,7 +121,7 @@ def test_two_stage_stops_after_two_stages(monkeypatch):
     def asked(_):
         raise RuntimeError("Algorithm 1 asks for no moduli of long waves")
 
-    monkeypatch.setattr(stages, "long_wave_moduli", asked)
+    monkeypatch.setattr(learning, "lame_of_long_waves", asked)
     points, _ = data("sign-changing", 3.0)
     longer = TwoStage(epochs=1000, inner_epochs=160, outer_iterations=6)
     learned = fit(points, horizon=3.0, kernel=Bernstein(5), method=longer)
@@ -157,16 +157,6 @@ def test_the_same_seed_gives_the_same_bits():
         assert np.array_equal(getattr(first.material, name), getattr(second.material, name))
     assert first.history[0].loss == second.history[0].loss
     assert first.history[0].loss != other.history[0].loss
-    whole = [
-        fit(
-            points,
-            horizon=2.5,
-            kernel=Bernstein(3),
-            method=Constrained(1, optimum=Optimum(jobs=jobs)),
-        ).material
-        for jobs in (1, 2)
-    ]
-    assert np.array_equal(whole[0].D, whole[1].D)
 
 
 def test_two_lattices_are_learned_together():
@@ -211,19 +201,17 @@ def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
     assert abs(absolute.mu - first.mu) > 1e-4
 
 
-@pytest.mark.parametrize(("error", "caught"), [(1e-5, True), (1e-9, False)])
-def test_a_reduced_loss_that_departs_from_the_full_one_is_caught(monkeypatch, error, caught):
+def test_rows_that_depart_from_the_operator_are_caught(monkeypatch):
     points, _ = data("positive", 2.5)
-    reduce = training.reduce
+    points = replace(points, b=points.b + 0.05 * noise(points, 10))
+    rows = Products.rows
 
-    def wrong(*given):
-        right = reduce(*given)
-        return replace(right, R=right.R * (1 + error))
+    def wrong(self, weight):
+        right = rows(self, weight)
+        return replace(right, y=right.y * (1 + 1e-4))
 
-    monkeypatch.setattr(training, "reduce", wrong)
-    words = r"the reduced \w+ departs from the full one by"
-    kind = pytest.raises if caught else pytest.warns
-    with kind(RuntimeError if caught else UserWarning, match=words):
+    monkeypatch.setattr(Products, "rows", wrong)
+    with pytest.raises(RuntimeError, match="the residual by rows departs from the operator's by"):
         fit(points, horizon=2.5, kernel=Bernstein(3))
 
 

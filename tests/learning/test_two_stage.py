@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
+from tests.support.symbols import smallest_margins
 from warp_peri import Bernstein, certify
 from warp_peri.learning.fit import learn as fit
 from warp_peri.learning.two_stage import (
@@ -12,14 +13,13 @@ from warp_peri.learning.two_stage import (
     PRINTED_HORIZON,
     DenseMargins,
     SymbolMargins,
-    _blocks,
     _class_matrices,
-    _dense,
+    least_of_blocks,
+    mirror_blocks,
 )
 from warp_peri.materials.lps import stiffnesses
-from warp_peri.methods import TwoStage
+from warp_peri.methods import Conditions, TwoStage
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.optimum import Conditions, LatticeConditions
 
 HORIZON, ZETA = 3.0, 0.02
 CLASSES = bond_classes(1.0, HORIZON)
@@ -32,7 +32,7 @@ def class_weights(model):
 def margins_of(kind):
     if kind == "dense":
         return DenseMargins([lattice(ell(), HORIZON)], HORIZON)
-    return SymbolMargins([LatticeConditions(CLASSES, Conditions("paper", ZETA))])
+    return SymbolMargins(Conditions("paper", ZETA), [CLASSES])
 
 
 @pytest.mark.parametrize("kind", ["symbol", "dense"])
@@ -75,26 +75,25 @@ def test_mirrors_split_the_dense_conditions_without_changing_them():
     w = class_weights(model)
     gammas, phis = _class_matrices(points, HORIZON)
     x = points.x[points.interior]
-    blocks = _blocks(gammas, phis, x)
-    assert [len(parts) for parts in (blocks, _blocks(gammas, phis, x**1.1))] == [4, 1]
-    margins = DenseMargins([points], HORIZON)
+    assert len(mirror_blocks(gammas, phis, x)) == 4
+    assert len(mirror_blocks(gammas, phis, x**1.1)) == 1
     leaf = torch.tensor(w, requires_grad=True)
-    found = margins(torch.ones(()), torch.ones(()), [leaf])
-    values, slopes = _dense([(gammas, phis)], w)
-    values, slopes = margins.units * values - margins.levels, margins.units[:, None] * slopes
-    np.testing.assert_allclose(found.detach(), values, rtol=1e-9, atol=1e-14)
-    for margin, slope in zip(found, slopes):
-        (gradient,) = torch.autograd.grad(margin, leaf, retain_graph=True)
-        np.testing.assert_allclose(gradient, slope, atol=1e-9 * np.abs(slope).max())
+    whole, blocks = (
+        least_of_blocks(parts, leaf) for parts in ([(gammas, phis)], mirror_blocks(gammas, phis, x))
+    )
+    for one, other in zip(whole, blocks):
+        assert other.item() == pytest.approx(one.item(), rel=1e-9, abs=1e-14)
+        slope, same = (torch.autograd.grad(margin, leaf)[0].numpy() for margin in (one, other))
+        np.testing.assert_allclose(same, slope, atol=1e-9 * np.abs(slope).max())
 
 
 def test_symbol_margins_are_the_smallest_of_the_zone():
     model = kernel("sign-changing", HORIZON, lam=-0.2)
-    conditions = LatticeConditions(CLASSES, Conditions("paper", ZETA))
+    conditions = Conditions("paper", ZETA)
     weights = [torch.from_numpy(class_weights(model))]
     lam, mu = torch.tensor([model.lam, model.mu], dtype=torch.float64)
-    margins = SymbolMargins([conditions])(lam, mu, weights).numpy()
-    smallest = conditions.smallest(*stiffnesses(model, CLASSES))
+    margins = SymbolMargins(conditions, [CLASSES])(lam, mu, weights).numpy()
+    smallest = smallest_margins(CLASSES, conditions, *stiffnesses(model, CLASSES))
     np.testing.assert_allclose(margins, smallest, atol=2e-3)
     assert (margins >= smallest - 1e-12).all()
 

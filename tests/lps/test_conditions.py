@@ -4,15 +4,13 @@ import numpy as np
 import pytest
 
 from tests.support.problems import GRADIENT, KERNELS, difference, kernel
-from tests.support.symbols import form, smallest
+from tests.support.symbols import form, smallest, smallest_margins
 from warp_peri import InputError
 from warp_peri.core.stencil import ratios
+from warp_peri.fitting.settings import CONDITIONS, Conditions, Optimum
 from warp_peri.materials.lps import stiffnesses
+from warp_peri.materials.lps_fit import LPSFound, LPSLaw, class_pairs, product_basis
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.coordinates import Parameters
-from warp_peri.regression.losses import class_pairs, product_basis
-from warp_peri.regression.optimum import CONDITIONS, Conditions, LatticeConditions, LPSNumbers
-from warp_peri.regression.settings import Optimum
 
 CLASSES = bond_classes(1.0, 3.0)
 every_kernel = pytest.mark.parametrize("name", KERNELS)
@@ -30,9 +28,9 @@ def printed(v, kappa, mu, k):
 @every_kind
 def test_derivatives_of_the_numbers(name, kind):
     model, method = kernel(name, 3.0, lam=0.1), Optimum("isotropic", smoothness=1e-3)
-    start = Parameters(model.lam, model.mu, model.alpha, model.D)
-    law = LPSNumbers([CLASSES], start, [LatticeConditions(CLASSES, Conditions(kind, 0.02))], method)
-    y = law.coordinates.start(start)
+    start = LPSFound(model.solid)
+    law = LPSLaw([CLASSES], start, Conditions(kind, 0.02), method)
+    y = law.start(start)
     at = law(y)
     assert len(at.forms) == len(CONDITIONS[kind])
 
@@ -53,8 +51,7 @@ def test_the_conditions_are_the_printed_ones(name):
     v, kappa = stiffnesses(model, CLASSES)
     k = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
     bonds, (i, j) = product_basis(CLASSES), class_pairs(len(v))
-    asked = LatticeConditions(CLASSES, Conditions("paper", 0.02))
-    for number, (own, level) in enumerate(asked.forms(kappa, 0.6)):
+    for number, (own, level) in enumerate(Conditions("paper", 0.02).forms(kappa, 0.6)):
         tensors = np.tensordot(np.concatenate([v, own * v[i] * v[j]]), bonds.basis, 1)
         margins = ratios(bonds.steps, tensors, k)[0] - level
         np.testing.assert_allclose(margins, printed(v, kappa, 0.6, k)[number], atol=1e-12)
@@ -64,7 +61,7 @@ def test_the_conditions_are_the_printed_ones(name):
 @every_kind
 def test_the_search_finds_what_a_finer_grid_finds(name, kind):
     v, kappa = stiffnesses(kernel(name, 3.0, lam=0.7), CLASSES)
-    margins = LatticeConditions(CLASSES, Conditions(kind, 0.02)).smallest(v, kappa)
+    margins = smallest_margins(CLASSES, Conditions(kind, 0.02), v, kappa)
     line = np.linspace(1e-3, np.pi, 301)
     fine = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
     mu = CLASSES.count * CLASSES.r**2 @ v
@@ -83,4 +80,4 @@ def test_the_search_finds_what_a_finer_grid_finds(name, kind):
 )
 def test_bad_choices_are_refused(kind, zeta, words):
     with pytest.raises(InputError, match=words):
-        LatticeConditions(CLASSES, Conditions(kind, zeta))
+        Conditions(kind, zeta)

@@ -11,13 +11,12 @@ from tests.support.problems import GRADIENT, REDUCED, difference, kernel, lattic
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from warp_peri import InputError, certify
 from warp_peri.fitting.regression import Regression
+from warp_peri.fitting.settings import Conditions, Optimum
+from warp_peri.fitting.training_data import sample_weights
 from warp_peri.materials.influence import gaussian, table
-from warp_peri.materials.lps import stiffnesses
+from warp_peri.materials.lps import Solid, stiffnesses
+from warp_peri.materials.lps_fit import LPSFound, LPSLaw, OperatorLoss, Products, ShapeKernel
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.coordinates import Parameters, ShapeCoordinates
-from warp_peri.regression.losses import FullLoss, reduce, sample_weights
-from warp_peri.regression.optimum import Conditions, LatticeConditions, LPSNumbers
-from warp_peri.regression.settings import Optimum
 from warp_peri.shapes import InfluenceFunction
 
 # The polynomial
@@ -83,23 +82,25 @@ def test_slopes_of_a_gaussian_are_those_of_the_formula():
 def test_coordinates(shape):
     lattices = [bond_classes(1.0, HORIZON), bond_classes(0.8, HORIZON)]
     shape = dataclasses.replace(shape, bounds={next(iter(shape.parameters)): (-5.0, 9.0)})
-    coordinates = ShapeCoordinates(lattices, shape)
-    y = coordinates.start(Parameters(0.1, 0.7, 0.0, np.ones(1), shape=shape))
-    point = coordinates.point(y)
+    start = LPSFound(Solid(0.1, 0.7, 0.0, np.ones(1)), shape)
+    law = LPSLaw(lattices, start, Conditions(zeta=0.01), Optimum(moduli=None, smoothness=1e-3))
+    assert isinstance(law.kernel, ShapeKernel)
+    theta = law.start(start)
+    tables, _, dmu = law.stiffnesses(theta)
 
-    def values(y):
-        point = coordinates.point(y)
-        rough, _ = coordinates.roughness(y, point)
-        return np.concatenate([[point.mu], *point.v, point.limits, rough])
+    def values(theta):
+        tables, mu, _ = law.stiffnesses(theta)
+        at = law(theta)
+        return np.concatenate([[mu], *(v for v, _ in tables), at.margins, at.beside])
 
-    _, rough = coordinates.roughness(y, point)
-    derivatives = np.concatenate([point.dmu[None], *point.dv, point.dlimits, rough])
-    assert len(point.limits) == 2 * np.size(next(iter(shape.parameters.values())))
-    np.testing.assert_allclose(derivatives, difference(values, y, 1e-3).T, atol=1e-8)
-    for classes, v in zip(lattices, point.v):
+    at = law(theta)
+    derivatives = np.concatenate([dmu[None], *(dv for _, dv in tables), at.M, at.by])
+    assert len(at.margins) == 2 + 2 * np.size(next(iter(shape.parameters.values())))
+    np.testing.assert_allclose(derivatives, difference(values, theta, 1e-3).T, atol=1e-7)
+    for classes, (v, _) in zip(lattices, tables):
         expected = stiffnesses(solid(shape, 1.0, 0.8), classes)
         np.testing.assert_allclose(v, expected[0], atol=1e-8)
-        assert point.kappa == pytest.approx(expected[1])
+        assert theta[0] / 0.7 == pytest.approx(expected[1])
 
 
 @every_shape
@@ -107,20 +108,15 @@ def test_the_gradient_through_the_whole_forward_pass(shape):
     """That of the fit, against differences of the full loss that Warp evaluates."""
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     (weight,) = sample_weights([points], normalise=False)
-    classes, full = bond_classes(1.0, HORIZON), FullLoss(points, HORIZON, weight)
-    start = Parameters(0.3, 0.5, 0.0, np.ones(1), shape=off(shape))
-    asked, free = LatticeConditions(classes, Conditions("direct", 0.01)), Optimum(moduli=None)
-    law = LPSNumbers([classes], start, [asked], free)
-    problem = Regression([reduce(points, HORIZON, weight).block], law, 0.01, 1.0)
-    coordinates = law.coordinates
-    y = coordinates.start(start)
+    products, full = Products(points, HORIZON), OperatorLoss(points, HORIZON, weight)
+    start = LPSFound(Solid(0.3, 0.5, 0.0, np.ones(1)), off(shape))
+    law = LPSLaw([products.classes], start, Conditions(zeta=0.01), Optimum(moduli=None))
+    problem = Regression([products.rows(weight)], law, 0.01, 1.0)
+    y = law.start(start)
 
     def loss(y):
-        parameters = coordinates.parameters(y, [])
-        numbers = (
-            torch.tensor(value, dtype=torch.float64)
-            for value in (parameters.lam, parameters.mu, parameters.alpha, parameters.D)
-        )
+        solid = law.found(problem.found(y, [1.0], 0.0)).solid
+        numbers = (torch.tensor(value, dtype=torch.float64) for value in solid.values())
         return np.array(full.loss(*numbers).item())
 
     state = problem.state(y)
@@ -211,7 +207,7 @@ def test_a_volume_of_zero():
     size = classes.count * classes.r**2 * classes.weight
     shape = InfluenceFunction(lambda r: np.interp(r, LENGTHS, np.array([1, -1, 0, 0, 0, 0]) / size))
     with pytest.raises(InputError, match="weighted volume"):
-        ShapeCoordinates([classes], shape)
+        ShapeKernel([classes], shape)
 
 
 @pytest.mark.parametrize(

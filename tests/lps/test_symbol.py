@@ -5,10 +5,11 @@ import pytest
 
 from tests.support.problems import KERNELS, kernel, periodic
 from tests.support.symbols import smallest, symbol
+from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import laplacian, zone_sample
 from warp_peri.materials.lps import lps_stencil, moduli, stiffnesses
+from warp_peri.materials.lps_fit import class_pairs, product_basis
 from warp_peri.points.families import bond_classes
-from warp_peri.regression.losses import class_pairs, lattice_group, product_basis
 
 every_kernel = pytest.mark.parametrize("name", KERNELS)
 

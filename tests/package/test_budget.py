@@ -16,15 +16,15 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 25_035,
-    "tokens": 299_287,
-    "lines of warp_peri": 41_491,
+    "code lines": 24_763,
+    "tokens": 296_347,
+    "lines of warp_peri": 40_950,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 61_647,
+    "lines of warp_peri, kernels, examples and tools": 61_115,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
-    "characters of the longest string": 1_810,
+    "characters of the longest string": 1_786,
     "class names twice": 0,
     "imports of warp_peri inside functions": 13,
     "asserts in warp_peri": 0,
@@ -39,18 +39,17 @@ ROOMS = {
     "edges": 961,
     "face": 930,
     "files": 576,
-    "fitting": 827,
+    "fitting": 1140,
     "fracture": 1770,
-    "learning": 1526,
-    "materials": 4217,
+    "learning": 1207,
+    "materials": 4543,
     "micromodulus": 693,
     "neural": 1015,
     "points": 1769,
     "prediction": 887,
     "ranks": 919,
-    "regression": 587,
     "statics": 1095,
-    "transfer": 365,
+    "transfer": 360,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -20,9 +20,9 @@ from warp_peri.cli.train import in_percent
 from warp_peri.errors import exit_status
 from warp_peri.learning.fit import learn as fit
 from warp_peri.materials.third_order import Smoothing
+from warp_peri.methods import Conditions
 from warp_peri.points.dataset import save_dataset
 from warp_peri.points.families import families_of
-from warp_peri.regression.optimum import Conditions
 from warp_peri.transfers import onto_lattice
 
 HORIZON = 2.5

@@ -18,7 +18,7 @@ from warp_peri.atoms import LearnedCrystal
 from warp_peri.contract import MaterialFit
 from warp_peri.edges.body import BodyGradient, Coupling, body_gradient
 from warp_peri.fitting.diagnose import Diagnosis
-from warp_peri.learning.result import Fit
+from warp_peri.fitting.result import Fit
 from warp_peri.materials.third_order import ThirdOrderCrystal
 
 SPACING, HORIZON, DENSITY, THICKNESS = 1.0, 2.5, 2200.0, 3.35
@@ -61,7 +61,7 @@ def learn(folder: Path) -> Fit:
         warp_peri.LPS(
             HORIZON,
             warp_peri.Bernstein(1),
-            method=methods.Constrained(seed=9, optimum=methods.Optimum(jobs=1)),
+            method=methods.Constrained(seed=9, optimum=methods.Optimum()),
             conditions=methods.Conditions(zeta=0.01),
         ),
     )

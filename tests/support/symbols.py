@@ -2,8 +2,11 @@
 
 import numpy as np
 
+from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import laplacian
+from warp_peri.fitting.regression import Zone
 from warp_peri.materials.lps import stiffnesses
+from warp_peri.materials.lps_fit import class_pairs, product_basis
 from warp_peri.points.families import bond_classes
 
 
@@ -25,3 +28,15 @@ def symbol(model, k, spacing=1.0):
 def smallest(D, k, spacing=1.0):
     """Λmin / s, shape [K]."""
     return np.linalg.eigvalsh(D)[:, 0] * spacing**2 / laplacian(spacing * k)
+
+
+def smallest_margins(classes, conditions, v, kappa):
+    """Smallest Λmin / s less its level of each condition, as the search finds them."""
+    zone, (i, j) = Zone(product_basis(classes), lattice_group(2)), class_pairs(len(v))
+    mu = classes.count * classes.r**2 @ v
+    return np.array(
+        [
+            zone.softest(np.concatenate([v, own * v[i] * v[j]]), -np.inf)[0] - level
+            for own, level in conditions.forms(kappa, mu)
+        ]
+    )

@@ -21,6 +21,7 @@ from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep, refuse_used
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, write_json
+from warp_peri.fitting import settings
 from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
@@ -137,7 +138,7 @@ def _dataset(given: argparse.Namespace) -> Dataset:
 
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
-    from warp_peri.learning import methods, sweep
+    from warp_peri.learning import sweep
     from warp_peri.micromodulus.crystal_fit import long_waves_of_data
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
@@ -145,8 +146,8 @@ def run_train(given: argparse.Namespace) -> Result:
     if given.law != "lps":
         return _train_other(given, data)
     samples, noise = data[given.set], data[given.noise] if given.noise else None
-    kernel: methods.Kernel
-    kernel = methods.Bernstein(DEGREE if given.degree is None else given.degree)
+    kernel: settings.Kernel
+    kernel = settings.Bernstein(DEGREE if given.degree is None else given.degree)
     if given.influence:
         if given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
@@ -159,7 +160,7 @@ def run_train(given: argparse.Namespace) -> Result:
             kernel,
             data.sets,
             noise=noise,
-            method=methods.named(given.method, seed=given.seed),
+            method=settings.named(given.method, seed=given.seed),
             conditions=warp_peri.methods.Conditions(given.conditions, given.zeta),
             loss=given.loss,
             normalise=given.normalise,

@@ -9,10 +9,10 @@ KNOWN = 0.1
 
 
 def without_noise(R: np.ndarray, y: np.ndarray, noise: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """‖R p + y‖² less ‖N p‖², what noise in u adds to it, as a square again (theory, 36–37).
+    """‖R p − y‖² less ‖N p‖², what noise in u adds to it, as a square again (theory, 36–37).
 
     Loads carry no noise, so that the difference is a quadratic form of p that has the minimum of
-    ‖√(1−ν) Vᵗ R p + (1−ν)^(−½) Uᵗ y‖² and a constant. Directions of which less than KNOWN is not
+    ‖√(1−ν) Vᵗ R p − (1−ν)^(−½) Uᵗ y‖² and a constant. Directions of which less than KNOWN is not
     noise count nothing; they hang on those that are looked at, so that p are to be the numbers of
     the law. No squares are subtracted, so that digits are kept.
     """

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from warp_peri.contract import MaterialFit
 from warp_peri.core.elastic import allowed_tensors
+from warp_peri.core.groups import lattice_group
 from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
-from warp_peri.materials.lps import Model
+from warp_peri.fitting.settings import Conditions, Optimum
+from warp_peri.fitting.training_data import sample_weights
+from warp_peri.materials.lps import Solid
+from warp_peri.materials.lps_fit import LPSFound, Products, optimum
 from warp_peri.micromodulus.law import tensors_of
 from warp_peri.points.samples import Samples
-from warp_peri.regression.coordinates import Parameters
-from warp_peri.regression.losses import lattice_group, reduce, sample_weights
-from warp_peri.regression.optimum import Conditions, LatticeConditions, constrained_optimum
-from warp_peri.regression.settings import Optimum
 
 ALPHA = 1.0
 """Of K = r^(−α) Σ D B; D bends it to any other."""
@@ -46,16 +48,15 @@ def learn_in_space(
 
     Raises InputError for samples that do not carry the horizon, and without a positive answer.
     """
-    grid = reduce(samples, horizon, sample_weights([samples], normalise=normalise)[0])
+    products = Products(samples, horizon)
+    block = products.rows(sample_weights([samples], normalise=normalise)[0])
     allowed = allowed_tensors("isotropic", lattice_group(3), np.eye(3))
     mu = float(long_wave_moduli(samples, allowed)[0][0, 1, 0, 1])
-    asked = LatticeConditions(grid.classes, Conditions(zeta=zeta or SHARE * mu))
-    start = Parameters(0.0, mu, ALPHA, np.ones(degree + 1))
-    reached = constrained_optimum([grid], start, [asked], method)
-    found = reached.parameters
-    model = Model(
-        found.lam, found.mu, found.alpha, found.D, horizon, units=samples.points.units, dimension=3
-    )
+    start = LPSFound(Solid(0.0, mu, ALPHA, np.ones(degree + 1)))
+    asked = Conditions(zeta=zeta or SHARE * mu)
+    reached = optimum([block], [products.classes], start, asked, method)
+    bare = reached.model(horizon, dimension=3)
+    model = replace(bare, units=samples.points.units)
     proof = tensors_of(model, samples.spacing).certificate
     if not reached.converged or proof is None or not proof.holds:
         raise InputError("data: no positive solid of this horizon and kernel was found for them")

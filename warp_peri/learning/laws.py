@@ -11,18 +11,16 @@ from typing import Any, overload
 from warp_peri.contract import MaterialFit, offered, taken
 from warp_peri.errors import InputError
 from warp_peri.fitting.diagnose import warn_of_kind
+from warp_peri.fitting.result import Fit
+from warp_peri.fitting.settings import Bernstein, Conditions, Kernel, Method, Optimum
+from warp_peri.fitting.training_data import listed
 from warp_peri.learning.fit import learn
 from warp_peri.learning.in_space import learn_in_space
-from warp_peri.learning.methods import Bernstein, Kernel, Method
-from warp_peri.learning.result import Fit
-from warp_peri.learning.training_data import listed
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.micromodulus.crystal_fit import Micromodulus
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.samples import Samples
-from warp_peri.regression.optimum import Conditions
-from warp_peri.regression.settings import Optimum
 
 Sets = Samples | Dataset | Sequence[Samples]
 

@@ -19,16 +19,14 @@ from tqdm import tqdm
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import locked, parsed, write_json
 from warp_peri.files.checkpoint import fingerprint
+from warp_peri.fitting.settings import Bernstein, Conditions, Kernel, Method, Optimum, TwoStage
 from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
-from warp_peri.learning.methods import Bernstein, Kernel, Method, TwoStage
 from warp_peri.materials.lps import Model
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
-from warp_peri.regression.optimum import Conditions
-from warp_peri.regression.settings import Optimum
 
 ERRORS = ("E_res", "E_u", "E_res_abs")
 """Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""

@@ -20,24 +20,26 @@ import torch
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
+from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import bend, laplacian, ratios, zone_sample
-from warp_peri.core.tensors import differentiable_once
 from warp_peri.files.atomic import ArrayFile, locked
-from warp_peri.learning.methods import TwoStage
+from warp_peri.fitting.settings import CONDITIONS, Conditions, TwoStage
+from warp_peri.materials.lps import Solid
 from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_matrices import assemble
-from warp_peri.points.families import bond_classes
-from warp_peri.points.samples import Samples
-from warp_peri.regression.coordinates import Parameters, Variables
-from warp_peri.regression.losses import (
-    FullLoss,
-    ReducedLoss,
+from warp_peri.materials.lps_fit import (
+    LARGEST_ALPHA,
+    LPSFound,
+    OperatorLoss,
     class_pairs,
-    lattice_group,
+    class_weights,
     product_basis,
 )
-from warp_peri.regression.optimum import LatticeConditions
+from warp_peri.materials.lps_matrices import assemble
+from warp_peri.points.families import BondClasses, bond_classes
+from warp_peri.points.samples import Samples
 
+SMALLEST_MODULUS = 1e-3
+"""μ and λ + μ stay above it, in the unit of the steps."""
 ZONE_INTERVALS = 24
 DENSE_ZETA = 1e-4
 """ζ of the dense conditions: Λmin(Γ) [1/l²] and Λmin(ΦΓ⁻¹Φᵗ)."""
@@ -48,52 +50,92 @@ Weights = Sequence[torch.Tensor]
 Blocks = list[tuple[np.ndarray, np.ndarray]]
 
 
-class _Known(torch.autograd.Function):
-    """Values with derivatives that are already known, to each of the inputs."""
+class Variables:
+    """λ, μ, α, D as torch leaves for Adam, λ and μ in a unit that suits its steps.
 
-    @staticmethod
-    def forward(
-        ctx: Any, evaluate: Callable[..., tuple[np.ndarray, np.ndarray]], *inputs: torch.Tensor
-    ) -> torch.Tensor:
-        values, slopes = evaluate(*(tensor.detach().numpy() for tensor in inputs))
-        ctx.slopes = torch.from_numpy(slopes)
-        ctx.save_for_backward(*inputs)
-        return torch.from_numpy(values)
+    Args:
+        start: their values.
+        unit: of the moduli.
+        positive: keep D ≥ 0.
+        parametrisation: "relu" is the printed one (4.8): the loss sees ReLU(μ), ReLU(λ + μ) −
+            ReLU(μ), 3 − ReLU(3 − α) and, for a positive kernel, ReLU(D). A ReLU has no gradient
+            once its argument is negative, and λ + μ, which every run drives to zero early in
+            stage 1, stays there for good. "projected" keeps the same bounds by moving the leaves
+            back after every step.
+    """
 
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        inputs = ctx.saved_tensors
-        parts = torch.split(upstream[0] @ ctx.slopes, [one.numel() for one in inputs])
-        return None, *(part.reshape(one.shape) for part, one in zip(parts, inputs))
+    def __init__(self, start: Solid, unit: float, *, positive: bool, parametrisation: str) -> None:
+        self.unit = unit
+        values = start.lam / unit, start.mu / unit, start.alpha, start.D
+        self.leaves = [torch.tensor(value, dtype=torch.float64) for value in values]
+        for leaf in self.leaves:
+            leaf.requires_grad_()
+        self.positive, self.relu = positive, parametrisation == "relu"
 
+    def bounded(self) -> list[torch.Tensor]:
+        """λ, μ, α and D, as the loss sees them."""
+        lam, mu, alpha, D = self.leaves
+        if self.relu:
+            stiff = torch.relu(mu)
+            D = torch.relu(D) if self.positive else D
+            lam, mu, alpha = torch.relu(lam + mu) - stiff, stiff, 3 - torch.relu(3 - alpha)
+        return [self.unit * lam, self.unit * mu, alpha, D]
 
-_known: Callable[..., torch.Tensor] = _Known.apply
+    def project(self) -> None:
+        """Move the leaves back inside their bounds; nothing to do under the ReLU."""
+        if self.relu:
+            return
+        lam, mu, alpha, D = self.leaves
+        with torch.no_grad():
+            mu.clamp_(min=SMALLEST_MODULUS)
+            lam.clamp_(min=SMALLEST_MODULUS - mu)
+            alpha.clamp_(max=LARGEST_ALPHA)
+            if self.positive:
+                D.clamp_(min=0.0)
+
+    def loss(self, terms: Sequence[OperatorLoss]) -> torch.Tensor:
+        """The loss over all training sets."""
+        values = self.bounded()
+        return torch.stack([term.loss(*values) for term in terms]).sum()
+
+    def weights(self, lattices: Sequence[BondClasses]) -> list[torch.Tensor]:
+        """Class weights w on each lattice."""
+        _, _, alpha, D = self.bounded()
+        return [class_weights(classes, alpha, D) for classes in lattices]
+
+    def found(self, losses: list[float]) -> LPSFound:
+        """Their values strictly inside the bounds, with the loss on the way."""
+        values = [value.detach().numpy().copy() for value in self.bounded()]
+        lam, mu, alpha = (float(value) for value in values[:3])
+        mu = max(mu, SMALLEST_MODULUS * self.unit)
+        lam, alpha = max(lam, SMALLEST_MODULUS * self.unit - mu), min(alpha, LARGEST_ALPHA)
+        return LPSFound(Solid(lam, mu, alpha, values[3]), None, losses)
 
 
 class SymbolMargins:
-    """Smallest margins of the conditions over sampled wave vectors, on each lattice [TPa]."""
+    """Smallest margins of the conditions over sampled wave vectors, on each lattice, in a unit."""
 
-    def __init__(self, conditions: Sequence[LatticeConditions]) -> None:
-        self.conditions = conditions
-        self.lattices = [asked.classes for asked in conditions]
-        self.bases = [product_basis(classes) for classes in self.lattices]
+    def __init__(
+        self, conditions: Conditions, lattices: Sequence[BondClasses], unit: float = 1.0
+    ) -> None:
+        self.conditions, self.unit, self.lattices = conditions, unit, lattices
+        self.bases = [product_basis(classes) for classes in lattices]
         self.phase = zone_sample(lattice_group(2), 2, ZONE_INTERVALS)
-        self.count = sum(len(asked.names) for asked in conditions)
+        self.count = len(lattices) * len(CONDITIONS[conditions.kind])
 
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
         """Margins, shape [count]."""
         kappa, margins = (lam - mu) / mu**2, []
-        for asked, bonds, w in zip(self.conditions, self.bases, weights):
+        for bonds, w in zip(self.bases, weights):
             (i, j), v, basis = class_pairs(len(w)), mu * w, torch.from_numpy(bonds.basis)
-            for own, level in asked.forms(kappa, mu):
+            for own, level in self.conditions.forms(kappa, mu):
                 p = torch.cat([v, own * v[i] * v[j]])
                 tensors = torch.tensordot(p, basis, 1)
                 ratio = ratios(bonds.steps, tensors.detach().numpy(), self.phase)[0]
                 k = self.phase[[ratio.argmin()]]
                 D = torch.tensordot(torch.from_numpy(bend(k, bonds.steps)), tensors, 1)
                 margins.append(torch.linalg.eigvalsh(D)[0, 0] / laplacian(k)[0] - level)
-        return torch.stack(margins)
+        return torch.stack(margins) / self.unit
 
 
 class DenseMargins:
@@ -101,30 +143,51 @@ class DenseMargins:
 
     Λmin(Γ) − ζ, Λmin(ΦΓ⁻¹Φᵗ) − ζ with zeros left out, Λmin(Γ − 2ΦᵗΦ), with Φ the dilatation of
     interior nodes, in the length l of which the horizon is PRINTED_HORIZON. Γ and Φ are
-    linear in the class weights: Σ w_c Γ_c, Σ w_c Φ_c. Where a domain is its own mirror image the
-    matrices fall into blocks, a tenth of the work with the same values.
+    linear in the class weights: Σ w_c Γ_c, Σ w_c Φ_c, and a smallest eigenvalue changes as its
+    quotient at its own vector does. Where a domain is its own mirror image the matrices fall into
+    blocks, a tenth of the work with the same values.
     """
 
     def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
         self.lattices = [bond_classes(points.spacing, horizon) for points in sets]
         self.parts = [
-            _blocks(*_class_matrices(points, horizon), points.x[points.interior]) for points in sets
+            mirror_blocks(*_class_matrices(points, horizon), points.x[points.interior])
+            for points in sets
         ]
         self.count = 3 * len(sets)
         square = (horizon / PRINTED_HORIZON) ** 2
-        self.units, self.levels = np.array([square, 1, square]), DENSE_ZETA * np.array([1, 1, 0])
+        self.units = torch.tensor([square, 1, square] * len(sets), dtype=torch.float64)
+        self.levels = DENSE_ZETA * torch.tensor([1.0, 1.0, 0.0] * len(sets), dtype=torch.float64)
 
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
         """Margins, shape [3 · sets]."""
-        parts = []
-        for blocks, w in zip(self.parts, weights):
+        found = [margin for of in zip(self.parts, weights) for margin in least_of_blocks(*of)]
+        return self.units * torch.stack(found) - self.levels
 
-            def evaluate(w: np.ndarray, blocks: Blocks = blocks) -> tuple[np.ndarray, np.ndarray]:
-                margins, slopes = _dense(blocks, w)
-                return self.units * margins - self.levels, self.units[:, None] * slopes
 
-            parts.append(_known(evaluate, w))
-        return torch.cat(parts)
+def least_of_blocks(blocks: Blocks, weights: torch.Tensor) -> list[torch.Tensor]:
+    """The least eigenvalues of Γ, ΦΓ⁻¹Φᵗ and Γ − 2ΦᵗΦ as functions of the class weights."""
+    w = weights.detach().numpy()
+    gammas, phis = ([np.tensordot(w, block[n], 1) for block in blocks] for n in (0, 1))
+
+    def at(part: np.ndarray, *fields: np.ndarray) -> torch.Tensor:
+        """Σ w_c of a part of each class, which is applied to fields."""
+        for each in fields:
+            part = part @ each
+        return (weights.reshape(-1, *[1] * (part.ndim - 1)) * torch.from_numpy(part)).sum(dim=0)
+
+    number, coercive, e = _least(gammas)
+    found = [at(blocks[number][0] @ e, e)]
+    if coercive > 0:
+        flows = [cho_solve(cho_factor(gamma), phi.T) for gamma, phi in zip(gammas, phis)]
+        number, _, y = _least([phi @ flow for phi, flow in zip(phis, flows)])
+        f, (gamma, phi) = flows[number] @ y, blocks[number]
+        found.append(2 * at(phi @ f, y) - at(gamma @ f, f))
+    else:  # no inf-sup constant without coercivity: its condition asks for that first
+        found.append(found[0])
+    number, _, e = _least([gamma - 2 * phi.T @ phi for gamma, phi in zip(gammas, phis)])
+    gamma, phi = blocks[number]
+    return [*found, at(gamma @ e, e) - 2 * (at(phi @ e) ** 2).sum()]
 
 
 def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +202,7 @@ def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.nda
     return np.array(gammas), np.array(phis)
 
 
-def _blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks:
+def mirror_blocks(gammas: np.ndarray, phis: np.ndarray, x: np.ndarray) -> Blocks:
     """Γ_c and Φ_c between fields that both mirrors of the nodes keep or turn round.
 
     All as one block where a mirror takes some node of `x`, shape [I, 2], to a place without one.
@@ -170,30 +233,6 @@ def _kept(mirrors: Sequence[np.ndarray], signs: Sequence[int]) -> np.ndarray:
     projection = (one + signs[0] * mirrors[0]) @ (one + signs[1] * mirrors[1]) / 4
     values, fields = eigh(projection)
     return np.array(fields[:, values > 0.5])
-
-
-def _dense(blocks: Blocks, w: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least eigenvalues, shape [3], and their derivatives to w, shape [3, C]."""
-    gammas, phis = ([np.tensordot(w, block[n], 1) for block in blocks] for n in (0, 1))
-
-    def slope(number: int, e: np.ndarray, scale: float, f: np.ndarray) -> np.ndarray:
-        """Derivatives of scale · eᵗΓe + 2 fᵗΦe, e and f held, to w."""
-        of_gamma, of_phi = blocks[number]
-        by_gamma = of_gamma.reshape(len(w), -1) @ np.outer(e, e).ravel()
-        return np.asarray(scale * by_gamma + 2 * (of_phi @ e) @ f)
-
-    number, coercive, e = _least(gammas)
-    rows = [slope(number, e, 1.0, np.zeros(len(phis[number])))]
-    if coercive > 0:
-        flows = [cho_solve(cho_factor(gamma), phi.T) for gamma, phi in zip(gammas, phis)]
-        number, inf_sup, y = _least([phi @ flow for phi, flow in zip(phis, flows)])
-        rows.append(slope(number, flows[number] @ y, -1.0, y))
-    else:  # no inf-sup constant without coercivity: its condition asks for that first
-        inf_sup = coercive
-        rows.append(rows[0])
-    number, schwarz, e = _least([g - 2 * phi.T @ phi for g, phi in zip(gammas, phis)])
-    rows.append(slope(number, e, 1.0, -2 * phis[number] @ e))
-    return np.array([coercive, inf_sup, schwarz]), np.array(rows)
 
 
 def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
@@ -266,39 +305,37 @@ PENALTY_GROWTH, REQUIRED_DECREASE, TOLERANCE = 5.0, 0.25, 1e-5
 LARGEST_PENALTY = 1e20
 
 
-def positive_stage(
-    terms: Sequence[ReducedLoss | FullLoss],
-    start: Parameters,
-    method: TwoStage,
-    *,
-    tick: Callable[[float], None],
-) -> Parameters:
+def fit_positive_kernel(
+    data: Any, start: LPSFound, method: TwoStage, unit: float, *, tick: Callable[[float], None]
+) -> LPSFound:
     """Stage 1: Adam with D ≥ 0.
 
     Args:
-        terms: the loss of each training set, reduced on lattices, full on scattered points.
+        data: training data.
         start: λ, μ, α and D to start from.
         method: how the bounds are kept, and the most epochs.
+        unit: of moduli, that suits the steps.
         tick: called with the loss after every epoch.
     """
-    variables = Variables(start, positive=True, parametrisation=method.parametrisation)
+    how: dict[str, Any] = {"positive": True, "parametrisation": method.parametrisation}
+    variables = Variables(start.solid, unit, **how)
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:
-        loss = variables.loss(terms)
+        loss = variables.loss(data.by_operator)
         return loss, loss
 
-    return variables.parameters(_adam(variables, [], objective, method.epochs, tick))
+    return variables.found(_adam(variables, [], objective, method.epochs, tick))
 
 
-def sign_changing_stage(
-    terms: Sequence[ReducedLoss | FullLoss],
-    start: Parameters,
-    margins: SymbolMargins | DenseMargins,
+def fit_signed_kernel(
+    data: Any,
+    start: LPSFound,
     method: TwoStage,
+    unit: float,
     *,
-    checkpoint: Checkpoint | None = None,
+    key: str,
     tick: Callable[[float], None],
-) -> Parameters:
+) -> LPSFound:
     """Stage 2: D of any sign, the conditions held by an augmented Lagrangian with slacks ϖ.
 
     H_p = margin of condition p − ϖ_p². Where the printed algorithm is inconsistent, |H| is what is
@@ -306,28 +343,37 @@ def sign_changing_stage(
     φ_p ← φ_p + ψ H_p is the ascent of the dual.
 
     Args:
-        terms: the loss of each training set, reduced on lattices, full on scattered points.
+        data: training data.
         start: result of stage 1.
-        margins: of the conditions.
-        method: how the bounds are kept, and the most epochs and iterations.
-        checkpoint: kept after every outer iteration; a run that finds one goes on from it.
+        method: how the bounds are kept, the most epochs and iterations, and a file that the state
+            is kept in after every outer iteration; a run that finds one goes on from it.
+        unit: of moduli, that suits the steps.
+        key: what the state depends on.
         tick: called with the loss after every epoch.
 
     Raises InputError for a checkpoint of another run, or one that another job writes to.
     """
-    with locked(checkpoint.path) if checkpoint is not None else nullcontext():
-        return _augmented_lagrangian(terms, start, margins, method, checkpoint, tick)
+    margins: SymbolMargins | DenseMargins = (
+        DenseMargins(data.sets, data.horizon)
+        if method.constraints == "dense"
+        else SymbolMargins(data.conditions, data.lattices, unit)
+    )
+    how: dict[str, Any] = {"positive": False, "parametrisation": method.parametrisation}
+    variables = Variables(start.solid, unit, **how)
+    kept = None if method.checkpoint is None else Checkpoint(method.checkpoint, key)
+    with locked(kept.path) if kept is not None else nullcontext():
+        losses = _augmented_lagrangian(data.by_operator, variables, margins, method, kept, tick)
+    return variables.found(losses)
 
 
 def _augmented_lagrangian(
-    terms: Sequence[ReducedLoss | FullLoss],
-    start: Parameters,
+    terms: Sequence[OperatorLoss],
+    variables: Variables,
     margins: SymbolMargins | DenseMargins,
     method: TwoStage,
     checkpoint: Checkpoint | None,
     tick: Callable[[float], None],
-) -> Parameters:
-    variables = Variables(start, positive=False, parametrisation=method.parametrisation)
+) -> list[float]:
     slack = torch.ones(margins.count, dtype=torch.float64, requires_grad=True)
     multiplier = torch.zeros(margins.count, dtype=torch.float64)
     previous = torch.full_like(multiplier, torch.inf)
@@ -368,7 +414,7 @@ def _augmented_lagrangian(
         if checkpoint is not None:
             arrays = [tensor.detach().numpy() for tensor in tensors]
             checkpoint.save(arrays, losses=losses, penalty=penalty, iteration=done)
-    return variables.parameters(losses)
+    return losses
 
 
 def _adam(

@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from warp_peri.core.groups import lattice_group
 from warp_peri.errors import InputError
+from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import compressed
+from warp_peri.fitting.settings import Conditions, Optimum
 from warp_peri.fitting.transfer import waves_against
 from warp_peri.materials.certificate import Certificate, certify
-from warp_peri.materials.lps import Model, lps_stencil
+from warp_peri.materials.lps import Model, Solid, lps_stencil
+from warp_peri.materials.lps_fit import LPSFound, optimum, product_basis
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.unit_names import search_length, symbols
-from warp_peri.regression.coordinates import Parameters
-from warp_peri.regression.losses import ReducedLoss, product_basis
-from warp_peri.regression.optimum import Conditions, LatticeConditions, constrained_optimum
-from warp_peri.regression.settings import Optimum
 from warp_peri.transfer import LEAST, RECIPE
 
 WAVES = 60
@@ -70,15 +70,16 @@ def dispersion(model: Model, spacing: float, k: np.ndarray) -> np.ndarray:
 
 def wave_loss(
     target: np.ndarray, k: np.ndarray, classes: BondClasses, weight: np.ndarray | None = None
-) -> ReducedLoss:
+) -> LatticeRows:
     """The loss (M3) of a lattice against D₀(k), shape [K, 2, 2], at wave vectors k, [K, 2].
 
     Mean over waves and polarisations of |D₀⁻¹ D e − e|²: the square of the relative error of
     displacement, to first order. With weights of the waves, shape [K], their sum instead.
     """
     share = np.full(len(k), 1 / len(k)) if weight is None else weight
-    R, y = waves_against(target, k * classes.spacing, product_basis(classes), np.sqrt(share / 2))
-    return ReducedLoss(classes, np.column_stack(compressed(R / classes.spacing**2, -y)))
+    bonds = product_basis(classes)
+    R, y = waves_against(target, k * classes.spacing, bonds, np.sqrt(share / 2))
+    return LatticeRows(*compressed(R / classes.spacing**2, y), bonds, lattice_group(2))
 
 
 def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -288,20 +289,14 @@ def _fitted(
     target = dispersion(home.model, home.spacing, k) * length**2 / unit
     loss = wave_loss(target, k * length, classes, weight)
     terms = len(classes.r) + 1
-    start = Parameters(home.model.lam / unit, 1.0, 1.0, np.ones(terms))
-    asked_of = [LatticeConditions(classes, Conditions(zeta=home.zeta / unit))]
-    method = Optimum(smoothness=SMOOTHNESS)
-    best = constrained_optimum([loss], start, asked_of, method)
+    start = LPSFound(Solid(home.model.lam / unit, 1.0, 1.0, np.ones(terms)))
+    asked_of, method = Conditions(zeta=home.zeta / unit), Optimum(smoothness=SMOOTHNESS)
+    best = optimum([loss], [classes], start, asked_of, method)
     if not best.converged:
         return None
-    parameters = best.parameters
+    solid = best.solid
     model = Model(
-        unit * parameters.lam,
-        unit * parameters.mu,
-        parameters.alpha,
-        parameters.D,
-        horizon,
-        units=home.model.units,
+        unit * solid.lam, unit * solid.mu, solid.alpha, solid.D, horizon, units=home.model.units
     )
     waves = rings(asked * (np.arange(RADII) + 1) / RADII)
     errors = wave_errors(

@@ -9,11 +9,14 @@ from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
 from warp_peri import Bernstein, InputError
+from warp_peri.fitting.losses import without_noise
+from warp_peri.fitting.training_data import sample_weights
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.response import CollarResponse, WaveResponse, products
+from warp_peri.learning.response import CollarResponse, WaveResponse, reduced_loss
 from warp_peri.materials.lps import Model
+from warp_peri.materials.lps_fit import Products, noise_rows, products
 from warp_peri.methods import TwoStage
-from warp_peri.regression.losses import corrected, noise_loss, reduce, sample_weights
+from warp_peri.points.families import bond_classes
 
 HORIZON, DEGREE = 3.0, 5
 SIZE = 0.02
@@ -42,8 +45,17 @@ def near(model, seed=1, size=0.03):
     )
 
 
-def square(grid, model):
-    return float(np.sum((grid.R @ products(model, grid.classes)) ** 2))
+CLASSES = bond_classes(1.0, HORIZON)
+
+
+def square(rows, model):
+    return reduced_loss([rows], [CLASSES], model)
+
+
+def form(R, y):
+    """[R, −y]ᵗ [R, −y]: the quadratic form of ‖R p − y‖² in (p, 1)."""
+    both = np.column_stack([R, -y])
+    return both.T @ both
 
 
 def test_waves_are_in_equilibrium(model, clean):
@@ -54,51 +66,45 @@ def test_waves_are_in_equilibrium(model, clean):
 def test_noise_adds_what_the_correction_expects(model, clean):
     weight = sample_weights([clean], normalise=True)[0]
     noise = fluctuation(clean, 200, SIZE, seed=5)
-    R = noise_loss(noise, clean, HORIZON, weight)
+    N = noise_rows(noise, HORIZON, weight)
     operator = model.on(clean, allow_uncertified=True)
     expected = weight.sum() * (operator(noise.u) ** 2).sum() / len(noise)
-    assert np.sum((R @ products(model, reduce(clean, HORIZON, weight).classes)) ** 2) == (
-        pytest.approx(expected, rel=1e-10)
-    )
+    assert np.sum((N @ products(model, CLASSES)) ** 2) == pytest.approx(expected, rel=1e-10)
+
+
+def both_forms(clean, size, count, noise):
+    """The form of a noisy loss less that of its noise, and the corrected one."""
+    weight = sample_weights([clean], normalise=True)[0]
+    loss = Products(noisy(clean, size, seed=1), HORIZON).rows(weight)
+    N = noise_rows(fluctuation(clean, count, noise, seed=2), HORIZON, weight)
+    difference = form(loss.R, loss.y) - form(N, np.zeros(len(N)))
+    return loss, difference, form(*without_noise(loss.R, loss.y, N))
 
 
 def test_the_corrected_form_is_the_difference_where_that_is_positive(clean):
-    weight = sample_weights([clean], normalise=True)[0]
-    loss = reduce(noisy(clean, 0.001, seed=1), HORIZON, weight)
-    R = noise_loss(fluctuation(clean, 50, 0.0003, seed=2), clean, HORIZON, weight)
-    difference = loss.R.T @ loss.R - R.T @ R
-    less = corrected(loss, R)
+    _, difference, less = both_forms(clean, 0.001, 50, 0.0003)
     assert np.linalg.eigvalsh(difference).min() > 0
-    size = np.abs(difference).max()
-    np.testing.assert_allclose(less.R.T @ less.R, difference, atol=1e-12 * size)
+    np.testing.assert_allclose(less, difference, atol=1e-12 * np.abs(difference).max())
 
 
-def test_the_corrected_form_never_turns_negative(model, clean):
-    weight = sample_weights([clean], normalise=True)[0]
-    loss = reduce(noisy(clean, SIZE, seed=1), HORIZON, weight)
-    R = noise_loss(fluctuation(clean, 3, 2 * SIZE, seed=2), clean, HORIZON, weight)
-    assert np.linalg.eigvalsh(loss.R.T @ loss.R - R.T @ R).min() < 0
-    less = corrected(loss, R)
-    before = np.linalg.eigvalsh((loss.R.T @ loss.R - less.R.T @ less.R)[:-1, :-1])
+def test_the_corrected_form_never_turns_negative(clean):
+    loss, difference, less = both_forms(clean, SIZE, 3, 2 * SIZE)
+    assert np.linalg.eigvalsh(difference).min() < 0
+    before = np.linalg.eigvalsh((form(loss.R, loss.y) - less)[:-1, :-1])
     assert before.min() > -1e-10 * before.max()  # of what the model does, never more than before
-    assert np.isfinite(less.R).all()
+    assert np.isfinite(less).all()
 
 
-def test_the_corrected_form_has_the_minimum_of_the_difference(clean):
+def test_the_corrected_form_has_the_minimum_of_the_difference():
     """At the minimum noise is all that is left, so that the difference itself is below zero."""
-    random = np.random.default_rng(1)
-    loss = reduce(clean, HORIZON, np.ones(len(clean)))
-    width = loss.R.shape[1] - 1
-    F, c = random.normal(size=(3 * width, width)), random.normal(size=width)
-    data = np.column_stack([F, 0.1 * random.normal(size=3 * width) - F @ c])
-    loss = dataclasses.replace(loss, R=np.linalg.qr(data, mode="r"))
-    R = np.zeros_like(loss.R)
-    R[:, :-1] = random.normal(size=(width + 1, width)) / 2
-    difference = loss.R.T @ loss.R - R.T @ R
+    random, width = np.random.default_rng(1), 20
+    R, c = random.normal(size=(3 * width, width)), random.normal(size=width)
+    y = R @ c - 0.1 * random.normal(size=3 * width)
+    N = random.normal(size=(width + 1, width)) / 2
+    difference = form(R, y) - form(N, np.zeros(width + 1))
     inside, load = difference[:-1, :-1], difference[:-1, -1]
     assert np.linalg.eigvalsh(inside).min() > 0 > np.linalg.eigvalsh(difference).min()
-    less = corrected(loss, R).R
-    lowest = np.linalg.lstsq(less[:, :-1], -less[:, -1], rcond=None)[0]
+    lowest = np.linalg.lstsq(*without_noise(R, y, N), rcond=None)[0]
     np.testing.assert_allclose(inside @ lowest, -load, atol=1e-9 * np.abs(load).max())
 
 
@@ -114,7 +120,7 @@ def test_the_collar_response_is_the_solve_and_its_tangent(model):
     points = manufactured(model, lattice(4, HORIZON), 5)
     other = near(model)
     weight = sample_weights([points], normalise=True)[0]
-    response = CollarResponse(points, HORIZON, reduce(points, HORIZON, weight))
+    response = CollarResponse(points, HORIZON, Products(points, HORIZON).rows(weight))
     grid = response.about(other)
     assert square(grid, other) == pytest.approx(misfit(other, points), rel=1e-9)
     assert_tangent(lambda model: square(response.about(model), model), grid, other)
@@ -123,7 +129,7 @@ def test_the_collar_response_is_the_solve_and_its_tangent(model):
 def test_the_wave_response_is_exact_and_its_tangent_is(model, clean):
     response = WaveResponse(clean, HORIZON)
     assert square(response.about(model), model) < 1e-20
-    assert square(response.start(), model) < 1e-20
+    assert square(response.first, model) < 1e-20
     other = near(model)
     grid = response.about(other)
     assert square(grid, other) > 1e-5

@@ -13,11 +13,15 @@ import numpy as np
 import torch
 from scipy.linalg import block_diag
 
-from warp_peri.fitting.regression import Linearised, Regression, felt, particular
-from warp_peri.regression.coordinates import Parameters
-from warp_peri.regression.losses import ReducedLoss
-from warp_peri.regression.optimum import LatticeConditions, LPSNumbers, Reached
-from warp_peri.regression.settings import Optimum
+from warp_peri.fitting.regression import (
+    LatticeRows,
+    Linearised,
+    Numbers,
+    Regression,
+    Settled,
+    felt,
+    particular,
+)
 
 RATE, MOMENTS = 0.05, (0.9, 0.99)
 """First rate of a round's steps, over the size of its first gradient, and Adam's two averages."""
@@ -87,29 +91,30 @@ class _Lagrangian:
 
 
 def augmented_lagrangian(
-    grids: Sequence[ReducedLoss],
-    start: Parameters,
-    conditions: Sequence[LatticeConditions],
-    method: Optimum,
+    blocks: Sequence[LatticeRows],
+    law: Callable[[np.ndarray], Numbers],
+    theta: np.ndarray,
+    zeta: float,
     *,
     steps: int,
     rounds: int,
     tick: Callable[[float], None] = lambda loss: None,
-) -> Reached:
-    """Minimise the reduced loss under the conditions over the whole zone, from one start.
+) -> tuple[Settled, float]:
+    """Minimise a loss under the conditions over the whole zone, from one start.
 
     Args:
-        grids: the reduced loss of each lattice; their sum is minimised.
-        start: where to begin.
-        conditions: what must hold on each of the lattices.
-        method: moduli to hold, and the smoothness.
+        blocks: rows of the loss on each lattice; their sum is minimised.
+        law: what θ stands for.
+        theta: where to begin.
+        zeta: ζ [stress].
         steps: of Adam in a round.
         rounds: at most, each with its own multipliers, coordinates and waves to keep.
         tick: called with the loss after every step.
+
+    Returns the result, and of ζ, how little a margin of it may miss.
     """
-    law = LPSNumbers([grid.classes for grid in grids], start, conditions, method)
-    problem = Regression([grid.block for grid in grids], law, law.asked[0].zeta, 1.0)
-    y = _equal(problem, law.coordinates.start(start))
+    problem = Regression(blocks, law, zeta, 1.0)
+    y = _equal(problem, theta)
     damping, penalty, slack, before = DAMPING, PENALTY, SLACK, np.inf
     now, margin = problem.state(y), -np.inf
     multipliers, losses = np.zeros(len(now.margins)), [now.loss]
@@ -135,7 +140,7 @@ def augmented_lagrangian(
         if abs(losses[-2] - now.loss) <= NEAR * now.loss:
             slack = max(SHORTENED * slack, LEAST_SLACK)
         damping = max(EASED * damping, LEAST_DAMPING)
-    return law.reached(problem.found(y, losses, margin), losses, TOLERANCE)
+    return problem.found(y, losses, margin), TOLERANCE
 
 
 def _equal(problem: Regression, y: np.ndarray) -> np.ndarray:

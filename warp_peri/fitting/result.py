@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_peri.materials.certificate import Certificate
-from warp_peri.materials.influence import InfluenceFunction
-from warp_peri.materials.lps import Model
+from warp_peri.fitting.settings import Conditions
 from warp_peri.points.unit_names import shown_moduli, symbols
-from warp_peri.regression.coordinates import Parameters
-from warp_peri.regression.optimum import LatticeConditions
 from warp_peri.shown import Shown
+
+if TYPE_CHECKING:
+    from warp_peri.materials.certificate import Certificate
+    from warp_peri.materials.influence import InfluenceFunction
+    from warp_peri.materials.lps import Model, Solid
 
 
 @dataclass(frozen=True)
-class LossChoice:
+class LossSelection:
     """A loss and, in words, why it was taken."""
 
     name: str
@@ -31,17 +33,17 @@ class Stage:
     """
 
     name: str
-    parameters: Parameters
+    parameters: Solid
     E_res_train: float
     seconds: float
     loss: list[float] = field(repr=False)
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What a fit was asked for: conditions on each lattice, and moduli that are held."""
+class FitSettings:
+    """What a fit was asked for: conditions on each lattice with their ζ, and moduli held."""
 
-    conditions: list[LatticeConditions]
+    conditions: Conditions
     moduli: tuple[float, float] | str | None
 
 
@@ -65,8 +67,8 @@ class Fit(Shown):
     moduli: list[dict[str, float]]
     history: list[Stage]
     starts: dict[str, float]
-    loss: LossChoice
-    settings: Settings
+    loss: LossSelection
+    settings: FitSettings
     influence: InfluenceFunction | None = None
 
     @property

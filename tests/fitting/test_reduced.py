@@ -18,8 +18,8 @@ from tests.support.problems import (
 )
 from warp_peri import InputError
 from warp_peri.fitting import rows
-from warp_peri.regression import losses
-from warp_peri.regression.losses import FullLoss, sample_weights
+from warp_peri.fitting.training_data import sample_weights
+from warp_peri.materials.lps_fit import OperatorLoss, Products, class_pairs, class_weights
 
 HORIZON = 2.5
 
@@ -36,9 +36,26 @@ SETS = {"one lattice": [samples()], "two lattices": [samples(), samples(0.5, see
 
 
 def both(sets, normalise):
+    """The residual by rows and by Warp's operator, of each set."""
     weights = sample_weights(sets, normalise=normalise)
-    grids = [losses.reduce(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
-    return grids, [FullLoss(samples, HORIZON, weight) for samples, weight in zip(sets, weights)]
+    return (
+        [RowsLoss(samples, weight) for samples, weight in zip(sets, weights)],
+        [OperatorLoss(samples, HORIZON, weight) for samples, weight in zip(sets, weights)],
+    )
+
+
+class RowsLoss:
+    """‖R p − y‖² as a function of λ, μ, α, D."""
+
+    def __init__(self, samples, weight):
+        products = Products(samples, HORIZON)
+        self.classes, self.rows = products.classes, products.rows(weight)
+
+    def loss(self, lam, mu, alpha, D):
+        w = class_weights(self.classes, alpha, D)
+        i, j = class_pairs(len(w))
+        p = torch.cat([mu * w, (lam - mu) * w[i] * w[j]])
+        return (torch.from_numpy(self.rows.R) @ p - torch.from_numpy(self.rows.y)).square().sum()
 
 
 def leaves(lam=-0.2, mu=0.7, *, alpha, D):
@@ -47,8 +64,8 @@ def leaves(lam=-0.2, mu=0.7, *, alpha, D):
     return [torch.tensor(value, dtype=torch.float64, requires_grad=True) for value in values]
 
 
-def reduced_loss(grids, lam, mu, alpha, *kernels):
-    return sum(grid.loss(lam, mu, alpha, *kernels) for grid in grids)
+def reduced_loss(grids, *parameters):
+    return sum(grid.loss(*parameters) for grid in grids)
 
 
 def compare(grids, full, parameters):
@@ -80,12 +97,12 @@ def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch
 def test_blocks_leave_the_loss_as_it_is(monkeypatch):
     (points,) = SETS["one lattice"]
     (weight,) = sample_weights([points], normalise=False)
-    whole = losses.reduce(points, HORIZON, weight).R
+    whole = Products(points, HORIZON).rows(weight).R
     launches = []
     real = rows.forces
     monkeypatch.setattr(rows, "BLOCK", 1)
     monkeypatch.setattr(rows, "forces", lambda u, *grid: launches.append(u) or real(u, *grid))
-    blocks = losses.reduce(points, HORIZON, weight).R
+    blocks = Products(points, HORIZON).rows(weight).R
     assert [len(u) for u in launches] == [1, 1, 1, 1]
     assert blocks.shape == whole.shape
     np.testing.assert_allclose(
@@ -114,7 +131,7 @@ def test_errors_are_those_of_each_loaded_sample():
     (points,) = SETS["one lattice"]
     b = points.b.copy()
     b[2] = 0
-    full = FullLoss(replace(points, b=b), HORIZON, np.ones(4))
+    full = OperatorLoss(replace(points, b=b), HORIZON, np.ones(4))
     Lu = kernel("steep", HORIZON, lam=0.1, mu=0.7).on(points)(points.u)
     inside = b[:, points.interior]
     expected = [np.linalg.norm(Lu[s] - inside[s]) / np.linalg.norm(inside[s]) for s in (0, 1, 3)]

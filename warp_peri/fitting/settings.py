@@ -1,0 +1,207 @@
+"""How a linear solid is learned: kernel, method, conditions."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.points.arrays import check_whole
+
+if TYPE_CHECKING:
+    from warp_peri.materials.influence import InfluenceFunction
+
+PARAMETRISATIONS = ("projected", "relu")
+CONSTRAINTS = ("symbol", "dense")
+CONDITIONS = {"direct": ("D",), "paper": ("D", "gamma", "gamma_minus_2phi")}
+"""What each choice asks for: D ≥ ζ s; with `paper` also μΓ ≥ ζ s and μ(Γ − 2φφᵗ) ≥ 0."""
+ISOTROPIC, LONG_WAVES = "isotropic", "long waves"
+SMOOTHNESS = 1e-10
+"""Weight of the second differences of D beside the relative residual. It costs an ordinary fit
+nothing that can be seen, and keeps D from growing until its terms cancel to the last digit."""
+
+
+@dataclass(frozen=True)
+class Bernstein:
+    """The influence function K(r) = r^(−α) Σ_k D_k B_k,M(r/δ) of any sign (theory, 4).
+
+    Attributes:
+        degree: M ≥ 0.
+
+    Raises InputError for a degree that is none.
+
+    >>> wp.fit(samples, wp.LPS(12.5, wp.Bernstein(2))).material.D.shape
+    (3,)
+    """
+
+    degree: int = 10
+
+    def __post_init__(self) -> None:
+        check_whole("degree", self.degree, 0)
+
+
+Kernel: TypeAlias = "Bernstein | InfluenceFunction | Sequence[InfluenceFunction]"
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a fit must keep on every lattice.
+
+    Attributes:
+        kind: "direct", D(k) ≥ ζ s(k); "paper" asks for (i) and (iii) of (4.6) besides.
+        zeta: ζ [TPa]; None takes 0.0161 of the stiffness that the data of a fit show, which is
+            0.0100 TPa on graphene.
+
+    Raises InputError for another kind, or a ζ that is not above zero.
+    """
+
+    kind: str = "direct"
+    zeta: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind not in CONDITIONS:
+            raise InputError(
+                f"conditions: expected one of {', '.join(CONDITIONS)}, got {self.kind!r}"
+            )
+        if self.zeta is not None and not (np.isfinite(self.zeta) and self.zeta > 0):
+            raise InputError(f"zeta: expected a stiffness > 0, got {self.zeta}")
+
+    @property
+    def level(self) -> float:
+        """ζ [stress]; InputError where none is given, for it is a part of a stiffness."""
+        if self.zeta is None:
+            raise InputError("zeta: expected a stiffness > 0, a small part of the shear modulus")
+        return self.zeta
+
+    def forms(self, kappa: Any, mu: Any, zeta: float | None = None) -> list[tuple[Any, float]]:
+        """For each condition κ of its form Γ + κφφᵗ, and the level; of numbers or tensors."""
+        level = zeta or self.level
+        forms = [(kappa, level)]
+        if self.kind == "paper":  # Σ w r² = 1
+            forms += [(0 * kappa, level), (-2 / mu, 0.0)]
+        return forms
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """The constrained optimum of the loss (theory, 26–28), from plain kernels r^(−α).
+
+    Attributes:
+        moduli: (λ, μ) [TPa] to hold at long waves on every lattice (8 Σ w ξ₁²ξ₂²/r² = 1 makes them
+            the moduli of the discrete operator); "isotropic" holds that condition and learns λ
+            and μ; None learns them freely. "long waves" holds those that the long waves of the
+            samples show (theory, 28a), where free ones are two standard errors away.
+        rounds: most rounds of cutting planes.
+        smoothness: weight η of the second differences of D beside the relative residual (28).
+
+    Raises InputError for moduli that no solid has.
+    """
+
+    moduli: tuple[float, float] | str | None = LONG_WAVES
+    rounds: int = 40
+    smoothness: float = SMOOTHNESS
+
+    def __post_init__(self) -> None:
+        if isinstance(self.moduli, str):
+            if self.moduli not in (ISOTROPIC, LONG_WAVES):
+                raise InputError(
+                    f"moduli: expected (λ, μ), {ISOTROPIC!r} or {LONG_WAVES!r}, got {self.moduli!r}"
+                )
+        elif self.moduli is not None and not _are_moduli(self.moduli):
+            raise InputError(
+                f"moduli: expected (λ, μ) with μ > 0, λ + μ > 0, got {self.moduli!r:.60}"
+            )
+
+    @property
+    def held(self) -> tuple[float, float] | str | None:
+        """What a search holds by itself: those of long waves are found before it."""
+        return None if self.moduli == LONG_WAVES else self.moduli
+
+
+def _are_moduli(given: Any) -> bool:
+    """Whether it is (λ, μ) of a solid."""
+    try:
+        lam, mu = map(float, given)
+    except (TypeError, ValueError):
+        return False
+    return bool(np.isfinite([lam, mu]).all() and mu > 0 and lam + mu > 0)
+
+
+@dataclass(frozen=True)
+class TwoStage:
+    """Algorithm 1 of You et al. (2021): Adam on positive kernels, then an augmented Lagrangian.
+
+    Attributes:
+        parametrisation: "projected" or, as printed, "relu"; see Variables.
+        constraints: of stage 2, "symbol" (over the zone) or, as printed and far slower, "dense"
+            (eigenvalues on the training domain).
+        seed: of the initial D of stage 1.
+        checkpoint: file that stage 2 keeps its state in and goes on from.
+        lattice_spacing: for training sets of scattered points, which have no symbol: spacing [Å]
+            of the lattice on which the conditions are kept.
+        epochs: most epochs of stage 1; the paper's loss stagnates between 1000 and 2000.
+        inner_epochs: most epochs of each round of stage 2.
+        outer_iterations: most rounds of stage 2.
+
+    Raises InputError for a choice or a number that is none.
+    """
+
+    parametrisation: str = "projected"
+    constraints: str = "symbol"
+    seed: int = 0
+    checkpoint: str | os.PathLike[str] | None = None
+    lattice_spacing: float | None = None
+    epochs: int = 4000
+    inner_epochs: int = 500
+    outer_iterations: int = 20
+
+    def __post_init__(self) -> None:
+        for name, known in (("parametrisation", PARAMETRISATIONS), ("constraints", CONSTRAINTS)):
+            if getattr(self, name) not in known:
+                raise InputError(
+                    f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}"
+                )
+        for name in ("seed", "epochs", "inner_epochs", "outer_iterations"):
+            check_whole(name, getattr(self, name), 0)
+        if self.lattice_spacing is not None and self.constraints == "dense":
+            raise InputError("lattice_spacing: goes with constraints='symbol', got 'dense'")
+
+
+@dataclass(frozen=True)
+class Constrained:
+    """Adam and an augmented Lagrangian to the constrained optimum, which Optimum then checks.
+
+    Unlike Algorithm 1 in coordinates that suit its steps (theory, 28b), so that it arrives.
+
+    Attributes:
+        seed: of the initial D.
+        steps: of Adam in a round.
+        rounds: most rounds.
+        optimum: settings of the check, which goes on from there and from plain kernels.
+
+    Raises InputError for a number that is none.
+    """
+
+    seed: int = 0
+    steps: int = 100
+    rounds: int = 60
+    optimum: Optimum = field(default_factory=Optimum)
+
+    def __post_init__(self) -> None:
+        for name, least in (("seed", 0), ("steps", 1), ("rounds", 1)):
+            check_whole(name, getattr(self, name), least)
+
+
+Method: TypeAlias = TwoStage | Optimum | Constrained
+
+
+def named(name: str, **settings: Any) -> Method:
+    """A method by the name it has on the command line; `seed` is of its initial D."""
+    made = {"optimum": Optimum, "two-stage": TwoStage, "constrained": Constrained}
+    if name not in made:
+        raise InputError(f"method: expected one of {', '.join(made)}, got {name!r}")
+    return Optimum() if name == "optimum" else made[name](**settings)

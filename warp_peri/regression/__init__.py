@@ -1,1 +1,0 @@
-"""The constrained optimum of a reduced loss: its variables, its conditions, its minimum."""
