@@ -8,8 +8,8 @@ from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.plates import plate
 from warp_peri.core import pointwise
 from warp_peri.materials import lps_bonds as bonds
+from warp_peri.materials import lps_transfer
 from warp_peri.materials.hyperelastic import operator as tissue
-from warp_peri.transfer import cache
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning")
 
@@ -52,7 +52,7 @@ def test_no_samples_have_no_answers(name):
 @pytest.mark.parametrize(
     ("name", "resolved", "linked"),
     [
-        ("LPS", (cache, "model_for"), ((bonds, "families_of"),)),
+        ("LPS", (lps_transfer, "model_for"), ((bonds, "families_of"),)),
         ("third order, energy", None, ((pointwise, "grid_of"),)),
         ("hyperelastic", None, ((tissue, "lattice_bonds"),)),
     ],

@@ -7,7 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.support.problems import lattice
-from warp_peri.learning.uncertainty import Resampled
+from warp_peri.fitting.bootstrap import Resampled
 from warp_peri.methods import resample_loads
 from warp_peri.micromodulus.crystal_fit import fit_symbol
 

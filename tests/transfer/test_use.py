@@ -1,6 +1,5 @@
-"""Transferred models in use: kept and found again, and taken by everything that solves."""
+"""Transferred models in use: fitted once, and taken by everything that solves."""
 
-import json
 import warnings
 from dataclasses import replace
 
@@ -13,75 +12,37 @@ from tests.support.clouds import cloud
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Points, evaluate
+from warp_peri.materials import lps_transfer
 from warp_peri.materials.lps import Model
+from warp_peri.materials.lps_transfer import model_for
 from warp_peri.methods import Smoothing
 from warp_peri.points.families import carried_horizon, families_of
 from warp_peri.proofs import critical_time_step
 from warp_peri.statics.solution import Direct
-from warp_peri.transfer import cache as kept
-from warp_peri.transfer import lattice as made
-from warp_peri.transfer.cache import model_for
 from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)
 ASKED = {"spacing": 0.8, "horizon": 1.6}
 
 
-@pytest.fixture
-def file(tmp_path, monkeypatch):
-    """A model file, an empty cache of the user's, and a memory that is forgotten."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(kept, "_memory", {})
-    monkeypatch.setattr(kept, "_said", set())
-    path = tmp_path / "model" / "model.json"
-    HOME.save(path)
-    return path
+@pytest.fixture(autouse=True)
+def forgotten(monkeypatch):
+    monkeypatch.setattr(lps_transfer, "_memory", {})
+    monkeypatch.setattr(lps_transfer, "_said", set())
 
 
-def again(file):
-    """The transfer as another process would ask for it."""
-    kept._memory.clear()
-    return on_lattice(Model.load(file), **ASKED)
-
-
-def hashes(*models):
-    """How many different contents there are."""
-    return len({model.content()["sha256"] for model in models})
-
-
-def test_the_second_call_reads_what_the_first_wrote(file, monkeypatch):
-    before = file.read_bytes()
-    first = again(file)
-    assert file.read_bytes() == before
-    (beside,) = (file.parent / "model.lattices").glob("*.json")
-    monkeypatch.setattr(made, "new_lattice", None)  # would be called to make it anew
-    second = again(file)
-    assert hashes(second, first, Model.load(beside)) == 1
+def test_a_process_fits_each_lattice_once(monkeypatch):
+    first = on_lattice(HOME, **ASKED)
+    monkeypatch.setattr(lps_transfer, "_transferred", None)  # would be called to make it anew
+    assert on_lattice(replace(HOME), **ASKED) is first
+    with pytest.raises(TypeError):
+        on_lattice(replace(HOME, mu=0.9), **ASKED)
 
 
 def test_what_is_no_number_is_refused():
     for asked in ({"spacing": "2"}, {"spacing": None}, {"spacing": 2.0, "horizon": "wide"}):
         with pytest.raises(InputError, match="expected a number > 0, got"):
             on_lattice(HOME, **asked)
-
-
-def test_a_folder_that_cannot_be_written(file, monkeypatch):
-    (file.parent / "model.lattices").write_text("in the way")
-    first = again(file)
-    assert list((file.parent.parent / "cache").rglob("*.json"))
-    monkeypatch.setattr(made, "new_lattice", None)
-    assert hashes(again(file), first) == 1
-
-
-def test_what_is_damaged_or_of_another_model_is_made_again(file):
-    first = again(file)
-    (beside,) = (file.parent / "model.lattices").glob("*.json")
-    beside.write_text(beside.read_text()[:-40])
-    assert hashes(again(file), first, Model.load(beside)) == 1
-    replace(HOME, mu=0.9).save(file)
-    assert again(file).mu > 1.05 * first.mu
-    record = json.loads(beside.read_text())["provenance"]["transfer"]
-    assert record["home"] == Model.load(file).content()["sha256"]
 
 
 @pytest.fixture
@@ -93,8 +54,8 @@ def points():
         return manufactured(on_lattice(HOME, spacing=0.8), here, 2, wave_number=0.5)
 
 
-def test_everything_takes_points_of_another_spacing(points, file):
-    model = Model.load(file)
+def test_everything_takes_points_of_another_spacing(points):
+    model = replace(HOME)
     there = on_lattice(model, spacing=0.8)
     with pytest.warns(UserWarning, match="transferred from 1 Å to 0.8 Å"):
         u = solve(model, points, points.b, points.u)
@@ -152,14 +113,14 @@ def test_the_horizon_that_the_collar_carries():
 
 
 @pytest.mark.parametrize("spacing", [1.0, 0.8])
-def test_nodes_around_a_free_edge_are_told_of_it(file, spacing):
+def test_nodes_around_a_free_edge_are_told_of_it(spacing):
     """At home and on a lattice that the model is carried to."""
     x = spacing * np.argwhere(np.ones((24, 24)))
     x = x[np.linalg.norm(x - x.mean(axis=0), axis=1) > 4 * spacing]
     inside = (np.abs(x - x.mean(axis=0)) < 5.5 * spacing).all(axis=1)
     holed = Points(x=x, interior=inside, spacing=spacing)
     with pytest.raises(InputError, match=r"edges.* Body"):
-        solve(Model.load(file), holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))
+        solve(HOME, holed, np.zeros((len(x), 2)), np.zeros((len(x), 2)))
 
 
 def test_scattered_points_are_refused_with_both_ways_on():

@@ -23,11 +23,11 @@ from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
 from warp_peri.launch import shared_by
 from warp_peri.materials.lps import lps_stencil
+from warp_peri.materials.lps_transfer import model_at
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.unit_names import USUAL, Units, factors
-from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
     from warp_peri.materials.lps_operator import LPSOperator

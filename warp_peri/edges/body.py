@@ -22,6 +22,7 @@ from warp_peri.edges.schwarz import Exchange, Schwarz, WholeBody
 from warp_peri.errors import InputError
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import Model, moduli
+from warp_peri.materials.lps_transfer import LARGEST, model_at
 from warp_peri.points.arrays import is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import largest_strain
@@ -32,8 +33,6 @@ from warp_peri.points.unit_names import symbols
 from warp_peri.statics.direct import definite_factors
 from warp_peri.statics.solution import TOLERANCE, warn_beyond
 from warp_peri.statics.solution import Coupling as Coupling
-from warp_peri.transfer.cache import model_at
-from warp_peri.transfer.lattice import LARGEST
 
 UNTOLD = Coupling()
 OVERLAP, CRYSTAL_OVERLAP = 2.0, 4.0

@@ -15,13 +15,11 @@ from warp_peri.edges.rim import Field
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import Model
 from warp_peri.materials.lps_operator import LPSOperator
+from warp_peri.materials.lps_transfer import LEAST, TOLERANCE, on_lattice
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.statics.linear import STIFF, Linear
-from warp_peri.transfer import LEAST
-from warp_peri.transfer.cache import on_lattice
-from warp_peri.transfer.lattice import TOLERANCE
 
 EXCHANGES = 40
 """Solves that a coupling takes, for which the inverse is set up."""

@@ -61,6 +61,15 @@ def waves_against(
     return rows.reshape(-1, rows.shape[-1]), right.ravel()
 
 
+def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """‖D⁻¹ D₀ − I‖₂ at wave vectors, shape [..., d, d] to [...] (M4).
+
+    The largest relative error of displacement under a load at that wave vector.
+    """
+    wrong = np.linalg.solve(answer, target) - np.eye(answer.shape[-1])
+    return np.asarray(np.linalg.norm(wrong, ord=2, axis=(-2, -1)))
+
+
 def carried_symbol(symbol: WaveSymbol, spacing: float, turn: np.ndarray) -> WaveSymbol:
     """D(k) of a solid on nodes of a spacing, turned on them, for k of any other nodes.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
@@ -141,7 +140,6 @@ class Model(Record, format="warp_peri.model"):
         versions: of the packages.
         units: names of the units of length and stress that all of it is in; Å and TPa where these
             lines say so.
-        file: that the model was read from; not part of its contents.
         dimension: 2, a sheet, or 3, a solid.
         nodes: of moduli that are fields, which are for these points alone [Å], shape [N, d].
 
@@ -165,7 +163,6 @@ class Model(Record, format="warp_peri.model"):
     provenance: dict[str, Any] = field(default_factory=dict)
     versions: dict[str, Any] = field(default_factory=dict)
     units: Units = USUAL
-    file: Annotated[Path | None, Entry(kept=False)] = None
     dimension: Annotated[int, Entry(omit=True)] = 2
     nodes: Annotated[np.ndarray | None, Entry(length=1, omit=True)] = None
     ORDER = ("lambda", "mu", "alpha", "horizon", "degree", "D", "quadrature", "trained_on",
@@ -367,7 +364,6 @@ class Model(Record, format="warp_peri.model"):
                 if f"{h:g}" in self.certificate
             },
             "provenance": {**self.provenance, "units_before": list(self.units)},
-            "file": None,
         }
 
     @classmethod
@@ -397,9 +393,6 @@ class Model(Record, format="warp_peri.model"):
             elif spacing in self.certified_on and not prove(stencil, group).holds:
                 raise InputError(f"certified_on: nothing is proven on {spacing:g}")
 
-    def _read_from(self, path: Path | None) -> Model:
-        return replace(self, file=path)
-
     def on(
         self,
         points: PointsLike,
@@ -423,7 +416,7 @@ class Model(Record, format="warp_peri.model"):
         allow_uncertified, and as `spread` and LPSOperator.
         """
         from warp_peri.materials.lps_operator import LPSOperator
-        from warp_peri.transfer.cache import model_for
+        from warp_peri.materials.lps_transfer import model_for
 
         model, allowed = self, allow_uncertified
         if self.nodes is None:

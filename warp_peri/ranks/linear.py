@@ -16,6 +16,7 @@ from warp_peri.files.checkpoint import agreed
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
 from warp_peri.materials.lps import Model
+from warp_peri.materials.lps_transfer import model_at
 from warp_peri.micromodulus.law import StencilMaterial, tensors_of
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
@@ -24,7 +25,6 @@ from warp_peri.ranks.multigrid import LONG, Between, Convolution, cycle, inverse
 from warp_peri.ranks.processes import build, in_turn, inner
 from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.statics.multigrid import coarser
-from warp_peri.transfer.cache import model_at
 
 if TYPE_CHECKING:
     from warp_peri.ranks.subdomain import Subdomain

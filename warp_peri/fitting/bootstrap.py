@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import stdtrit
 from tqdm import tqdm
 
+from warp_peri.contract import offered
 from warp_peri.errors import InputError
-from warp_peri.learning.laws import fit
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples, part
 
@@ -89,41 +89,37 @@ def resample_loads(
     out always, of a bootstrap where a fifth of the draws determine no law.
     """
     one = samples.obvious("train") if isinstance(samples, Dataset) else samples
-    count = len(one)
+    count, rng = len(one), np.random.default_rng(seed)
     if count < LEAST_LOADS:
         raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")
     if not leave_one_out and draws < 10:
         raise InputError(f"draws: expected at least 10, got {draws}")
+    offered(law, "learn", "resample_loads", "a model: LPS(…), Micromodulus(…)")
     if getattr(law, "symmetry", None) == "auto":
-        law = dataclasses.replace(law, symmetry=fit(one, law, **options).material.symmetry)
-    rng, again = np.random.default_rng(seed), 0
-    wanted = count if leave_one_out else draws
-    bar = tqdm(total=wanted, desc="fits", unit="fit", disable=not progress)
+        law = dataclasses.replace(law, symmetry=law.learn(one, **options).material.symmetry)
+    wanted, again = count if leave_one_out else draws, 0
     materials: list[Any] = []
-    while len(materials) < wanted:
-        if leave_one_out:
-            choice = np.delete(np.arange(count), len(materials))
-        else:
-            choice = rng.integers(count, size=count)
-        try:
-            with warnings.catch_warnings():  # the fit to all loads warns; a draw has less to go by
-                warnings.simplefilter("ignore", UserWarning)
-                materials.append(fit(part(one, choice), law, **options).material)
-        except InputError:
-            again += 1
-            if leave_one_out or again > REDRAWN * draws:
-                raise
-            continue
-        bar.update()
-    bar.close()
-    if leave_one_out:
-        spread, how = float(np.sqrt(count - 1)), "each load left out in turn"
-    else:
-        spread = float(np.sqrt(count / (count - 1)))
+    with tqdm(total=wanted, desc="fits", unit="fit", disable=not progress) as bar:
+        while len(materials) < wanted:
+            kept = np.delete(np.arange(count), len(materials))
+            choice = kept if leave_one_out else rng.integers(count, size=count)
+            try:
+                with warnings.catch_warnings():  # the fit to all loads warns
+                    warnings.simplefilter("ignore", UserWarning)
+                    materials.append(law.learn(part(one, choice), **options).material)
+            except InputError:
+                again += 1
+                if leave_one_out or again > REDRAWN * draws:
+                    raise
+                continue
+            bar.update()
+    how = "each load left out in turn"
+    if not leave_one_out:
         how = f"{draws} choices of the loads with repetition"
         how += f" ({again} more told of no model)" if again else ""
     knows = (
         f"{how}, of {count}: what differs from load to load, noise among it; not an error that all "
         "loads share"
     )
+    spread = float(np.sqrt(count - 1 if leave_one_out else count / (count - 1)))
     return Resampled(materials, count, spread, knows, drawn=not leave_one_out)

@@ -1,0 +1,335 @@
+"""The linear solid on another lattice: a kernel fitted to its waves (theory, M2–M6)."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from warp_peri.core.groups import lattice_group
+from warp_peri.errors import InputError
+from warp_peri.fitting.regression import LatticeRows
+from warp_peri.fitting.rows import compressed
+from warp_peri.fitting.settings import Conditions, Optimum
+from warp_peri.fitting.transfer import wave_errors, waves_against
+from warp_peri.materials.certificate import certify, with_proof
+from warp_peri.materials.lps import Model, Solid
+from warp_peri.materials.lps_fit import LPSFound, optimum, product_basis
+from warp_peri.points.arrays import is_number
+from warp_peri.points.families import AT_EDGES, BondClasses, bond_classes, carried_horizon
+from warp_peri.points.samples import PointsLike, nodes_of
+from warp_peri.points.unit_names import check_same, search_length, symbols
+
+LEAST, LARGEST = 2.0, 5.0
+"""Smallest horizon that a lattice has, and the largest that is tried, in spacings."""
+WAVES, LONG_WAVES, LONGEST, LONG_WEIGHT = 60, 4, 0.04, 4.0
+"""Wave vectors that a kernel is fitted on; very long ones, their |k| over the largest of these, and
+their weight beside all others: it holds the moduli and costs short waves nothing."""
+GOLDEN_ANGLE = np.pi * (1 + np.sqrt(5))
+DIRECTIONS, RADII = 7, 40
+"""Of the waves that errors are told of: over an eighth of the circle, and lengths."""
+TOLERANCE, WORST = 0.005, 0.05
+"""Of waves twice as long as the shortest that are fitted; error of the longest that is taken."""
+SHARE = 0.5
+"""Of the zone's half width π/h, up to which waves are compared, on both lattices: beyond, a lattice
+has a dispersion of its own."""
+SMOOTHNESS = 1e-6
+"""Weight of the second differences of D, which leaves no free directions to search in."""
+ZETA = 0.0139
+"""c over μ that is asked for, or what is proven at home where that is less: graphene's .010 TPa."""
+
+_memory: dict[Any, Model] = {}
+_said: set[str] = set()
+
+
+def on_lattice(
+    model: Model,
+    *,
+    spacing: float,
+    horizon: float | None = None,
+    tolerance: float | None = None,
+    largest_horizon: float | None = None,
+) -> Model:
+    """The same material on another square lattice, certified there (theory, M2–M5).
+
+    The kernel is fitted to the dispersion D₀(k) of the model on the nearest lattice that it is
+    certified on, with the conditions of a fit kept; no data are needed. A coarser, a finer, or the
+    same lattice with fewer bonds. A process fits each once.
+
+    Args:
+        model: certified on some lattice.
+        spacing: h [Å] of the lattice.
+        horizon: δ [Å], at least two spacings; None takes the fewest bonds that meet the tolerance.
+        tolerance: largest relative error of displacement that is allowed for single waves, against
+            the model at home, of those twice as long as the shortest that the kernel is fitted on;
+            None asks for TOLERANCE and takes the best there is.
+        largest_horizon: bound [Å] where no horizon is given, such as what a collar carries.
+
+    Returns:
+        A model whose provenance tells where it comes from and, under "transfer", up to which
+        wavelength it agrees with home, and how well; its statement is a line of that.
+
+    Raises InputError for a model without a certificate, a horizon below two spacings, or a
+    tolerance that no horizon meets (saying the best there is).
+    """
+    asked = {"horizon": horizon, "tolerance": tolerance, "largest_horizon": largest_horizon}
+    for word, value in {"spacing": spacing, **asked}.items():
+        if value is None and word != "spacing":
+            continue
+        if not (is_number(value) and 0 < value < np.inf):
+            raise InputError(f"{word}: expected a number > 0, got {value!r}")
+    if not isinstance(model, Model):
+        raise InputError(
+            f"on_lattice: expected a linear peridynamic solid, got {type(model).__name__}; "
+            "micromodulus.transferred(law, spacing) carries a crystal"
+        )
+    key = model.content()["sha256"], spacing, *asked.values()
+    if key not in _memory:
+        _memory[key] = _transferred(model, spacing, **asked)
+    return _memory[key]
+
+
+def _transferred(
+    model: Model,
+    spacing: float,
+    horizon: float | None,
+    tolerance: float | None,
+    largest_horizon: float | None,
+) -> Model:
+    if not model.certified_on:
+        raise InputError(
+            "model: expected one that is certified on a lattice, which others are fitted to; "
+            "this one is certified on none"
+        )
+    home, unit = min(model.certified_on, key=lambda h: abs(np.log(h / spacing))), _unit(model)
+    largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
+    band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
+    best, least, last = None, np.inf, 0.0
+    for last in _horizons(spacing, largest_horizon) if horizon is None else [horizon]:
+        found = _fitted(model, home, spacing, last, band)
+        if found is None:
+            continue
+        error = _errors(found, spacing, model, home, band / 2).max()
+        if error < least:
+            best, least = found, error
+        if least <= (tolerance or TOLERANCE):
+            break
+    try:
+        if best is None:
+            raise InputError(
+                f"horizon: no kernel on the lattice of {spacing:g} {unit} keeps the conditions of "
+                f"a certificate within {last:g} {unit}"
+            )
+        if tolerance is not None and least > tolerance:
+            raise InputError(
+                f"tolerance: on the lattice of {spacing:g} {unit} waves longer than "
+                f"{4 * np.pi / band:.3g} {unit} cannot be had to {100 * tolerance:g} %; "
+                f"the best is {100 * least:.2g} % at horizon {best.horizon:g} {unit}"
+            )
+        return _recorded(model, home, largest, best, spacing, band)
+    except InputError as error:
+        if certify(model, spacing=home).holds:
+            raise
+        at = f"{home:g} {unit}, in its certified_on"
+        raise InputError(f"model: nothing can be proven of it on {at}; {error}") from None
+
+
+def _unit(model: Model) -> str:
+    return symbols(model.units)[0]
+
+
+def _horizons(spacing: float, largest: float | None) -> list[float]:
+    """Bond lengths of the lattice from two spacings on [Å]: each adds one class of bonds."""
+    a, b = np.mgrid[0 : int(LARGEST) + 1, 0 : int(LARGEST) + 1]
+    squares = np.unique(a**2 + b**2)
+    lengths = spacing * np.sqrt(squares[(squares >= LEAST**2) & (squares <= LARGEST**2)])
+    kept = lengths[lengths <= (largest or np.inf) * (1 + 1e-9)].tolist()
+    if not kept:
+        raise InputError(
+            f"horizon: a lattice of spacing {spacing:g} needs one of {2 * spacing:g} or more, "
+            f"{largest:g} is the largest that fits"
+        )
+    return list(kept)
+
+
+def wave_vectors(largest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Wave vectors [1/Å] of |k| up to `largest`, [K, 2], and their weights in the loss (M3), [K].
+
+    |k| is spread evenly, so that long waves weigh as much as short ones; directions go on by the
+    golden angle. Very long ones follow, on which only the moduli count.
+    """
+    number = np.arange(WAVES) + 0.5
+    size = np.append(largest * number / WAVES, np.full(LONG_WAVES, LONGEST * largest))
+    angle = np.append(GOLDEN_ANGLE * number, np.linspace(0, np.pi / 4, LONG_WAVES))
+    k = size[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return k, np.repeat([1 / WAVES, LONG_WEIGHT / LONG_WAVES], [WAVES, LONG_WAVES])
+
+
+def wave_loss(
+    target: np.ndarray, k: np.ndarray, classes: BondClasses, weight: np.ndarray
+) -> LatticeRows:
+    """The loss (M3) of a lattice against D₀(k), shape [K, 2, 2], at wave vectors k, [K, 2].
+
+    Half the sum over waves and polarisations of weight · |D₀⁻¹ D e − e|²: the square of the
+    relative error of displacement, to first order.
+    """
+    bonds = product_basis(classes)
+    R, y = waves_against(target, k * classes.spacing, bonds, np.sqrt(weight / 2))
+    return LatticeRows(*compressed(R / classes.spacing**2, y), bonds, lattice_group(2))
+
+
+def _fitted(model: Model, home: float, spacing: float, horizon: float, band: float) -> Model | None:
+    """A kernel of one horizon; None where the conditions cannot be kept."""
+    figures = model.certificate.get(f"{home:g}", {})
+    proven = figures.get("symbol_bound", 0.0) if isinstance(figures, dict) else 0.0
+    usual, unit = ZETA * model.mu, model.mu  # of stiffness: soft materials meet the same tolerances
+    zeta = min(usual, proven) or max(usual, proven)
+    length = search_length(model.units, model.horizon)
+    classes = bond_classes(spacing / length, horizon / length)
+    k, weight = wave_vectors(band)
+    target = model.stencil(home).symbol(home * k) * length**2 / unit
+    loss = wave_loss(target, k * length, classes, weight)
+    start = LPSFound(Solid(model.lam / unit, 1.0, 1.0, np.ones(len(classes.r) + 1)))
+    asked, method = Conditions(zeta=zeta / unit), Optimum(smoothness=SMOOTHNESS)
+    best = optimum([loss], [classes], start, asked, method)
+    if not best.converged:
+        return None
+    solid = best.solid
+    return Model(
+        unit * solid.lam, unit * solid.mu, solid.alpha, solid.D, horizon, units=model.units
+    )
+
+
+def _errors(there: Model, spacing: float, model: Model, home: float, largest: float) -> np.ndarray:
+    """Largest relative error of displacement of waves of |k| up to the largest (M4), [RADII].
+
+    From an axis to a diagonal of the lattice: by its symmetry that is all directions.
+    """
+    angle = np.linspace(0, np.pi / 4, DIRECTIONS)
+    size = largest * (np.arange(RADII) + 1) / RADII
+    k = (size[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)).reshape(-1, 2)
+    D, target = there.stencil(spacing).symbol(spacing * k), model.stencil(home).symbol(home * k)
+    return np.asarray(wave_errors(D, target).reshape(RADII, DIRECTIONS).max(axis=1))
+
+
+def _recorded(
+    model: Model, home: float, largest: float, found: Model, spacing: float, band: float
+) -> Model:
+    """The model with its certificate, where it comes from, and its error by wavelength.
+
+    Raises InputError when the proof does not hold, or the longest waves are missed.
+    """
+    certificate, unit = certify(found, spacing=spacing), _unit(model)
+    if not certificate.holds:
+        raise InputError(
+            f"horizon: nothing is proven of the kernel on the lattice of {spacing:g} {unit} at "
+            f"horizon {found.horizon:g} {unit}"
+        )
+    largest = min(largest, 0.99 * np.pi / spacing, 0.99 * np.pi / home)
+    wavelengths = 2 * np.pi / (largest * (np.arange(RADII) + 1) / RADII)
+    errors = _errors(found, spacing, model, home, largest)
+    good = {x: np.argmax(np.append(errors, np.inf) > x) for x in (0.005, 0.01, 0.02, WORST)}
+    parts = [f"{wavelengths[n - 1]:.3g} {unit} to {100 * x:g} %" for x, n in good.items() if n]
+    if not parts:
+        raise InputError(
+            f"horizon: expected a kernel on the lattice of {spacing:g} {unit} that answers the "
+            f"longest waves as on that of {home:g} {unit}, within {100 * WORST:g} %; the "
+            f"best misses them by {100 * errors[0]:.2g} %"
+        )
+    bonds = len(bond_classes(spacing, found.horizon).steps)
+    record = {
+        "from_spacing": home,
+        "from_horizon": model.horizon,
+        "home": model.content()["sha256"],
+        "bonds": bonds,
+        "fitted_to": 2 * np.pi / band,
+        "wavelength": wavelengths.tolist(),
+        "error": errors.tolist(),
+        "symbol_bound": certificate.symbol_bound,
+        "statement": (
+            f"from {home:g} {unit} to {spacing:g} {unit} (δ = {found.horizon:.4g} {unit}, {bonds} "
+            f"bonds): waves longer than {', '.join(parts)}"
+        ),
+    }
+    return replace(
+        found,
+        trained_on=model.trained_on,
+        certified_on=(spacing,),
+        trained_strain=model.trained_strain,
+        largest_wave_number=band,
+        certificate={f"{spacing:g}": certificate.figures()},
+        provenance={**model.provenance, "transfer": record},
+        versions=model.versions,
+    )
+
+
+def model_at(
+    model: Model,
+    spacing: float,
+    *,
+    largest_horizon: float | None = None,
+    transfer: bool = True,
+    allow_uncertified: bool = False,
+) -> Model:
+    """The model for a lattice of some spacing [Å]: itself where it is certified, or transferred.
+
+    Args:
+        model: certified on some lattice; one certified on none is proven on this, or refused.
+        spacing: h [Å]; 0 for scattered points, which have no transfer.
+        largest_horizon: what the points carry [Å].
+        transfer: False refuses other spacings.
+        allow_uncertified: the model's own numbers, with a warning.
+
+    Raises InputError where the model is certified on no lattice, and nothing is proven of it here.
+    """
+    if spacing and transfer and not (model.certified_on or allow_uncertified):
+        model = _proven(model, spacing)
+    at_home = spacing == 0 or model.is_certified_on(spacing)
+    if at_home or allow_uncertified or not transfer or not model.certified_on:
+        model.check_spacing(spacing, allow_uncertified=allow_uncertified)
+        return model
+    found = on_lattice(model, spacing=spacing)
+    if largest_horizon is not None and found.horizon > largest_horizon * (1 + 1e-9):
+        found = on_lattice(model, spacing=spacing, largest_horizon=largest_horizon)
+    statement = found.provenance["transfer"]["statement"]
+    if (once := found.content()["sha256"]) not in _said:
+        _said.add(once)
+        warnings.warn(f"transferred {statement}", stacklevel=4)
+    return found
+
+
+def _proven(model: Model, spacing: float) -> Model:
+    """The model with a proof on this lattice, looked for once; as it is where there is none."""
+    key = model.content()["sha256"], spacing
+    if key not in _memory:
+        try:
+            _memory[key] = with_proof(model, spacing)
+        except InputError:  # nothing holds of it here: whoever asks says what that means
+            _memory[key] = model
+    return _memory[key]
+
+
+def model_for(
+    model: Model, points: PointsLike, *, transfer: bool = True, allow_uncertified: bool = False
+) -> Model:
+    """As model_at, for the spacing of the points and the horizon that their collar carries.
+
+    Raises InputError also where the points are in other units than the model, and where their
+    collar carries no horizon that a transfer could have.
+    """
+    check_same(model.units, nodes_of(points).units)
+    carried, h = None, points.spacing
+    if h > 0 and not model.is_certified_on(h):
+        carried = carried_horizon(points)
+        moved = transfer and not allow_uncertified and model.certified_on
+        if moved and carried < LEAST * h * (1 - 1e-6):
+            unit = _unit(model)
+            raise InputError(
+                f"points: interior nodes lie {2 * carried:.3g} {unit} from an edge, where nodes "
+                f"end; a lattice of spacing {h:g} {unit} needs {2 * LEAST * h:g} {unit}, twice its "
+                f"smallest horizon. {AT_EDGES}"
+            )
+    given = {"transfer": transfer, "allow_uncertified": allow_uncertified}
+    return model_at(model, h, largest_horizon=carried, **given)
