@@ -18,8 +18,8 @@ from warp_peri import Points
 from warp_peri.core.proof import prove
 from warp_peri.core.stencil import half_ball
 from warp_peri.launch import set_threads
+from warp_peri.materials.crystal import TensorOperator
 from warp_peri.micromodulus import Crystal, from_phonons, transferred
-from warp_peri.micromodulus.law import TensorOperator
 from warp_peri.statics.solution import TOLERANCE
 
 SIDES = (64, 128)

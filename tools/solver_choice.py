@@ -21,8 +21,8 @@ from warp_peri import Direct, Dirichlet, Krylov, Points, load, solve
 from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.files.atomic import write_json
 from warp_peri.launch import set_threads
+from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
-from warp_peri.micromodulus.crystal_fit import fit_symbol
 from warp_peri.statics import linear
 from warp_peri.statics.direct import RESIDUAL
 from warp_peri.statics.linear import DIRECT

@@ -38,10 +38,10 @@ if TYPE_CHECKING:
     from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, fit
     from warp_peri.materials.certificate import certify
+    from warp_peri.materials.crystal_fit import Micromodulus
     from warp_peri.materials.density import Density, DensityMaterial
     from warp_peri.materials.lps import Model
     from warp_peri.materials.third_order_fit import ThirdOrder
-    from warp_peri.micromodulus.crystal_fit import Micromodulus
     from warp_peri.points.dataset import Dataset
     from warp_peri.points.mesh import Mesh
     from warp_peri.points.points import Points
@@ -98,7 +98,7 @@ _NAMES = {
     "learning.evaluate": ("evaluate",),
     "learning.laws": ("LPS", "fit"),
     "fitting.settings": ("Bernstein",),
-    "micromodulus.crystal_fit": ("Micromodulus",),
+    "materials.crystal_fit": ("Micromodulus",),
     "materials.lps": ("Model",),
     "materials.density": ("Density", "DensityMaterial"),
     "materials.third_order_fit": ("ThirdOrder",),

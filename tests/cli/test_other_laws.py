@@ -13,7 +13,7 @@ from tests.conformance.test_laws import LAWS, solved_samples
 from tests.support.problems import lattice, smooth
 from tests.support.sheets import NEAREST, square, waves
 from warp_peri.cli.main import main
-from warp_peri.micromodulus.crystal_fit import fit_symbol
+from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.points.dataset import load_dataset
 
 MODULI = wp.micromodulus.from_voigt([[1.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 0.5]])

@@ -15,12 +15,12 @@ from tests.support.sheets import NEAREST, SPACING, waves
 from warp_peri import launch
 from warp_peri.core.groups import point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
+from warp_peri.materials.crystal import Crystal
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_force import lps_force
-from warp_peri.micromodulus.law import Crystal
 from warp_peri.neural.material import NeuralOperator
 from warp_peri.points.dataset import in_units_of, scaled
 from warp_peri.points.families import bond_classes

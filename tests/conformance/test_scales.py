@@ -15,7 +15,7 @@ from tests.support.problems import kernel, lattice
 from tests.support.sheets import waves
 from warp_peri.damage import Cracked
 from warp_peri.diffusion import Conductor
-from warp_peri.micromodulus.law import tensors_of
+from warp_peri.materials.crystal import tensors_of
 from warp_peri.points.unit_names import USUAL, factors
 
 pytestmark = pytest.mark.filterwarnings(

@@ -11,7 +11,7 @@ from tests.micromodulus.crystals import cubic_tensor, dispersive, learned
 from warp_peri.edges.body import Coupling, solve_body
 from warp_peri.edges.rim import Moduli
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.crystal_fit import fit_symbol
+from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Block, Circle, Sphere, box, mesh_outline, mesh_solid
 

@@ -14,11 +14,11 @@ from examples.exact import compliances, plate_with_hole, roots
 from warp_peri.edges.body import BodySolution
 from warp_peri.edges.bulk import MARGIN
 from warp_peri.edges.rim import Moduli
+from warp_peri.materials.crystal import tensors_of
+from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
 from warp_peri.materials.lps import Model
 from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
-from warp_peri.micromodulus.crystal_fit import fit_symbol
-from warp_peri.micromodulus.law import tensors_of
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import LENGTHS, Units

@@ -8,8 +8,8 @@ import pytest
 import warp_peri as wp
 from tests.support.problems import lattice
 from warp_peri.fitting.bootstrap import Resampled
+from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.methods import resample_loads
-from warp_peri.micromodulus.crystal_fit import fit_symbol
 
 HORIZON, NOISE, LOADS = 2.0, 0.1, 10
 MODULI = wp.micromodulus.from_voigt([[1.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 0.5]])

@@ -6,8 +6,8 @@ import numpy as np
 
 from warp_peri.core.groups import checked_orientation, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
-from warp_peri.micromodulus.crystal_fit import fit_symbol
-from warp_peri.micromodulus.law import Crystal
+from warp_peri.materials.crystal import Crystal
+from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.points.points import Points
 
 CUBIC = {2: ("4mm", 2.5), 3: ("m-3m", 2.0)}

@@ -17,8 +17,8 @@ from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
-from warp_peri.micromodulus.crystal_fit import Micromodulus, fit_symbol, from_phonons, transferred
-from warp_peri.micromodulus.law import Crystal, tensors_of
+from warp_peri.materials.crystal import Crystal, tensors_of
+from warp_peri.materials.crystal_fit import Micromodulus, fit_symbol, from_phonons, transferred
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 

@@ -11,7 +11,7 @@ from tests.micromodulus.crystals import lattice, learned, plain_force, random_la
 from warp_peri.dynamics.verlet import critical_time_step
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
-from warp_peri.micromodulus.law import Crystal
+from warp_peri.materials.crystal import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 from warp_peri.statics.linear import Linear

@@ -16,17 +16,17 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_763,
-    "tokens": 296_347,
-    "lines of warp_peri": 40_950,
+    "code lines": 24_617,
+    "tokens": 295_345,
+    "lines of warp_peri": 40_703,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 61_115,
+    "lines of warp_peri, kernels, examples and tools": 60_868,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
     "characters of the longest string": 1_786,
     "class names twice": 0,
-    "imports of warp_peri inside functions": 13,
+    "imports of warp_peri inside functions": 12,
     "asserts in warp_peri": 0,
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
@@ -37,19 +37,17 @@ ROOMS = {
     "diffusion": 339,
     "dynamics": 529,
     "edges": 961,
-    "face": 930,
+    "face": 944,
     "files": 576,
-    "fitting": 1140,
+    "fitting": 1212,
     "fracture": 1770,
-    "learning": 1207,
-    "materials": 4543,
-    "micromodulus": 693,
+    "learning": 1134,
+    "materials": 5437,
     "neural": 1015,
     "points": 1769,
     "prediction": 887,
     "ranks": 919,
     "statics": 1095,
-    "transfer": 360,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -8,8 +8,8 @@ import torch
 
 from tests.micromodulus.crystals import cubic_tensor, dispersive
 from tests.support.problems import AXIS
+from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal
-from warp_peri.micromodulus.crystal_fit import fit_symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.lattice import lattice_steps
 

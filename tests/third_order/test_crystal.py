@@ -17,9 +17,9 @@ from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.learning.laws import fit
+from warp_peri.materials.crystal_fit import Micromodulus, fit_symbol
 from warp_peri.materials.third_order import Smoothing, energy_density, proven_kappa
 from warp_peri.materials.third_order_fit import ThirdOrder
-from warp_peri.micromodulus.crystal_fit import Micromodulus, fit_symbol
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.statics import linear

@@ -7,7 +7,7 @@ from tools.crystals import RECIPES, at_rest, force_constants, isotropic_lps, ses
 from warp_peri.atoms.phonons import wave_loads
 from warp_peri.core.elastic import allowed_tensors
 from warp_peri.core.groups import point_group
-from warp_peri.micromodulus.crystal_fit import from_phonons
+from warp_peri.materials.crystal_fit import from_phonons
 
 STRAIN = 1e-3
 """Below it the steps of a tabulated potential show."""

@@ -29,8 +29,8 @@ from warp_peri.core.elastic import (
 from warp_peri.core.groups import Symmetry, name_of, point_group
 from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.crystal_fit import from_phonons
-from warp_peri.micromodulus.law import Crystal
+from warp_peri.materials.crystal import Crystal
+from warp_peri.materials.crystal_fit import from_phonons
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
 

@@ -29,7 +29,7 @@ from warp_peri.atoms.force_constants import (
 )
 from warp_peri.atoms.relaxed import Reference
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.law import Crystal
+from warp_peri.materials.crystal import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 

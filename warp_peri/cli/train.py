@@ -139,7 +139,7 @@ def _dataset(given: argparse.Namespace) -> Dataset:
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
     from warp_peri.learning import sweep
-    from warp_peri.micromodulus.crystal_fit import long_waves_of_data
+    from warp_peri.materials.crystal_fit import long_waves_of_data
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)

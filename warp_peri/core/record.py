@@ -57,7 +57,7 @@ HOMES = {
     "warp_peri.density": "materials.density",
     "warp_peri.brittle_solid": "fracture.dynamics",
     "warp_peri.soft_solid": "fracture.softening",
-    "warp_peri.micromodulus": "micromodulus.law",
+    "warp_peri.micromodulus": "materials.crystal",
     "warp_peri.hyperelastic": "materials.hyperelastic.energies",
     "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",

@@ -42,6 +42,8 @@ from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.response import STEPS, fit_output_error, reduced_loss, responses_of
 from warp_peri.learning.two_stage import SMALLEST_MODULUS, fit_positive_kernel, fit_signed_kernel
 from warp_peri.materials.certificate import certify
+from warp_peri.materials.crystal import Crystal
+from warp_peri.materials.crystal_fit import AGREE, POOR, SPREADS
 from warp_peri.materials.influence import InfluenceFunction, shapes_of
 from warp_peri.materials.lps import Solid
 from warp_peri.materials.lps import moduli as moduli_of
@@ -56,8 +58,6 @@ from warp_peri.materials.lps_fit import (
     products,
     stiffness_of,
 )
-from warp_peri.micromodulus import Crystal
-from warp_peri.micromodulus.crystal_fit import AGREE, POOR, SPREADS
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import check_lattice, largest_strain

@@ -13,9 +13,9 @@ from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.fitting.settings import Conditions, Optimum
 from warp_peri.fitting.training_data import sample_weights
+from warp_peri.materials.crystal import tensors_of
 from warp_peri.materials.lps import Solid
 from warp_peri.materials.lps_fit import LPSFound, Products, optimum
-from warp_peri.micromodulus.law import tensors_of
 from warp_peri.points.samples import Samples
 
 ALPHA = 1.0

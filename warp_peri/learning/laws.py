@@ -16,8 +16,8 @@ from warp_peri.fitting.settings import Bernstein, Conditions, Kernel, Method, Op
 from warp_peri.fitting.training_data import listed
 from warp_peri.learning.fit import learn
 from warp_peri.learning.in_space import learn_in_space
+from warp_peri.materials.crystal_fit import Micromodulus
 from warp_peri.materials.third_order_fit import ThirdOrder
-from warp_peri.micromodulus.crystal_fit import Micromodulus
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.samples import Samples

@@ -21,7 +21,7 @@ from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
-from warp_peri.micromodulus.crystal_fit import one_set
+from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same

@@ -26,8 +26,8 @@ from warp_peri.core.proof import largest, prove
 from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil, squared
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.crystal_fit import transferred
-from warp_peri.micromodulus.law import Crystal
+from warp_peri.materials.crystal import Crystal
+from warp_peri.materials.crystal_fit import transferred
 from warp_peri.points.arrays import is_number, is_positive
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import lattice_steps

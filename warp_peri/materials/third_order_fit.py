@@ -22,6 +22,7 @@ from warp_peri.errors import InputError
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled
 from warp_peri.fitting.rows import load_sizes, rows, swept
+from warp_peri.materials.crystal_fit import Micromodulus, Tensors, one_set
 from warp_peri.materials.third_order import (
     CUBIC,
     FORMS,
@@ -30,7 +31,6 @@ from warp_peri.materials.third_order import (
     energy_density,
     gradient_stencil,
 )
-from warp_peri.micromodulus.crystal_fit import Micromodulus, Tensors, one_set
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples, axis_of

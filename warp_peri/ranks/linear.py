@@ -15,9 +15,9 @@ from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed
 from warp_peri.kernels.micromodulus.rows import rows as row_kernels
 from warp_peri.launch import shared_by
+from warp_peri.materials.crystal import StencilMaterial, tensors_of
 from warp_peri.materials.lps import Model
 from warp_peri.materials.lps_transfer import model_at
-from warp_peri.micromodulus.law import StencilMaterial, tensors_of
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.halo import Halo

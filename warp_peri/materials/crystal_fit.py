@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.atoms.force_constants import ForceConstants
 from warp_peri.contract import MaterialFit
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
@@ -36,12 +35,15 @@ from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, pa
 from warp_peri.fitting.rows import compressed, over_loads, rows
 from warp_peri.fitting.symmetry import judged
 from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
-from warp_peri.micromodulus.law import BROKEN, Crystal
+from warp_peri.materials.crystal import BROKEN, Crystal
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, lattice_steps
 from warp_peri.points.samples import Samples, part
 from warp_peri.points.unit_names import USUAL, Units, factors, symbols
+
+if TYPE_CHECKING:
+    from warp_peri.atoms.force_constants import ForceConstants
 
 LONG_WAVE_MODULI, POOR = "long waves", 0.1
 """Moduli that fields tell, and the part of the loads of long waves that they may leave unsaid."""

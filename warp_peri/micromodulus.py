@@ -2,7 +2,8 @@
 
 from warp_peri.atoms.force_constants import Polar, from_calculator
 from warp_peri.core.elastic import from_voigt
-from warp_peri.micromodulus.crystal_fit import (
+from warp_peri.materials.crystal import Crystal, StencilMaterial, tensors_of
+from warp_peri.materials.crystal_fit import (
     Micromodulus,
     fit_symbol,
     from_phonons,
@@ -10,7 +11,6 @@ from warp_peri.micromodulus.crystal_fit import (
     plane_stress,
     transferred,
 )
-from warp_peri.micromodulus.law import Crystal, StencilMaterial, tensors_of
 
 __all__ = [
     "Crystal",

@@ -9,8 +9,8 @@ from warp_peri.core import elastic
 from warp_peri.core.groups import checked_orientation, name_of, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis, q1_tensors
 from warp_peri.errors import InputError
-from warp_peri.micromodulus.crystal_fit import plane_strain, plane_stress
-from warp_peri.micromodulus.law import Crystal
+from warp_peri.materials.crystal import Crystal
+from warp_peri.materials.crystal_fit import plane_strain, plane_stress
 
 
 @pytest.mark.parametrize(
