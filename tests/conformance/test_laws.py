@@ -50,6 +50,7 @@ class Law:
         horizon: in spacings.
         step: of differences of the force; short for one with kinks.
         load: reads its file.
+        fields: whether its moduli differ from node to node.
     """
 
     material: Callable
@@ -63,6 +64,14 @@ class Law:
     horizon: float = 3.0
     step: float = 1e-3
     load: Callable = wp.load
+    fields: bool = False
+
+    def on(self, points):
+        """The material for some points."""
+        if not self.fields:
+            return self.material()
+        wave = 1 + 0.5 * np.sin(2 * points.x / points.spacing / 3)
+        return self.material().spread(points, 0.4 * wave[:, 0], 0.7 * wave[:, 1])
 
 
 def crystal(side, angle=0.0):
@@ -246,6 +255,9 @@ LAWS = {
     "hyperelastic": Law(hyperelastic, tissue, of_energies, stress_turns=True, force_turns=True),
 }
 
+SPREAD = LAWS | {"LPS, fields": Law(linear("positive"), fields=True, **LINEAR)}
+"""And a material that is for its points alone."""
+
 
 @pytest.fixture(params=LAWS)
 def law(request):
@@ -397,15 +409,17 @@ def test_other_units_are_the_same_material_there_and_back(law):
         material.on(theirs.points)
 
 
-def test_threads_change_no_bit(law, monkeypatch):
+@pytest.mark.parametrize("name", SPREAD)
+def test_threads_change_no_bit(name, monkeypatch):
     monkeypatch.setattr(launch, "SLICE", 16)  # so that a small lattice is shared out
+    law = SPREAD[name]
     points = law.points(8)
     u, v = uneven(points, 2), noise(points, 2)
     before, found = launch.threads(), []
     try:
         for count in (1, 2):
             launch.set_threads(count)
-            fresh = law.material().on(points)
+            fresh = law.on(points).on(points)
             found.append([fresh(u), fresh.product(u, v), fresh.stress(u), fresh.energy(u)])
     finally:
         launch.set_threads(before)

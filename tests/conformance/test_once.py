@@ -57,6 +57,36 @@ def test_of_numbers(energy):
             torch.autograd.grad(one.sum(), leaves, retain_graph=True, allow_unused=True)
 
 
+NONE = {
+    "complex": (1j, "expected (float|real)"),
+    "masked": (np.ma.masked_array([0.5], [True]), "expected (values|float)"),
+    "NaN": (np.nan, "expected finite"),
+    "text": ("0.5", "expected float"),
+    "none": (None, "expected float"),
+    "true": (True, "expected float"),
+}
+
+
+@pytest.mark.parametrize("kind", NONE)
+@pytest.mark.parametrize("name", SOLID)
+def test_what_is_no_number_is_refused_by_a_solid(name, kind):
+    value, words = NONE[kind]
+    with pytest.raises(wp.InputError, match=f"{name}: {words}"):
+        Solid(**SOLID | {name: value})
+
+
+@pytest.mark.parametrize("value", ["3", None, 1j, np.nan, 0.0, -1.0, np.inf, [3.0]])
+def test_a_horizon_is_a_length(value):
+    with pytest.raises(wp.InputError, match="horizon: expected a number > 0"):
+        wp.LPS(value)
+
+
+def test_an_influence_function_has_coefficients_and_an_exponent_below_three():
+    for change, words in (({"alpha": 3.0}, "less than 3"), ({"D": []}, "at least one coefficient")):
+        with pytest.raises(wp.InputError, match=words):
+            Solid(**SOLID | change)
+
+
 @pytest.mark.parametrize("name", ["lam", "mu", "alpha"])
 def test_a_homogeneous_solid_has_one_number_each(name):
     with pytest.raises(wp.InputError, match=rf"{name}: expected one number .* got shape \[225\]"):

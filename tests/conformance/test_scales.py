@@ -9,7 +9,7 @@ import pytest
 
 import warp_peri as wp
 from tests.conformance.test_breaking import CRACK, SOLIDS, points_of
-from tests.conformance.test_laws import LAWS, near, solved_samples, uneven
+from tests.conformance.test_laws import LAWS, SPREAD, near, solved_samples, uneven
 from tests.support.plates import plate
 from tests.support.problems import kernel, lattice
 from tests.support.sheets import waves
@@ -64,13 +64,11 @@ def larger(points, length):
     )
 
 
-@pytest.fixture(params=LAWS)
-def law(request):
-    return LAWS[request.param]
-
-
-def test_a_force_a_solve_and_a_motion(law, scale):
-    material, points = law.material(), law.points(4)
+@pytest.mark.parametrize("name", SPREAD)
+def test_a_force_a_solve_and_a_motion(name, scale):
+    law = SPREAD[name]
+    points = law.points(4)
+    material = law.on(points)
     op, u = material.on(points), uneven(points)
     other, length, stress = resized(material, scale)
     there = larger(points, length)

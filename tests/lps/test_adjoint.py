@@ -282,6 +282,9 @@ def test_what_a_launch_refuses():
     for wrong in (field[:, :-1], field[:0], field[0], field.numpy()):
         with pytest.raises(InputError, match="u: expected a contiguous array of Warp of shape"):
             operator.launch(wrong, out)
+    longer = wp.zeros(len(model.D) + 1, dtype=wp.float64)
+    with pytest.raises(InputError, match="D: expected .* numbers, as the model has"):
+        operator.launch(field, out, Solid(*numbers[:3], longer))
     near = lattice(5, HORIZON / 2)
     alone = kernel("positive", HORIZON, lam=0.8).on(near)
     field, _ = arrays_of(model, noise(near, 2))

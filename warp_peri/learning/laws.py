@@ -18,6 +18,7 @@ from warp_peri.learning.fit import learn
 from warp_peri.learning.in_space import learn_in_space
 from warp_peri.materials.crystal_fit import Micromodulus
 from warp_peri.materials.third_order_fit import ThirdOrder
+from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.samples import Samples
@@ -42,8 +43,8 @@ class LPS:
             elasticity of the same moduli has the better training displacement.
         normalise: divide each sample by ‖b‖ in the residual.
 
-    `fit` raises InputError for a horizon below one spacing and for settings of other kinds;
-    RuntimeError where no start of the search keeps the conditions.
+    Raises InputError for a horizon that is no number > 0. `fit` does for one below a spacing and
+    for settings of other kinds, and RuntimeError where no start of the search keeps the conditions.
 
     >>> wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).certificate.holds
     True
@@ -55,6 +56,9 @@ class LPS:
     conditions: Conditions = Conditions()  # noqa: RUF009
     loss: str = "auto"
     normalise: bool = False
+
+    def __post_init__(self) -> None:
+        check_positive("horizon", self.horizon)
 
     def learn(
         self,
