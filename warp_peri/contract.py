@@ -155,7 +155,8 @@ class OnPoints(Remade):
 
     def load(self, b: Any) -> np.ndarray:
         """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
-        return plain("b", b)[..., self.points.interior, :]
+        b = checked("b", b, float, (..., *self.shape), ~self.held)
+        return b[..., self.points.interior, :]
 
     def energy(self, u: Any) -> Any:
         """Shape [...], as Operator's; None where there is none, as here."""

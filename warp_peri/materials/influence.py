@@ -139,29 +139,23 @@ class InfluenceFunction:
 
     def slopes(self, r: np.ndarray) -> np.ndarray:
         """Derivatives of K to the parameters, shape [R, P], by differences within the bounds."""
-        p, K = self.vector, self(r)
-        size = np.abs(K).max()
-        out = np.empty((len(r), len(p)))
-        for n, (value, low, high) in enumerate(zip(p, *self.ends)):
-            step = min(STEP * (abs(value) or 1.0), (high - low) / 8)
-
-            def moved(by: float, n: int = n) -> np.ndarray:
-                return self.at(np.where(np.arange(len(p)) == n, p + by, p))(r)
-
+        p, K, columns = self.vector, self(r), []
+        for one, value, low, high in zip(np.eye(len(p)), p, *self.ends):
+            widest = (high - low) / 8
+            step = min(STEP * (abs(value) or 1.0), widest)
             while True:
+                stencil = CENTRAL
                 if value - low < 2 * step:
                     stencil = FORWARD
                 elif high - value < 2 * step:
                     stencil = {-m: -c for m, c in FORWARD.items()}
-                else:
-                    stencil = CENTRAL
-                changes = {m: moved(m * step) - K for m in stencil}
-                largest = max(np.abs(change).max() for change in changes.values())
-                if largest >= SEEN * size or 10 * step > min(STEP, (high - low) / 8):
+                changes = {m: self.at(p + m * step * one)(r) - K for m in stencil}
+                seen = max(np.abs(change).max() for change in changes.values())
+                if seen >= SEEN * np.abs(K).max() or 10 * step > min(STEP, widest):
                     break
                 step *= 10
-            out[:, n] = sum(c * changes[m] for m, c in stencil.items()) / step
-        return out
+            columns.append(sum(c * changes[m] for m, c in stencil.items()) / step)
+        return np.reshape(columns, (len(p), len(r))).T
 
     def coefficients(self, lengths: ArrayLike, horizon: float) -> tuple[np.ndarray, float]:
         """Bernstein coefficients with α = 0, and how far they are off between the bond lengths.

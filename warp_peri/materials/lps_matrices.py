@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import Model, on_nominal_lattice
 from warp_peri.materials.lps_bonds import Bonds, Stiffness, check_volumes, listed, surface
-from warp_peri.points.arrays import plain
+from warp_peri.points.arrays import checked
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike
 
@@ -125,18 +125,13 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     Raises InputError for a u of another shape, a point set that does not carry the horizon, or
     nodes outside the body: the stress is that of complete families.
     """
-    u = plain("u", u)
     points = on_nominal_lattice(model, points)
     nodes, d = points.x.shape
+    u = checked("u", u, float, (..., nodes, d))
     c2 = 2 * d * (d + 2)
     inside = np.flatnonzero(points.interior)
     of: tuple[Any, Any] = model.lam, model.mu
     lam, mu = (one[inside] if np.ndim(one) else one for one in of)
-    shaped = u.ndim in (2, 3) and u.size > 0 and u.shape[-2:] == (nodes, d)
-    if not (shaped and np.isfinite(u).all()):
-        raise InputError(
-            f"u: expected finite values of shape [S, {nodes}, {d}], got {list(u.shape)}"
-        )
     if points.outside is not None:
         raise InputError("outside: expected none, for stress needs complete families")
     families = families_of(points, model.horizon)

@@ -230,18 +230,6 @@ class LPSOperator(OnPoints):
         bonds = self.bonds if self.device == DEVICE else None
         return matrices(self.model, self.nodes, bonds).operator(self.model.lam, self.model.mu)
 
-    def load(self, b: np.ndarray) -> np.ndarray:
-        """What the operator equals in equilibrium with b [TPa/Å], on the interior nodes.
-
-        Raises InputError for another shape than [N, d] or [S, N, d].
-        """
-        b, (nodes, d) = plain("b", b), self.shape
-        if b.ndim not in (2, 3) or b.shape[-2:] != (nodes, d):
-            raise InputError(
-                f"b: expected shape [S, {nodes}, {d}] or [{nodes}, {d}], got {list(b.shape)}"
-            )
-        return b[..., self.points.interior, :]
-
     @property
     def is_symmetric(self) -> bool:  # type: ignore[override]
         """Whether so is L on the interior, of a lattice without broken bonds."""
@@ -369,17 +357,13 @@ class LPSOperator(OnPoints):
         """
         refuse_solver(solver, (), "a periodic sheet, which has one way")
         nodes = self.nodes
-        if nodes.box is None or not nodes.interior.all():
+        sides = () if nodes.box is None else np.rint(np.divide(nodes.box, nodes.spacing))
+        if not nodes.interior.all() or len(nodes.x) != np.prod(sides):
             raise InputError(
-                "points: expected a lattice with a box, all of its nodes interior, for a periodic "
-                "problem; see Points.sheet"
+                "points: expected a lattice that fills its box, all of its nodes interior, for a "
+                "periodic problem; see Points.sheet"
             )
         load = checked("b", b, float, (..., *nodes.x.shape))
-        count = int(np.prod(np.rint(np.divide(nodes.box, nodes.spacing))))
-        if len(nodes.x) != count:
-            raise InputError(
-                f"points: expected {count} nodes that fill the box, got {len(nodes.x)}"
-            )
         if self.model.nodes is None:
             self.linear.check_definite()
         flat = load.reshape(-1, *nodes.x.shape)
