@@ -33,9 +33,9 @@ if TYPE_CHECKING:
     from warp_peri.dynamics.motion import Motion
     from warp_peri.errors import InputError
     from warp_peri.fitting.diagnose import diagnose
+    from warp_peri.fitting.evaluate import evaluate
     from warp_peri.fitting.settings import Bernstein
     from warp_peri.fracture.problems import Cracked
-    from warp_peri.learning.evaluate import evaluate
     from warp_peri.learning.laws import LPS, fit
     from warp_peri.materials.certificate import certify
     from warp_peri.materials.crystal_fit import Micromodulus
@@ -95,7 +95,7 @@ _NAMES = {
     "dynamics.motion": ("Motion",),
     "errors": ("InputError",),
     "fitting.diagnose": ("diagnose",),
-    "learning.evaluate": ("evaluate",),
+    "fitting.evaluate": ("evaluate",),
     "learning.laws": ("LPS", "fit"),
     "fitting.settings": ("Bernstein",),
     "materials.crystal_fit": ("Micromodulus",),

@@ -35,12 +35,6 @@ class Shown:
         return as_table(self.rows())
 
 
-def proven_rows(certificate: dict[str, Any]) -> list[tuple[str, str]]:
-    """What certificates state, by spacing."""
-    figures = (each for each in certificate.values() if isinstance(each, dict))
-    return [("proven", str(each["statement"])) for each in figures if "statement" in each]
-
-
 def error_rows(errors: dict[str, Any]) -> list[tuple[str, str]]:
     """E_res and E_u on data sets, by name."""
     rows = []

@@ -1,6 +1,8 @@
 """Algorithm 2: choices among trials, and a sweep that resumes."""
 
+import copy
 import dataclasses
+import json
 import sys
 
 import pytest
@@ -64,14 +66,43 @@ def test_a_sweep_finds_the_horizon_of_the_data_and_resumes(sets, tmp_path, monke
     assert first.printed.E_u_test == pytest.approx(first.printed.E_u_val)
     files = {file: file.stat().st_mtime_ns for file in tmp_path.iterdir()}
 
-    broken = next(
-        file for file in files if file.name.startswith("d2_M3") and "model" not in file.name
-    )
+    broken = next(file for file in files if file.name.startswith("d2_M3"))
     broken.write_text("{")
     again = sweep(train, val, tmp_path, test=val, **options)
     assert [t.E_res_train for t in again.trials] == [t.E_res_train for t in first.trials]
     made = {file for file in files if file.stat().st_mtime_ns != files[file]}
     assert {file.name.split("_")[0] + file.name.split("_")[1] for file in made} == {"d2M3"}
+
+
+def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):
+    """Of other errors, of a bound that is not proven, under the name of another; a horizon that is
+    the same to six digits is another trial."""
+    options = {"horizons": (2.0, 2.0 + 1e-7), "degrees": (0,), "jobs": 1}
+    first = sweep(*sets, tmp_path, **options)
+    files = sorted(tmp_path.glob("*.model.json"))
+    assert len(files) == len(first.trials) == 2
+    content = json.loads(files[0].read_text())
+    for change in ("errors", "bound", "name"):
+        told = copy.deepcopy(content)
+        if change == "errors":
+            told["errors"]["E_res"]["train"] = 0.0
+        elif change == "bound":
+            (figures,) = told["certificate"].values()
+            figures["symbol_bound"] *= 10
+            del told["sha256"]
+        else:
+            told = json.loads(files[1].read_text())
+        files[0].write_text(json.dumps(told))
+        again = sweep(*sets, tmp_path, **options)
+        assert [dataclasses.astuple(t) for t in again.trials] == [
+            dataclasses.astuple(t) for t in first.trials
+        ]
+    told = copy.deepcopy(content)
+    (figures,) = told["certificate"].values()
+    figures["statement"] = "All is proven."
+    del told["sha256"]
+    files[0].write_text(json.dumps(told))
+    assert "All is proven" not in repr(Model.load(files[0]))
 
 
 def test_other_data_are_not_taken_for_finished(sets, tmp_path):

@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 
+from warp_peri.core.elastic import huang_rows, stress_brackets
 from warp_peri.core.groups import checked_orientation, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
 from warp_peri.materials.crystal import Crystal
@@ -85,3 +86,9 @@ def plain_force(law, points, u):
             total += C @ (u[i] - u[place[tuple(other.tolist())]])
         force.append(total)
     return np.array(force)
+
+
+def huang_defect(law):
+    """Largest break of Huang's relations, relative to the largest bracket."""
+    held = 0.0 if law.stress is None else stress_brackets(law.stress)
+    return np.abs(huang_rows((law.brackets - held)[None])).max() / np.abs(law.brackets).max()

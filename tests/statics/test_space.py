@@ -11,7 +11,7 @@ from tests.support.solving import solve
 from warp_peri import Direct, Krylov
 from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
-from warp_peri.learning.evaluate import without_rigid_part
+from warp_peri.fitting.evaluate import without_rigid_part
 from warp_peri.materials.lps import moduli
 from warp_peri.methods import Solid
 from warp_peri.micromodulus import tensors_of

@@ -20,13 +20,13 @@ from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
 from warp_peri.core.stencil import Basis, half_ball, invariant_basis
 from warp_peri.errors import InputError
+from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.rows import forces
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
 from warp_peri.shown import Shown
 
-ROUNDING, TINY = 1e-12, 1e-300
-"""What is less than this beside the parts that cancel in it is rounding."""
+TINY = 1e-300
 LEAST_TOLD = 0.005
 """Of the square: a cause with a smaller share is not told as the next one."""
 LEAST_SAMPLES, PARTS = 8, 24

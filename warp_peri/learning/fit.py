@@ -22,6 +22,7 @@ from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.fitting.augmented_lagrangian import augmented_lagrangian
+from warp_peri.fitting.evaluate import evaluate
 from warp_peri.fitting.long_waves import lame_of_long_waves
 from warp_peri.fitting.losses import without_noise
 from warp_peri.fitting.regression import LatticeRows
@@ -38,7 +39,6 @@ from warp_peri.fitting.settings import (
 )
 from warp_peri.fitting.training_data import check_noise, listed, sample_weights
 from warp_peri.learning import LOSSES
-from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.response import STEPS, fit_output_error, reduced_loss, responses_of
 from warp_peri.learning.two_stage import SMALLEST_MODULUS, fit_positive_kernel, fit_signed_kernel
 from warp_peri.materials.certificate import certify

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
+import itertools
 import os
 import time
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,11 @@ import numpy as np
 from tqdm import tqdm
 
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import locked, parsed, write_json
+from warp_peri.files.atomic import locked, write_json
 from warp_peri.files.checkpoint import fingerprint
+from warp_peri.fitting.evaluate import evaluate
 from warp_peri.fitting.settings import Bernstein, Conditions, Kernel, Method, Optimum, TwoStage
 from warp_peri.learning import DEGREES, HORIZONS
-from warp_peri.learning.evaluate import evaluate
 from warp_peri.learning.fit import learn
 from warp_peri.materials.lps import Model
 from warp_peri.points.families import bond_classes
@@ -201,9 +202,9 @@ def sweep(
 ) -> Sweep:
     """Fit every horizon and degree and choose.
 
-    Finished fits stay in `folder`, so that an interrupted sweep goes on where it was; they are
-    known by a hash of the data and the settings. A fit that finds no optimum is warned about and
-    left out.
+    Finished fits stay in `folder` as model files with their errors, so that an interrupted sweep
+    goes on where it was; they are known by a hash of the data and the settings, and proven again.
+    A fit that finds no optimum is warned about and left out.
 
     Args:
         train, val: training and validation samples.
@@ -227,46 +228,29 @@ def sweep(
         raise InputError(
             f"jobs: expected a number of processes, or −1 for one per core, got {jobs!r}"
         )
-    sets, grid = (train, val, test, noise), (horizons, degrees)
+    sets = {"train": train, "val": val} | ({} if test is None else {"test": test})
+    common = (sets, noise, Conditions(conditions), method)
+    files = {}
+    for horizon, degree in itertools.product(horizons, degrees):
+        key = fingerprint(horizon, degree, *common)
+        name = f"d{horizon:g}_M{degree}_{key[:12]}.model.json"
+        files[Path(folder) / name] = (horizon, degree, key)
     with locked(folder):
-        return _sweep(*sets, Path(folder), *grid, conditions, method, jobs, progress)
-
-
-def _sweep(
-    train: Samples,
-    val: Samples,
-    test: Samples | None,
-    noise: Samples | None,
-    folder: Path,
-    horizons: Sequence[float],
-    degrees: Sequence[int],
-    conditions: str,
-    method: Method,
-    jobs: int,
-    progress: bool,
-) -> Sweep:
-    key = fingerprint(conditions, method, train, val, test, noise)[:12]
-    cases = [(horizon, degree) for horizon in horizons for degree in degrees]
-    files = [folder / f"d{horizon:g}_M{degree}_{key}.json" for horizon, degree in cases]
-    todo = [(case, file) for case, file in zip(cases, files) if _read(file) is None]
-    with tqdm(
-        total=len(cases), initial=len(cases) - len(todo), unit="fit", disable=not progress
-    ) as bar:
-        parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
-        work = (
-            joblib.delayed(_trial)(
-                train, val, test, noise, horizon, degree, conditions, method, file
-            )
-            for (horizon, degree), file in todo
-        )
+        found = {file: _read(file, train, case) for file, case in files.items()}
+        todo = [file for file in files if found[file] is None]
+        work = (joblib.delayed(_fit)(*common, *files[file], file) for file in todo)
         failed = []
-        for failure in parallel(work) if todo else ():
-            failed += [failure] if failure else []
-            bar.update()
-    for failure in sorted(failed):
-        warnings.warn(f"sweep: {failure}; the other fits go on", stacklevel=3)
-    trials = [trial for file in files if (trial := _read(file)) is not None]
-    if not trials:
+        with tqdm(
+            total=len(files), initial=len(files) - len(todo), unit="fit", disable=not progress
+        ) as bar:
+            parallel = joblib.Parallel(n_jobs=jobs, return_as="generator_unordered")
+            for failure in parallel(work) if todo else ():
+                failed += [failure] if failure else []
+                bar.update()
+        for failure in sorted(failed):
+            warnings.warn(f"sweep: {failure}; the other fits go on", stacklevel=2)
+        found |= {file: _read(file, train, files[file]) for file in todo}
+    if not (trials := [trial for trial in found.values() if trial is not None]):
         raise RuntimeError("sweep: every fit failed")
     return choose(trials)
 
@@ -294,69 +278,50 @@ def _average(trial: Trial, base: Trial) -> float:
     return float(np.mean([getattr(trial, name) / getattr(base, name) for name in names]))
 
 
-def _trial(
-    train: Samples,
-    val: Samples,
-    test: Samples | None,
+def _fit(
+    sets: dict[str, Samples],
     noise: Samples | None,
+    conditions: Conditions,
+    method: Method,
     horizon: float,
     degree: int,
-    conditions: str,
-    method: Method,
+    key: str,
     file: Path,
 ) -> str:
-    """Fit, evaluate, and leave the record in `file` and the model beside it.
+    """Fit, evaluate, and leave the model with its errors in `file`.
 
     Returns what went wrong when a fit finds no optimum; nothing is left then, and the next run
-    tries again. A fit of hours keeps its state beside the record, and goes on from there. Input
+    tries again. A fit of hours keeps its state beside the model, and goes on from there. Input
     that cannot be used ends the sweep.
     """
-    state = file.with_suffix(".npz")
+    state, train = file.with_suffix(".npz"), sets["train"]
     if isinstance(method, TwoStage):
         method = dataclasses.replace(method, checkpoint=state)
+    asked = {"method": method, "conditions": conditions, "noise": noise, "progress": False}
     try:
-        learned = learn(
-            train,
-            horizon,
-            Bernstein(degree),
-            method=method,
-            conditions=Conditions(conditions),
-            noise=noise,
-            progress=False,
-        )
+        model = learn(train, horizon, Bernstein(degree), **asked).material
     except RuntimeError as error:
         unit = symbols(train.points.units)[0]
         return f"δ = {horizon:g} {unit}, M = {degree}: {error}"
-    model = learned.material
-    tables = [evaluate(model, points, allow_uncertified=True) for points in (train, val)]
-    E_u_test = None if test is None else evaluate(model, test, allow_uncertified=True)["E_u"]
-    model_file = file.with_suffix(".model.json")
-    model.save(model_file)
-    record = Trial(
-        horizon=horizon,
-        degree=degree,
-        bonds=int(bond_classes(train.spacing, horizon).count.sum()),
-        E_res_train=tables[0]["E_res"],
-        E_u_train=tables[0]["E_u"],
-        E_res_val=tables[1]["E_res"],
-        E_u_val=tables[1]["E_u"],
-        E_u_test=E_u_test,
-        lam=model.lam,
-        mu=model.mu,
-        alpha=model.alpha,
-        symbol_bound=learned.certificate.symbol_bound,
-        model=model_file.name,
-    )
-    write_json(file, asdict(record))
+    tables = {name: evaluate(model, one, allow_uncertified=True) for name, one in sets.items()}
+    errors = {key: {name: table[key] for name, table in tables.items()} for key in ERRORS}
+    provenance = model.provenance | {"sweep": key}
+    dataclasses.replace(model, errors=errors, provenance=provenance).save(file)
     state.unlink(missing_ok=True)
     return ""
 
 
-def _read(file: Path) -> Trial | None:
-    """A finished trial; None when there is none or its files cannot be read."""
+def _read(file: Path, train: Samples, case: tuple[float, int, str]) -> Trial | None:
+    """A finished trial, whose file and proof `load` checks; None where there is none of this."""
     try:
-        trial = Trial(**parsed(file.read_bytes()))
-        Model.load(file.parent / trial.model)
-    except (OSError, ValueError, TypeError):
+        model = Model.load(file)
+        if (model.horizon, model.degree, model.provenance["sweep"]) != case:
+            return None
+        res, u = (model.errors[name] for name in ("E_res", "E_u"))
+        bonds = int(bond_classes(train.spacing, model.horizon).count.sum())
+        errors = res["train"], u["train"], res["val"], u["val"], u.get("test")
+        bound = model.certificate[f"{train.spacing:g}"]["symbol_bound"]
+        numbers = model.lam, model.mu, model.alpha, bound
+        return Trial(model.horizon, model.degree, bonds, *errors, *numbers, file.name)
+    except (InputError, KeyError, TypeError):
         return None
-    return trial

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import LinearOperator, splu
 from warp_peri.contract import LINEAR, offered, stencil_of
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
-from warp_peri.materials.lps import Model
+from warp_peri.materials.lps import Model, statement_of
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike
@@ -63,17 +63,7 @@ class Certificate:
     @property
     def statement(self) -> str:
         """What the certificate proves, in one sentence."""
-        length, stress = symbols(self.units)
-        shape, points = {2: ("square", 5), 3: ("cubic", 7)}[self.dimension]
-        if not self.symbol_bound > 0:
-            return f"Nothing is proven on the lattice of spacing {self.spacing:g} {length}."
-        return (
-            f"Every static problem on any finite set of nodes of the {shape} lattice of spacing "
-            f"{self.spacing:g} {length}, with displacement given out to twice the horizon around "
-            f"it, has exactly one solution, and the operator's smallest eigenvalue is at least "
-            f"{self.symbol_bound:.6g} {stress} times that of the {points}-point Laplacian on "
-            "the same nodes."
-        )
+        return statement_of(self.spacing, self.symbol_bound, self.units, self.dimension)
 
     @property
     def paper(self) -> bool | None:

@@ -430,11 +430,6 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
         held = self.stress
         return self.brackets if held is None else self.brackets - elastic.stress_brackets(held)
 
-    def huang_defect(self) -> float:
-        """Largest break of Huang's relations, relative to the largest bracket."""
-        rows = elastic.huang_rows(self._at_rest[None])
-        return float(np.abs(rows).max() / np.abs(self.brackets).max())
-
     def moduli(self, unit: str | None = None) -> dict[str, float]:
         """Elastic constants by name that are not zero, those of a cubic crystal as C11, C12, C44.
 

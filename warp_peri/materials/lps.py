@@ -23,7 +23,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.quadrature import DEGREE, SINGULARITY
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
-from warp_peri.shown import error_rows, proven_rows
+from warp_peri.shown import error_rows
 
 if TYPE_CHECKING:
     from warp_peri.materials.lps_operator import LPSOperator
@@ -456,7 +456,8 @@ class Model(Record, format="warp_peri.model"):
         ]
         spacings = (f"{h:g} {length}" for h in self.certified_on)
         rows.append(("certified on", ", ".join(spacings) or "no lattice"))
-        return rows + proven_rows(self.certificate) + error_rows(self.errors)
+        rows += [("proven", told) for told in statements(self).values()]
+        return rows + error_rows(self.errors)
 
 
 def by_spacing(
@@ -473,6 +474,28 @@ def by_spacing(
         except (AttributeError, TypeError, ValueError):
             raise InputError(f"{key}: expected figures of a spacing, got {name!r:.50}") from None
     return found
+
+
+def statements(model: Model) -> dict[float, str]:
+    """What is proven of a model by the spacing of the lattice, made of the numbers."""
+    figures = by_spacing("certificate", model.certificate, model.certified_on)
+    bounds = {h: each.get("symbol_bound") for h, each in figures.items()}
+    about = model.units, model.dimension
+    return {h: statement_of(h, c, *about) for h, c in bounds.items() if c is not None}
+
+
+def statement_of(spacing: float, bound: float, units: Units, dimension: int) -> str:
+    """What is proven of a lattice with this bound of D/s, in one sentence."""
+    length, stress = symbols(units)
+    shape, points = {2: ("square", 5), 3: ("cubic", 7)}[dimension]
+    if not bound > 0:
+        return f"Nothing is proven on the lattice of spacing {spacing:g} {length}."
+    return (
+        f"Every static problem on any finite set of nodes of the {shape} lattice of spacing "
+        f"{spacing:g} {length}, with displacement given out to twice the horizon around it, has "
+        f"exactly one solution, and the operator's smallest eigenvalue is at least {bound:.6g} "
+        f"{stress} times that of the {points}-point Laplacian on the same nodes."
+    )
 
 
 def _figures_in(figures: Any, length: float, stress: float) -> Any:

@@ -20,7 +20,7 @@ from warp_peri.core.proof import largest
 from warp_peri.core.sweeps import torus_symbol
 from warp_peri.errors import InputError
 from warp_peri.launch import DEVICE, known_device, recording
-from warp_peri.materials.lps import Model, Solid, on_nominal_lattice
+from warp_peri.materials.lps import Model, Solid, on_nominal_lattice, statements
 from warp_peri.materials.lps_bonds import Bonds, SweepLaw, check_volumes
 from warp_peri.materials.lps_force import (
     Felt,
@@ -280,8 +280,7 @@ class LPSOperator(OnPoints):
         spacing = self.points.spacing
         if not self.model.is_certified_on(spacing):
             return None
-        figures = self.model.certificate.get(f"{self.model.nominal_spacing(spacing):g}", {})
-        return str(figures["statement"]) if "statement" in figures else None
+        return statements(self.model).get(self.model.nominal_spacing(spacing))
 
     def energy(self, u: np.ndarray) -> np.ndarray | None:
         """h^d (½ u_I·L u_I + u_I·L u_C) [stress · length^d], shape [...]; on lattices."""

@@ -14,8 +14,6 @@ from warp_peri.points.samples import Samples
 
 ROUNDING = 1e-12
 """What is less than this beside the parts that cancel in it is rounding."""
-USUAL = {"transfer": True, "allow_uncertified": False}
-"""Options that a law without certificates need not know."""
 
 
 def residual_errors(operator: Any, points: Samples) -> np.ndarray:
@@ -73,8 +71,8 @@ def evaluate(
         points = points.obvious()
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
-    asked = {"transfer": transfer, "allow_uncertified": allow_uncertified}
-    options: dict[str, Any] = {n: value for n, value in asked.items() if value != USUAL[n]}
+    options = {} if transfer else {"transfer": False}  # a law without certificates knows neither
+    options |= {"allow_uncertified": True} if allow_uncertified else {}
     operator = placed(material, points.points, verb="evaluate", **options)
     offered(operator, "product", "evaluate", "a material whose fields are displacements")
     if hasattr(operator, "errors"):  # a law whose samples may fail one by one
