@@ -252,8 +252,10 @@ class MaterialFit:
 
     @property
     def certificate(self) -> Any:
-        """What is proven of it: the `proof` of its training lattice, where it has none itself."""
-        return self.proof or self.material.certificate
+        """What is proven of it, or of its linear part: the `proof` of its training lattice, where
+        it has none itself."""
+        own = getattr(self.material, "certificate", None)
+        return self.proof or own or getattr(self.material, "linear", self.material).certificate
 
 
 class Problem(Protocol):

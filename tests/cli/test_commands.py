@@ -552,7 +552,7 @@ def test_an_interrupt_says_whether_anything_is_kept(data, tmp_path, capsys, monk
     def stops(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("warp_peri.learning.sweep.learn", stops)
+    monkeypatch.setattr("warp_peri.learning.laws.learn", stops)
     words = ["train", str(data), "--out", str(tmp_path / "new"), "--horizon", "2.5"]
     assert main(words) == 130
     assert "interrupted; nothing is kept yet" in capsys.readouterr().err

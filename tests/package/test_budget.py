@@ -16,28 +16,28 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_569,
-    "tokens": 295_242,
-    "lines of warp_peri": 40_649,
+    "code lines": 24_550,
+    "tokens": 295_190,
+    "lines of warp_peri": 40_633,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 60_814,
+    "lines of warp_peri, kernels, examples and tools": 60_798,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
     "characters of the longest string": 1_786,
     "class names twice": 0,
-    "imports of warp_peri inside functions": 12,
+    "imports of warp_peri inside functions": 11,
     "asserts in warp_peri": 0,
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 3072,
-    "cli": 1211,
+    "cli": 1191,
     "core": 1747,
     "diffusion": 339,
     "dynamics": 529,
     "edges": 961,
-    "face": 942,
+    "face": 943,
     "files": 576,
     "fitting": 1291,
     "fracture": 1770,

@@ -28,6 +28,7 @@ from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
 
 if TYPE_CHECKING:
     from warp_peri.learning.sweep import Run
+    from warp_peri.points.samples import Samples
 
 Result = dict[str, Any]
 
@@ -40,6 +41,9 @@ ERRORS = {"E_res": "residual of forces, larger for short waves", "E_u": "error o
 CUBIC = ("t3", "tq2", "q3")
 """Third-order constants that a law may have."""
 
+OF_LPS = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",
+          "zeta": None, "loss": "auto", "seed": 0, "degree": None}  # fmt: skip
+"""Options that mean nothing to other laws, and their defaults."""
 KINDS = {
     "lps": "linear peridynamic solid (LPS)",
     "tensors": "crystal model",
@@ -138,83 +142,61 @@ def _dataset(given: argparse.Namespace) -> Dataset:
 
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
-    from warp_peri.learning import sweep
-    from warp_peri.materials.crystal_fit import long_waves_of_data
+    from warp_peri.learning.sweep import Run, evaluated
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)
-    if given.law != "lps":
-        return _train_other(given, data)
-    samples, noise = data[given.set], data[given.noise] if given.noise else None
-    kernel: settings.Kernel
-    kernel = settings.Bernstein(DEGREE if given.degree is None else given.degree)
-    if given.influence:
-        if given.degree is not None:
-            raise InputError("degree, influence: expected one of the two")
-        unit = symbols(data.units)[0]
-        kernel = shape_of(given.influence, given.horizon, samples.spacing, unit)
+    samples = data[given.set]
+    noise = data[given.noise] if given.noise else None
+    law = _law(given, samples, symbols(data.units)[0])
     with locked(given.out):
-        run = sweep.train(
-            samples,
-            given.horizon,
-            kernel,
-            data.sets,
-            noise=noise,
-            method=settings.named(given.method, seed=given.seed),
-            conditions=warp_peri.methods.Conditions(given.conditions, given.zeta),
-            loss=given.loss,
-            normalise=given.normalise,
-            progress=given.progress,
-        )
+        fit = law.learn(samples, progress=given.progress, **({"noise": noise} if noise else {}))
+        run = Run(fit, *evaluated(fit.material, data.sets), {})
         metrics = training_metrics(run)
-        best, warned = long_waves_of_data(run.fit.moduli[0], samples, given.horizon)
-        if best:
-            metrics["moduli of a crystal model"] = best
-        if warned:
-            warnings.warn(warned, stacklevel=1)
-        with contextlib.suppress(InputError):  # scattered points, or too few samples
-            found = warp_peri.diagnose(run.fit.material, samples, noise)
+        if given.law == "lps":
+            metrics |= _told_by_data(fit, samples, given.horizon)
+        with contextlib.suppress(InputError):  # scattered points, too few samples, third order
+            found = warp_peri.diagnose(fit.material, samples, noise)
             metrics["residual"] = {"why": found.sentence, **found.shares}
             if found.advice:
                 warnings.warn(found.advice, stacklevel=1)
-        return _kept(given, run, metrics, data)
-
-
-def _train_other(given: argparse.Namespace, data: Dataset) -> Result:
-    """The same for a law other than the LPS; its methods, losses and kernels are the LPS's own."""
-    from warp_peri.learning.sweep import Run, evaluated
-
-    usual = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",
-             "zeta": None, "loss": "auto", "seed": 0}  # fmt: skip
-    usual |= {"degree": None} | ({} if given.law == "tensors" else {"normalise": False})
-    if own := [f"--{name}" for name, value in usual.items() if getattr(given, name) != value]:
-        raise InputError(f"{', '.join(own)}: not of --law {given.law}")
-    samples, horizon = data[given.set], given.horizon
-    law: Any = warp_peri.Micromodulus(horizon, normalise=given.normalise)
-    if given.law == "third-order":
-        law = warp_peri.ThirdOrder(law, warp_peri.methods.Smoothing(2 * samples.spacing))
-    with locked(given.out):
-        fit = warp_peri.fit(samples, law, progress=given.progress)
-        run = Run(fit, *evaluated(fit.material, data.sets), {})
-        material, solid = fit.material, getattr(fit.material, "linear", fit.material)
-        proof: Any = getattr(fit, "certificate", None) or solid.certificate
-        metrics = {"law": given.law, "units": list(data.units), "moduli": solid.moduli()}
-        if hasattr(proof, "statement"):
-            metrics["statement"] = proof.statement
-        metrics |= {name: getattr(material, name) for name in CUBIC if hasattr(material, name)}
-        metrics |= {"E_res": run.mean("E_res"), "E_u": run.mean("E_u")}
-        metrics["not_evaluated"] = run.refused
-        return _kept(given, run, metrics, data)
-
-
-def _kept(given: argparse.Namespace, run: Run, metrics: Result, data: Dataset) -> Result:
-    """Write what was learned and the settings to the folder; what the command prints."""
-    provenance = {"data_provenance": data.provenance}
-    metrics |= {"thickness": data.thickness, "density": data.density}
-    run.save(given.out, metrics, data=given.data, provenance=provenance)
-    keep(given, given.out / f"{given.command}.toml")
+        metrics |= {"thickness": data.thickness, "density": data.density}
+        provenance = {"data_provenance": data.provenance}
+        run.save(given.out, metrics, data=given.data, provenance=provenance)
+        keep(given, given.out / f"{given.command}.toml")
     given.first = _first(given, metrics, data)
     return {**metrics, "model": str(given.out / "model.json")}
+
+
+def _law(given: argparse.Namespace, samples: Samples, unit: str) -> Any:
+    """What is learned, by the options; InputError for those of an LPS with another law."""
+    if given.law == "lps":
+        degree = DEGREE if given.degree is None else given.degree
+        kernel: settings.Kernel = settings.Bernstein(degree)
+        if given.influence:
+            if given.degree is not None:
+                raise InputError("degree, influence: expected one of the two")
+            kernel = shape_of(given.influence, given.horizon, samples.spacing, unit)
+        method = settings.named(given.method, seed=given.seed)
+        conditions = settings.Conditions(given.conditions, given.zeta)
+        return warp_peri.LPS(given.horizon, kernel, method, conditions, given.loss, given.normalise)
+    usual = OF_LPS | ({} if given.law == "tensors" else {"normalise": False})
+    if own := [f"--{name}" for name, value in usual.items() if getattr(given, name) != value]:
+        raise InputError(f"{', '.join(own)}: not of --law {given.law}")
+    law = warp_peri.Micromodulus(given.horizon, normalise=given.normalise)
+    smoothing = warp_peri.methods.Smoothing(2 * samples.spacing)
+    return law if given.law == "tensors" else warp_peri.ThirdOrder(law, smoothing)
+
+
+def _told_by_data(fit: Any, samples: Samples, horizon: float) -> Result:
+    """The moduli of a crystal model of the data, where those of an LPS are off by more than their
+    spread, which is warned of."""
+    from warp_peri.materials.crystal_fit import long_waves_of_data
+
+    best, warned = long_waves_of_data(fit.moduli[0], samples, horizon)
+    if warned:
+        warnings.warn(warned, stacklevel=1)
+    return {"moduli of a crystal model": best} if best else {}
 
 
 def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[str]:
@@ -229,7 +211,7 @@ def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[st
     name = next((name for name in (*HELD_OUT, *others) if name in others), given.set)
     seen = "loads that the fit did not see" if name != given.set else "the loads of the fit"
     error = "not known" if solved.get(name) is None else f"{100 * solved[name]:.2g} %"
-    proven = metrics.get("certified", "statement" in metrics)
+    proven = metrics["certified"]
     of = "the linear part has " if given.law == "third-order" else ""
     last = ["evaluate", str(path), str(given.data)]
     if name != given.set:
@@ -252,23 +234,23 @@ def sheet_of(data: Dataset) -> str:
 
 def training_metrics(run: Run) -> Result:
     """Constants, certificate and errors of a training run."""
-    model = run.fit.material
-    metrics: Result = {
-        "units": list(model.units),
-        "certified": bool(model.certified_on),
-        "statement": run.fit.certificate.statement,
-        "loss": f"{run.fit.loss.name} ({run.fit.loss.reason})",
-        "lambda": model.lam,
-        "mu": model.mu,
-        "E": model.E,
-        "nu": model.nu,
-        "moduli": run.fit.moduli[0],
-        "E_res": run.mean("E_res"),
-        "E_u": run.mean("E_u"),
-        "not_evaluated": run.refused,
+    material = run.fit.material
+    solid = getattr(material, "linear", material)
+    proof = run.fit.certificate
+    metrics: Result = {"units": list(material.units), "certified": proof is not None}
+    if proof is not None:
+        metrics |= {"certified": bool(proof.holds), "statement": proof.statement}
+    if hasattr(run.fit, "loss"):
+        metrics["loss"] = f"{run.fit.loss.name} ({run.fit.loss.reason})"
+    numbers = {name: name for name in ("mu", "E", "nu", *CUBIC)} | {"lambda": "lam"}
+    metrics |= {
+        key: getattr(material, name) for key, name in numbers.items() if hasattr(material, name)
     }
-    if run.fit.influence is not None:
-        metrics |= model.provenance
+    metrics["moduli"] = run.fit.moduli[0] if hasattr(run.fit, "moduli") else solid.moduli()
+    metrics |= {"E_res": run.mean("E_res"), "E_u": run.mean("E_u")}
+    metrics["not_evaluated"] = run.refused
+    if getattr(run.fit, "influence", None) is not None:
+        metrics |= material.provenance
     return metrics
 
 
