@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
@@ -148,16 +148,18 @@ class TensorOperator(OnPoints):
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u to the tensors, of fields [K, N, d] and weights [K, I, d]."""
-        nodes, lead = self.nodes, (slice(None), slice(None))
+        nodes, core = self.nodes, (slice(None), slice(None), *self.nodes.core)
         planes, w = nodes.scatter(self.fields(u)), plain("w", w)
         pull = np.stack([nodes.scatter_interior(one) for one in w])
-        pull = pull if nodes.periodic else pull[(*lead, *nodes.core)]
-        middle, found = 2 * planes[(*lead, *nodes.core)], []
-        for step in self.steps:
-            bent = middle - planes[(*lead, *nodes.beside(step))]
-            bent -= planes[(*lead, *nodes.beside(-step))]
-            found.append(np.einsum("si...,sj...->ij", pull, bent, optimize=True))
+        pull = pull if nodes.periodic else pull[core]
+        bent = (2 * planes[core] - ahead - behind for ahead, behind in self._beside(planes))
+        found = [np.einsum("si...,sj...->ij", pull, each, optimize=True) for each in bent]
         return np.asarray((np.array(found) + np.transpose(found, (0, 2, 1))) / 2)
+
+    def _beside(self, planes: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """By step what lies ahead of the box of the interior and behind it, [S, d, …]."""
+        for step in self.steps:
+            yield tuple(planes[(..., *self.nodes.beside(way))] for way in (step, -step))
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15).
@@ -183,16 +185,11 @@ class TensorOperator(OnPoints):
 
     def gradient(self, u: ArrayLike) -> np.ndarray:
         """∂u_a/∂x_b at the interior nodes by least squares over the family, [..., I, d, d]."""
-        fields, lead = self.fields(u), np.shape(u)[:-2]
-        planes, nodes, r = self.nodes.scatter(fields), self.nodes, self.nodes.reach
-        d = nodes.dimension
-        xi = self.spacing * self.steps
-        inverse = np.linalg.inv(2 * xi.T @ xi)
+        fields, lead, nodes = self.fields(u), np.shape(u)[:-2], self.nodes
+        d, r, xi = nodes.dimension, nodes.reach, self.spacing * self.steps
         found = np.zeros((len(fields), d, d, *(n - 2 * r for n in nodes.wide)))
-        for step, weight in zip(self.steps, xi @ inverse):
-            ahead, behind = (
-                planes[(slice(None), slice(None), *nodes.beside(side))] for side in (step, -step)
-            )
+        weights = xi @ np.linalg.inv(2 * xi.T @ xi)
+        for weight, (ahead, behind) in zip(weights, self._beside(nodes.scatter(fields))):
             for b in range(d):
                 found[:, :, b] += weight[b] * (ahead - behind)
         if not nodes.periodic:

@@ -325,12 +325,14 @@ def fit_symbol(
         symmetry: of the crystal, by name or as rotations.
         orientation: the crystal's axes in those of the nodes.
         tensor: elastic tensor along the nodes' axes that is held, [d, d, d, d]; without it Huang's
-            relations alone are.
+            relations alone are, and the orientation is a rotation.
         stress: that the crystal is held under, along the nodes' axes, [d, d].
         largest_wave: |k| h up to which waves weigh fully; beyond it a tenth.
         record: goes into the provenance.
     """
-    d = _dimension(target) if tensor is None else len(tensor)
+    if tensor is None and np.ndim(orientation) != 2:
+        raise InputError("tensor, orientation: expected one of them, a rotation, got neither")
+    d = len(orientation if tensor is None else tensor)
     tensors = Tensors(spacing, horizon, symmetry, checked_orientation(orientation, d))
     R, y = wave_rows(target, spacing, tensors.bonds, tensors.group, largest_wave)
     told = (record or {}) | {
@@ -341,17 +343,6 @@ def fit_symbol(
     return tensors.crystal(tensors.fitted(R, y, tensor, stress), units, told, stress)
 
 
-def _dimension(target: WaveSymbol) -> int:
-    """Of the waves that a symbol takes."""
-    for d in (2, 3):
-        try:
-            if target(np.full((1, d), 0.01)).shape == (1, d, d):
-                return d
-        except ValueError:
-            continue
-    raise InputError("target: expected k of shape [K, d] to [K, d, d], d = 2 or 3")
-
-
 def from_phonons(
     atoms: ForceConstants,
     spacing: float,
@@ -359,8 +350,6 @@ def from_phonons(
     *,
     symmetry: Symmetry = "auto",
     orientation: Any = None,
-    hold_moduli: bool | None = None,
-    largest_wave: float = LARGEST_WAVE,
     units: Units = USUAL,
 ) -> Crystal:
     """The law that answers plane waves as atoms do, from their force constants alone (T14).
@@ -370,11 +359,11 @@ def from_phonons(
         spacing, horizon: of the nodes and of the longest bond, in the unit of length.
         symmetry: "auto" asks spglib.
         orientation: the crystal's axes in those of the nodes.
-        hold_moduli: hold the elastic constants exactly, or let long waves weigh four times; None
-            holds them where a family has NUMBERS for each.
         units: of the law.
 
-    Returns a law with its certificate. Raises InputError for a crystal that is not stable.
+    Returns a law with its certificate. It has the elastic constants of the atoms exactly where a
+    family has NUMBERS for each; elsewhere long waves weigh four times. Raises InputError for a
+    crystal that is not stable.
     """
     check_positive("spacing", spacing)
     check_positive("horizon", horizon)
@@ -396,11 +385,9 @@ def from_phonons(
 
     group = point_group(name, d)
     allowed = allowed_tensors(name, group, np.eye(d))
-    if hold_moduli is None:
-        moments = invariant_basis(horizon / spacing, shared_with_nodes(group, turn)).moments()
-        hold_moduli = len(moments) >= NUMBERS * np.linalg.matrix_rank(bracket_rows(moments))
-    C = atoms.elastic(allowed)  # also where it is not held: refuses what is no elastic solid
-    tensor = turned(C, turn) / stress if hold_moduli else None
+    moments = invariant_basis(horizon / spacing, shared_with_nodes(group, turn)).moments()
+    hold = len(moments) >= NUMBERS * np.linalg.matrix_rank(bracket_rows(moments))
+    true = turned(atoms.elastic(allowed), turn) / stress  # refuses what is no elastic solid
     held = None if atoms.stress is None else turn @ atoms.stress @ turn.T / stress
     law = fit_symbol(
         target,
@@ -408,30 +395,23 @@ def from_phonons(
         horizon,
         symmetry=name,
         orientation=turn,
-        tensor=tensor,
+        tensor=true if hold else None,
         stress=held,
         units=units,
-        largest_wave=largest_wave,
         record={"from": "phonons"},
     )
-    true = turned(C, turn) / stress
     off = float(np.abs(law.tensor() - true).max() / np.abs(true).max())
     if off > OFF:
         warnings.warn(
             f"moduli: with {law.bonds} bonds they are up to {off:.0%} of the largest away from "
-            "those of the atoms; a longer horizon, or hold_moduli=True, brings them back",
+            "those of the atoms; a longer horizon brings them back",
             stacklevel=2,
         )
     return law
 
 
 def transferred(
-    law: Crystal,
-    spacing: float,
-    *,
-    rotation: Any = None,
-    horizon: float | None = None,
-    largest_wave: float = LARGEST_WAVE,
+    law: Crystal, spacing: float, *, rotation: Any = None, horizon: float | None = None
 ) -> Crystal:
     """The law of the same crystal on other nodes: a fit to its own symbol, moduli held (T17).
 
@@ -441,7 +421,6 @@ def transferred(
         rotation: by which the crystal is turned on its nodes, [d, d], or degrees in the plane:
             C(Rξ) is R C(ξ) Rᵗ, so that its symbol is R D(Rᵗ k) Rᵗ.
         horizon: of the new law; as many spacings as the old one.
-        largest_wave: |k| times the larger spacing up to which waves weigh fully.
 
     Returns a law with its certificate. Raises InputError where the symbol is not positive.
     """
@@ -472,7 +451,7 @@ def transferred(
         tensor=turned(law.tensor(), turn),
         stress=held,
         units=law.units,
-        largest_wave=largest_wave * min(1.0, spacing / law.spacing),
+        largest_wave=LARGEST_WAVE * min(1.0, spacing / law.spacing),
         record={"from": "a law on other nodes", "spacing": law.spacing},
     )
 
