@@ -104,7 +104,7 @@ def test_the_printed_conditions_hold_densely_and_are_active():
     points, _ = data("sign-changing", horizon)
     learned = fit(points, horizon, Bernstein(5), conditions=Conditions("paper", ZETA))
     dense = certify(learned.material, spacing=1.0, points=points)
-    assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_max
+    assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_minus_2phi_max
     assert dense.schwarz
     assert dense.gamma_min > 0
     asked = Conditions("paper", ZETA)

@@ -101,7 +101,7 @@ def test_dense_figures_are_those_of_the_definition(name):
     schwarz = np.linalg.eigvalsh(gamma - 2 * phi.T @ phi)
     assert figures.gamma_min == pytest.approx(np.linalg.eigvalsh(gamma)[0], rel=1e-9)
     assert figures.gamma_minus_2phi_min == pytest.approx(schwarz[0], rel=1e-9)
-    assert figures.gamma_max == pytest.approx(schwarz[-1], rel=1e-9)
+    assert figures.gamma_minus_2phi_max == pytest.approx(schwarz[-1], rel=1e-9)
     assert figures.schwarz == (schwarz[0] >= -1e-10 * schwarz[-1])
     values = np.linalg.eigvalsh(phi @ np.linalg.solve(gamma, phi.T))
     values = values[values > 1e-9 * values[-1]]

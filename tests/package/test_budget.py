@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_528,
-    "tokens": 295_092,
-    "lines of warp_peri": 40_609,
+    "code lines": 24_529,
+    "tokens": 295_097,
+    "lines of warp_peri": 40_610,
     "lines of kernels": 1_461,
-    "lines of warp_peri, kernels, examples and tools": 60_774,
+    "lines of warp_peri, kernels, examples and tools": 60_775,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -42,7 +42,7 @@ ROOMS = {
     "fitting": 1291,
     "fracture": 1770,
     "learning": 1022,
-    "materials": 5402,
+    "materials": 5403,
     "neural": 1015,
     "points": 1769,
     "prediction": 887,

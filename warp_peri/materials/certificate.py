@@ -37,7 +37,7 @@ class Certificate:
         inf_sup_min: smallest nonzero eigenvalue of ΦΓ⁻¹Φᵗ (theorem 4.2 of You et al. 2021).
         inf_sup_rank: number of its eigenvalues that are not zero.
         gamma_minus_2phi_min: Λmin(Γ − 2ΦᵗΦ) [Å⁻²].
-        gamma_max: Λmax(Γ − 2ΦᵗΦ) [Å⁻²], which sets what zero means for the one above.
+        gamma_minus_2phi_max: Λmax(Γ − 2ΦᵗΦ) [Å⁻²], which sets what zero means for the one above.
         units: names of the units of length and stress of these figures.
     """
 
@@ -48,7 +48,7 @@ class Certificate:
     inf_sup_min: float | None = None
     inf_sup_rank: int | None = None
     gamma_minus_2phi_min: float | None = None
-    gamma_max: float | None = None
+    gamma_minus_2phi_max: float | None = None
     units: Units = USUAL
     dimension: int = 2
 
@@ -76,9 +76,9 @@ class Certificate:
     @property
     def schwarz(self) -> bool | None:
         """Whether Γ − 2ΦᵗΦ ≥ 0 to rounding; asked for by conditions="paper" only."""
-        if self.gamma_minus_2phi_min is None or self.gamma_max is None:
+        if self.gamma_minus_2phi_min is None or self.gamma_minus_2phi_max is None:
             return None
-        return self.gamma_minus_2phi_min >= -SCHWARZ_TOLERANCE * self.gamma_max
+        return self.gamma_minus_2phi_min >= -SCHWARZ_TOLERANCE * self.gamma_minus_2phi_max
 
     def figures(self) -> dict[str, Any]:
         """The figures as plain values, in the units of the model they belong to; the statement."""
@@ -148,7 +148,7 @@ def certify(
         inf_sup_min=inf_sup,
         inf_sup_rank=rank,
         gamma_minus_2phi_min=float(schwarz[0]),
-        gamma_max=float(schwarz[-1]),
+        gamma_minus_2phi_max=float(schwarz[-1]),
     )
 
 

@@ -503,7 +503,8 @@ def _figures_in(figures: Any, length: float, stress: float) -> Any:
     if not isinstance(figures, dict):
         return figures
     times = {"spacing": length} | dict.fromkeys(("symbol_min", "symbol_bound"), stress)
-    times |= dict.fromkeys(("gamma_min", "gamma_minus_2phi_min", "gamma_max"), length**-2)
+    gammas = ("gamma_min", "gamma_minus_2phi_min", "gamma_minus_2phi_max", "gamma_max")
+    times |= dict.fromkeys(gammas, length**-2)  # the last as files of before have it
     return {
         name: value * times[name] if name in times and is_number(value) else value
         for name, value in figures.items()
