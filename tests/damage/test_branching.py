@@ -13,7 +13,7 @@ def test_a_short_run_prints_and_draws(tmp_path, capsys):
     numbers = json.loads(capsys.readouterr().out)
     assert 3940 < numbers["nodes"] < 3960
     assert (tmp_path / "damage.png").stat().st_size > 5000
-    assert (tmp_path / "series" / "motion.pvd").exists()
+    assert (tmp_path / "series" / "motion.xdmf").exists()
 
 
 @pytest.mark.parametrize("turn", [0.0, 20.0])

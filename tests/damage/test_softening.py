@@ -14,8 +14,8 @@ from tests.support.bodies import solid
 from tests.support.problems import difference
 from warp_peri import InputError, Model, load, move, save
 from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle
-from warp_peri.fracture import softening
-from warp_peri.fracture.softening import SoftBody
+from warp_peri.fracture import adjoint
+from warp_peri.fracture.adjoint import SoftBody
 from warp_peri.fracture.statics import CutSolid
 
 LAWS = {
@@ -244,7 +244,7 @@ def test_a_soft_solid_of_a_file_is_pulled_the_same(tmp_path):
 @pytest.mark.parametrize("name", ["softness", "stretch", "tail", "u"])
 def test_a_pull_has_the_gradient_of_differences(name, monkeypatch):
     """To the numbers of the bonds and what is held, past the peak, along the path that is taken."""
-    monkeypatch.setattr(softening, "TOLERANCE", 1e-12)
+    monkeypatch.setattr(adjoint, "TOLERANCE", 1e-12)
     problem, rim = plate(20, 5.0, 10.05, True)
     start = {"softness": 4.0, "stretch": 0.05, "tail": 0.05, "u": problem.u}
     start = {key: torch.tensor(value, dtype=torch.float64) for key, value in start.items()}

@@ -254,7 +254,7 @@ def test_a_crack_has_the_bits_of_one_process_and_goes_on_with_another_number(
 ):
     meshio = pytest.importorskip("meshio", reason="meshio writes the files of one process")
     alone = crack(tmp_path)
-    assert (tmp_path / "series" / "motion.pvd").exists()  # the files of one process
+    assert (tmp_path / "series" / "motion.xdmf").exists()  # the files of one process
     assert alone["worst"] > 0.3
     one = jobs[1]["crack"]
     for count in set(jobs) - {2}:

@@ -202,7 +202,7 @@ def test_fluids_and_loads_that_make_no_sense_are_refused():
     room = np.abs(points.x).max() - 1
     Injected(points, [room])
     for beyond in (room + 0.5, 10 * room):
-        with pytest.raises(InputError, match="crack: expected half lengths up to"):
+        with pytest.raises(InputError, match="crack: expected .* half lengths up to"):
             Injected(points, [2.0, beyond])
     with pytest.raises(InputError, match="crack: expected float values"):
         Injected(points, "ab")

@@ -46,39 +46,24 @@ def write_vtu(
 class Series:
     """Records of a motion: one file each, and one that names their times, which ParaView opens.
 
-    With cells these are `record_<step>.vtu` and `motion.pvd`, of one process. Without them they are
     `record_<step>.h5`, `nodes.h5` and `motion.xdmf`, the same from any number of ranks.
 
     Args:
         folder: for the files; made if it is not there.
         nodes: those of this process, as checkpoint.AllNodes or ranks.Subdomain.
         x: their positions, shape [n, d], where the nodes have none themselves.
-        cells: their kind and nodes, shape [C, 2^d].
-
-    Raises InputError for cells without meshio (the extra `export`).
     """
 
     def __init__(
-        self,
-        folder: str | os.PathLike[str],
-        nodes: Any,
-        x: np.ndarray | None = None,
-        cells: tuple[str, np.ndarray] | None = None,
+        self, folder: str | os.PathLike[str], nodes: Any, x: np.ndarray | None = None
     ) -> None:
-        if cells is not None:
-            meshio_of()
-        self.folder, self.nodes, self.cells = as_path("series", folder), nodes, cells
+        self.folder, self.nodes = as_path("series", folder), nodes
         self.x = in_space(nodes.x if x is None else x)
         self.times: dict[str, float] = {}
 
     def write(self, step: int, time: float, fields: Mapping[str, np.ndarray]) -> None:
         """Write one record; vectors in the plane get a third component."""
         name, data = f"record_{step:08d}", {key: in_space(value) for key, value in fields.items()}
-        if self.cells is not None:
-            path = write_vtu(self.folder / f"{name}.vtu", self.x, self.cells, data)
-            self.times[path.name] = time
-            write_text(self.folder / "motion.pvd", self._collection())
-            return
         self._write(f"{name}.h5", data)
         if not (self.folder / "nodes.h5").exists() or not self.times:
             number = np.arange(len(self.x)) if self.nodes.number is None else self.nodes.number
@@ -91,13 +76,6 @@ class Series:
         nodes = self.nodes
         placed = {key: (value, nodes.number, nodes.count) for key, value in fields.items()}
         write_arrays(self.folder / name, nodes.comm, placed)
-
-    def _collection(self) -> str:
-        root = Element("VTKFile", type="Collection", version="0.1")
-        collection = SubElement(root, "Collection")
-        for name, moment in self.times.items():
-            SubElement(collection, "DataSet", timestep=repr(moment), part="0", file=name)
-        return tostring(root, encoding="unicode") + "\n"
 
     def _header(self, fields: Mapping[str, np.ndarray]) -> str:
         count = self.nodes.count

@@ -1,25 +1,41 @@
-"""Cut and softening bodies in torch: derivatives along the path that was taken."""
+"""Bodies in torch: the force of cut ones, and those whose bonds soften, pulled slowly (C16)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+import warnings
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 import torch
+from numpy.typing import ArrayLike
 from scipy.sparse.linalg import splu
+from tqdm import tqdm
 
-from warp_peri.core.tensors import as_tensor, linear, nonlinear, real, refuse_tangents
+from warp_peri.contract import is_tensor
+from warp_peri.core.tensors import as_tensor as as_tensor
+from warp_peri.core.tensors import linear, nonlinear, real, refuse_tangents
 from warp_peri.dynamics.adjoint import in_motion as in_motion
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.fracture.body import LatticeBody
-from warp_peri.fracture.bonds import stretch_matrix
-from warp_peri.fracture.softening import BondLaw, SoftBody, pull_of, share_of
-from warp_peri.fracture.statics import strain_of
+from warp_peri.fracture.body import LatticeBody, cracked, section
+from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
+from warp_peri.fracture.softening import BondLaw, pull_of, share_of
+from warp_peri.fracture.statics import (
+    check_horizon,
+    check_no_fail,
+    check_pieces,
+    strain_of,
+    symmetric_factors,
+)
 from warp_peri.materials.lps import Model, bernstein_basis
+from warp_peri.points.arrays import checked
+
+NEWTON = 40
+TOLERANCE = 1e-8
+SETTLED = 0.01
+"""Change of a bond's share of its pull below which damage counts as at rest."""
 
 
 def bond_force(
@@ -56,91 +72,224 @@ def bond_force(
     return linear(pull, lambda y: (stretch.T @ y.T).T, lambda x: (stretch @ x.T).T).view_as(u)
 
 
-def pressed(cut: Any, b: Any, stress: np.ndarray, parameters: Mapping[str, Any]) -> torch.Tensor:
-    """b and statics.crack_load of other numbers, [N, d], differentiable in all."""
-    numbers = {name: real(name, value) for name, value in parameters.items()}
-    numbers = {n: torch.tensor(v, dtype=torch.float64) for n, v in cut.learnable.items()} | numbers
-    even, sigma = torch.eye(cut.body.dimension, dtype=torch.float64), torch.from_numpy(stress)
-    u = (torch.from_numpy(cut.body.x) @ strain_of(sigma, numbers["lam"], numbers["mu"], even))[None]
+def crack_load(cut: Any, stress: np.ndarray, parameters: Mapping[str, Any]) -> torch.Tensor:
+    """As statics.crack_load, of other numbers and differentiable in them, [N, d]."""
+    numbers = {name: real(name, value) for name, value in (cut.learnable | {**parameters}).items()}
+    even, sigma = torch.eye(cut.body.dimension).double(), torch.from_numpy(stress)
+    strain = strain_of(sigma, numbers["lam"], numbers["mu"], even)
+    u = (torch.from_numpy(cut.body.x) @ strain)[None]
     whole, broken = (
         bond_force(cut.model, cut.body, table, u, numbers)[0]
         for table in (cut.body.neighbour, cut.neighbour)
     )
-    return as_tensor("b", b) + whole - broken
+    return whole - broken
 
 
-def pulled(body: SoftBody, u: Any, numbers: dict[str, Any], how: dict[str, Any]) -> Motion:
-    """SoftBody.pull of tensors: force and end differentiable along the path that was taken.
-
-    Which bonds failed when is felt, how often a load was settled is not.
+class SoftBody:
+    """A bond-based body whose bonds soften and fail by one law.
 
     Args:
-        body: softens.
-        u: as of `pull`.
-        numbers: softness, stretch or tail; the others are those of the body's law.
-        how: options of `pull`.
+        model: λ = μ, positive on the lattice.
+        body: the body.
+        law: of the bonds.
+        held: components of the displacement that are given, shape [N, d] bool.
+        cracks: polylines open from the start.
+        no_fail: nodes whose bonds do not break, shape [N] bool.
 
-    Raises InputError as `pull`, for other numbers, for bonds that break at once, which have no
-    gradient, and for a second derivative.
+    Attributes:
+        node, bond: where a bond begins, and its number in the ball; each bond once, [E].
+        rows: s r² of each bond as a matrix [length²], [E, d N].
+        stiffness, square, breakable: k [stress/length^4], r² [length²], and which may fail, [E].
+        free: components that are not given, flat [d N].
+
+    Raises InputError for another model or horizon, arrays that do not fit, and for a piece of the
+    body that nothing holds.
     """
-    own = {name: numbers.pop(name, getattr(body.law, name)) for name in vars(body.law)}
-    if numbers:
-        raise InputError(f"parameters: expected {', '.join(own)}, got {', '.join(numbers)}")
-    given, *law = (real(name, value) for name, value in {"u": u, **own}.items())
-    refuse_tangents(given, *law)
-    for name, value in zip(own, law):
-        if value.numel() != 1:
-            raise InputError(f"{name}: expected one number, got shape {list(value.shape)}")
-    body.law = BondLaw(*(float(value.detach()) for value in law))
-    if body.law.tail == 0:
-        raise InputError("tail: expected > 0 for a gradient, which bonds that break at once lack")
-    seen: list[list[np.ndarray]] = []
-    motion: Motion = body.pull(given.detach().numpy(), seen=seen, **how)
-    given, *law = map(_differentiated_once, (given, *law))
-    given = torch.where(torch.from_numpy(body.held), given, 0.0).ravel()
-    levers, square, breakable = map(
-        torch.from_numpy, (body.levers(how["line"]), body.square, body.breakable)
-    )
-    share, worst = torch.ones_like(square), torch.zeros_like(square)
-    forces, field = [], given
-    for load, force, fields in zip(motion.time, motion["force"], seen):
-        for one in fields:
-            field = _at_rest(body, one, share, law[0], float(load) * given)
-            s = linear(field, body.rows.dot, body.rows.T.dot) / square
-            worst = torch.maximum(worst, s).where(breakable, 0.0)
-            share = torch.minimum(share_of(worst, law[0], law[1], law[2], torch), share)
-        across = (levers * share * pull_of(s, law[0], torch)).sum()
-        forces.append(across if force else 0 * across)  # 0 of a body that came apart
-    history: Any = motion.history | {"force": torch.stack(forces)}
-    end: Any = field.reshape(body.held.shape)
-    return replace(motion, u=end, history=history)
 
+    def __init__(
+        self,
+        model: Model,
+        body: LatticeBody,
+        law: BondLaw,
+        held: np.ndarray,
+        *,
+        cracks: Sequence[ArrayLike] = (),
+        no_fail: np.ndarray | None = None,
+    ) -> None:
+        check_breakable(model, body.classes)
+        check_horizon(model, body)
+        safe, table = check_no_fail(no_fail, len(body.x)), cracked(body, cracks)
+        held = checked("held", held, bool, body.x.shape)
+        self.body, self.law, self.held = body, law, held
+        check_pieces(body, table, held)
+        node, bond = np.nonzero(table > np.arange(len(table))[:, None])  # each bond once
+        far = table[node, bond]
+        self.node, self.bond = node, bond
+        self.rows = stretch_rows(body, node, bond, far)
+        self.stiffness = 2 * bonds_of(model, body.classes).stiffness[bond]
+        self.square = body.r[bond] ** 2
+        self.breakable = ~(safe[node] | safe[far])
+        self.free = ~held.ravel()
 
-def _differentiated_once(x: torch.Tensor) -> torch.Tensor:
-    """A tensor itself, of which second derivatives are refused."""
-    return nonlinear(lambda x: x, None, (lambda x, upstream: upstream,), x)
+    def stretch(self, u: np.ndarray) -> np.ndarray:
+        """s of each bond at u, flat [d N]."""
+        along: np.ndarray = (self.rows @ u) / self.square
+        return along
 
+    def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """u at rest from a start that holds the given components, by Newton's method, flat [d N].
 
-def _at_rest(
-    body: SoftBody, u: np.ndarray, share: Any, softness: Any, given: torch.Tensor
-) -> torch.Tensor:
-    """u at rest [d N], with derivatives to what is left of bonds, their softness and what is held:
-    those of a step of Newton's method from there, which does not move it."""
-    left, beta, factors = share.detach().numpy(), float(softness.detach()), list[Any]()
-    square, stiffness = (torch.from_numpy(one) for one in (body.square, body.stiffness))
+        share: what is left of the pull of each bond.
+        """
+        softness = self.law.softness
+        for _ in range(NEWTON):
+            d = self.rows @ u
+            s = np.maximum(d / self.square, 0)
+            weak = np.exp(-softness * s)
+            total = self.rows.T @ (self.stiffness * share * d * weak)
+            force = total[self.free]
+            if np.linalg.norm(force) <= TOLERANCE * np.linalg.norm(total):
+                return u
+            tangent = self.stiffness * share * weak * np.maximum(1 - softness * s, 0.02)
+            matrix = sp.csr_array(self.rows.T @ (sp.diags_array(tangent) @ self.rows))
+            inner = sp.csc_array(matrix[self.free][:, self.free])
+            u = u.copy()
+            u[self.free] -= symmetric_factors(inner).solve(force)
+        raise InputError("softening: no equilibrium was found; the body may have come apart")
 
-    def inverse(g: np.ndarray) -> np.ndarray:
-        if not factors:
-            s = np.maximum(body.stretch(u), 0)
-            slope = body.stiffness * left * np.exp(-beta * s) * (1 - beta * s)
-            K = sp.csr_array(body.rows.T @ (sp.diags_array(slope) @ body.rows))
-            factors.append(splu(sp.csc_array(K[body.free][:, body.free])))
-        w = np.zeros_like(g)
-        w[body.free] = factors[0].solve(g[body.free])
-        return w
+    def levers(self, line: ArrayLike) -> np.ndarray:
+        """What bonds add to the force at right angles to a straight line, in space to a flat
+        polygon, of one side on the other, tension positive, by thickness; over their law's pull
+        and what is left of it, [E].
 
-    field = torch.where(torch.from_numpy(body.free), torch.from_numpy(u), given)
-    s = linear(field, body.rows.dot, body.rows.T.dot) / square
-    pull = stiffness * square * share * pull_of(s, softness, torch)
-    force = linear(pull, body.rows.T.dot, body.rows.dot)
-    return field - linear(force, np.zeros_like, inverse)
+        Raises InputError for another line than two ends, and one that no bond crosses.
+        """
+        crossing, _, normal = section(self.body, line, "line")
+        if not (cut := crossing[self.node, self.bond]).any():
+            raise InputError("line: no bond of the body crosses it, so no force can be read there")
+        rise = cut * np.abs(self.body.xi[self.bond] @ normal)
+        cell = self.body.spacing**self.body.dimension
+        return np.asarray(cell * rise * self.stiffness * self.square)
+
+    def pull(
+        self,
+        u: Any,
+        *,
+        loads: ArrayLike,
+        line: ArrayLike,
+        stop: float = 0.7,
+        progress: bool = False,
+        parameters: Mapping[str, Any] | None = None,
+    ) -> Motion:
+        """Raise the load step by step; at each, let bonds fail until none fails further.
+
+        Args:
+            u: given components at unit load, shape [N, d]; the others are where the first solve
+                begins.
+            loads: rising factors.
+            line: a straight one, across which the force at right angles to it is read, [2, 2];
+                in space a flat polygon [P, 3].
+            stop: ends when the force has fallen to this share of its largest.
+            progress: shows a bar.
+            parameters: softness, stretch or tail; the others are those of the body's law.
+
+        Returns a motion whose time is the load, with the histories load, force: per thickness at
+        right angles to the line [stress · length], and broken: bonds by then. With parameters, or
+        where u is a tensor, force and the u at the end are tensors, differentiable once along the
+        path that was taken: which bonds failed when is felt, how often a load was settled is not.
+
+        A body that has come apart along the line has the force 0; where no equilibrium is found
+        while bonds still cross it, the curve ends before, with a warning.
+
+        Raises InputError for another shape of u, values that are not finite, loads that do not
+        rise, a line that is not straight or that no bond crosses, a first load without an
+        equilibrium, other numbers, and derivatives to bonds that break at once, which have none.
+        """
+        loads = checked("loads", loads, float, ("n",))
+        if not (len(loads) and loads[0] >= 0 and (np.diff(loads) > 0).all()):
+            raise InputError(
+                "loads: expected one factor or more, factors that rise from ≥ 0, got "
+                f"{loads.tolist()}"
+            )
+        levers = torch.from_numpy(self.levers(line))
+        asked = parameters is not None or is_tensor(u)
+        given, *law = self._learned(u, dict(parameters or {}), asked)
+        start = checked("u", given.detach().numpy(), float, self.held.shape).ravel()
+        given = torch.where(torch.from_numpy(self.held), given, 0.0).ravel()
+        share, worst = torch.ones(len(levers)).double(), torch.zeros(len(levers)).double()
+        breakable = torch.from_numpy(self.breakable)
+        field, before, rows, forces = given, 0.0, list[tuple[float, int]](), list[Any]()
+        for load in tqdm(loads.tolist(), disable=not progress, unit="load"):
+            at = field.detach().numpy() * (load / before) if before else load * start
+            at, change = np.where(self.free, at, load * given.detach().numpy()), 1.0
+            try:
+                while not change < SETTLED:
+                    at = self.rest(at, share.detach().numpy())
+                    field = self._at_rest(at, share, law[0], load * given)
+                    s = self._stretch(field)
+                    worst = torch.maximum(worst, s).where(breakable, 0.0)
+                    lasting = torch.minimum(share_of(worst, law[0], law[1], law[2], torch), share)
+                    change, share = float((share - lasting).max().detach()), lasting
+                forces.append((levers * share * pull_of(s, law[0], torch)).sum())
+            except InputError as error:
+                if share[levers > 0].any():
+                    if not rows:
+                        raise
+                    warnings.warn(f"load {load:g} and beyond are left out: {error}", stacklevel=2)
+                    break
+                forces.append(0 * levers.sum())  # nothing is left across the line
+            rows.append((load, int((share == 0).sum())))
+            before = load
+            if forces[-1] < stop * max(forces) or not share[levers > 0].any():
+                break
+        load, broken = np.array(rows).T
+        force, end = torch.stack(forces), field.reshape(self.held.shape)
+        ends: Any = (force, end) if asked else (force.numpy(), end.numpy())
+        return Motion(load, ends[1], None, {"load": load, "force": ends[0], "broken": broken})
+
+    def _learned(self, u: Any, numbers: dict[str, Any], asked: bool) -> list[torch.Tensor]:
+        """u, softness, stretch and tail, of which second derivatives are refused."""
+        own = vars(self.law) | numbers
+        if own.keys() != vars(self.law).keys():
+            names = ", ".join(vars(self.law))
+            raise InputError(f"parameters: expected {names}, got {', '.join(numbers)}")
+        given, *law = (real(name, value) for name, value in {"u": u, **own}.items())
+        refuse_tangents(given, *law)
+        for name, value in zip(own, law):
+            if value.numel() != 1:
+                raise InputError(f"{name}: expected one number, got shape {list(value.shape)}")
+        self.law = BondLaw(*(float(value.detach()) for value in law))
+        if asked and self.law.tail == 0:
+            raise InputError(
+                "tail: expected > 0 for a gradient, which bonds that break at once lack"
+            )
+        return [
+            nonlinear(lambda x: x, None, (lambda x, upstream: upstream,), x) for x in (given, *law)
+        ]
+
+    def _stretch(self, u: torch.Tensor) -> torch.Tensor:
+        """As `stretch`, of a tensor."""
+        return linear(u, self.rows.dot, self.rows.T.dot) / torch.from_numpy(self.square)
+
+    def _at_rest(
+        self, u: np.ndarray, share: torch.Tensor, softness: torch.Tensor, given: torch.Tensor
+    ) -> torch.Tensor:
+        """u at rest [d N], with derivatives to what is left of bonds, their softness and what is
+        held: those of a step of Newton's method from there, which does not move it."""
+        left, beta, factors = share.detach().numpy(), self.law.softness, list[Any]()
+
+        def inverse(g: np.ndarray) -> np.ndarray:
+            if not factors:
+                s = np.maximum(self.stretch(u), 0)
+                slope = self.stiffness * left * np.exp(-beta * s) * (1 - beta * s)
+                K = sp.csr_array(self.rows.T @ (sp.diags_array(slope) @ self.rows))
+                factors.append(splu(sp.csc_array(K[self.free][:, self.free])))
+            w = np.zeros_like(g)
+            w[self.free] = factors[0].solve(g[self.free])
+            return w
+
+        field = torch.where(torch.from_numpy(self.free), torch.from_numpy(u), given)
+        full = torch.from_numpy(self.stiffness * self.square)
+        pull = full * share * pull_of(self._stretch(field), softness, torch)
+        force = linear(pull, self.rows.T.dot, self.rows.dot)
+        return field - linear(force, np.zeros_like, inverse)

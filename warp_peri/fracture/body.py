@@ -275,6 +275,17 @@ def size_and_normal(corners: np.ndarray) -> tuple[float, np.ndarray]:
     return size, area / (size or 1.0)
 
 
+def section(body: LatticeBody, line: ArrayLike, name: str) -> tuple[np.ndarray, ...]:
+    """Which bonds cross a straight line, in space a flat polygon, [N, B] bool; its ends and normal.
+
+    Raises InputError as crossing_bonds, and for a line that is bent.
+    """
+    cut, ends = crossing_bonds(body, line), checked(name, line)
+    if body.dimension == 2 and len(ends) != 2:
+        raise InputError(f"{name}: expected two ends, got {len(ends)} corners")
+    return cut, ends, size_and_normal(ends)[1]
+
+
 def _goes_on(body: LatticeBody, tip: np.ndarray, along: np.ndarray) -> bool:
     """Whether the body has nodes further along than the end of a crack; else it is a mouth."""
     away = body.x[_near(body, tip[None])] - tip
@@ -304,21 +315,3 @@ def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
             warnings.warn("crack: cuts no bond of the body", stacklevel=4)
         neighbour[cut] = np.where(neighbour[cut] >= 0, -1 - neighbour[cut], neighbour[cut])
     return neighbour
-
-
-def cells(body: LatticeBody) -> tuple[str, np.ndarray]:
-    """Nodes around each cell of the lattice whose corners are all there: kind, and shape [C, 2^d].
-
-    In the order of a quadrilateral, and of a hexahedron.
-    """
-    place = np.rint((body.x - body.x.min(axis=0)) / body.spacing).astype(int)
-    number = np.full(place.max(axis=0) + 1, -1)
-    number[tuple(place.T)] = np.arange(len(place))
-    around: list[tuple[int, ...]] = [(0, 0), (1, 0), (1, 1), (0, 1)]
-    if body.dimension == 3:
-        around = [(*corner, up) for up in (0, 1) for corner in around]
-    ends = slice(None, -1), slice(1, None)
-    corners = [number[tuple(ends[up] for up in corner)] for corner in around]
-    found = np.stack([corner.ravel() for corner in corners], axis=1)
-    kind = {2: "quad", 3: "hexahedron"}[body.dimension]
-    return kind, found[(found >= 0).all(axis=1)]

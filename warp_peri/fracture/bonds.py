@@ -6,7 +6,7 @@ the energy is a sum of squares of stretches that any breaking leaves positive wh
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -274,8 +274,7 @@ class CutOperator:
         self._criterion = kernels.ENERGY if by_energy else kernels.STRETCH
         self._tension_only = int(tension_only)
         self._lost = zeros(len(first), dtype=wp.uint16)
-        self._recorded: dict[tuple[Any, ...], list[Shared]] = {}
-        self._turns: list[tuple[np.ndarray, ...]] = [3 * (np.arange(len(first)),)]
+        self._recorded: dict[tuple[Any, ...], Shared] = {}
 
     def links(self, neighbour: np.ndarray) -> wp.array[Any]:
         """Which bonds are there in a table of neighbours [N, B], as the sweeps take it."""
@@ -305,27 +304,19 @@ class CutOperator:
         energy: wp.array[Any],
         *,
         breaking: bool = False,
-        arrive: Callable[[], None] | None = None,
     ) -> np.ndarray:
         """Fill force and energy densities at u; the nodes that lose bonds by it, by number.
 
-        Force and energy are of all bonds that were there before. `arrive` fills what is still
-        missing of u; what feels none of it is swept before.
+        Force and energy are of all bonds that were there before.
         """
         arrays = u, links, force, energy
         key = threads(), breaking, *(array.ptr for array in arrays)
         if key not in self._recorded:
-            criterion = self._criterion if breaking else kernels.NONE
-            turns = [[self._pieces[rows] for rows in turn] for turn in self._turns]
             if len(self._recorded) > 1:
                 self._recorded.clear()
-            self._recorded[key] = [self._shared(turn, criterion, *arrays) for turn in turns]
-        *early, late = self._recorded[key]
-        for launch in early:
-            launch()
-        if arrive is not None:
-            arrive()
-        late()
+            criterion = self._criterion if breaking else kernels.NONE
+            self._recorded[key] = self._shared(3 * (self._pieces,), criterion, *arrays)
+        self._recorded[key]()
         if not breaking:
             return np.empty(0, np.int64)
         lost = self._lost.numpy()
@@ -346,26 +337,6 @@ class CutOperator:
         how = self.excess, criterion, self._tension_only, self._planes, self._theta, self._lost
         of = filled(self._kernels.Cut, *phases, *self._at, *self._nodes, *how, *fields)
         return Shared(self._kernels.sweep, (of,), (), 3, WEIGHT * len(swept), stay)
-
-    def sweep_early(self, own: np.ndarray) -> None:
-        """Sweep first all pieces that feel `own` nodes alone, [N] bool."""
-        table = self.body.neighbour
-
-        def feel(mask: np.ndarray) -> np.ndarray:
-            """Whether all nodes of a piece and all at the ends of their bonds are in a mask."""
-            pieces: np.ndarray = np.ones(len(self._pieces), bool)
-            pieces[self._row[~(mask & (mask[table] | (table < 0)).all(axis=1))]] = False
-            return pieces
-
-        near = feel(own)
-        far = feel(near[self._row]) if self.excess else near  # whose dilatation is known early
-        every, others = np.arange(len(near)), np.unique(self._row[~own])
-        early, late = (near, far), (~near, ~far)
-        self._turns = [
-            (rows, *map(np.flatnonzero, masks))
-            for rows, masks in zip((every, others), (early, late))
-        ]
-        self._recorded = {}
 
     def again(
         self, links: wp.array[Any], nodes: np.ndarray, force: wp.array[Any], energy: wp.array[Any]

@@ -220,8 +220,8 @@ class BreakingBody:
     Attributes:
         longest_step: Δt proven stable under any breaking (theory, C9); where bonds are corrected
             a little less, measured.
-        exchange: sends for the displacement of nodes that another process moves, and gives what
-            waits for it; None where none does.
+        exchange: fills the displacement [N, d] of nodes that another process moves; None where
+            none does.
 
     Raises InputError for a model that changes sign, another horizon, or arrays that do not fit.
     """
@@ -264,7 +264,7 @@ class BreakingBody:
             for name, field in (("load", load), ("held", held), ("grip", grip))
         )
         self._correction: SurfaceCorrection | None = None
-        self.exchange: Callable[[wp.array[Any]], Callable[[], None]] | None = None
+        self.exchange: Callable[[np.ndarray], None] | None = None
 
     def _padded(self, name: str, field: ArrayLike | None) -> wp.array[Any]:
         count, d = self.body.x.shape
@@ -340,11 +340,6 @@ class BreakingBody:
         phi: np.ndarray = 1 - left / np.maximum(state.whole, 1)
         return phi
 
-    def neighbour(self, state: BreakingState) -> np.ndarray:
-        """Neighbours with broken bonds as −1 − j, shape [N, B]."""
-        table = self.body.neighbour
-        return np.where(self.operator.kept(state.links) | (table < 0), table, -1 - table)
-
     def ledger(self, state: BreakingState, nodes: Any) -> list[float]:
         """Time, work, kinetic, elastic and dissipated energy [stress · volume] of this state, in a
         sheet per thickness [stress · area]; of the own nodes of all processes, as AllNodes says
@@ -380,8 +375,9 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         (dt, density, share, later, state.force, body.load, body.held, body.grip),
         (state.v, state.work, state.u),
     )
-    arrive = None if body.exchange is None else body.exchange(state.u)
-    lost = operator.sweep(*state.swept, breaking=True, arrive=arrive)
+    if body.exchange is not None:
+        body.exchange(state.u.numpy())
+    lost = operator.sweep(*state.swept, breaking=True)
     body.correct(state)
     launch_slices(
         kernels.second_kick,

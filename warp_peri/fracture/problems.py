@@ -17,7 +17,6 @@ from warp_peri.fracture.dynamics import BreakingBody
 from warp_peri.fracture.growth import grow
 from warp_peri.fracture.release import crack_area, opening_volume
 from warp_peri.fracture.run import CrackRun
-from warp_peri.fracture.softening import SoftBody
 from warp_peri.fracture.statics import CutSolid, crack_load, in_torch
 from warp_peri.points.arrays import check_flag, checked, is_number
 from warp_peri.points.points import Points
@@ -109,11 +108,9 @@ class Cracked:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
             extra = crack_load(cut, pressure)  # refuses what does not fit
             if learns and not self.corrected:
-                b = in_torch().pressed(cut, b, pressure, numbers or {})
-            elif learns:
-                b = in_torch().as_tensor("b", b) + extra
-            else:
-                b = checked("b", b, float, body.x.shape) + extra
+                extra = in_torch().crack_load(cut, pressure, numbers or {})
+            b = in_torch().as_tensor("b", b) if learns else checked("b", b, float, body.x.shape)
+            b = b + extra
         solved = cut.rest_in_torch(b, u, solver, numbers) if learns else cut.rest(b, u, solver)
         return replace(solved, points=self.points)
 
@@ -131,7 +128,7 @@ class Cracked:
             events: slow growth in any positive solid, `no_fail` and `progress` (C7).
             loads, line: pull of a SoftSolid, `no_fail`, `stop` and `progress` (C16). With
                 `parameters`, softness, stretch or tail as tensors, or u of torch, the force and
-                the displacement at the end are differentiable: see fracture.adjoint.pulled.
+                the displacement at the end are differentiable: see SoftBody.pull.
         """
         if self.pressure is not None:
             raise InputError("pressure: a Cracked under pressure is solved at rest; see Injected")
@@ -168,14 +165,10 @@ class Cracked:
             how |= {"cracks": self.cracks, "corrected": self.corrected}
             return grow(material.linear, body, self.held, u, **how)
         law = offered(material, "law", "move", "a SoftSolid for loads=…")
-        numbers = options.pop("parameters", None)
-        own, how = taken(
-            options, "move", SoftBody.__init__, SoftBody.pull, given=("cracks", "seen")
-        )
-        soft = SoftBody(material.linear, body, law, self.held, cracks=self.cracks, **own)
-        if numbers is not None or is_tensor(u):
-            return in_torch().pulled(soft, u, dict(numbers or {}), how)  # type: ignore[no-any-return]
-        return soft.pull(u, **how)
+        soft: Any = in_torch().SoftBody
+        own, how = taken(options, "move", soft.__init__, soft.pull, given=("cracks",))
+        pulled = soft(material.linear, body, law, self.held, cracks=self.cracks, **own)
+        return pulled.pull(u, **how)  # type: ignore[no-any-return]
 
 
 def options_of_steps(options: dict[str, Any]) -> tuple[dict[str, Any], ...]:
@@ -213,28 +206,22 @@ class Injected:
     def __post_init__(self) -> None:
         fluid = (self.leak, self.compressibility)
         if not all(is_number(one) and 0 <= one < np.inf for one in fluid):
-            raise InputError(
-                "leak, compressibility: expected numbers ≥ 0, got "
-                f"{self.leak!r:.60} and {self.compressibility!r:.60}"
-            )
-        h, halves = self.points.spacing, checked("crack", self.halves, float, ("n",))
-        if not (len(halves) > 0 and halves[0] > h and (np.diff(halves) > 0).all()):
-            given = halves.tolist()
-            raise InputError(
-                f"crack: expected half lengths that rise from more than {h:g}, got {given}"
-            )
-        y = self.points.x[:, 1]
-        if not y.min() < 0 < y.max():
-            raise InputError(
-                "crack: expected a body on both sides of its plane y = 0, got y from "
-                f"{y.min():g} to {y.max():g}"
-            )
-        flat = np.delete(self.points.x, 1, axis=1)  # the plane of the crack
+            raise InputError(f"leak, compressibility: expected numbers ≥ 0, got {fluid!r:.120}")
+        h, halves, x = (
+            self.points.spacing,
+            checked("crack", self.halves, float, ("n",)),
+            self.points.x,
+        )
+        if not x[:, 1].min() < 0 < x[:, 1].max():
+            raise InputError("crack: expected a body on both sides of its plane y = 0, got another")
+        flat = np.delete(x, 1, axis=1)  # the plane of the crack
         room = float(np.minimum(-flat.min(axis=0), flat.max(axis=0)).min()) - h
-        if halves[-1] > room:
+        if not (
+            len(halves) and h < halves[0] and halves[-1] <= room and (np.diff(halves) > 0).all()
+        ):
             raise InputError(
-                f"crack: expected half lengths up to {room:g}, a spacing less than the body's, got "
-                f"{halves[-1]:g}"
+                f"crack: expected half lengths that rise from more than {h:g}, half lengths up to "
+                f"{room:g}, a spacing less than the body's, got {halves.tolist()}"
             )
 
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:

@@ -13,9 +13,9 @@ from tqdm import tqdm
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import as_path
-from warp_peri.files.checkpoint import ALONE, AllNodes, RunFile, agreed, fingerprint
+from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
-from warp_peri.fracture.body import HAIR, cells, crossing_bonds, size_and_normal
+from warp_peri.fracture.body import HAIR, section
 from warp_peri.fracture.dynamics import BreakingBody, BreakingState, step
 from warp_peri.points.arrays import check_mapping, check_positive, check_whole, checked
 
@@ -46,16 +46,12 @@ class Section:
     """
 
     def __init__(self, body: BreakingBody, line: ArrayLike, own: Any) -> None:
-        cut = crossing_bonds(body.body, line)
-        self.ends = ends = checked("section", line)
-        if body.body.dimension == 2 and len(ends) != 2:
-            raise no_section(ends)
+        cut, self.ends, normal = section(body.body, line, "section")
         node, bond = np.nonzero(cut)
         here = np.zeros(len(cut), bool)
         here[own] = True
-        height = (body.body.x[node] - ends[0]) @ size_and_normal(ends)[1]
-        left = height > -HAIR / 2 * body.body.spacing  # nodes on the line stand on its left
-        left &= here[node]
+        height = (body.body.x[node] - self.ends[0]) @ normal
+        left = here[node] & (height > -HAIR / 2 * body.body.spacing)  # those on it stand there
         self.count = int(here[node].sum())
         self._node, self._bond, self._owner = node[left], bond[left], body
 
@@ -72,11 +68,6 @@ class Section:
             pull = pull + excess * share[bond] * theta
         carried: np.ndarray = (pull * kept)[:, None] * xi
         return carried
-
-
-def no_section(ends: np.ndarray) -> InputError:
-    """What is said of a line that is no section."""
-    return InputError(f"section: expected two ends of a line that bonds cross, got {ends.tolist()}")
 
 
 class CrackRun:
@@ -120,7 +111,8 @@ class CrackRun:
     ) -> None:
         self.nodes: Any = AllNodes(len(body.body.x)) if nodes is None else nodes
         own, comm = self.nodes.own, self.nodes.comm
-        x, shares = body.body.x[own], comm.allreduce
+        x = body.body.x[own]
+        asked: dict[str, Any] = {"watch": watch, "regions": regions, "sections": sections}
         with agreed(comm):
             check_positive("step", step)
             if not step <= body.longest_step:
@@ -130,42 +122,34 @@ class CrackRun:
                 )
             check_whole("every", every, 1)
             check_whole("checkpoint_every", checkpoint_every, 1)
-            asked: dict[str, Any] = {
-                "watch": watch or {},
-                "regions": regions or {},
-                "sections": sections or {},
-            }
             for name, given in asked.items():
-                check_mapping(name, given)
-            if not all(map(callable, asked["watch"].values())) or {*LEDGER} & {*asked["watch"]}:
+                check_mapping(name, given or {})
+            self.watch: dict[str, Any] = dict(watch or {})
+            if not all(map(callable, self.watch.values())) or {*LEDGER} & {*self.watch}:
                 raise InputError(
                     f"watch: expected functions by name, none of {', '.join(LEDGER)}, got "
                     f"{watch!r:.50}"
                 )
             self.regions = {
                 name: checked(f"region {name}", mask, bool, (len(x),))
-                for name, mask in asked["regions"].items()
+                for name, mask in (regions or {}).items()
             }
             self.sections = {
-                name: Section(body, line, own) for name, line in asked["sections"].items()
+                name: Section(body, line, own) for name, line in (sections or {}).items()
             }
-        self._size = {name: int(shares(int(m.sum()))) for name, m in self.regions.items()}
+        self._size = {name: int(comm.allreduce(int(m.sum()))) for name, m in self.regions.items()}
         for name, size in self._size.items():
             if not size:
                 raise InputError(f"region {name}: expected one node or more, got none")
-        for section in self.sections.values():
-            if not shares(section.count):
-                raise no_section(section.ends)
+        for name, one in self.sections.items():
+            if not comm.allreduce(one.count):
+                raise InputError(f"section {name}: expected a line that bonds cross, got another")
         self.body, self.dt, self.every = body, float(step), int(every)
-        self.watch: dict[str, Any] = dict(asked["watch"])
-        self.file, self.series = None, None
+        self.checkpoint_every, self.file, self.series = int(checkpoint_every), None, None
         if checkpoint is not None:
             self.file = RunFile(as_path("checkpoint", checkpoint), KIND, self.nodes)
-        self.checkpoint_every = int(checkpoint_every)
-        if series is not None and comm is ALONE:
-            self.series = Series(series, self.nodes, x, cells(body.body))
-        elif series is not None:
-            self.series = Series(series, nodes.piece)
+        if series is not None:
+            self.series = Series(series, getattr(nodes, "piece", self.nodes), x)
         self.history: dict[str, list[Any]] = {}
         self._start, self._first, self._ramp = "", (0.0, 0), list[float]()
 
@@ -214,8 +198,8 @@ class CrackRun:
             for kind, values in (("u", u), ("v", v)):
                 found[f"{kind} {name}"] = nodes.sum(values[mask]) / self._size[name]
         cell = body.body.spacing**body.body.dimension
-        for name, section in self.sections.items():
-            found[f"force {name}"] = cell * nodes.sum(section.carried(state))
+        for name, across in self.sections.items():
+            found[f"force {name}"] = cell * nodes.sum(across.carried(state))
         if self.watch or self.series is not None:
             phi = body.damage(state)[nodes.own]
         if self.watch:
@@ -238,14 +222,11 @@ class CrackRun:
         body, nodes, lines = self.body, self.nodes, [one.ends for one in self.sections.values()]
         masks = [nodes.gather(mask) for mask in self.regions.values()]
         names = list(self.sections), list(self.regions), self.watch
-        return {
+        fields = {name: getattr(body, name).numpy() for name in ("load", "held", "grip")}
+        fields |= {"nodes": body.body.x, "no_fail": body.no_fail}
+        return {name: nodes.mark(field) for name, field in fields.items()} | {
             "start": self._start,
-            "nodes": nodes.mark(body.body.x),
             "solid": fingerprint(body.solid, body.operator.limits, body.corrected),
-            "no_fail": nodes.mark(body.no_fail),
-            "load": nodes.mark(body.load.numpy()),
-            "held": nodes.mark(body.held.numpy()),
-            "grip": nodes.mark(body.grip.numpy()),
             "load history": fingerprint(self._ramp),
             "step": fingerprint(self.dt),
             "records": fingerprint(self.every, names, lines, masks),

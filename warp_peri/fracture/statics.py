@@ -264,17 +264,15 @@ def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> 
     count, d = body.x.shape
     links = sp.csr_array((np.ones(len(node)), (node, neighbour[node, bond])), shape=(count, count))
     pieces, label = connected_components(links, directed=False)
+    pairs = list(itertools.combinations(range(d), 2))
     for piece in range(pieces):
         nodes = np.flatnonzero(label == piece)
-        if d == 2 and held[nodes].all(axis=1).sum() > 1:
-            continue
         away = body.x[nodes] - body.x[nodes].mean(axis=0)
         away /= max(np.abs(away).max(), body.spacing)
-        turns = np.zeros((len(nodes), d, d * (d - 1) // 2))
-        for number, (a, b) in enumerate(itertools.combinations(range(d), 2)):
-            turns[:, a, number], turns[:, b, number] = -away[:, b], away[:, a]
-        shifts = np.broadcast_to(np.eye(d), (len(nodes), d, d))
-        motions = np.concatenate([shifts, turns], axis=2)
+        motions = np.zeros((len(nodes), d, d + len(pairs)))
+        motions[:, range(d), range(d)] = 1
+        for number, (a, b) in enumerate(pairs, d):
+            motions[:, a, number], motions[:, b, number] = -away[:, b], away[:, a]
         felt = motions[held[nodes]]
         rank = np.linalg.matrix_rank(felt, tol=1e-9) if len(felt) else 0
         if rank < motions.shape[2]:

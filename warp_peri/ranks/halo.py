@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -261,11 +260,6 @@ class NodeHalo:
         self._out = [np.empty((len(places), d)) for _, places in self._give]
         self._in = [np.empty((len(places), d)) for _, places in self._take]
 
-    @property
-    def is_own(self) -> np.ndarray:
-        """Which of the nodes here are the piece's own, shape [m]."""
-        return np.isin(np.arange(len(self.number)), self.own)
-
     def sum(self, values: np.ndarray) -> np.ndarray:
         """Of values [k, ...] over all ranks, shape [...]."""
         return self.piece.sum(values)
@@ -279,8 +273,8 @@ class NodeHalo:
         own = [part[self.own] if isinstance(part, np.ndarray) else part for part in parts]
         return self.piece.mark(*own)
 
-    def start(self, field: np.ndarray) -> Callable[[], None]:
-        """Send for others' nodes in a field of vectors [m or more, d]; what fills them in it."""
+    def exchange(self, field: np.ndarray) -> None:
+        """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
         from mpi4py import MPI
 
         comm = self.comm
@@ -288,17 +282,9 @@ class NodeHalo:
         for (rank, places), buffer in zip(self._give, self._out):
             np.take(field, places, axis=0, out=buffer)
             requests.append(comm.Isend(buffer, dest=rank))
-
-        def finish() -> None:
-            MPI.Request.Waitall(requests)
-            for (_, places), buffer in zip(self._take, self._in):
-                field[places] = buffer
-
-        return finish
-
-    def exchange(self, field: np.ndarray) -> None:
-        """Fill others' nodes in a field of vectors [m or more, d] from their owners."""
-        self.start(field)()
+        MPI.Request.Waitall(requests)
+        for (_, places), buffer in zip(self._take, self._in):
+            field[places] = buffer
 
     def felt(self, u: np.ndarray) -> np.ndarray:
         """Vectors [n, d] of the own nodes on all nodes here, [m, d]."""

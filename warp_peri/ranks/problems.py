@@ -1,9 +1,8 @@
 """Problems on many ranks: bodies at rest, waves, and bodies that break.
 
 A rank that breaks a body steps its nodes and those of others that they feel: within δ for bonds, 2δ
-with a dilatation. After each drift the displacement of others' nodes comes from their owners, while
-nodes that feel none of them are swept. All bonds that its own nodes feel then break here as they do
-there, and nothing else is sent.
+with a dilatation. After each drift the displacement of others' nodes comes from their owners. All
+bonds that its own nodes feel then break here as they do there, and nothing else is sent.
 """
 
 from __future__ import annotations
@@ -245,6 +244,5 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         moving = BreakingBody(material, body, corrected=problem.corrected, **here, **how)
         state = moving.start(**at_start, cracks=problem.cracks, **begin)
     marching = CrackRun(moving, nodes=halo, **records)
-    moving.operator.sweep_early(halo.is_own)
-    moving.exchange = lambda u: halo.start(u.numpy())
+    moving.exchange = halo.exchange
     return marching.motion(marching.march(state, **run))
