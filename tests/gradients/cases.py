@@ -195,7 +195,7 @@ REFUSED = {
 """The others, and what `move` says of them."""
 ELSEWHERE = {
     "BrittleSolid": "at rest it is its model, and in steps it has no gradient",
-    "SoftSolid": "tests/damage/test_softening.py: pulls, to 1e-6",
+    "SoftSolid": "tests/fracture/test_softening.py: pulls, to 1e-6",
     "Members": "its operator is that of a member, which the table has",
     "NeuralFile": "a file of the neural operator",
 }

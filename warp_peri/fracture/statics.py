@@ -161,10 +161,11 @@ class CutSolid(OnPoints):
         """The same of fields [S, N, d] by conjugate gradients."""
         rows: Any = self._rows
         free = ~self.held
+        scale = free / rows.diagonal
         search = partial(
             definite,
             lambda u: free * rows(u[None])[0],
-            lambda r: r * (free / rows.diagonal),
+            lambda r: r * scale,
             tolerance=tolerance,
             hint="; Direct() factorises the operator",
         )

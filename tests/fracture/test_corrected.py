@@ -8,11 +8,9 @@ import pytest
 import torch
 from scipy.sparse.linalg import spsolve
 
-from tests.known_problems import cracks
 from tests.known_problems.motion import frequency
-from tests.known_problems.statics import UnitScale
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import difference, fitted_order, kernel
+from tests.support.problems import difference, kernel
 from warp_peri import InputError, Krylov, Points, move, solve
 from warp_peri.damage import (
     Cracked,
@@ -88,16 +86,6 @@ def test_uniform_strain_has_the_energy_of_all_cells_whatever_the_outline():
     assert u @ L @ u / 2 == pytest.approx(len(body.x) * each, rel=1e-12)
 
 
-@pytest.mark.slow
-def test_cracks_at_edges_converge_and_are_near_from_few_nodes_on(monkeypatch):
-    sizes, errors = np.array([5, 7, 10]), []
-    for n in sizes:
-        monkeypatch.setattr(cracks, "HALF", int(n))
-        errors.append(cracks.centre_crack("bond-based", UnitScale()).value / 1.1866 - 1)
-    assert fitted_order(1 / sizes, np.abs(errors)) > 0.8
-    assert np.max(np.abs(errors)) < 0.01
-
-
 def test_a_pressure_on_faces_is_as_if_there_were_no_crack():
     model, x = solid(0.4).model, rectangle(30, 30, 1.0)
     stress, inside = np.array([[0.0, 0.0], [0.0, 1.0]]), np.abs(x).max(axis=1) < 8
@@ -125,12 +113,6 @@ def test_derivatives_by_load_and_displacement_agree_with_differences():
 
         slope = difference(along, [0.0], 1e-3)[0]
         assert (leaf.grad.numpy() * way).sum() == pytest.approx(slope, rel=1e-8)
-
-
-def test_a_learned_kernel_that_changes_sign_may_be_checked_with_edges():
-    model, body = kernel("sign-changing", 3.0), plate(16, 16)
-    held = np.abs(body.x[:, 1]) > 5
-    CutSolid(model, body, held, cracks=[[(-8, 0), (0, 0)]], corrected=True)
 
 
 @pytest.mark.parametrize("d", [2, 3])
@@ -356,52 +338,3 @@ def test_conjugate_gradients_find_what_factors_find():
     for flat, solver in ((kernel("sign-changing", 3.0), Krylov()), (solid().model, Krylov("sine"))):
         with pytest.raises(InputError, match=r"solver: expected Krylov\(\) for one material"):
             CutSolid(flat, body, held, solver=solver)
-
-
-def test_the_field_of_a_penny_is_at_rest_and_opens_as_sneddon_says():
-    E, nu, a = 7.0, 0.25, 3.0
-    lam, mu = E * nu / (1 + nu) / (1 - 2 * nu), E / 2 / (1 + nu)
-    x = np.array([[1.0, 2.0, 0.5], [4.0, -0.7, 1.0], [0.3, 5.0, -2.0]])
-    step, one = 0.01, np.eye(3)
-
-    def u(at):
-        return cracks.penny_field(at, a, E, nu)
-
-    def at(*steps):
-        return u(x + step * np.sum([way * one[axis] for axis, way in steps], axis=0))
-
-    second = np.empty((3, 3, 3, 3))  # ∂_j ∂_k u_i
-    for j, k in np.ndindex(3, 3):
-        pairs = [(p, q, p * q) for p in (1, -1) for q in (1, -1)]
-        second[:, j, k] = sum(s * at((j, p), (k, q)) for p, q, s in pairs) / (4 * step**2)
-    force = (lam + mu) * np.einsum("nijj->ni", second) + mu * np.einsum("njji->ni", second)
-    assert np.abs(force).max() < 1e-3 * mu * np.abs(second).max()
-    near = np.array([[1.0, 0.05, 0.5], [0.1, 0.05, 2.0]])
-    opening = 4 * (1 - nu**2) / (np.pi * E) * np.sqrt(a**2 - near[:, 0] ** 2 - near[:, 2] ** 2)
-    np.testing.assert_allclose(u(near)[:, 1], opening, rtol=0.05)
-    far = np.array([[30.0, 40.0, 20.0]])
-    np.testing.assert_allclose(u(far), far * [-nu, 1, -nu] / E, rtol=0.02)
-
-
-def test_the_field_of_a_crack_that_is_pressed_in_part_is_at_rest_and_meets_its_faces():
-    a, c, moduli, step = 2.0, 4.0, cracks.plane(7.0, 0.25), 0.01
-    lam, mu = moduli.C12, moduli.C44
-
-    def slopes(at):
-        ways = step * np.eye(2)
-        both = [
-            cracks.opened(at + w, a, c, moduli) - cracks.opened(at - w, a, c, moduli) for w in ways
-        ]
-        return np.stack(both, axis=2) / (2 * step)  # ∂_j u_i
-
-    def stress(at):
-        strain = (slopes(at) + slopes(at).swapaxes(1, 2)) / 2
-        return lam * np.trace(strain, axis1=1, axis2=2)[:, None, None] * np.eye(2) + 2 * mu * strain
-
-    x = np.array([[1.0, 2.0], [-5.0, 0.7], [0.1, -3.0], [-0.1, 6.0]])
-    ways = step * np.eye(2)
-    force = sum((stress(x + w) - stress(x - w))[:, :, k] for k, w in enumerate(ways)) / (2 * step)
-    assert np.abs(force).max() < 1e-3 * np.abs(stress(x)).max()
-    faces = stress(np.array([[1.0, 0.02], [3.0, 0.02], [-1.0, -0.02]]))[:, 1]
-    np.testing.assert_allclose(faces, [[0, -1], [0, 0], [0, -1]], atol=0.02)
-    assert np.abs(stress(np.array([[60.0, 80.0]]))).max() < 1e-3

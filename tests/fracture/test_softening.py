@@ -12,7 +12,7 @@ from examples.published_plate import main, peak, plate, pulled, rate
 from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
 from tests.support.problems import difference
-from warp_peri import InputError, Model, load, move, save
+from warp_peri import InputError, Model, move
 from warp_peri.damage import BondLaw, SoftSolid, lattice_body, rectangle
 from warp_peri.fracture import adjoint
 from warp_peri.fracture.adjoint import SoftBody
@@ -224,21 +224,6 @@ def test_what_cannot_be_pulled_is_refused():
     ):
         with pytest.raises(InputError, match=words):
             soft.pull(given, loads=loads, line=across)
-
-
-def test_a_soft_solid_of_a_file_is_pulled_the_same(tmp_path):
-    soft = SoftSolid(solid(1.0, horizon=10.05).model, BondLaw(2.0))
-    save(tmp_path / "soft.json", soft)
-    again = load(tmp_path / "soft.json")
-    problem, rim = plate(20, 5.0, 10.05, True)
-    line = [(-30, 0.0), (30, 0.0)]
-    first, second = (
-        move(one, problem, loads=[0.3, 0.6], line=line, no_fail=rim) for one in (soft, again)
-    )
-    np.testing.assert_array_equal(first["force"], second["force"])
-    np.testing.assert_array_equal(first.time, [0.3, 0.6])
-    held = problem.held
-    np.testing.assert_allclose(first.u[held], 0.6 * problem.u[held])
 
 
 @pytest.mark.parametrize("name", ["softness", "stretch", "tail", "u"])

@@ -110,7 +110,6 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
     dt = straight[1].dt
     steps = straight[2].steps
     first = CrackRun(body, step=dt, **options)
-    first.march(body.start(cracks=CRACK), steps=steps // 2)
     assert 0 < body.damage(first.march(body.start(cracks=CRACK), steps=steps // 2)).max()
     again = CrackRun(body, step=dt, **options)
     state = again.march(body.start(cracks=CRACK), steps=steps)
@@ -121,15 +120,6 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
     records = sorted((tmp_path / "series").glob("record_*.h5"))
     assert len(records) == steps
     assert (tmp_path / "series" / "motion.xdmf").read_text().count("<Time ") == steps
-    with pytest.raises(InputError, match="another body, start, load or step"):
-        CrackRun(body, step=dt / 2, **options).march(body.start(cracks=CRACK), steps=steps)
-    with pytest.raises(InputError, match="another body, start, load or step"):
-        CrackRun(body, step=dt, **options).march(body.start(), steps=steps)
-    options = {"checkpoint": tmp_path / "other.h5", "every": 1, "checkpoint_every": 1}
-    lines = [{"middle": [(-9, y), (9, y)]} for y in (0, 1)]
-    CrackRun(body, step=dt, sections=lines[0], **options).march(body.start(), steps=2)
-    with pytest.raises(InputError, match="another body, start, load or step"):
-        CrackRun(body, step=dt, sections=lines[1], **options).march(body.start(), steps=4)
 
 
 def test_a_checkpoint_of_another_watch_is_not_joined(tmp_path):
@@ -225,6 +215,9 @@ def test_a_checkpoint_says_what_differs(tmp_path):
         CrackRun(body, step=dt, **options, regions={"all": shift[:, 0] > 0}).march(
             body.start(cracks=CRACK), steps=4
         )
+    middle = {"middle": [(-9, 0), (9, 0)]}
+    with pytest.raises(InputError, match="what differs: records$"):
+        CrackRun(body, step=dt, **options, sections=middle).march(body.start(cracks=CRACK), steps=4)
     with pytest.raises(InputError, match="what differs: start$"):  # by the same run, too
         run.march(body.start(), steps=4)
 
