@@ -31,7 +31,8 @@ def with_force(samples, extra):
 
 
 def families(samples):
-    return _families(samples, LPSOperator(MODEL, samples.points))
+    inside = np.arange(samples.interior.sum())
+    return _families(samples, LPSOperator(MODEL, samples.points), inside)
 
 
 def planted(samples, cause):

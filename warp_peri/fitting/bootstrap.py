@@ -16,7 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples, part
 
-LEAST_LOADS, DRAWS = 4, 40
+LEAST_LOADS, LEAST_DRAWS, DRAWS = 4, 10, 40
 ONE_DEVIATION = (0.1587, 0.8413)
 """Of normal numbers, the parts below minus and plus one standard deviation."""
 REDRAWN = 0.2
@@ -30,25 +30,22 @@ class Resampled:
     Attributes:
         materials: one of each choice.
         loads: how many there were.
-        spread: what the materials' standard deviation is multiplied by.
-        drawn: whether they are draws. Their deviation then is half of what lies between 16 and
-            84 % of them: a draw that hardly determines a law does not widen the band.
         knows: what the bands hold and what they do not, in a sentence.
     """
 
     materials: list[Any]
     loads: int
-    spread: float
     knows: str
-    drawn: bool = False
 
     def deviation(self, quantity: Callable[[Any], np.ndarray | float]) -> np.ndarray:
-        """Standard deviation of anything a material determines, of the shape of the quantity."""
+        """Standard deviation of anything a material determines, of the shape of the quantity.
+
+        Half of what lies between 16 and 84 % of the draws: one that hardly determines a law does
+        not widen the band.
+        """
         values = np.array([np.asarray(quantity(material)) for material in self.materials])
-        if not self.drawn:
-            return np.asarray(self.spread * values.std(axis=0))
         low, high = np.quantile(values, ONE_DEVIATION, axis=0)
-        return np.asarray(self.spread * (high - low) / 2)
+        return np.asarray(np.sqrt(self.loads / (self.loads - 1)) * (high - low) / 2)
 
     def band(
         self, material: Any, quantity: Callable[[Any], np.ndarray | float], level: float = 0.9
@@ -69,57 +66,48 @@ def resample_loads(
     samples: Samples | Dataset,
     law: Any,
     *,
-    leave_one_out: bool = False,
     draws: int = DRAWS,
     seed: int = 0,
     progress: bool = False,
     **options: Any,
 ) -> Resampled:
-    """The same fit to other choices of the loads: bootstrap, or each load left out in turn.
+    """The same fit to other choices of the loads, with repetition (bootstrap).
 
     Args:
         samples: that the law is learned from; of a Dataset `train`, or its only set.
         law: as for `fit`; one with symmetry="auto" is given the symmetry that all loads have.
-        leave_one_out: as many fits as loads, instead of `draws` choices with repetition.
-        draws, seed: of the bootstrap.
+        draws, seed: how many choices, and of which random numbers.
         progress: show a progress bar.
         options: of `fit`.
 
-    Raises InputError for fewer than four loads or ten draws, and what `fit` raises: for a load left
-    out always, of a bootstrap where a fifth of the draws determine no law.
+    Raises InputError for fewer than four loads or ten draws, what `fit` raises, and where a fifth
+    of the draws determine no law.
     """
     one = samples.obvious("train") if isinstance(samples, Dataset) else samples
-    count, rng = len(one), np.random.default_rng(seed)
+    count, rng, again = len(one), np.random.default_rng(seed), 0
     if count < LEAST_LOADS:
         raise InputError(f"samples: expected at least {LEAST_LOADS} loads, got {count}")
-    if not leave_one_out and draws < 10:
-        raise InputError(f"draws: expected at least 10, got {draws}")
+    if draws < LEAST_DRAWS:
+        raise InputError(f"draws: expected at least {LEAST_DRAWS}, got {draws}")
     offered(law, "learn", "resample_loads", "a model: LPS(…), Micromodulus(…)")
     if getattr(law, "symmetry", None) == "auto":
         law = dataclasses.replace(law, symmetry=law.learn(one, **options).material.symmetry)
-    wanted, again = count if leave_one_out else draws, 0
     materials: list[Any] = []
-    with tqdm(total=wanted, desc="fits", unit="fit", disable=not progress) as bar:
-        while len(materials) < wanted:
-            kept = np.delete(np.arange(count), len(materials))
-            choice = kept if leave_one_out else rng.integers(count, size=count)
+    with tqdm(total=draws, desc="fits", unit="fit", disable=not progress) as bar:
+        while len(materials) < draws:
             try:
                 with warnings.catch_warnings():  # the fit to all loads warns
                     warnings.simplefilter("ignore", UserWarning)
-                    materials.append(law.learn(part(one, choice), **options).material)
+                    chosen = part(one, rng.integers(count, size=count))
+                    materials.append(law.learn(chosen, **options).material)
+                bar.update()
             except InputError:
                 again += 1
-                if leave_one_out or again > REDRAWN * draws:
+                if again > REDRAWN * draws:
                     raise
-                continue
-            bar.update()
-    how = "each load left out in turn"
-    if not leave_one_out:
-        how = f"{draws} choices of the loads with repetition"
-        how += f" ({again} more told of no model)" if again else ""
+    more = f" ({again} more told of no model)" if again else ""
     knows = (
-        f"{how}, of {count}: what differs from load to load, noise among it; not an error that all "
-        "loads share"
+        f"{draws} choices of the loads with repetition{more}, of {count}: what differs from load "
+        "to load, noise among it; not an error that all loads share"
     )
-    spread = float(np.sqrt(count - 1 if leave_one_out else count / (count - 1)))
-    return Resampled(materials, count, spread, knows, drawn=not leave_one_out)
+    return Resampled(materials, count, knows)
