@@ -1,28 +1,18 @@
-"""Nonlocal diffusion: orders on lattices and scattered points, a jump, a microstructure, coupling.
+"""Nonlocal diffusion: orders on lattices and scattered points, a jump, a line source, coupling.
 
-Exact solutions are given on the collar; the microstructure is held to finite elements.
+Exact solutions are given on the collar.
 """
 
-import json
-import sys
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-REDUCED = ("sigma", "epsilon/sigma^3")
-"""Units of numbers that have none."""
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
-
 import numpy as np
-from matplotlib.figure import Figure
 
 import warp_peri as wp
-from examples.figures import headline, save_figure
-from tools.options import Options
 from warp_peri import Points
 from warp_peri.diffusion import Conductor, CoupledSolid
-from warp_peri.errors import exit_status
 
+REDUCED = ("sigma", "epsilon/sigma^3")  # units of numbers that have none
 RATIO = 3.0
 """Horizon over spacing on lattices; 3.5 on scattered points."""
 LAM, MU, COUPLING, STORAGE = 1.5, 1.0, 0.7, 0.3
@@ -111,91 +101,22 @@ def coupled(cells: int) -> tuple[float, float]:
     )
 
 
-def microstructure(cells: int, grains: int = 12, seed: int = 0) -> tuple[float, Any]:
-    """Random round grains, 20 times the matrix, against quadratic finite elements."""
-    from skfem import Basis, BilinearForm, ElementQuad2, MeshQuad, condense, solve
-    from skfem.helpers import dot, grad
-
-    random = np.random.default_rng(seed)
-    middle, radius = random.uniform(-0.9, 0.9, (grains, 2)), random.uniform(0.1, 0.25, grains)
-
-    def kappa(place: np.ndarray) -> np.ndarray:
-        away = np.linalg.norm(place[..., None, :] - middle, axis=-1)
-        return np.where((away < radius).any(axis=-1), 20.0, 1.0)
-
-    mesh = MeshQuad.init_tensor(*2 * [np.linspace(-1.5, 1.5, 12 * cells // 4 + 1)])
-    basis = Basis(mesh, ElementQuad2(), intorder=6)
-
-    @BilinearForm
-    def conduction(u, v, w):
-        return kappa(np.moveaxis(np.asarray(w.x), 0, -1)) * dot(grad(u), grad(v))
-
-    phi = basis.doflocs[0] * 1.0  # φ = x on the outer edge
-    phi = solve(*condense(conduction.assemble(basis), x=phi, D=basis.get_dofs()))
-    points = square(cells, RATIO)
-    exact = basis.probes(points.x.T) @ phi
-    problem = wp.Dirichlet(points, None, exact)
-    solved = wp.solve(Conductor(RATIO / cells, units=REDUCED), problem, kappa=kappa).u
-    free = points.interior
-    off = np.linalg.norm((solved - exact)[free]) / np.linalg.norm(exact[free])
-    return float(off), (points.x, kappa(points.x), solved, free)
-
-
-def order(cells: list[int], errors: list[float]) -> float:
-    """Fitted order of an error in the spacing."""
-    return float(-np.polyfit(np.log(cells), np.log(errors), 1)[0])
-
-
-def study(cells: list[int], run: Callable[[int], float]) -> dict[str, Any]:
-    """Errors by spacing and their order."""
-    errors = [run(n) for n in cells]
-    return {"errors": dict(zip(map(str, cells), errors)), "order": order(cells, errors)}
-
-
-def draw(
-    path: Path, x: np.ndarray, kappa: np.ndarray, solved: np.ndarray, free: np.ndarray
-) -> None:
-    """Conductivity and solution of the plate with grains."""
-    figure = Figure(figsize=(9, 3.8), layout="constrained")
-    shown = {"conductivity / the plate's": kappa, "temperature, x₁ on the outer edge": solved}
-    for ax, (name, values) in zip(figure.subplots(1, 2, sharey=True), shown.items()):
-        size = (180 / np.sqrt(free.sum())) ** 2  # of a node in the panel [points²]
-        drawn = ax.scatter(*x[free].T, c=values[free], s=1.6 * size, marker="s", linewidths=0)
-        ax.set(aspect="equal", xlabel="x₁ / half side")
-        figure.colorbar(drawn, ax=ax, label=name)
-    figure.axes[0].set_ylabel("x₂ / half side")
-    headline(figure, "Temperature hardly varies inside grains that conduct better than the plate")
-    save_figure(figure, path)
-
-
-def main(argv: list[str] | None = None) -> int:
-    parser = Options(__doc__, "diffusion", json=True)
-    parser.add("--cells", type=int, nargs="+", default=[8, 16, 32], help="per unit length")
-    parser.add("--microstructure", type=int, default=32, help="its cells, 0 for none")
-    args = parser.parse_args(argv)
-    if min(args.cells) < 4 or len(set(args.cells)) < 2:
-        parser.error(f"--cells: expected two numbers ≥ 4 or more, got {args.cells}")
-    cells = args.cells
-    numbers: dict[str, Any] = {
-        "smooth": study(cells, lambda n: smooth(n, 0.0)),
-        "smooth, scattered": study(cells, lambda n: smooth(n, 0.2)),
-        "jump, series": study(cells, jump),
-        "jump, harmonic": study(cells, lambda n: jump(n, along=False)),
-        "flux jumps": study(cells, flux_jump),
+def main() -> None:
+    sides = (8, 16, 32)
+    cases: dict[str, Callable[[int], Any]] = {
+        "smooth": lambda n: smooth(n, 0.0),
+        "smooth, scattered": lambda n: smooth(n, 0.2),
+        "κ jumps 1:10, in series": jump,
+        "κ jumps 1:10, harmonic": lambda n: jump(n, along=False),
+        "flux jumps": flux_jump,
+        "coupled, u": lambda n: coupled(n)[0],
+        "coupled, φ": lambda n: coupled(n)[1],
     }
-    both = [coupled(n) for n in cells]
-    for place, name in enumerate(("coupled, u", "coupled, φ")):
-        errors = [pair[place] for pair in both]
-        numbers[name] = {
-            "errors": dict(zip(map(str, cells), errors)),
-            "order": order(cells, errors),
-        }
-    if args.microstructure:
-        numbers["microstructure"], fields = microstructure(args.microstructure)
-        draw(args.out / "diffusion.png", *fields)
-    print(json.dumps(numbers, ensure_ascii=False, indent=None if args.json else 1))
-    return 0
+    for name, run in cases.items():
+        errors = [run(n) for n in sides]
+        order = -np.polyfit(np.log(sides), np.log(errors), 1)[0]
+        print(f"{name:26}", *(f"{e:.1e}" for e in errors), f"order {order:.2f}")
 
 
 if __name__ == "__main__":
-    sys.exit(exit_status(main))
+    main()

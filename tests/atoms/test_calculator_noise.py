@@ -12,7 +12,7 @@ from ase.calculators.emt import EMT
 from ase.neighborlist import neighbor_list
 
 import warp_peri as wp
-from examples.noisy_calculators import Noisy, study
+from tests.support.noisy import Noisy
 from warp_peri.atoms import crystal_fit, phonons
 from warp_peri.atoms.calculator_noise import (
     BENDING,
@@ -257,14 +257,6 @@ def test_what_is_rough_is_no_noise_of_forces_far_away():
     noise = replace(measured(rest.cell, EMT(), False), force=1e-6, rough=1.0)
     found = phonons._wide_enough(replace(rest, noise=noise), EMT(), (4.0, 6.0, 8.0))
     assert found == (3, 3, 3)  # of two cells atoms at half the width are still pulled
-
-
-@pytest.mark.slow
-def test_the_study_counts_laws_errors_and_bands():
-    found = study(["Si"], [1e-4], 1)
-    assert all(law["made"] for law in found["laws"]["Si"].values())
-    assert found["error"]["Si"]["0.0001"]["largest"] < 0.02
-    assert set(found["coverage"]) == {"0.0001", "all"}
 
 
 class Dimpled(Calculator):

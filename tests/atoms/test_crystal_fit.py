@@ -20,7 +20,7 @@ from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 
 import warp_peri as wp
-from examples.noisy_calculators import rigid_ions
+from tests.support.noisy import rigid_ions
 from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
 from warp_peri.atoms.phonons import born_charges, force_constants, wave_loads
 from warp_peri.atoms.relaxed import at_rest

@@ -8,28 +8,18 @@ from examples.branching import main
 
 
 def test_a_short_run_prints_and_draws(tmp_path, capsys):
-    command = ["--spacing", "1e-3", "--ratio", "3", "--time", "4e-6", "--json"]
-    assert main([*command, "--out", str(tmp_path), "--series", "--hole", "4e-3"]) == 0
-    numbers = json.loads(capsys.readouterr().out)
-    assert 3940 < numbers["nodes"] < 3960
+    command = ["--spacing", "1e-3", "--ratio", "3", "--time", "4e-6"]
+    assert main([*command, "--out", str(tmp_path), "--series"]) == 0
+    assert json.loads(capsys.readouterr().out)["nodes"] == 4000
     assert (tmp_path / "damage.png").stat().st_size > 5000
     assert (tmp_path / "series" / "motion.xdmf").exists()
-
-
-@pytest.mark.parametrize("turn", [0.0, 20.0])
-def test_the_plate_that_is_hit_cracks_steeply_wherever_its_lattice_points(turn, tmp_path, capsys):
-    command = ["--kalthoff", "--spacing", "2e-3", "--ratio", "3", "--turn", str(turn), "--json"]
-    assert main([*command, "--out", str(tmp_path)]) == 0
-    numbers = json.loads(capsys.readouterr().out)
-    assert 55 < numbers["angle"] < 75
-    assert 55 < numbers["angle to the tips"] < 75
 
 
 @pytest.mark.slow
 def test_the_glass_plate_branches_and_its_ledger_closes_better_with_shorter_steps(tmp_path, capsys):
     runs = []
     for share in ("0.4", "0.2"):
-        assert main(["--share", share, "--json", "--out", str(tmp_path)]) == 0
+        assert main(["--share", share, "--out", str(tmp_path)]) == 0
         runs.append(json.loads(capsys.readouterr().out))
     assert 0.013 < runs[0]["branch"] < 0.022  # 63 to 72 mm from the left
     assert 0.5 < runs[0]["speed_over_rayleigh"] < 0.62

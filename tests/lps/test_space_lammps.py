@@ -1,16 +1,29 @@
-"""The solid in three dimensions against LAMMPS (pair_style peri/lps): moduli, forces, its box."""
+"""The solid in three dimensions against LAMMPS (pair_style peri/lps): moduli and forces."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.support.cubes import cube
-from tools import peri_lps
+from tools.rivals import BULK, SHEAR, SIZE, PeriLps
+from warp_peri import Model
 from warp_peri.atoms.calculators import LammpsError, lammps_class
 from warp_peri.materials.lps import moduli
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_matrices import assemble
+from warp_peri.points.families import bond_classes
 
 HORIZON = 2.0
+SOLID = Model(BULK - 2 * SHEAR / 3, SHEAR, 1.0, np.ones(1), horizon=HORIZON, dimension=3)
+"""With LAMMPS's influence function 1/r."""
+
+
+def lammps_classes():
+    """Bonds of the lattice with LAMMPS's volumes: they fall off over the last half spacing."""
+    classes = bond_classes(1.0, HORIZON, dimension=3)
+    off = classes.r > HORIZON - 0.5
+    return replace(classes, weight=np.where(off, HORIZON + 0.5 - classes.r, 1.0))
 
 
 @pytest.fixture(autouse=True)
@@ -25,34 +38,33 @@ def _lammps():
 
 
 def test_moduli_are_those_of_lammps_and_those_asked_for():
-    theirs = peri_lps.measured_moduli(HORIZON)
-    bulk, shear = peri_lps.isotropic(theirs)
-    assert bulk == pytest.approx(peri_lps.BULK, rel=1e-6)
-    assert shear == pytest.approx(peri_lps.SHEAR, rel=1e-6)
-    model = peri_lps.solid(HORIZON)
-    assert theirs == pytest.approx(moduli(model, peri_lps.lammps_classes(HORIZON)), rel=1e-5)
+    """From the atom whose family and whose neighbours' are whole, under quadratic fields."""
+    middle = 2 * int(HORIZON)
+    lammps = PeriLps(2 * middle + 1, HORIZON)
+    x, y, _ = (lammps.x - middle).T
+    zero = np.zeros_like(x)
+    fields = [(x * x / 2, zero, zero), (y * y / 2, zero, zero), (zero, x * y, zero)]
+    here = int(np.flatnonzero((lammps.x == middle).all(axis=1))[0])
+    forces = [lammps.force(SIZE * np.stack(field, axis=1))[here] / SIZE for field in fields]
+    lammps.close()
+    C11, C44, mixed = (float(force[0]) for force in forces)
+    C12 = mixed - C44
+    assert (C11 + 2 * C12) / 3 == pytest.approx(BULK, rel=1e-6)
+    assert (C11 - C12 + 3 * C44) / 5 == pytest.approx(SHEAR, rel=1e-6)
+    theirs = {"C11": C11, "C12": C12, "C44": C44}
+    assert theirs == pytest.approx(moduli(SOLID, lammps_classes()), rel=1e-5)
 
 
 def test_every_force_is_that_of_lammps_with_its_volumes():
-    points, classes = cube(3, HORIZON), peri_lps.lammps_classes(HORIZON)
-    lammps = peri_lps.PeriLps(11, HORIZON)
+    points, classes = cube(3, HORIZON), lammps_classes()
+    lammps = PeriLps(11, HORIZON)
     place = {tuple(p): i for i, p in enumerate(np.rint(lammps.x - 4).astype(int))}
     there = [place[tuple(p)] for p in points.x.astype(int)]
-    u = peri_lps.SIZE * np.random.default_rng(0).normal(size=lammps.x.shape)
+    u = SIZE * np.random.default_rng(0).normal(size=lammps.x.shape)
     theirs = lammps.force(u)[there][points.interior]
     lammps.close()
     kw = classes.weight / classes.r
     m = classes.count @ (classes.weight * classes.r)
-    model = peri_lps.solid(HORIZON)
-    L = assemble(Bonds(points, HORIZON), kw, m).operator(model.lam, model.mu)
+    L = assemble(Bonds(points, HORIZON), kw, m).operator(SOLID.lam, SOLID.mu)
     ours = -(L @ u[there].ravel()).reshape(-1, 3)
     assert np.abs(theirs - ours).max() < 1e-5 * np.abs(ours).max()
-
-
-def test_its_periodic_box_is_soft_by_the_unwrapped_lengths_in_its_weighted_volume():
-    share, errors = peri_lps.periodic_errors(10, HORIZON)
-    if errors[True] < 1e-5:
-        pytest.skip("this LAMMPS wraps them")
-    assert share < 0.7
-    assert errors[False] < 1e-5
-    assert errors[True] > 0.5

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from examples.large_plate import main as large_plate
 from tests.ranks.job import (
     ASKED,
     SWING,
@@ -313,12 +312,3 @@ def test_a_killed_rank_loses_nothing_but_the_steps_since_its_checkpoint(later, t
     os.kill(pids[1], signal.SIGKILL)
     assert ended(job)[2] != 0  # the other rank does not wait for ever
     assert finished(start(later, tmp_path))["crack"] == truth
-
-
-def test_the_plate_of_the_example_alone(tmp_path, capsys):
-    words = ["--sides", "32", "--shape", "disk", "--tolerance", "1e-8", "--json"]
-    assert large_plate([*words, "--out", str(tmp_path)]) == 0
-    numbers = json.loads(capsys.readouterr().out)
-    assert numbers["iterations"]["32"] <= 25
-    assert numbers["difference"] < 1e-7
-    assert (tmp_path / "plate.png").stat().st_size > 5000

@@ -11,7 +11,9 @@ from tests.micromodulus.crystals import cubic_tensor
 from tests.support.clouds import cloud
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise
 from tests.support.solving import solve
-from tools.solve_study import TABLE, loads, mask_of, problem
+from tools.benchmark import MODEL_FILE as TABLE
+from tools.benchmark import lattice_of as problem
+from tools.benchmark import loads, mask_of
 from warp_peri import Direct, InputError, Krylov, Model
 from warp_peri.core.stencil import q1_tensors
 from warp_peri.materials.lps_operator import LPSOperator

@@ -1,1 +1,0 @@
-"""Cracks beside the library: theories of straight and kinked cracks, inclusions."""
