@@ -47,11 +47,10 @@ from warp_peri.atoms.calculators import LammpsError
 from warp_peri.core.elastic import plane_isotropic
 from warp_peri.core.grid import Grid
 from warp_peri.damage import box, lattice_body
-from warp_peri.damage.motion import BreakingBody, step
-from warp_peri.damage.operator import CutOperator
-from warp_peri.damage.solid import BrittleSolid
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import write_json
+from warp_peri.fracture.bonds import CutOperator
+from warp_peri.fracture.dynamics import BreakingBody, BrittleSolid, step
 from warp_peri.launch import floats, set_threads, zeros
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_force import lps_force
@@ -495,7 +494,16 @@ def front(*, quick: bool, threads: int) -> None:
     write_json(FRONT, {"machine": machine, "tables": {"front": table | {"rows": rows}}})
 
 
-PLACES: dict[str, tuple[float, float]] = {}
+PLACES = {
+    "LPS": (5, -8),
+    "local, 10 Å": (5, 6),
+    "prediction at 1 %": (-6, 3),
+    "third order on a crystal": (6, -8),
+    "neural operator": (-6, -10),
+    "local third order, 10 Å": (5, -11),
+    "local third order, 5 Å": (5, -11),
+    "local third order, 2.5 Å": (4, -12),
+}
 """Where a name stands beside its point, in points, if not to the right and above."""
 
 
@@ -514,7 +522,7 @@ def draw(path: Path = ROOT / "docs" / "pictures" / "front.png") -> None:
         exact = next(row[1] + row[2] for row in rows if row[column] == 0)
         ax.step(*np.transpose([*best, (exact, best[-1][1])]), color="0.6", lw=1, where="post")
         ax.axvline(exact, color="k", ls="--", lw=1)
-        ax.annotate("atoms: exact", (exact, 0.06), (-3, 0), textcoords="offset points", ha="right")
+        ax.annotate("atoms: exact", (exact, 25), (-3, 0), textcoords="offset points", ha="right")
         for name, at in places.items():
             own = not name.startswith(("local", "neural", "LPS as"))
             ax.plot(*at, "o", color="#1f4e79" if own else "#b5382a", ms=5)
@@ -524,7 +532,8 @@ def draw(path: Path = ROOT / "docs" / "pictures" / "front.png") -> None:
                 "size": 8,
                 "ha": "left" if shift[0] > 0 else "right",
             }
-            ax.annotate(name, at, shift, color=ax.lines[-1].get_color(), **how)
+            text = name.replace("local third order, quadratic", "quadratic")
+            ax.annotate(text, at, shift, color=ax.lines[-1].get_color(), **how)
         ax.set(xscale="log", yscale="log", xlabel="set-up and one load [ms]", title=title)
     axes[0].set_ylabel("error of displacement [%]")
     axes[0].set_yticks([0.1, 0.2, 0.5, 1, 2, 5, 10], ["0.1", "0.2", "0.5", "1", "2", "5", "10"])

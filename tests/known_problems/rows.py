@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import multiprocessing
+import re
 import time
 import tomllib
 import warnings
@@ -230,8 +231,8 @@ def page(lines: Sequence[Line], data: str = "verification.csv") -> str:
     numbers = numbered(lines)
     missed = table([line for line in posed if not line["holds"]], numbers)
     told = {"held": held, "data": data, "materials": by_material(lines), "rows": missed}
-    told["references"] = listed(numbers)
-    return Path(__file__).with_name("rows.md").read_text("utf-8").format(**told)
+    text = Path(__file__).with_name("rows.md").read_text("utf-8").format(**told)
+    return re.sub(r" \[\d+\](?= ?\|)", "", text)  # sources are in the data
 
 
 def as_csv(lines: Sequence[Line]) -> str:

@@ -99,19 +99,3 @@ def test_the_readme_fits_on_one_page():
     assert len(readme.split()) <= 600
     for target in re.findall(r"\]\(([^)#:]+)\)", readme):
         assert (DOCS.parent / target).exists(), target
-
-
-@pytest.mark.parametrize(
-    "page", [page for page in ("growth", "reliability", "explanation/library") if page in PAGES]
-)
-def test_what_a_page_names_is_there(page):
-    """Paths of the repository, and dotted names of the package."""
-    text = PAGES[page]
-    paths = re.findall(r"`((?:[\w.]+/)+[\w.]*)`", text)
-    assert paths
-    for path in paths:
-        places = (DOCS.parent / path, DOCS.parent / "warp_peri" / path)
-        assert any(place.exists() for place in places) or "X" in path, path
-    for name in re.findall(r"`(warp_peri(?:\.\w+)+)`", text):
-        module, last = name.rsplit(".", 1)
-        assert hasattr(import_module(module), last), name

@@ -56,10 +56,9 @@ def home(tmp_path_factory):
 
 
 SLOW = (
-    "how-to/free_edges", "how-to/lattices", "how-to/error_bars", "how-to/pressure", "how-to/flow",
-    "how-to/other_codes", "how-to/influence", "how-to/horizon", "how-to/neural",
-    "how-to/calculators", "how-to/tissue", "how-to/strains", "how-to/noise", "tutorials/crystal",
-    "tutorials/torch",
+    "how-to/arrays", "how-to/crystals", "how-to/error_bars", "how-to/free_edges",
+    "how-to/heterogeneous", "how-to/horizon", "how-to/large", "how-to/lattices", "how-to/neural",
+    "how-to/strains", "how-to/tissue", "tutorials/crystal", "tutorials/torch",
 )  # fmt: skip
 """Pages that take more than some 2 s."""
 

@@ -28,7 +28,7 @@ NOT_HERE = {
     r"mpiexec ": "tests/ranks starts it",
     r"(ase|tail) ": "a program of others",
 }
-CHEAP = ("how-to/arrays", "how-to/influence", "how-to/paraview")
+CHEAP = ("how-to/arrays", "how-to/export")
 """Pages whose commands take a second; the others are slow."""
 
 
@@ -140,10 +140,10 @@ def of_arrays(folder):
 
 GIVEN = {
     "how-to/arrays": of_arrays,
-    "how-to/calculators": of_atoms,
+    "how-to/crystals": of_atoms,
+    "how-to/export": of_any,
     "how-to/free_edges": of_bodies,
-    "how-to/influence": of_any,
-    "how-to/paraview": of_any,
+    "how-to/horizon": of_any,
     "tutorials/crystal": of_atoms,
     "tutorials/dumps": lambda of: own_material.make_dumps(of / "runs" / "boron_nitride" / "dumps"),
 }
