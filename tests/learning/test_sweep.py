@@ -82,10 +82,16 @@ def test_a_trial_is_not_believed_as_it_stands(sets, tmp_path):
     files = sorted(tmp_path.glob("*.model.json"))
     assert len(files) == len(first.trials) == 2
     content = json.loads(files[0].read_text())
-    for change in ("errors", "bound", "name"):
+    for change in ("errors", "errors as if accepted", "numbers", "bound", "name"):
         told = copy.deepcopy(content)
         if change == "errors":
             told["errors"]["E_res"]["train"] = 0.0
+        elif change == "errors as if accepted":
+            told["errors"]["E_res"]["train"] = 0.0
+            del told["sha256"]
+        elif change == "numbers":
+            told["lambda"] *= 1.001
+            del told["sha256"]
         elif change == "bound":
             (figures,) = told["certificate"].values()
             figures["symbol_bound"] *= 10

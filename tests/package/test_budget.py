@@ -16,17 +16,17 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_420,
-    "tokens": 293_896,
-    "lines of warp_peri": 40_467,
+    "code lines": 24_428,
+    "tokens": 293_983,
+    "lines of warp_peri": 40_477,
     "lines of kernels": 1_414,
-    "lines of warp_peri, kernels, examples and tools": 57_266,
+    "lines of warp_peri, kernels, examples and tools": 57_276,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
     "characters of the longest string": 1_786,
     "class names twice": 0,
-    "imports of warp_peri inside functions": 11,
+    "imports of warp_peri inside functions": 12,
     "asserts in warp_peri": 0,
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
@@ -39,10 +39,10 @@ ROOMS = {
     "edges": 961,
     "face": 943,
     "files": 559,
-    "fitting": 1281,
+    "fitting": 1286,
     "fracture": 1696,
-    "learning": 1022,
-    "materials": 5403,
+    "learning": 1024,
+    "materials": 5404,
     "neural": 1015,
     "points": 1769,
     "prediction": 887,

@@ -9,7 +9,7 @@ from tests.support.problems import kernel, lattice
 from warp_peri import Bernstein, InputError, Model, Samples
 from warp_peri.fitting.transfer import wave_errors
 from warp_peri.learning.fit import learn as fit
-from warp_peri.materials.lps_fit import products
+from warp_peri.materials.lps_fit import product_basis, products
 from warp_peri.materials.lps_transfer import TOLERANCE, wave_loss, wave_vectors
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import largest_wave_number
@@ -31,7 +31,7 @@ def test_the_loss_is_the_mean_square_of_the_error_in_displacement():
     model, classes = kernel("sign-changing", 1.5, spacing=0.6), bond_classes(0.6, 1.5)
     k, weight = wave_vectors(1.5)
     target = dispersion(HOME, 1.0, k)
-    loss = wave_loss(target, k, classes, weight)
+    loss = wave_loss(target, k, 0.6, product_basis(classes), weight)
     value = np.linalg.norm(loss.R @ products(model, classes) - loss.y) ** 2
     wrong = np.linalg.solve(target, dispersion(model, 0.6, k)) - np.eye(2)
     assert value == pytest.approx(weight @ (wrong**2).sum(axis=(1, 2)) / 2, rel=1e-10)

@@ -183,7 +183,9 @@ def _residual(material: Any, samples: Samples) -> tuple[Any, np.ndarray, float]:
         raise InputError("samples: expected loads on their interior, got none")
     law = getattr(material, "model", material)
     known = offered(getattr(law, "linear", law), "stencil", "diagnose", LINEAR)
-    loose = {"allow_uncertified": True} if callable(known) or hasattr(law, "linear") else {}
+    loose: dict[str, Any] = (
+        {"allow_uncertified": True} if callable(known) or hasattr(law, "linear") else {}
+    )
     operator = placed(material, points, verb="diagnose", **loose)
     return operator, b - operator(samples.u), size
 
@@ -210,11 +212,13 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray) -> dict[str, n
         """Columns whose long waves have moduli of the model's own symmetry."""
         C = elastic_from_brackets(bonds.moments())
         C = ((C + C.transpose(0, 3, 4, 1, 2)) / 2).reshape(len(C), -1)
-        return forces(u, grid, bonds) @ null_space((C - C @ allowed @ allowed.T).T, 1e-9)
+        mix = null_space((C - C @ allowed @ allowed.T).T, 1e-9)
+        return np.asarray(forces(u, grid, bonds) @ mix)
 
     def at(planes: np.ndarray) -> np.ndarray:
         """Planes [S, …, *wide] at the interior nodes, [S, I, …]."""
-        core = planes[(..., *grid.core)] if grid.periodic else planes
+        whole = (slice(None),) * (planes.ndim - d)
+        core = planes[(*whole, *grid.core)] if grid.periodic else planes
         return np.moveaxis(core.reshape(*core.shape[:-d], -1)[..., grid.interior], -1, 1)
 
     def shifted(planes: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -264,7 +268,8 @@ class _Fit:
 
     def _solved(self, along: np.ndarray, grams: np.ndarray, ridge: float) -> np.ndarray:
         least = ridge**2 * np.trace(grams, axis1=-2, axis2=-1) + TINY
-        return np.linalg.solve(grams + least[..., None, None] * np.eye(grams.shape[-1]), along)
+        G = grams + least[..., None, None] * np.eye(grams.shape[-1])
+        return np.asarray(np.linalg.solve(G, along))
 
     def said(self, right: np.ndarray, k: int, ridge: float) -> np.ndarray:
         """Of all samples, by those outside a part."""

@@ -71,7 +71,7 @@ def evaluate(
         points = points.obvious()
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
-    options = {} if transfer else {"transfer": False}  # a law without certificates knows neither
+    options: dict[str, Any] = {} if transfer else {"transfer": False}  # not of every law
     options |= {"allow_uncertified": True} if allow_uncertified else {}
     operator = placed(material, points.points, verb="evaluate", **options)
     offered(operator, "product", "evaluate", "a material whose fields are displacements")

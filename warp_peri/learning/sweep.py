@@ -297,15 +297,15 @@ def _fit(
     state, train = file.with_suffix(".npz"), sets["train"]
     if isinstance(method, TwoStage):
         method = dataclasses.replace(method, checkpoint=state)
-    asked = {"method": method, "conditions": conditions, "noise": noise, "progress": False}
+    asked: dict[str, Any] = {"method": method, "conditions": conditions, "noise": noise}
     try:
-        model = learn(train, horizon, Bernstein(degree), **asked).material
+        model = learn(train, horizon, Bernstein(degree), progress=False, **asked).material
     except RuntimeError as error:
         unit = symbols(train.points.units)[0]
         return f"δ = {horizon:g} {unit}, M = {degree}: {error}"
     tables = {name: evaluate(model, one, allow_uncertified=True) for name, one in sets.items()}
     errors = {key: {name: table[key] for name, table in tables.items()} for key in ERRORS}
-    provenance = model.provenance | {"sweep": key}
+    provenance = model.provenance | {"sweep": fingerprint(key, errors, model.learnable)}
     dataclasses.replace(model, errors=errors, provenance=provenance).save(file)
     state.unlink(missing_ok=True)
     return ""
@@ -313,9 +313,11 @@ def _fit(
 
 def _read(file: Path, train: Samples, case: tuple[float, int, str]) -> Trial | None:
     """A finished trial, whose file and proof `load` checks; None where there is none of this."""
+    horizon, degree, key = case
     try:
         model = Model.load(file)
-        if (model.horizon, model.degree, model.provenance["sweep"]) != case:
+        mark = fingerprint(key, model.errors, model.learnable)
+        if (model.horizon, model.degree, model.provenance["sweep"]) != (horizon, degree, mark):
             return None
         res, u = (model.errors[name] for name in ("E_res", "E_u"))
         bonds = int(bond_classes(train.spacing, model.horizon).count.sum())

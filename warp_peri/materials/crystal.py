@@ -159,7 +159,10 @@ class TensorOperator(OnPoints):
     def _beside(self, planes: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """By step what lies ahead of the box of the interior and behind it, [S, d, …]."""
         for step in self.steps:
-            yield tuple(planes[(..., *self.nodes.beside(way))] for way in (step, -step))
+            first, other = (
+                planes[(slice(None), slice(None), *self.nodes.beside(way))] for way in (step, -step)
+            )
+            yield first, other
 
     def energy(self, u: ArrayLike) -> np.ndarray | float:
         """Energy [stress · length^d] of all bonds with an unknown at an end, shape [...] (T15).

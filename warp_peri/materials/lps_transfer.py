@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from warp_peri.core.groups import lattice_group
+from warp_peri.core.stencil import Basis
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import compressed
@@ -16,9 +17,8 @@ from warp_peri.fitting.settings import Conditions, Optimum
 from warp_peri.fitting.transfer import wave_errors, waves_against
 from warp_peri.materials.certificate import certify, with_proof
 from warp_peri.materials.lps import Model, Solid
-from warp_peri.materials.lps_fit import LPSFound, optimum, product_basis
-from warp_peri.points.arrays import is_number
-from warp_peri.points.families import AT_EDGES, BondClasses, bond_classes, carried_horizon
+from warp_peri.points.arrays import check_positive
+from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, search_length, symbols
 
@@ -75,11 +75,10 @@ def on_lattice(
     tolerance that no horizon meets (saying the best there is).
     """
     asked = {"horizon": horizon, "tolerance": tolerance, "largest_horizon": largest_horizon}
-    for word, value in {"spacing": spacing, **asked}.items():
-        if value is None and word != "spacing":
-            continue
-        if not (is_number(value) and 0 < value < np.inf):
-            raise InputError(f"{word}: expected a number > 0, got {value!r}")
+    check_positive("spacing", spacing)
+    for word, value in asked.items():
+        if value is not None:
+            check_positive(word, value)
     if not isinstance(model, Model):
         raise InputError(
             f"on_lattice: expected a linear peridynamic solid, got {type(model).__name__}; "
@@ -168,20 +167,21 @@ def wave_vectors(largest: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def wave_loss(
-    target: np.ndarray, k: np.ndarray, classes: BondClasses, weight: np.ndarray
+    target: np.ndarray, k: np.ndarray, spacing: float, bonds: Basis, weight: np.ndarray
 ) -> LatticeRows:
     """The loss (M3) of a lattice against D₀(k), shape [K, 2, 2], at wave vectors k, [K, 2].
 
     Half the sum over waves and polarisations of weight · |D₀⁻¹ D e − e|²: the square of the
     relative error of displacement, to first order.
     """
-    bonds = product_basis(classes)
-    R, y = waves_against(target, k * classes.spacing, bonds, np.sqrt(weight / 2))
-    return LatticeRows(*compressed(R / classes.spacing**2, y), bonds, lattice_group(2))
+    R, y = waves_against(target, k * spacing, bonds, np.sqrt(weight / 2))
+    return LatticeRows(*compressed(R / spacing**2, y), bonds, lattice_group(2))
 
 
 def _fitted(model: Model, home: float, spacing: float, horizon: float, band: float) -> Model | None:
     """A kernel of one horizon; None where the conditions cannot be kept."""
+    from warp_peri.materials.lps_fit import LPSFound, optimum, product_basis  # loads torch
+
     figures = model.certificate.get(f"{home:g}", {})
     proven = figures.get("symbol_bound", 0.0) if isinstance(figures, dict) else 0.0
     usual, unit = ZETA * model.mu, model.mu  # of stiffness: soft materials meet the same tolerances
@@ -190,7 +190,7 @@ def _fitted(model: Model, home: float, spacing: float, horizon: float, band: flo
     classes = bond_classes(spacing / length, horizon / length)
     k, weight = wave_vectors(band)
     target = model.stencil(home).symbol(home * k) * length**2 / unit
-    loss = wave_loss(target, k * length, classes, weight)
+    loss = wave_loss(target, k * length, classes.spacing, product_basis(classes), weight)
     start = LPSFound(Solid(model.lam / unit, 1.0, 1.0, np.ones(len(classes.r) + 1)))
     asked, method = Conditions(zeta=zeta / unit), Optimum(smoothness=SMOOTHNESS)
     best = optimum([loss], [classes], start, asked, method)
