@@ -15,7 +15,7 @@ from warp_peri.materials.lps_matrices import node_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
 if TYPE_CHECKING:
-    from warp_peri.edges.body import BodySolution
+    from warp_peri.fe_coupling.body import BodySolution
 
 AROUND = {
     2: ("quad", ((0, 0), (1, 0), (1, 1), (0, 1))),

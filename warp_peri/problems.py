@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 from warp_peri.contract import is_tensor, offered, placed, taken
 from warp_peri.dynamics.adjoint import in_motion
 from warp_peri.dynamics.motion import Motion, refuse_learning
-from warp_peri.edges.body import solve_body
-from warp_peri.edges.rim import Field, Traction
+from warp_peri.fe_coupling.body import solve_body
+from warp_peri.fe_coupling.boundary_elements import Field, Traction
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from examples.exact import compliances, plate_with_hole, roots
-from warp_peri.edges.body import BodySolution
-from warp_peri.edges.bulk import MARGIN
-from warp_peri.edges.rim import Moduli
+from warp_peri.fe_coupling.body import BodySolution
+from warp_peri.fe_coupling.boundary_elements import Moduli
+from warp_peri.fe_coupling.lattice_interior import MARGIN
 from warp_peri.materials.crystal import tensors_of
 from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term

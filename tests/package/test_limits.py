@@ -12,7 +12,7 @@ from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.solving import solve, solve_periodic
 from warp_peri import Bernstein, InputError, Model, Points, certify
-from warp_peri.edges.body import Coupling, solve_body
+from warp_peri.fe_coupling.body import Coupling, solve_body
 from warp_peri.learning.fit import learn as fit
 from warp_peri.materials.lps import bernstein_basis
 from warp_peri.points.families import bond_classes, families_of

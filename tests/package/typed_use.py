@@ -16,7 +16,7 @@ import warp_peri
 from warp_peri import methods, proofs, transfers
 from warp_peri.atoms import LearnedCrystal
 from warp_peri.contract import MaterialFit
-from warp_peri.edges.body import BodyGradient, Coupling, body_gradient
+from warp_peri.fe_coupling.body import BodyGradient, Coupling, body_gradient
 from warp_peri.fitting.diagnose import Diagnosis
 from warp_peri.fitting.result import Fit
 from warp_peri.materials.third_order import ThirdOrderCrystal

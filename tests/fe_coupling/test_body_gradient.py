@@ -7,9 +7,9 @@ import pytest
 
 from tests.support.plates import plate
 from warp_peri import Model
-from warp_peri.edges.body import Coupling, body_gradient, solve_body
-from warp_peri.edges.rim import Moduli, Rim, RimProblem
 from warp_peri.errors import InputError
+from warp_peri.fe_coupling.body import Coupling, body_gradient, solve_body
+from warp_peri.fe_coupling.boundary_elements import Moduli, Rim, RimProblem
 from warp_peri.points.mesh import make_mesh
 from warp_peri.statics import linear
 
@@ -133,7 +133,7 @@ def test_an_edge_of_its_own_carries_force():
     mesh = disk(radius)
     moduli = Moduli.square(C11=1.2, C12=0.4, C44=0.4)
     rim = Rim(mesh, np.ones(len(mesh.triangles), bool))
-    K = rim.stiffness(moduli) + rim.edge_stiffness("edge", size)
+    K = rim.stiffness(moduli, {"edge": size})
     fixed = np.zeros(rim.x.shape, bool)
     fixed[np.hypot(*rim.x.T) < 1e-9] = True
     fixed[np.argmin(np.hypot(*(rim.x - (radius, 0)).T)), 1] = True

@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from examples.exact import hoop_stress, plate_with_hole
 from tests.support.plates import plate
 from warp_peri import Model, certify
-from warp_peri.edges.body import Coupling, long_wave, solve_body
-from warp_peri.edges.rim import Moduli
 from warp_peri.errors import InputError
+from warp_peri.fe_coupling.body import Coupling, long_wave, solve_body
+from warp_peri.fe_coupling.boundary_elements import Moduli
 from warp_peri.points.outlines import Circle, box, mesh_outline
 
 SPACING, RADIUS, HALF, TENSION = 1.0, 8.0, 32.0, 0.005

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from warp_peri.edges.rim import BodyLoads
+from warp_peri.fe_coupling.boundary_elements import BodyLoads
 
 H = 2.5
 LINE = H * np.arange(-12, 13)

@@ -11,15 +11,15 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.edges.rim import Field
 from warp_peri.errors import InputError
+from warp_peri.fe_coupling.boundary_elements import Field
 from warp_peri.materials.lps import Model
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.materials.lps_transfer import LEAST, TOLERANCE, on_lattice
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.statics.linear import STIFF, Linear
+from warp_peri.statics.linear import Linear
 
 EXCHANGES = 40
 """Solves that a coupling takes, for which the inverse is set up."""
@@ -36,16 +36,16 @@ LOOSEST = 1e-3
 
 
 def bulk_points(
-    mesh: Mesh, spacing: float, reach: float, *, units: Units = USUAL, depth: float = 0.0
+    mesh: Mesh, spacing: float, reach: float, depth: float, *, units: Units = USUAL
 ) -> tuple[Points, np.ndarray] | None:
-    """Lattice nodes of a body, unknown where they are a collar and a margin off the outline.
+    """Lattice nodes of a body, unknown where they are deep enough off the outline.
 
     Args:
         mesh: of the body.
         spacing: h [Å]; nodes are multiples of it.
         reach: of the collar [Å]: 2δ of a peridynamic solid, δ of a crystal.
+        depth: of unknown nodes [Å]: the collar and a margin at least.
         units: of lengths.
-        depth: of unknown nodes at least [Å].
 
     Returns:
         The nodes with their collar, and the cell that holds each, shape [N]; None where no node is
@@ -63,7 +63,7 @@ def bulk_points(
     inside = np.flatnonzero(held >= 0)
     away = np.zeros(len(x))
     away[inside] = mesh.distance(x[inside], SAMPLED * spacing)
-    unknown = away >= max(reach + MARGIN * spacing, depth)
+    unknown = away >= depth
     if not unknown.any():
         return None
     from_unknown = spacing * distance_transform_edt(~unknown.reshape(shape)).ravel()
@@ -88,22 +88,18 @@ class Bulk:
     Args:
         model: the material, on its own lattice, or a model that is certified or allowed there.
         points: the unknown nodes and their collar.
+        stiff: whether λ ≫ μ.
 
     Raises InputError for an operator that is singular or indefinite.
     """
 
-    def __init__(self, model: Any, points: Points) -> None:
+    def __init__(self, model: Any, points: Points, *, stiff: bool = False) -> None:
         self.model, self.points = model, points
-        placed: Any
-        if isinstance(model, Model):
-            placed, lam, mu = LPSOperator(model, points), model.lam, model.mu
-        else:
-            placed = model.on(points)
-            lam, mu = model.tensor()[0, 0, 1, 1], model.tensor()[0, 1, 0, 1]
+        placed: Any = LPSOperator(model, points) if isinstance(model, Model) else model.on(points)
         self.linear: Linear = placed.linear
         self.stress: Callable[[np.ndarray], np.ndarray] = placed.stress
         self.inside, self.collar = np.flatnonzero(points.interior), np.flatnonzero(~points.interior)
-        self.inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=bool(lam > STIFF * mu))
+        self.inverse = self.linear.cheapest_inverse(EXCHANGES, stiff=stiff)
 
     def pull(self, collar: np.ndarray) -> np.ndarray:
         """L of what the collar moves, shape [C, d], on the unknown nodes, shape [I, d]."""
@@ -160,13 +156,6 @@ def cubic(points: Points, x: np.ndarray) -> sp.csr_array:
     return sp.csr_array(sp.coo_array(entries, shape=shape))
 
 
-def on_all(bulk: Bulk, inner: np.ndarray, collar: np.ndarray) -> np.ndarray:
-    """Displacement of the unknown nodes and of the collar on all nodes, shape [N, d]."""
-    u = np.empty_like(bulk.points.x)
-    u[bulk.inside], u[bulk.collar] = inner, collar
-    return u
-
-
 _TOO_NARROW = (
     "overlap: the inner side of the rim leaves the nodes that are solved for; expected an overlap "
     "of three spacings or more, or a wider body"
@@ -201,28 +190,6 @@ class Tried:
     verdict: str
 
 
-@dataclass(frozen=True)
-class _Seen:
-    """What a lattice is chosen for: depth of points of the body, its smallest hole [Å], the wave
-    number of its load [1/Å] and the overlap, None for two horizons."""
-
-    depth: np.ndarray
-    hole: float
-    wave_number: float
-    overlap: float | None
-
-    def share(self, horizon: float) -> float:
-        return float(np.mean(self.depth > 2 * horizon))
-
-    def refusal(self, horizon: float) -> str:
-        """Why a horizon is too large for the body; empty where it is not."""
-        if self.hole < (2 * horizon if self.overlap is None else self.overlap):
-            return "a hole is smaller than the overlap"
-        if self.share(horizon) < WAVE_SHARE:
-            return f"only {self.share(horizon):.0%} of the body is two horizons inside"
-        return ""
-
-
 def bulk_lattice(
     model: Model, mesh: Mesh, b: Field | None, overlap: float | None
 ) -> tuple[Model, tuple[Tried, ...]]:
@@ -242,55 +209,47 @@ def bulk_lattice(
     Returns:
         The model on the lattice that was chosen, and what was tried; the last is what was taken.
 
-    Raises InputError for a model that is certified on no lattice, or a mesh that is not in Å.
+    Raises InputError for a mesh that is not in Å.
     """
-    if not model.certified_on:
-        raise InputError(
-            "model: expected one that is certified on a lattice, which others are fitted to; "
-            "this one is certified on none"
-        )
     home = max(model.certified_on)
     check_extent(mesh, home, model.units)
     depth, wave_number = _depth_and_wave_number(mesh, b)
-    seen = _Seen(depth, float(mesh.hole_sizes.min(initial=np.inf)), wave_number, overlap)
-    tried: list[Tried] = []
-    for ratio in RATIOS:
-        last = ratio == RATIOS[-1]
-        attempt, here = _attempt(model, home * ratio, seen, wanted=last)
-        if here is not None and (last or attempt.verdict == "taken"):
-            if wave_number and attempt.wave_error > TOLERANCE:
+    hole, tried = mesh.hole_sizes.min(initial=np.inf), list[Tried]()
+
+    def refusal(horizon: float) -> str:
+        share = np.mean(depth > 2 * horizon)
+        if hole < (2 * horizon if overlap is None else overlap):
+            return "a hole is smaller than the overlap"
+        few = f"only {share:.0%} of the body is two horizons inside"
+        return few if share < WAVE_SHARE else ""
+
+    for spacing in home * np.array(RATIOS):
+        horizon, error, here = LEAST * spacing, np.nan, None
+        verdict, last = refusal(horizon), spacing == home * RATIOS[-1]
+        try:
+            here = on_lattice(model, spacing=spacing) if last or not verdict else None
+        except InputError as refused:
+            verdict = str(refused)
+        if here is not None:
+            if model.is_certified_on(spacing) and here.horizon >= model.horizon * (1 - 1e-9):
+                here, error = model, 0.0  # fewer bonds do not serve: no copy of what is there
+            else:
+                error = _wave_error(here, wave_number)
+            unresolved = "the waves of the load are not resolved" if error > TOLERANCE else ""
+            horizon = here.horizon
+            verdict = refusal(horizon) or unresolved or "taken"
+        share = float(np.mean(depth > 2 * horizon))
+        tried.append(Tried(float(spacing), horizon, share, error, verdict))
+        if here is not None and (last or verdict == "taken"):
+            if wave_number and error > TOLERANCE:
                 unit = symbols(model.units)[0]
                 warnings.warn(
                     f"b: waves of {2 * np.pi / wave_number:.3g} {unit} are not resolved to "
-                    f"{TOLERANCE:.1%} on the lattice of {attempt.spacing:g} {unit}, the finest",
+                    f"{TOLERANCE:.1%} on the lattice of {spacing:g} {unit}, the finest",
                     stacklevel=3,
                 )
-            return here, (*tried, attempt)
-        tried.append(attempt)
+            return here, tuple(tried)
     raise InputError(f"model: {tried[-1].verdict}; give a spacing")
-
-
-def _attempt(
-    model: Model, spacing: float, seen: _Seen, *, wanted: bool
-) -> tuple[Tried, Model | None]:
-    """One lattice, and the model there; None where it does not get so far, unless it is wanted."""
-    least = LEAST * spacing
-    refusal = seen.refusal(least)
-    if refusal and not wanted:
-        return Tried(spacing, least, seen.share(least), np.nan, refusal), None
-    try:
-        here = on_lattice(model, spacing=spacing)
-    except InputError as error:
-        return Tried(spacing, least, seen.share(least), np.nan, str(error)), None
-    if model.is_certified_on(spacing) and here.horizon >= model.horizon * (1 - 1e-9):
-        here, wave_error = model, 0.0  # fewer bonds do not serve: no copy of what is there
-    else:
-        wave_error = _wave_error(here, seen.wave_number)
-    refusal = seen.refusal(here.horizon)
-    if not refusal and wave_error > TOLERANCE:
-        refusal = "the waves of the load are not resolved"
-    share = seen.share(here.horizon)
-    return Tried(spacing, here.horizon, share, wave_error, refusal or "taken"), here
 
 
 def _wave_error(model: Model, wave_number: float) -> float:

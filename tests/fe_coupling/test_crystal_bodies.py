@@ -8,9 +8,9 @@ import pytest
 import warp_peri
 from examples.exact import plate_with_hole
 from tests.micromodulus.crystals import cubic_tensor, dispersive, learned
-from warp_peri.edges.body import Coupling, solve_body
-from warp_peri.edges.rim import Moduli
 from warp_peri.errors import InputError
+from warp_peri.fe_coupling.body import Coupling, solve_body
+from warp_peri.fe_coupling.boundary_elements import Moduli
 from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Block, Circle, Sphere, box, mesh_outline, mesh_solid

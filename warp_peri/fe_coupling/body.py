@@ -6,7 +6,6 @@ families are whole; a rim along the outline is elasticity with the operator's ow
 
 from __future__ import annotations
 
-import dataclasses
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -16,10 +15,25 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.edges.bulk import MARGIN, Bulk, Tried, bulk_lattice, bulk_points, cubic, on_all
-from warp_peri.edges.rim import Field, Moduli, Rim, RimProblem, Traction, check_part, loads_on
-from warp_peri.edges.schwarz import Exchange, Schwarz, WholeBody
 from warp_peri.errors import InputError
+from warp_peri.fe_coupling.boundary_elements import (
+    Field,
+    Moduli,
+    Rim,
+    RimProblem,
+    Traction,
+    check_part,
+    loads_on,
+)
+from warp_peri.fe_coupling.lattice_interior import (
+    MARGIN,
+    Bulk,
+    Tried,
+    bulk_lattice,
+    bulk_points,
+    cubic,
+)
+from warp_peri.fe_coupling.schwarz import Exchange, Schwarz, WholeBody
 from warp_peri.materials.certificate import with_proof
 from warp_peri.materials.lps import Model, moduli
 from warp_peri.materials.lps_transfer import LARGEST, model_at
@@ -31,6 +45,7 @@ from warp_peri.points.points import Points
 from warp_peri.points.samples import edge_strain
 from warp_peri.points.unit_names import symbols
 from warp_peri.statics.direct import definite_factors
+from warp_peri.statics.linear import STIFF
 from warp_peri.statics.solution import TOLERANCE, warn_beyond
 from warp_peri.statics.solution import Coupling as Coupling
 
@@ -167,70 +182,89 @@ def solve_body(
     positive definite.
     """
     loads = loads_on(mesh, displacement, traction, b)
-    springs = _springs(edge or {}, mesh)
-    if isinstance(model, Model):
-        _refuse_dimension(2, mesh)
-        model, spacing, tried = _on_lattice(
-            model, mesh, loads.b, coupling, allowed=allow_uncertified
-        )
-        stiff = long_wave(model, spacing)
-        reach, usual = 2 * model.horizon, OVERLAP * model.horizon
+    springs, plane = _springs(edge or {}, mesh), isinstance(model, Model)
+    _refuse_dimension(2 if plane else model.dimension, mesh)
+    tried: tuple[Tried, ...] = ()
+    if plane:
+        if not (model.certified_on or (allow_uncertified and coupling.spacing)):
+            model = with_proof(model, coupling.spacing)
+        if coupling.spacing is None:
+            model, tried = bulk_lattice(model, mesh, loads.b, coupling.overlap)
+        else:
+            model = model_at(model, coupling.spacing, allow_uncertified=allow_uncertified)
+        spacing = coupling.spacing or tried[-1].spacing
+        stiff, reach, usual = long_wave(model, spacing), 2 * model.horizon, OVERLAP * model.horizon
     else:
-        stiff, spacing, tried = _of_crystal(model, mesh, coupling), model.spacing, ()
-        reach, usual = model.horizon, CRYSTAL_OVERLAP * spacing
+        stiff, spacing, reach = _of_crystal(model, coupling), model.spacing, model.horizon
+        usual = CRYSTAL_OVERLAP * spacing
     overlap = usual if coupling.overlap is None else coupling.overlap
-    least = coupling.depth or 0.0
-    lattice = bulk_points(mesh, spacing, reach, units=model.units, depth=least)
-    collar = max(reach + MARGIN * spacing, least)
+    collar = max(reach + MARGIN * spacing, coupling.depth or 0.0)
+    lattice = bulk_points(mesh, spacing, reach, collar, units=model.units)
     depth = mesh.distance(mesh.x, spacing / 10)
-    kept = _rim_cells(mesh, depth < collar + overlap, lattice)
+    kept = (depth < collar + overlap)[mesh.cells].any(axis=1)
+    if lattice is None:
+        kept[:] = True
+    else:  # and cells that hold the collar
+        points, cell = lattice
+        kept[cell[~points.interior]] = True
     rim = Rim(mesh, kept, coupling.degree)
     f, (given, fixed) = loads.on(rim), loads.given(rim)
     loads.refuse_loose(rim, fixed)
     fixed[rim.inner] = True
-    problem = RimProblem(stiffness(rim, stiff, springs), fixed.ravel())
-    if min(springs.values(), default=0.0) < 0:
-        _refuse_soft_edges(problem)
-    told = model, spacing, tried, stiff, rim
+    problem = RimProblem(rim.stiffness(stiff, springs), fixed.ravel())
+    if min(springs.values(), default=0.0) < 0 and definite_factors(problem.inside) is None:
+        raise InputError(
+            "edge: with this negative stiffness the rim is not positive definite, so that its "
+            "equilibria are not stable; expected a smaller size, or larger triangles at the edge"
+        )
     if lattice is None or kept.all():
         deepest = depth[mesh.cells].min(axis=1).max()
         warnings.warn(_alone(model, collar + overlap, deepest, coupling), stacklevel=2)
-        u = problem.solve(f.ravel(), given.ravel())
-        record = Exchange(rim_residual=problem.residual(f.ravel(), u))
-        alone = u.reshape(f.shape), None, np.zeros((0, rim.d))
-        solution = BodySolution(*told, *alone, overlap, record, problem)
-        _warn_beyond(solution)
-        return solution
-    _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
-    points, cell = lattice
-    if not isinstance(model, Model):  # the mesh lies as the nodes of the law do
-        points = replace(points, axis=_axis_of(model))
-    bulk = Bulk(model, points)
-    elements = Rim(mesh, np.ones(len(mesh.cells), bool), degree=1)
-    whole = WholeBody(elements, stiffness(elements, stiff, springs), loads, rim, depth, collar)
-    to_bulk = rim.probe(points.x[bulk.collar], cell[bulk.collar])
-    two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk, whole)
-    b_bulk = loads.density(points.x[bulk.inside], spacing)
-    u_rim, inner, record = two.solve(f, given, b_bulk, coupling.tolerance)
-    fields = u_rim, points, on_all(bulk, inner, two.to_bulk @ u_rim)
-    solution = BodySolution(*told, *fields, overlap, record, two)
-    _warn_beyond(solution)
+        u_rim = problem.solve(f.ravel(), given.ravel()).reshape(f.shape)
+        record = Exchange(rim_residual=problem.residual(f.ravel(), u_rim.ravel()))
+        fields: Any = u_rim, None, np.zeros((0, rim.d)), overlap, record, problem
+    else:
+        _refuse_small_holes(mesh, overlap, symbols(model.units)[0])
+        if not plane:  # the mesh lies as the nodes of the law do
+            points = replace(points, axis=_axis_of(model))
+        bulk = Bulk(model, points, stiff=stiff.C12 > STIFF * stiff.C44)
+        elements = Rim(mesh, np.ones(len(mesh.cells), bool), degree=1)
+        whole = WholeBody(elements, elements.stiffness(stiff, springs), loads, rim, depth, collar)
+        to_bulk = rim.probe(points.x[bulk.collar], cell[bulk.collar])
+        two = Schwarz(problem, bulk, rim.inner, cubic(points, rim.x[rim.inner]), to_bulk, whole)
+        b_bulk = loads.density(points.x[bulk.inside], spacing)
+        u_rim, inner, record = two.solve(f, given, b_bulk, coupling.tolerance)
+        u_bulk = np.empty_like(points.x)
+        u_bulk[bulk.inside], u_bulk[bulk.collar] = inner, to_bulk @ u_rim
+        fields = u_rim, points, u_bulk, overlap, record, two
+    solution = BodySolution(model, spacing, tried, stiff, rim, *fields)
+    if plane:
+        warn_beyond(model, lambda: _largest_strain(solution))
     return solution
 
 
 def _refuse_dimension(dimension: int, mesh: Mesh) -> None:
     """Raise InputError for a mesh of another dimension than the law."""
-    if mesh.x.shape[1] != dimension:
+    if mesh.dimension != dimension:
         kind = {2: "triangles", 3: "tetrahedra"}
         raise InputError(
             f"mesh: expected {kind[dimension]}, for a model of {dimension} dimensions, got "
-            f"{kind[mesh.x.shape[1]]}"
+            f"{kind[mesh.dimension]}"
         )
 
 
-def _of_crystal(crystal: Any, mesh: Mesh, coupling: Coupling) -> Moduli:
+def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
+    """Raise InputError where a hole is smaller than the overlap."""
+    smallest = mesh.hole_sizes.min(initial=np.inf)
+    if smallest < overlap:
+        raise InputError(
+            f"mesh: a hole of {smallest:.3g} {unit} is smaller than the overlap of rim and bulk, "
+            f"{overlap:g} {unit}"
+        )
+
+
+def _of_crystal(crystal: Any, coupling: Coupling) -> Moduli:
     """The long waves' moduli of a crystal; InputError for what elements cannot go on with."""
-    _refuse_dimension(crystal.dimension, mesh)
     if coupling.spacing not in (None, crystal.spacing):
         raise InputError(
             f"coupling: expected spacing {crystal.spacing:g} or None, got {coupling.spacing:g}; "
@@ -242,9 +276,8 @@ def _of_crystal(crystal: Any, mesh: Mesh, coupling: Coupling) -> Moduli:
             "elements do not know"
         )
     C, d = crystal.tensor(), crystal.dimension
-    pairs = [(a, c) for a in range(d) for c in range(a, d)]
-    voigt = np.array([[C[a, b, i, j] for i, j in pairs] for a, b in pairs])
-    if np.linalg.eigvalsh(voigt).min() <= 0:
+    a, c = np.triu_indices(d)
+    if np.linalg.eigvalsh(C[a[:, None], c[:, None], a, c]).min() <= 0:
         raise InputError("model: expected long-wave moduli of positive energy, got some of none")
     return Moduli(C)
 
@@ -255,32 +288,11 @@ def _axis_of(crystal: Any) -> Any:
     return float(np.degrees(np.arctan2(turn[1, 0], turn[0, 0]))) if len(turn) == 2 else turn
 
 
-def _warn_beyond(solution: BodySolution) -> None:
-    if isinstance(solution.model, Model):
-        warn_beyond(solution.model, lambda: _largest_strain(solution))
-
-
 def _largest_strain(found: BodySolution) -> float:
-    """Largest strain along an edge of the rim's triangles, or between nodes of the bulk."""
-    rim = found.rim
-    triangles = np.searchsorted(rim.corners, rim.mesh.cells[rim.cells >= 0])
-    of_rim = edge_strain(rim.mesh.x[rim.corners], triangles, found.u_rim[rim.corner_nodes])
-    if found.points is None:
-        return of_rim
-    return max(of_rim, largest_strain(found.points, found.u_bulk))
-
-
-def _on_lattice(
-    model: Model, mesh: Any, b: Field | None, coupling: Coupling, *, allowed: bool
-) -> tuple[Model, float, tuple[Tried, ...]]:
-    """The model on the bulk's lattice, its spacing, and what was tried where none was asked for."""
-    if not (model.certified_on or (allowed and coupling.spacing)):
-        model = with_proof(model, coupling.spacing)
-    if coupling.spacing is not None:
-        here = model_at(model, coupling.spacing, allow_uncertified=allowed)
-        return here, coupling.spacing, ()
-    here, tried = bulk_lattice(model, mesh, b, coupling.overlap)
-    return here, tried[-1].spacing, tried
+    """Largest strain along an edge of the mesh, or between nodes of the bulk."""
+    mesh = found.rim.mesh
+    strain = edge_strain(mesh.x, mesh.cells, found.on_corners()[0])
+    return max(strain, largest_strain(found.points, found.u_bulk)) if found.points else strain
 
 
 def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str:
@@ -294,30 +306,19 @@ def _alone(model: Any, needed: float, deepest: float, coupling: Coupling) -> str
     """
     unit, plane = symbols(model.units)[0], isinstance(model, Model)
     cell = "triangle" if model.dimension == 2 else "tetrahedron"
-    reach = "two horizons" if plane else "a horizon"
-    cures = [f"a body {np.ceil(11 * needed / deepest) / 10:g} times as large"]
+    cures = ["a smaller depth"] if coupling.depth is not None else []
     own, horizons = (0.0, 4) if coupling.overlap is None else (coupling.overlap, 2)
     room = (deepest - own) / (horizons * LARGEST + MARGIN)  # of kernels with the most bonds
-    if coupling.depth is not None:
-        cures.insert(0, "a smaller depth")
     if room > 0 and plane:
         digits = 10.0 ** (np.floor(np.log10(room)) - 1)
         cures.insert(0, f"Coupling(spacing={np.floor(room / digits) * digits:.2g}) or less")
+    cures.append(f"a body {np.ceil(11 * needed / deepest) / 10:g} times as large")
     return (
-        f"mesh: no {cell} is {needed:g} {unit} from the body's edge, {reach} and the "
-        f"overlap (the deepest is {deepest:.3g} {unit}); it is solved by elements alone. Room for "
-        f"the lattice: {', or '.join(cures)}"
+        f"mesh: no {cell} is {needed:g} {unit} from the body's edge, "
+        f"{'two horizons' if plane else 'a horizon'} and the overlap (the deepest is "
+        f"{deepest:.3g} {unit}); it is solved by elements alone. Room for the lattice: "
+        f"{', or '.join(cures)}"
     )
-
-
-def _refuse_small_holes(mesh: Mesh, overlap: float, unit: str) -> None:
-    """Raise InputError where a hole is smaller than the overlap."""
-    smallest = mesh.hole_sizes.min(initial=np.inf)
-    if smallest < overlap:
-        raise InputError(
-            f"mesh: a hole of {smallest:.3g} {unit} is smaller than the overlap of rim and bulk, "
-            f"{overlap:g} {unit}"
-        )
 
 
 def long_wave(model: Model, spacing: float) -> Moduli:
@@ -341,35 +342,6 @@ def _springs(edge: Mapping[str, float], mesh: Mesh) -> dict[str, float]:
         if not (is_number(size) and np.isfinite(size)):
             raise InputError(f"edge '{name}': expected a finite stiffness, got {size!r}")
     return {name: float(size) for name, size in edge.items()}
-
-
-def _refuse_soft_edges(problem: RimProblem) -> None:
-    """Raise InputError where negative stiffness of edges outweighs the elements beside them."""
-    if definite_factors(problem.inside) is None:
-        raise InputError(
-            "edge: with this negative stiffness the rim is not positive definite, so that its "
-            "equilibria are not stable; expected a smaller size, or larger triangles at the edge"
-        )
-
-
-def stiffness(rim: Rim, stiff: Moduli, springs: Mapping[str, float]) -> sp.csr_array:
-    """K of elements with the stiffness of edges [TPa], shape [d n, d n]."""
-    K = rim.stiffness(stiff)
-    for name, size in springs.items():
-        K = K + rim.edge_stiffness(name, size)
-    return sp.csr_array(K)
-
-
-def _rim_cells(
-    mesh: Mesh, near: np.ndarray, lattice: tuple[Points, np.ndarray] | None
-) -> np.ndarray:
-    """Cells with a corner near the outline, or that hold the collar; shape [T] bool."""
-    if lattice is None:
-        return np.ones(len(mesh.cells), bool)
-    points, cell = lattice
-    kept = near[mesh.cells].any(axis=1)
-    kept[cell[~points.interior]] = True
-    return np.asarray(kept)
 
 
 @dataclass(frozen=True, eq=False)
@@ -410,18 +382,12 @@ class BodyGradient:
                 np.vdot(self.b, change.density(points.x[points.interior], points.spacing))
             )
         given, fixed = change.given(rim)
-        if (fixed & ~_held(self.solution)).any():
+        problem = self.solution.problem
+        held = ~(problem.rim if isinstance(problem, Schwarz) else problem).free.reshape(-1, 2)
+        held[rim.inner] = False
+        if (fixed & ~held).any():
             raise InputError("displacement: expected parts that are held, and the same components")
         return total + float(np.vdot(self.given, given))
-
-
-def _held(solution: BodySolution) -> np.ndarray:
-    """Displacements of the rim's nodes that were held, shape [n, 2] bool."""
-    problem = solution.problem
-    rim = problem.rim if isinstance(problem, Schwarz) else problem
-    held = ~rim.free.reshape(-1, 2)
-    held[solution.rim.inner] = False
-    return held
 
 
 def body_gradient(
@@ -442,7 +408,8 @@ def body_gradient(
 
     Raises InputError for other shapes.
     """
-    if not isinstance(solution.model, Model):
+    model, problem = solution.model, solution.problem
+    if not isinstance(model, Model):
         raise InputError("solution: expected a body of a peridynamic solid, got one of a crystal")
     by_bulk = np.zeros_like(solution.u_bulk) if by_bulk is None else np.asarray(by_bulk, float)
     by_rim = np.asarray(by_rim, dtype=float)
@@ -451,33 +418,25 @@ def body_gradient(
             f"by_rim, by_bulk: expected shapes {list(solution.u_rim.shape)} and "
             f"{list(solution.u_bulk.shape)}, got {list(by_rim.shape)} and {list(by_bulk.shape)}"
         )
-    problem = solution.problem
     if isinstance(problem, Schwarz):
         bulk = problem.bulk
         by_rim = by_rim + problem.to_bulk.T @ by_bulk[bulk.collar]
-        (f, b), given = problem.solve_back(by_rim, by_bulk[bulk.inside], tolerance)
+        f, given, b = problem.transposed(by_rim, by_bulk[bulk.inside], tolerance)
         given[problem.inner] = 0  # not held: the bulk's
     else:
-        f, given = (part.reshape(-1, 2) for part in problem.solve_back(by_rim.ravel()))
+        f, given = (part.reshape(-1, 2) for part in problem.transposed(by_rim.ravel()))
         b = np.zeros((0, 2))
-    lam, mu = _by_lame(solution, f, b)
-    return BodyGradient(lam, mu, f, b, given, solution)
-
-
-def _by_lame(solution: BodySolution, f: np.ndarray, b: np.ndarray) -> tuple[float, float]:
-    """−(w · ∂K u + v · ∂L u) by λ and μ, of which K and L are homogeneous of degree one (B14)."""
-    model = solution.model
+    # −(w · ∂K u + v · ∂L u) by λ and μ, of which K and L are homogeneous of degree one (B14)
     here = _work(solution, model, f, b)
-    further = _work(solution, dataclasses.replace(model, lam=model.lam + model.mu), f, b)
-    lam = (further - here) / model.mu
-    return -lam, -(here - model.lam * lam) / model.mu
+    further = _work(solution, replace(model, lam=model.lam + model.mu), f, b)
+    by_lam = (further - here) / model.mu
+    return BodyGradient(-by_lam, -(here - model.lam * by_lam) / model.mu, f, b, given, solution)
 
 
 def _work(solution: BodySolution, model: Model, f: np.ndarray, b: np.ndarray) -> float:
     """w · K u + v · L u with the λ and μ of a model."""
-    classes = bond_classes(solution.spacing, model.horizon)
-    K = solution.rim.stiffness(Moduli.square(**moduli(model, classes)))
-    total = float(np.vdot(f, (K @ solution.u_rim.ravel()).reshape(-1, 2)))
+    K = solution.rim.stiffness(long_wave(model, solution.spacing))
+    total = float(np.vdot(f, K @ solution.u_rim.ravel()))
     if solution.points is not None:
         force = model.on(solution.points, allow_uncertified=True)(solution.u_bulk)
         total += float(np.vdot(b, force))

@@ -7,8 +7,8 @@ import pytest
 
 from tests.support.plates import plate
 from warp_peri import Model
-from warp_peri.edges.body import solve_body
-from warp_peri.edges.bulk import bulk_lattice
+from warp_peri.fe_coupling.body import solve_body
+from warp_peri.fe_coupling.lattice_interior import bulk_lattice
 
 MODEL = Model(
     lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,)

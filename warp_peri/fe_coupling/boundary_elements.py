@@ -77,7 +77,7 @@ class Rim:
     """
 
     def __init__(self, mesh: Mesh, kept: np.ndarray, degree: int = 2) -> None:
-        fem, self.d = finite_elements(), mesh.x.shape[1]
+        fem, self.d = finite_elements(), mesh.dimension
         corners, cells = np.unique(mesh.cells[kept], return_inverse=True)
         cells = cells.reshape(-1, self.d + 1)
         kinds = {
@@ -85,27 +85,17 @@ class Rim:
             3: (fem.MeshTet, fem.MeshTet2, fem.ElementTetP1, fem.ElementTetP2),
         }
         make, bent, *elements = kinds[self.d]
-        straight = make(mesh.x[corners].T.copy(), cells.T.copy())
-        size = len(corners) ** np.arange(self.d)[::-1]
-        known = size @ np.sort(straight.facets, axis=0)
-        order = np.argsort(known)
+        shape = straight = make(mesh.x[corners].T.copy(), cells.T.copy())
         place = np.full(len(mesh.x), -1)
         place[corners] = np.arange(len(corners))
-        ends = np.sort(place[mesh.faces], axis=1)
-        self.facets = order[np.searchsorted(known[order], ends @ size)]
-        shape = straight
+        self.facets = _columns(place[mesh.faces], straight.facets)
         if degree == 2 and len(mesh.curved):
             shape = bent.from_mesh(straight)
             positions = shape.doflocs.copy()
-            edges = straight.facets if self.d == 2 else straight.edges
-            known = size[-2:] @ np.sort(edges, axis=0)
-            order = np.argsort(known)
-            there = (place[mesh.curved] >= 0).all(axis=1)  # in order of corners too
-            asked = np.sort(place[mesh.curved[there]], axis=1) @ size[-2:]
-            edge = order[np.minimum(np.searchsorted(known[order], asked), len(order) - 1)]
-            own = known[edge] == asked
-            dofs = shape.dofs.facet_dofs if self.d == 2 else shape.dofs.edge_dofs
-            positions[:, dofs[0, edge[own]]] = mesh.middle[there][own].T
+            plane = self.d == 2
+            edge = _columns(place[mesh.curved], straight.facets if plane else straight.edges)
+            dofs = shape.dofs.facet_dofs if plane else shape.dofs.edge_dofs
+            positions[:, dofs[0, edge[edge >= 0]]] = mesh.middle[edge >= 0].T
             shape = replace(shape, doflocs=positions)
         self.mesh, self.corners = mesh, corners
         self.cells = np.full(len(mesh.cells), -1)
@@ -114,10 +104,15 @@ class Rim:
         self.order = 2 * degree + 2
         self.basis = fem.Basis(shape, self.element, intorder=self.order)
         self.x = np.asarray(self.basis.doflocs.T)
-        cut = np.setdiff1d(straight.boundary_facets(), self.facets)
-        self.inner = self._nodes(cut)
-        self._fem, self._straight = fem, straight
-        self._squares = self._assembled()
+        self.inner = self._nodes(np.setdiff1d(straight.boundary_facets(), self.facets))
+        self._fem = fem
+        self._squares = {
+            (a, c): self._product(self.basis, lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c])
+            for a, c in itertools.combinations_with_replacement(range(self.d), 2)
+        }
+
+    def _product(self, basis: Any, form: Callable[..., Any]) -> sp.csr_array:
+        return sp.csr_array(self._fem.BilinearForm(form).assemble(basis))
 
     def _nodes(self, facets: np.ndarray) -> np.ndarray:
         return np.asarray(self.basis.get_dofs(facets).flatten(), dtype=int)
@@ -131,48 +126,31 @@ class Rim:
         """Nodes on a named part of the outline."""
         return self._nodes(self.facets[self.mesh.parts[part]])
 
-    def _assembled(self) -> dict[tuple[int, int], sp.csr_array]:
-        """∫ ∂_a φ_i ∂_c φ_j for a ≤ c, shape [n, n] each."""
-        squares = {}
-        for a, c in itertools.combinations_with_replacement(range(self.d), 2):
-            form = self._fem.BilinearForm(lambda u, v, w, a=a, c=c: v.grad[a] * u.grad[c])
-            squares[a, c] = sp.csr_array(form.assemble(self.basis))
-        return squares
-
-    def stiffness(self, moduli: Moduli) -> sp.csr_array:
-        """K [stress], shape [d n, d n], linear in the moduli (B2)."""
-        C, parts = moduli.tensor, []
-        for (a, c), square in self._squares.items():
-            parts.append(sp.kron(square, C[:, a, :, c]))
-            if a != c:
-                parts.append(sp.kron(square.T, C[:, c, :, a]))
-        return sp.csr_array(sum(parts[1:], parts[0]))
-
-    def edge_stiffness(self, part: str, size: float) -> sp.csr_array:
-        """∫ E_s (τ · ε(v) τ) (τ · ε(u) τ) over a part of the outline [TPa], as `stiffness` (B10).
+    def stiffness(self, moduli: Moduli, springs: Mapping[str, float] | None = None) -> sp.csr_array:
+        """K [stress], shape [d n, d n], linear in the moduli (B2).
 
         Args:
-            part: name of it.
-            size: E_s, force in an edge over its strain and the sheet's thickness [TPa Å].
+            moduli: of the elements.
+            springs: stiffness E_s of an edge of its own by part of the outline, its force over its
+                strain and the sheet's thickness [stress · length]: ∫ E_s (τ · ε(v) τ) (τ · ε(u) τ)
+                (B10); in the plane.
         """
-        basis = self._facets(part)
-        products = []
-        for a, c in ((0, 0), (0, 1), (1, 1)):
-
-            def form(u: Any, v: Any, w: Any, a: int = a, c: int = c) -> Any:
-                along = (-w.n[1], w.n[0])
-                slopes = [along[0] * z.grad[0] + along[1] * z.grad[1] for z in (u, v)]
-                return size * along[a] * along[c] * slopes[0] * slopes[1]
-
-            products.append(sp.csr_array(self._fem.BilinearForm(form).assemble(basis)))
-        blocks = (
-            (0, 0, products[0]),
-            (0, 1, products[1]),
-            (1, 0, products[1]),
-            (1, 1, products[2]),
+        C = moduli.tensor
+        K = sum(sp.kron(square, C[:, a, :, c]) for (a, c), square in self._squares.items())
+        K += sum(
+            sp.kron(square.T, C[:, c, :, a]) for (a, c), square in self._squares.items() if a != c
         )
-        parts = [sp.kron(block, _unit(a, c)) for a, c, block in blocks]
-        return sp.csr_array(sum(parts[1:], parts[0]))
+        for part, size in (springs or {}).items():
+            for a, c in itertools.product(range(2), repeat=2):
+
+                def form(u: Any, v: Any, w: Any, a: int = a, c: int = c, size: float = size) -> Any:
+                    along = (-w.n[1], w.n[0])
+                    slopes = [along[0] * z.grad[0] + along[1] * z.grad[1] for z in (u, v)]
+                    return size * along[a] * along[c] * slopes[0] * slopes[1]
+
+                there = np.outer(np.arange(2) == a, np.arange(2) == c)
+                K += sp.kron(self._product(self._facets(part), form), there)
+        return sp.csr_array(K)
 
     def body_force(self, b: Field) -> np.ndarray:
         """∫ b · φ [TPa Å], shape [n, d], of a body force density [TPa/Å]."""
@@ -190,10 +168,8 @@ class Rim:
     def _integrals(self, basis: Any, vectors: Callable[[Any], np.ndarray]) -> np.ndarray:
         columns = []
         for a in range(self.d):
-            form = self._fem.LinearForm(
-                lambda v, w, a=a: vectors(w)[:, a].reshape(w.x.shape[1:]) * v
-            )
-            columns.append(form.assemble(basis))
+            component = lambda v, w, a=a: vectors(w)[:, a].reshape(w.x.shape[1:]) * v  # noqa: E731
+            columns.append(self._fem.LinearForm(component).assemble(basis))
         return np.stack(columns, axis=1)
 
     def probe(self, x: np.ndarray, holding: np.ndarray) -> sp.csr_array:
@@ -272,10 +248,10 @@ class RimProblem:
         u[self.free] = self.factors.solve(f[self.free] - self.given @ given[~self.free])
         return u
 
-    def solve_back(self, by_u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives by f and by what is given, shape [d n] each, of those by u."""
+    def transposed(self, by_u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The transpose of `solve`, which is linear: derivatives by f and by what is given."""
         by_f, by_given = np.zeros_like(by_u), np.zeros_like(by_u)
-        by_f[self.free] = self.factors.solve(by_u[self.free], trans="T")
+        by_f[self.free] = self.factors.solve(by_u[self.free], "T")
         by_given[~self.free] = by_u[~self.free] - self.given.T @ by_f[self.free]
         return by_f, by_given
 
@@ -287,9 +263,13 @@ class RimProblem:
         return float(np.linalg.norm(left)) / size if size else 0.0
 
 
-def _unit(a: int, c: int) -> sp.csr_array:
-    """1 in row a and column c, shape [2, 2]."""
-    return sp.csr_array(([1.0], ([a], [c])), shape=(2, 2))
+def _columns(asked: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """Column of `there` [k, m] with the numbers of each row of `asked` [n, k], −1 for none."""
+    size = (there.max() + 1) ** np.arange(len(there))
+    known, keys = size @ np.sort(there, axis=0), np.sort(asked, axis=1) @ size
+    order = np.argsort(known)
+    found = order[np.minimum(np.searchsorted(known[order], keys), len(order) - 1)]
+    return np.where((known[found] == keys) & (asked >= 0).all(axis=1), found, -1)
 
 
 def _points(field: Any) -> np.ndarray:
