@@ -91,9 +91,7 @@ def _table(
     """Errors of solutions; `home` is the spacing that a transferred model comes from."""
     inside = points.interior
     u, off = points.u[:, inside], (solved - points.u)[:, inside]
-    if (
-        inside.all()
-    ):  # no node is held, and where a periodic body as a whole lies is nobody's answer
+    if inside.all():  # no node is held: where a periodic body as a whole lies is nobody's answer
         u, off = (field - field.mean(axis=1, keepdims=True) for field in (u, off))
     size, wrong = _norms(u), _norms(off)
     if not (size > 0).all():
@@ -107,14 +105,12 @@ def _table(
         ("E_shape", wrong, bent),
         ("E_res_abs", residual, np.ones(len(residual))),
     ):
-        some = below > 0
-        ratio = above[some] / below[some]
-        values = np.full(len(above), np.nan)
-        values[some] = ratio
-        table[key] = float(ratio.mean()) if some.any() else None
-        table[f"{key}_samples"] = [None if np.isnan(value) else value for value in values.tolist()]
+        ratio = above[below > 0] / below[below > 0]
+        values = iter(ratio.tolist())
+        table[key] = float(ratio.mean()) if len(ratio) else None
+        table[f"{key}_samples"] = [next(values) if size > 0 else None for size in below]
         if key in ("E_res", "E_u"):
-            table[f"{key}_rms"] = float(np.sqrt((ratio**2).mean())) if some.any() else None
+            table[f"{key}_rms"] = float(np.sqrt((ratio**2).mean())) if len(ratio) else None
     if home is not None:
         table["transferred_from"] = home
     return table
@@ -122,19 +118,11 @@ def _table(
 
 def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Fields u, shape [S, N, d], less the translation and small turn nearest to them."""
-    x = x - x.mean(axis=0)
-    left: np.ndarray = u - u.mean(axis=1, keepdims=True)
-    turns: list[np.ndarray] = []
-    for a, b in combinations(range(x.shape[1]), 2):
-        turn = np.zeros_like(x)
-        turn[:, a], turn[:, b] = -x[:, b], x[:, a]
-        for other in turns:  # each at right angles to those before
-            turn -= np.vdot(other, turn) / np.vdot(other, other) * other
-        size = float((turn**2).sum())
-        if size > 0:
-            turns.append(turn)
-            left = left - (np.einsum("sna,na->s", left, turn) / size)[:, None, None] * turn
-    return left
+    x, one = x - x.mean(axis=0), np.eye(x.shape[1])
+    pairs = combinations(range(len(one)), 2)
+    turns = [(x[:, [b]] * one[a] - x[:, [a]] * one[b]).ravel() for a, b in pairs]
+    left, T = (u - u.mean(axis=1, keepdims=True)).reshape(len(u), -1).T, np.transpose(turns)
+    return np.asarray((left - T @ np.linalg.lstsq(T, left)[0]).T.reshape(u.shape))
 
 
 def _norms(fields: np.ndarray) -> np.ndarray:
