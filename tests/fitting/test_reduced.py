@@ -19,7 +19,8 @@ from tests.support.problems import (
 from warp_peri import InputError
 from warp_peri.fitting import rows
 from warp_peri.fitting.training_data import sample_weights
-from warp_peri.materials.lps_fit import OperatorLoss, Products, class_pairs, class_weights
+from warp_peri.materials.lps_fit import Products, class_pairs
+from warp_peri.materials.lps_loss import OperatorLoss, class_weights
 
 HORIZON = 2.5
 

@@ -8,11 +8,10 @@ import torch
 
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri import Bernstein, InputError
-from warp_peri.learning import two_stage
+from warp_peri.files.atomic import ArrayFile
+from warp_peri.fitting import augmented_lagrangian
+from warp_peri.fitting.augmented_lagrangian import PrintedState, as_printed
 from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.two_stage import Checkpoint
-from warp_peri.materials.lps import Solid
-from warp_peri.materials.lps_fit import OperatorLoss
 from warp_peri.methods import Conditions, TwoStage
 
 
@@ -33,7 +32,7 @@ def run(points, checkpoint=None, degree=3, **options):
 def test_resumed_is_unbroken(points, tmp_path, monkeypatch, after):
     unbroken = run(points)
     path = tmp_path / "state.npz"
-    save, saved = Checkpoint.save, []
+    save, saved = ArrayFile.write, []
 
     def killed(self, *arguments, **options):
         save(self, *arguments, **options)
@@ -42,7 +41,7 @@ def test_resumed_is_unbroken(points, tmp_path, monkeypatch, after):
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(Checkpoint, "save", killed)
+        patch.setattr(ArrayFile, "write", killed)
         with pytest.raises(KeyboardInterrupt):
             run(points, path)
     resumed = run(points, path)
@@ -54,13 +53,11 @@ def test_resumed_is_unbroken(points, tmp_path, monkeypatch, after):
 
 def test_a_finished_run_is_not_run_again(points, tmp_path, monkeypatch):
     first = run(points, tmp_path / "state.npz")
-    adam = two_stage._adam
 
-    def first_stage_only(variables, extra, *rest):
-        assert not extra, "stage 2 has slacks, and was finished"
-        return adam(variables, extra, *rest)
+    def not_again(*given, **how):
+        raise AssertionError("stage 2 was finished")
 
-    monkeypatch.setattr(two_stage, "_adam", first_stage_only)
+    monkeypatch.setattr(augmented_lagrangian, "adam", not_again)
     again = run(points, tmp_path / "state.npz")
     assert again.loss == first.loss
     np.testing.assert_array_equal(again.parameters.D, first.parameters.D)
@@ -82,24 +79,13 @@ def test_a_broken_checkpoint_is_named(points, tmp_path):
         run(points, path)
 
 
-class _Fixed:
+def test_the_multiplier_climbs_with_the_violation():
     """One condition with a margin that nothing changes."""
-
-    count = 1
-    lattices = ()
-
-    def __call__(self, lam, mu, weights):
-        return torch.tensor([0.5], dtype=torch.float64)
-
-
-def test_the_multiplier_climbs_with_the_violation(points, tmp_path):
-    method = TwoStage(inner_epochs=0, outer_iterations=1)
-    kept = Checkpoint(tmp_path / "state.npz", "key")
-    start = Solid(-0.1, 0.7, 1.0, np.ones(2))
-    variables = two_stage.Variables(start, 1.0, positive=False, parametrisation="projected")
-    loss = OperatorLoss(points, 2.5, np.ones(len(points)))
-    two_stage._augmented_lagrangian([loss], variables, _Fixed(), method, kept, lambda loss: None)
-    *_, slack, multiplier, previous = kept.load().tensors
+    zero = torch.zeros(1, dtype=torch.float64)
+    state = PrintedState([torch.ones_like(zero).requires_grad_(), zero, zero + torch.inf])
+    how = {"steps": 0, "rounds": 1, "tick": lambda loss: None}
+    as_printed(state, lambda: zero.sum(), lambda: zero + 0.5, lambda: None, **how)
+    slack, multiplier, previous = state.tensors
     assert slack == 1.0
     assert multiplier == 1.0 * (0.5 - slack**2)  # φ ← φ + ψ H, H = margin − ϖ²
     assert previous == 0.5

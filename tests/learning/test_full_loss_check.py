@@ -17,8 +17,7 @@ HORIZON, DEGREE = 3.0, 12
 @pytest.fixture
 def data():
     points = manufactured(kernel("positive", HORIZON), lattice(6, HORIZON), 4)
-    how = {"normalise": False, "lattice_spacing": None}
-    return training_data([points], HORIZON, Conditions(), [], **how)
+    return training_data([points], HORIZON, Conditions(), [], normalise=False)
 
 
 def cancelling(data, size):

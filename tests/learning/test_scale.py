@@ -12,7 +12,7 @@ from warp_peri import Bernstein, InputError, evaluate
 from warp_peri.learning.fit import RELATIVE_ZETA
 from warp_peri.learning.fit import learn as fit
 from warp_peri.materials.lps import Model
-from warp_peri.materials.lps_fit import stiffness_of
+from warp_peri.materials.lps_loss import stiffness_of
 from warp_peri.methods import Conditions, Optimum, TwoStage
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols

@@ -9,8 +9,8 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from warp_peri import InputError, Model
+from warp_peri.files.atomic import ArrayFile
 from warp_peri.learning.sweep import Trial, choose
-from warp_peri.learning.two_stage import Checkpoint
 from warp_peri.methods import TwoStage, sweep
 
 sweeps = sys.modules["warp_peri.learning.sweep"]  # the package holds the function of that name
@@ -143,15 +143,15 @@ def test_a_sweep_goes_on_inside_a_fit(sets, tmp_path, monkeypatch):
     method = TwoStage("relu", epochs=50, inner_epochs=5, outer_iterations=5)
     options = {"horizons": (2.5,), "degrees": (1,), "jobs": 1, "method": method}
     whole = sweep(*sets, tmp_path / "whole", **options).trials
-    saved, save = [], Checkpoint.save
+    saved, save = [], ArrayFile.write
 
-    def stops(self, *arrays, iteration, **state):
-        save(self, *arrays, iteration=iteration, **state)
-        saved.append(iteration)
+    def stops(self, arrays):
+        save(self, arrays)
+        saved.append(arrays["done"])
         if len(saved) == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(Checkpoint, "save", stops)
+    monkeypatch.setattr(ArrayFile, "write", stops)
     with pytest.raises(KeyboardInterrupt):
         sweep(*sets, tmp_path, **options)
     assert not list(tmp_path.glob("d*.json"))

@@ -4,14 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
-from tests.support.problems import kernel, lattice, manufactured, noise, with_nodes
+from tests.support.problems import kernel, lattice, manufactured, noise
 from tests.support.symbols import smallest_margins
 from warp_peri import Bernstein, InputError, certify, evaluate
+from warp_peri.fitting.regression import Regression
 from warp_peri.learning import fit as learning
 from warp_peri.learning.fit import learn as fit
-from warp_peri.materials.lps import Model, moduli, stiffnesses
-from warp_peri.materials.lps_fit import Products
+from warp_peri.learning.two_stage import TorchLaw
+from warp_peri.materials import lps_force
+from warp_peri.materials.lps import Model, Solid, moduli, stiffnesses
+from warp_peri.materials.lps_fit import LPSFound, LPSLaw, Products
 from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
 from warp_peri.points.families import bond_classes
 
@@ -85,6 +89,36 @@ def test_adam_by_itself_reaches_the_constrained_optimum(kind, moduli):
     model = Model(*first.parameters.values(), 2.5)
     margins = smallest_margins(bond_classes(1.0, 2.5), asked, *shares(model))
     assert margins.min() >= -1e-6
+
+
+def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
+    """Each step takes one of Warp's, which torch carries on to θ, the slope of the exact rows."""
+    points, _ = data("sign-changing", 2.5)
+    taken, gradient = [], lps_force.gradient
+    monkeypatch.setattr(
+        lps_force, "gradient", lambda *of, **how: taken.append(1) or gradient(*of, **how)
+    )
+    method = Constrained(rounds=2, steps=10, optimum=Optimum(moduli=None))
+    first = fit(points, 2.5, Bernstein(2), method=method).history[0]
+    assert first.steps == len(taken) == 2 * (10 + 1)
+    given = learning.training_data([points], 2.5, Conditions("paper", ZETA), [], normalise=False)
+    for degree in (2, 4):  # with α free, and where it says what D says
+        start = LPSFound(Solid(-0.1, 0.8, 1.3, np.linspace(1, 0.2, degree + 1)))
+        law = LPSLaw(given.lattices, start, given.conditions, Optimum(moduli=None, smoothness=0.0))
+        in_torch = TorchLaw(law, given.lattices, given.by_operator)
+        problem = Regression(given.rows, law, law.zeta, 1.0)
+        theta = law.start(start) * (1 + 0.01 * np.arange(len(law.start(start))))
+        problem.look(law(theta))
+        state, leaf = problem.state(theta), torch.from_numpy(theta).requires_grad_()
+        loss, margins = in_torch.loss(leaf), in_torch.margins(leaf, problem.cuts)
+        assert loss.item() == pytest.approx(state.loss, rel=1e-10)
+        (slope,) = torch.autograd.grad(loss, leaf)
+        expected = 2 * state.residual @ state.J
+        np.testing.assert_allclose(slope.numpy(), expected, atol=1e-9 * np.abs(expected).max())
+        np.testing.assert_allclose(margins.detach().numpy(), state.margins, rtol=1e-9)
+        slopes = [torch.autograd.grad(one, leaf, retain_graph=True)[0] for one in margins]
+        size = np.abs(state.M).max()
+        np.testing.assert_allclose(np.array(slopes), state.M, atol=1e-9 * size)
 
 
 def test_a_violating_model_ends_feasible_with_the_condition_active():
@@ -243,7 +277,6 @@ def test_bad_choices_are_refused(change, words):
         (lambda: TwoStage(seed=-1), "seed: expected a whole number ≥ 0, got -1"),
         (lambda: TwoStage("best"), "parametrisation: expected one of projected, relu"),
         (lambda: TwoStage(constraints="none"), "constraints: expected one of symbol, dense"),
-        (lambda: TwoStage(constraints="dense", lattice_spacing=1.0), "goes with .*'symbol'"),
         (lambda: Optimum((0.3, -0.8)), "moduli: expected .* with μ > 0"),
         (lambda: Optimum(0.7), r"moduli: expected \(λ, μ\)"),
         (lambda: Optimum((0.7,)), r"moduli: expected \(λ, μ\)"),
@@ -254,13 +287,6 @@ def test_bad_choices_are_refused(change, words):
 def test_settings_that_mean_nothing_are_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
-
-
-def test_noise_for_scattered_points_is_refused():
-    points, _ = data("positive", 2.0)
-    points = with_nodes(points, spacing=0.0)
-    with pytest.raises(InputError, match="noise: fields of noise are for lattices"):
-        fit(points, 2.0, Bernstein(2), method=TwoStage(lattice_spacing=1.0), noise=points)
 
 
 def test_sets_that_cannot_be_learned_from_are_refused():

@@ -15,7 +15,8 @@ from warp_peri.fitting.settings import Conditions, Optimum
 from warp_peri.fitting.training_data import sample_weights
 from warp_peri.materials.influence import gaussian, table
 from warp_peri.materials.lps import Solid, stiffnesses
-from warp_peri.materials.lps_fit import LPSFound, LPSLaw, OperatorLoss, Products, ShapeKernel
+from warp_peri.materials.lps_fit import LPSFound, LPSLaw, Products, ShapeKernel
+from warp_peri.materials.lps_loss import OperatorLoss
 from warp_peri.points.families import bond_classes
 from warp_peri.shapes import InfluenceFunction
 

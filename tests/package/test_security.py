@@ -17,8 +17,7 @@ from tools.lammps_session import LammpsSession
 from tools.samples import read_sample
 from warp_peri import InputError
 from warp_peri.core import record
-from warp_peri.files.atomic import read_arrays
-from warp_peri.learning.two_stage import Checkpoint
+from warp_peri.files.atomic import ArrayFile, read_arrays
 from warp_peri.materials.lps import Model
 from warp_peri.points.dataset import load_dataset
 
@@ -183,7 +182,7 @@ def test_hostile_archives_are_refused(tmp_path, raw):
     with little_memory(), pytest.raises(ValueError, match=r".+"):
         read_arrays(path)
     with pytest.raises(InputError, match="not a readable checkpoint"):
-        Checkpoint(path, "key").load()
+        ArrayFile(path, "key", "another run").read(dict)
     with pytest.warns(UserWarning, match="corrupt"):
         assert read_sample(path) is None
 

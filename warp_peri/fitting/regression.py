@@ -339,7 +339,7 @@ class Regression:
             least, phase, vectors = zone.softest(form.p, form.level - MET * self.floor)
             smallest = min(smallest, (least - form.level) / self.floor)
             if len(phase):
-                self.cuts.append((number, zone.cuts(phase, vectors)))
+                self.cuts.append((number, cut_rows(zone.bonds, phase, vectors)))
         return smallest
 
     def found(self, theta: np.ndarray, losses: list[float], margin: float) -> Settled:
@@ -401,8 +401,9 @@ class Zone:
             reach /= FINER
         return float(value), k, vector
 
-    def cuts(self, phase: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-        """Rows G with G p = vᵗ D(k; p) v / s(k), shape [n, P]."""
-        work = np.einsum("axij,ki,kj->kax", self.bonds.basis, vectors, vectors, optimize=True)
-        rows = np.einsum("kax,kx->ka", work, bend(phase, self.bonds.steps))
-        return np.asarray(rows / laplacian(phase)[:, None])
+
+def cut_rows(bonds: Basis, phase: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """Rows G with G p = vᵗ D(k; p) v / s(k), shape [n, P]."""
+    work = np.einsum("axij,ki,kj->kax", bonds.basis, vectors, vectors, optimize=True)
+    rows = np.einsum("kax,kx->ka", work, bend(phase, bonds.steps))
+    return np.asarray(rows / laplacian(phase)[:, None])

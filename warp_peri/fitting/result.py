@@ -29,7 +29,8 @@ class LossSelection:
 class Stage:
     """One stage of a fit: its result, E_res on the training set, and how long it took.
 
-    `loss` is the trace of the reduced loss: by epoch (stages 1, 2) or round of cuts (stage 3).
+    `loss` is the trace of the loss: by epoch, or round of cuts; `steps` counts gradients of Warp's
+    operator in stages of Adam, starts in stage 3.
     """
 
     name: str
@@ -37,6 +38,7 @@ class Stage:
     E_res_train: float
     seconds: float
     loss: list[float] = field(repr=False)
+    steps: int = 0
 
 
 @dataclass(frozen=True)

@@ -141,8 +141,6 @@ class TwoStage:
             (eigenvalues on the training domain).
         seed: of the initial D of stage 1.
         checkpoint: file that stage 2 keeps its state in and goes on from.
-        lattice_spacing: for training sets of scattered points, which have no symbol: spacing [Å]
-            of the lattice on which the conditions are kept.
         epochs: most epochs of stage 1; the paper's loss stagnates between 1000 and 2000.
         inner_epochs: most epochs of each round of stage 2.
         outer_iterations: most rounds of stage 2.
@@ -154,7 +152,6 @@ class TwoStage:
     constraints: str = "symbol"
     seed: int = 0
     checkpoint: str | os.PathLike[str] | None = None
-    lattice_spacing: float | None = None
     epochs: int = 4000
     inner_epochs: int = 500
     outer_iterations: int = 20
@@ -167,8 +164,6 @@ class TwoStage:
                 )
         for name in ("seed", "epochs", "inner_epochs", "outer_iterations"):
             check_whole(name, getattr(self, name), 0)
-        if self.lattice_spacing is not None and self.constraints == "dense":
-            raise InputError("lattice_spacing: goes with constraints='symbol', got 'dense'")
 
 
 @dataclass(frozen=True)

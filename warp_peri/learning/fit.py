@@ -9,7 +9,7 @@ import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
@@ -21,11 +21,11 @@ from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.stencil import difference_tensors
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.fitting.augmented_lagrangian import augmented_lagrangian
+from warp_peri.fitting.augmented_lagrangian import to_the_optimum
 from warp_peri.fitting.evaluate import evaluate
 from warp_peri.fitting.long_waves import lame_of_long_waves
 from warp_peri.fitting.losses import without_noise
-from warp_peri.fitting.regression import LatticeRows
+from warp_peri.fitting.regression import LatticeRows, Regression
 from warp_peri.fitting.result import Fit, FitSettings, LossSelection, Stage
 from warp_peri.fitting.settings import (
     LONG_WAVES,
@@ -39,8 +39,13 @@ from warp_peri.fitting.settings import (
 )
 from warp_peri.fitting.training_data import check_noise, listed, sample_weights
 from warp_peri.learning import LOSSES
-from warp_peri.learning.response import STEPS, fit_output_error, reduced_loss, responses_of
-from warp_peri.learning.two_stage import SMALLEST_MODULUS, fit_positive_kernel, fit_signed_kernel
+from warp_peri.learning.response import fit_output_error, reduced_loss, responses_of
+from warp_peri.learning.two_stage import (
+    SMALLEST_MODULUS,
+    TorchLaw,
+    fit_positive_kernel,
+    fit_signed_kernel,
+)
 from warp_peri.materials.certificate import certify
 from warp_peri.materials.crystal import Crystal
 from warp_peri.materials.crystal_fit import AGREE, POOR, SPREADS
@@ -51,13 +56,12 @@ from warp_peri.materials.lps_fit import (
     HEADROOM,
     LPSFound,
     LPSLaw,
-    OperatorLoss,
     Products,
     noise_rows,
     optimum,
     products,
-    stiffness_of,
 )
+from warp_peri.materials.lps_loss import OperatorLoss, stiffness_of
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.lattice import check_lattice, largest_strain
@@ -76,8 +80,6 @@ ON_BOUND = 1e-3
 """A modulus this near its bound, relative, has ended there."""
 PLAIN_EXPONENTS = (1.0, 2.0, 2.9)
 """Kernels r^(−α) that an optimum is looked for from."""
-PROBED = "r^-2"
-"""Of these the one from which the share of noise, and what held moduli cost, are found."""
 MOST_NODES, MOST_REACH = 2000, 8
 """Unknown nodes up to which a fit is compared with local elasticity, and its differences' reach."""
 ERROR_TOLERANCE, ROUNDING = 1e-6, 1e-8
@@ -111,9 +113,7 @@ class TrainingData:
 
     @cached_property
     def rows(self) -> list[LatticeRows]:
-        """The loss of each lattice as rows; none of scattered points."""
-        if not all(each.spacing > 0 for each in self.sets):
-            return []
+        """The loss of each set as rows."""
         return [Products(s, self.horizon).rows(w) for s, w in zip(self.sets, self.weights)]
 
     @cached_property
@@ -135,8 +135,6 @@ class TrainingData:
 
     def check(self, solid: Solid) -> None:
         """Hold the residual of the rows to the operator's; RuntimeError where they depart."""
-        if not self.rows:
-            return
         with torch.no_grad():
             whole = sum(float(one.loss(*solid.values())) for one in self.by_operator)
         of_rows = reduced_loss(self.rows, self.lattices, LPSFound(solid).model(self.horizon))
@@ -154,33 +152,26 @@ def training_data(
     noise: list[Samples],
     *,
     normalise: bool,
-    lattice_spacing: float | None,
 ) -> TrainingData:
     """Check the sets and what is known of their noise.
 
     Args:
-        sets: training sets, all on lattices or not.
+        sets: training sets on lattices.
         horizon: δ [length].
         conditions: to keep on each lattice.
         noise: fields of noise alone on the nodes of each.
         normalise: divide each sample by ‖b‖ in the residual.
-        lattice_spacing: of the lattice that carries the conditions for scattered points [length];
-            None where the method has none.
 
     Raises InputError for sets that cannot be learned from.
     """
+    for each in sets:
+        check_lattice(each)
     weights = sample_weights(sets, normalise=normalise)
-    spacings = [each.spacing for each in sets]
-    if all(spacings) and lattice_spacing is not None:
-        raise InputError("lattice_spacing: only for scattered points")
-    if noise and not all(spacings):
-        raise InputError("noise: fields of noise are for lattices; scattered points take none")
     if noise and len(noise) != len(sets):
         raise InputError(f"noise: expected {len(sets)} sets, got {len(noise)}")
     for of_noise, samples in zip(noise, sets):
         check_noise(of_noise, samples)
-    lattices = spacings if all(spacings) else [lattice_spacing or 0.0]
-    classes = [bond_classes(h, horizon) for h in lattices]
+    classes = [bond_classes(each.spacing, horizon) for each in sets]
     by_operator = [OperatorLoss(*of) for of in zip(sets, [horizon] * len(sets), weights)]
     stiffness = stiffness_of(sets, horizon)
     asked = dataclasses.replace(conditions, zeta=conditions.zeta or RELATIVE_ZETA * stiffness)
@@ -244,20 +235,20 @@ class Stages:
         self.starts: dict[str, float] = {}
         self.known: dict[str, LPSFound] = {}
 
-    def _run(self, name: str, most: int, run: Callable[[Tick], LPSFound]) -> LPSFound:
-        begin = time.perf_counter()
-        with tqdm(desc=name, unit=" steps", total=most, disable=self.disable) as bar:
+    def _run(self, name: str, run: Callable[[Tick], LPSFound]) -> LPSFound:
+        begin, steps = time.perf_counter(), 0
+        with tqdm(desc=name, unit=" steps", disable=self.disable) as bar:  # its end is not known
 
             def tick(loss: float) -> None:
+                nonlocal steps
+                steps += 1
                 bar.update()
-                if bar.n % 100 == 0:
+                if steps % 100 == 0:
                     bar.set_postfix_str(f"relative residual {100 * np.sqrt(loss):.2f} %")
 
             found = run(tick)
-            bar.total = bar.n  # a stage may end early
-            bar.refresh()
         error, seconds = self.data.error(found.solid), time.perf_counter() - begin
-        self.history.append(Stage(name, found.solid, error, seconds, found.losses))
+        self.history.append(Stage(name, found.solid, error, seconds, found.losses, steps))
         return found
 
     def _optimum(self, start: LPSFound, method: Optimum) -> LPSFound:
@@ -271,14 +262,15 @@ class Stages:
         Free ones are those of one start, named as in stage 3, which keeps what it reached.
         """
         free = dataclasses.replace(method, moduli=method.held)
-        if method.moduli != LONG_WAVES or not self.losses or self.data.noise:
+        if method.moduli != LONG_WAVES or self.data.noise:
             return free
         try:
             waves = lame_of_long_waves(self.data.sets)
-            found = waves.lam, waves.mu
-            held = dataclasses.replace(method, moduli=found)
+            held = dataclasses.replace(method, moduli=(waves.lam, waves.mu))
             alone = self._optimum(start, free)
-            off = np.abs(self._moduli(alone) - found)
+            model = alone.model(self.data.horizon)
+            own = [moduli_of(model, classes) for classes in self.data.lattices]
+            off = np.abs([(of["C12"] - waves.lam, of["C44"] - waves.mu) for of in own])
             sure = waves.errors.max() <= AGREE * (waves.lam + 2 * waves.mu)
             sure &= waves.misfit <= min(POOR, alone.loss**0.5)  # else the fit tells more than they
             apart = (off > SPREADS * waves.errors).any()
@@ -289,54 +281,39 @@ class Stages:
         self.known[name] = beside if taken else alone
         return held if taken else free
 
-    def _moduli(self, found: LPSFound) -> np.ndarray:
-        """C12 and C44 of long waves on each lattice, shape [L, 2]."""
-        model = found.model(self.data.horizon)
-        of = [moduli_of(model, classes) for classes in self.data.lattices]
-        return np.array([[one["C12"], one["C44"]] for one in of])
-
     def two_stage(self, rough: LPSFound, method: TwoStage, key: str) -> LPSFound:
         """Stages 1 and 2, from a rough start; `key` says what a checkpoint depends on."""
         unit = self.data.stiffness / USUAL_STIFFNESS
         first = self._run(
             "1 positive",
-            method.epochs,
             lambda tick: fit_positive_kernel(self.data, rough, method, unit, tick=tick),
         )
         return self._run(
             "2 sign-changing",
-            method.inner_epochs * method.outer_iterations,
             lambda tick: fit_signed_kernel(self.data, first, method, unit, key=key, tick=tick),
         )
 
     def adam(self, rough: LPSFound, method: Constrained, asked: Optimum) -> LPSFound:
-        """Adam and the augmented Lagrangian, from a rough start."""
+        """Adam and the augmented Lagrangian on Warp's operator, from a rough start."""
         data = self.data
         law = LPSLaw(data.lattices, rough, data.conditions, asked)
-        return self._run(
-            "1 Adam",
-            method.steps * method.rounds,
-            lambda tick: law.found(
-                *augmented_lagrangian(
-                    self.losses,
-                    law,
-                    law.start(rough),
-                    law.zeta,
-                    steps=method.steps,
-                    rounds=method.rounds,
-                    tick=tick,
-                )
-            ),
-        )
+        in_torch = TorchLaw(law, data.lattices, data.by_operator)
+        problem = Regression(data.rows, law, law.zeta, 1.0)
+        how: dict[str, Any] = {"steps": method.steps, "rounds": method.rounds}
+
+        def run(tick: Tick) -> LPSFound:
+            given = problem, law.start(rough), in_torch.loss
+            margins = partial(in_torch.margins, cuts=problem.cuts)
+            return law.found(*to_the_optimum(*given, margins, tick=tick, **how))
+
+        return self._run("1 Adam", run)
 
     def optimum(self, starts: dict[str, LPSFound], method: Optimum) -> LPSFound:
         """Stage 3: the best of the constrained optima reached from all starts.
 
         Raises RuntimeError when no start ends with the conditions and the moduli kept.
         """
-        return self._run(
-            "3 constrained", len(starts), lambda tick: self._best(starts, method, tick)
-        )
+        return self._run("3 constrained", lambda tick: self._best(starts, method, tick))
 
     def _best(self, starts: dict[str, LPSFound], method: Optimum, tick: Tick) -> LPSFound:
         results = []
@@ -381,7 +358,7 @@ class Stages:
                 )
             return found
 
-        return self._run("4 output error", STEPS, refined)
+        return self._run("4 output error", refined)
 
 
 def worse_than_local(data: TrainingData, found: LPSFound) -> bool:
@@ -391,14 +368,13 @@ def worse_than_local(data: TrainingData, found: LPSFound) -> bool:
     """
     if any(np.count_nonzero(each.interior) > MOST_NODES for each in data.sets):
         return False
-    model = found.model(data.horizon)
+    model = found.model(data.horizon, units=data.sets[0].points.units)
     C = from_voigt(plane_isotropic(model.lam, model.mu))
     errors = np.zeros(2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         for each in data.sets:
-            bare = dataclasses.replace(model, units=each.points.units)
-            own = evaluate(bare, each, allow_uncertified=True)
+            own = evaluate(model, each, allow_uncertified=True)
             errors += [len(each) * table["E_u"] for table in (own, _local(C, each))]
     return bool(errors[0] > errors[1])
 
@@ -431,9 +407,8 @@ def learn(
     """Learn λ, μ, α and D from displacement and load fields on one lattice or several.
 
     Args:
-        samples: one set or several, on different lattices or scattered points (each sample on its
-            own if need be); of a Dataset `train`, or its only set. Interior nodes need the 2δ
-            collar. Scattered points train by TwoStage.
+        samples: one set or several, on different lattices; of a Dataset `train`, or its only set.
+            Interior nodes need the 2δ collar.
         horizon: δ [Å], at least one spacing.
         kernel: Bernstein polynomials, or on lattices a function of the bond length whose parameters
             are learned, from the values it has. Several functions are several starts, and the best
@@ -455,14 +430,10 @@ def learn(
     """
     sets, quiet = listed(samples), listed(noise, "noise")
     shapes = check_choices(kernel, method, conditions)
-    carrier = method.lattice_spacing if isinstance(method, TwoStage) else None
-    for each in sets if carrier is None else ():
-        check_lattice(each)
-    how: dict[str, Any] = {"normalise": normalise, "lattice_spacing": carrier}
-    data = training_data(sets, horizon, conditions, quiet, **how)
+    data = training_data(sets, horizon, conditions, quiet, normalise=normalise)
     ones = np.ones(1 + kernel.degree) if isinstance(kernel, Bernstein) else None
     starts = _shaped(data, shapes) if ones is None else _plain(ones, data.stiffness)
-    probe = PROBED if PROBED in starts else next(iter(starts))
+    probe = [*starts][:2][-1]  # from which the share of noise, and what moduli cost, are found
     choice = choose_loss(loss, data, starts[probe], method)
     stages = Stages(data, data.losses(choice.name), progress)
     if isinstance(method, TwoStage):
@@ -527,11 +498,12 @@ def _plain(ones: np.ndarray, stiffness: float) -> dict[str, LPSFound]:
 def _shaped(data: TrainingData, shapes: Sequence[InfluenceFunction]) -> dict[str, LPSFound]:
     """The functions that were given, with the values they have, by number and name."""
     lengths = np.concatenate([classes.r for classes in data.lattices])
-    begin = [(shape, shape.coefficients(lengths, data.horizon)[0]) for shape in shapes]
-    return {
-        f"{number} {shape.name}": LPSFound(Solid(0.0, data.stiffness, 0.0, D), shape)
-        for number, (shape, D) in enumerate(begin)
-    }
+    found = {}
+    for number, shape in enumerate(shapes):
+        D, _ = shape.coefficients(lengths, data.horizon)
+        solid = Solid(0.0, data.stiffness, 0.0, D)
+        found[f"{number} {shape.name}"] = LPSFound(solid, shape)
+    return found
 
 
 def _check_end(final: LPSFound, loss: str, data: TrainingData, method: Method) -> None:
@@ -570,12 +542,9 @@ def _certified(
     choice: LossSelection,
 ) -> Fit:
     """The model of these parameters with its certificate on every training lattice."""
-    sets, asked, spacings = data.sets, data.conditions, [each.spacing for each in data.sets]
-    bare = dataclasses.replace(final.model(data.horizon), units=sets[0].points.units)
-    if all(spacings):
-        certificates = [certify(bare, spacing=points.spacing, points=points) for points in sets]
-    else:
-        certificates = [certify(bare, spacing=classes.spacing) for classes in data.lattices]
+    sets, asked = data.sets, data.conditions
+    bare = final.model(data.horizon, units=sets[0].points.units)
+    certificates = [certify(bare, spacing=points.spacing, points=points) for points in sets]
     certified = tuple(
         certificate.spacing
         for certificate in certificates
@@ -588,7 +557,7 @@ def _certified(
         provenance["influence"] = final.shape.record(departure)
     model = dataclasses.replace(
         bare,
-        trained_on=tuple(spacings),
+        trained_on=tuple(points.spacing for points in sets),
         certified_on=certified,
         trained_strain=max(largest_strain(points, points.u) for points in sets),
         largest_wave_number=max(largest_wave_number(points) or 0.0 for points in sets) or None,

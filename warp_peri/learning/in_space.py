@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from warp_peri.contract import MaterialFit
@@ -55,8 +53,7 @@ def learn_in_space(
     start = LPSFound(Solid(0.0, mu, ALPHA, np.ones(degree + 1)))
     asked = Conditions(zeta=zeta or SHARE * mu)
     reached = optimum([block], [products.classes], start, asked, method)
-    bare = reached.model(horizon, dimension=3)
-    model = replace(bare, units=samples.points.units)
+    model = reached.model(horizon, dimension=3, units=samples.points.units)
     proof = tensors_of(model, samples.spacing).certificate
     if not reached.converged or proof is None or not proof.holds:
         raise InputError("data: no positive solid of this horizon and kernel was found for them")

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Protocol
+from typing import TypeAlias
 
 import numpy as np
 
@@ -31,19 +31,10 @@ GAIN = 1e-5
 """Steps end when one lowers the loss by less than this, relative."""
 
 
-class Response(Protocol):
-    """What one training set says about displacement."""
-
-    first: LatticeRows
-    """A loss that needs no model to begin with."""
-
-    def about(self, model: Model) -> LatticeRows:
-        """The loss Σ_s ‖û_s − u_s‖²/‖u_s‖² / S, linearised about a model; exact there."""
-        ...
-
-
 class WaveResponse:
     """Amplitudes of displacement at the loads' own wave vectors, all nodes projected on them.
+
+    `first` is a loss that needs no model to begin with, `about` one linearised about a model.
 
     A load B cos k₁x cos k₂y along x is answered by (U cos cos, −V sin sin), D(k) (U, V)ᵗ = (B, 0)ᵗ,
     and loads with sines in place of cosines by such waves with the same D(k). The part of the
@@ -137,6 +128,9 @@ class CollarResponse:
         return LatticeRows(R, y, self.first.bonds, self.first.group)
 
 
+Response: TypeAlias = WaveResponse | CollarResponse
+
+
 def responses_of(
     sets: Sequence[Samples], horizon: float, firsts: Sequence[LatticeRows]
 ) -> list[Response]:
@@ -186,19 +180,17 @@ def fit_output_error(
         tick: called with the loss after each step.
     """
 
-    def step(blocks: Sequence[LatticeRows], start: LPSFound) -> LPSFound:
-        return optimum(blocks, lattices, start, conditions, method)
-
     def about(found: LPSFound) -> tuple[list[LatticeRows], float]:
         model = found.model(lattices[0].horizon)
         blocks = [response.about(model) for response in responses]
         return blocks, reduced_loss(blocks, lattices, model)
 
-    best = step([response.first for response in responses], start)
+    firsts = [response.first for response in responses]
+    best = optimum(firsts, lattices, start, conditions, method)
     blocks, loss = about(best)
     losses = [loss]
     for _ in range(STEPS):
-        reached = step(blocks, best)
+        reached = optimum(blocks, lattices, best, conditions, method)
         linearised, lower = about(reached)
         if not (reached.converged and lower < loss):
             break

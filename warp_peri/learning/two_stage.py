@@ -8,11 +8,8 @@ the training domain, which is what You et al. (2021, 4.6) print.
 from __future__ import annotations
 
 import itertools
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,19 +18,22 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky, eigh
 from scipy.spatial import KDTree
 
 from warp_peri.core.groups import lattice_group
-from warp_peri.core.stencil import bend, laplacian, ratios, zone_sample
+from warp_peri.core.stencil import ratios, zone_sample
 from warp_peri.files.atomic import ArrayFile, locked
+from warp_peri.fitting.augmented_lagrangian import PrintedState, Tick, adam, as_printed
+from warp_peri.fitting.regression import cut_rows
 from warp_peri.fitting.settings import CONDITIONS, Conditions, TwoStage
 from warp_peri.materials.lps import Solid
 from warp_peri.materials.lps_bonds import Bonds
 from warp_peri.materials.lps_fit import (
+    ALPHA_IN_SIGHT,
     LARGEST_ALPHA,
+    SMALLEST_ALPHA,
     LPSFound,
-    OperatorLoss,
-    class_pairs,
-    class_weights,
+    LPSLaw,
     product_basis,
 )
+from warp_peri.materials.lps_loss import OperatorLoss, class_weights, tables, torch_products, volume
 from warp_peri.materials.lps_matrices import assemble
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
@@ -50,6 +50,11 @@ Weights = Sequence[torch.Tensor]
 Blocks = list[tuple[np.ndarray, np.ndarray]]
 
 
+def total_loss(terms: Sequence[OperatorLoss], values: Sequence[torch.Tensor]) -> torch.Tensor:
+    """The loss over all training sets at λ, μ, α and D, by Warp's operator."""
+    return torch.stack([term.loss(*values) for term in terms]).sum()
+
+
 class Variables:
     """λ, μ, α, D as torch leaves for Adam, λ and μ in a unit that suits its steps.
 
@@ -64,7 +69,9 @@ class Variables:
             back after every step.
     """
 
-    def __init__(self, start: Solid, unit: float, *, positive: bool, parametrisation: str) -> None:
+    def __init__(
+        self, start: Solid, unit: float, parametrisation: str, *, positive: bool = False
+    ) -> None:
         self.unit = unit
         values = start.lam / unit, start.mu / unit, start.alpha, start.D
         self.leaves = [torch.tensor(value, dtype=torch.float64) for value in values]
@@ -93,16 +100,6 @@ class Variables:
             if self.positive:
                 D.clamp_(min=0.0)
 
-    def loss(self, terms: Sequence[OperatorLoss]) -> torch.Tensor:
-        """The loss over all training sets."""
-        values = self.bounded()
-        return torch.stack([term.loss(*values) for term in terms]).sum()
-
-    def weights(self, lattices: Sequence[BondClasses]) -> list[torch.Tensor]:
-        """Class weights w on each lattice."""
-        _, _, alpha, D = self.bounded()
-        return [class_weights(classes, alpha, D) for classes in lattices]
-
     def found(self, losses: list[float]) -> LPSFound:
         """Their values strictly inside the bounds, with the loss on the way."""
         values = [value.detach().numpy().copy() for value in self.bounded()]
@@ -124,17 +121,16 @@ class SymbolMargins:
         self.count = len(lattices) * len(CONDITIONS[conditions.kind])
 
     def __call__(self, lam: torch.Tensor, mu: torch.Tensor, weights: Weights) -> torch.Tensor:
-        """Margins, shape [count]."""
+        """Margins, shape [count], each at the wave where it is least."""
         kappa, margins = (lam - mu) / mu**2, []
         for bonds, w in zip(self.bases, weights):
-            (i, j), v, basis = class_pairs(len(w)), mu * w, torch.from_numpy(bonds.basis)
             for own, level in self.conditions.forms(kappa, mu):
-                p = torch.cat([v, own * v[i] * v[j]])
-                tensors = torch.tensordot(p, basis, 1)
-                ratio = ratios(bonds.steps, tensors.detach().numpy(), self.phase)[0]
-                k = self.phase[[ratio.argmin()]]
-                D = torch.tensordot(torch.from_numpy(bend(k, bonds.steps)), tensors, 1)
-                margins.append(torch.linalg.eigvalsh(D)[0, 0] / laplacian(k)[0] - level)
+                p = torch_products(mu * w, own)
+                tensors = np.tensordot(p.detach().numpy(), bonds.basis, 1)
+                ratio, vectors = ratios(bonds.steps, tensors, self.phase)
+                n = [ratio.argmin()]
+                G = cut_rows(bonds, self.phase[n], vectors[n])
+                margins.append((torch.from_numpy(G) @ p)[0] - level)
         return torch.stack(margins) / self.unit
 
 
@@ -253,94 +249,24 @@ def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
     return which, least, vector
 
 
-@dataclass(frozen=True)
-class Progress:
-    """What stage 2 needs to go on: its tensors, the losses so far, penalty and iteration."""
-
-    tensors: list[np.ndarray]
-    losses: list[float]
-    penalty: float
-    iteration: int
-
-
-class Checkpoint:
-    """The state of one run, as an ArrayFile.
-
-    Args:
-        path: of the file.
-        key: says what the run depends on; a file of another run is refused.
-    """
-
-    def __init__(self, path: str | os.PathLike[str], key: str) -> None:
-        self.path, self.file = Path(path), ArrayFile(path, key, "a run on other data or settings")
-
-    def save(
-        self, tensors: Sequence[np.ndarray], *, losses: list[float], penalty: float, iteration: int
-    ) -> None:
-        """Write the state to the checkpoint's file, whole."""
-        content = {f"tensor{number}": value for number, value in enumerate(tensors)}
-        kept = {"losses": np.array(losses), "penalty": penalty, "iteration": iteration}
-        self.file.write(kept | content)
-
-    def load(self) -> Progress | None:
-        """The state, or None when there is no file.
-
-        Raises InputError for a file that cannot be read or belongs to another run.
-        """
-        return self.file.read(
-            lambda kept: Progress(
-                [kept[f"tensor{number}"] for number in range(len(kept) - 3)],
-                kept["losses"].tolist(),
-                float(kept["penalty"]),
-                int(kept["iteration"]),
-            )
-        )
-
-
-LEARNING_RATE = 1e-3
-STAGNATION = 1e-3
-"""A stage ends when its loss fell by less than this fraction over the last window of epochs."""
-WINDOW = 200
-PENALTY_GROWTH, REQUIRED_DECREASE, TOLERANCE = 5.0, 0.25, 1e-5
-LARGEST_PENALTY = 1e20
-
-
 def fit_positive_kernel(
-    data: Any, start: LPSFound, method: TwoStage, unit: float, *, tick: Callable[[float], None]
+    data: Any, start: LPSFound, method: TwoStage, unit: float, *, tick: Tick
 ) -> LPSFound:
-    """Stage 1: Adam with D ≥ 0.
-
-    Args:
-        data: training data.
-        start: λ, μ, α and D to start from.
-        method: how the bounds are kept, and the most epochs.
-        unit: of moduli, that suits the steps.
-        tick: called with the loss after every epoch.
-    """
-    how: dict[str, Any] = {"positive": True, "parametrisation": method.parametrisation}
-    variables = Variables(start.solid, unit, **how)
+    """Stage 1: Adam with D ≥ 0, from λ, μ, α and D; arguments as of stage 2."""
+    variables = Variables(start.solid, unit, method.parametrisation, positive=True)
 
     def objective() -> tuple[torch.Tensor, torch.Tensor]:
-        loss = variables.loss(data.by_operator)
+        loss = total_loss(data.by_operator, variables.bounded())
         return loss, loss
 
-    return variables.found(_adam(variables, [], objective, method.epochs, tick))
+    how: dict[str, Any] = {"project": variables.project}
+    return variables.found(adam(variables.leaves, objective, method.epochs, tick, **how)[1])
 
 
 def fit_signed_kernel(
-    data: Any,
-    start: LPSFound,
-    method: TwoStage,
-    unit: float,
-    *,
-    key: str,
-    tick: Callable[[float], None],
+    data: Any, start: LPSFound, method: TwoStage, unit: float, *, key: str, tick: Tick
 ) -> LPSFound:
-    """Stage 2: D of any sign, the conditions held by an augmented Lagrangian with slacks ϖ.
-
-    H_p = margin of condition p − ϖ_p². Where the printed algorithm is inconsistent, |H| is what is
-    tested, against 1e-5, and the multiplier term is φ_p H_p + (ψ/2) H_p², so that
-    φ_p ← φ_p + ψ H_p is the ascent of the dual.
+    """Stage 2: D of any sign, under the conditions.
 
     Args:
         data: training data.
@@ -358,92 +284,77 @@ def fit_signed_kernel(
         if method.constraints == "dense"
         else SymbolMargins(data.conditions, data.lattices, unit)
     )
-    how: dict[str, Any] = {"positive": False, "parametrisation": method.parametrisation}
-    variables = Variables(start.solid, unit, **how)
-    kept = None if method.checkpoint is None else Checkpoint(method.checkpoint, key)
-    with locked(kept.path) if kept is not None else nullcontext():
-        losses = _augmented_lagrangian(data.by_operator, variables, margins, method, kept, tick)
+    variables = Variables(start.solid, unit, method.parametrisation)
+    zero = torch.zeros(margins.count, dtype=torch.float64)
+    slack = torch.ones_like(zero).requires_grad_()
+    state = PrintedState([*variables.leaves, slack, zero, zero + torch.inf])
+    kept = ArrayFile(method.checkpoint, key, "a run on other data or settings")
+
+    def conditions() -> torch.Tensor:
+        lam, mu, alpha, D = variables.bounded()
+        return margins(lam, mu, [class_weights(each, alpha, D) for each in margins.lattices])
+
+    def keep(state: PrintedState) -> None:
+        tensors = {f"tensor{n}": one.detach().numpy() for n, one in enumerate(state.tensors)}
+        numbers = {"losses": state.losses, "penalty": state.penalty, "done": state.done}
+        kept.write(tensors | numbers)
+
+    def go_on(before: dict[str, np.ndarray]) -> None:
+        state.losses = before["losses"].tolist()
+        state.penalty, state.done = float(before["penalty"]), int(before["done"])
+        with torch.no_grad():
+            for number, tensor in enumerate(state.tensors):
+                tensor.copy_(torch.from_numpy(before[f"tensor{number}"]))
+
+    with nullcontext() if kept.path is None else locked(kept.path):
+        kept.read(go_on)
+        losses = as_printed(
+            state,
+            lambda: total_loss(data.by_operator, variables.bounded()),
+            conditions,
+            variables.project,
+            steps=method.inner_epochs,
+            rounds=method.outer_iterations,
+            tick=tick,
+            keep=keep,
+        )
     return variables.found(losses)
 
 
-def _augmented_lagrangian(
-    terms: Sequence[OperatorLoss],
-    variables: Variables,
-    margins: SymbolMargins | DenseMargins,
-    method: TwoStage,
-    checkpoint: Checkpoint | None,
-    tick: Callable[[float], None],
-) -> list[float]:
-    slack = torch.ones(margins.count, dtype=torch.float64, requires_grad=True)
-    multiplier = torch.zeros(margins.count, dtype=torch.float64)
-    previous = torch.full_like(multiplier, torch.inf)
-    penalty, done = 1.0, 0
-    losses: list[float] = []
+class TorchLaw:
+    """The loss by Warp's operator on each set, and the conditions, as functions of a law's θ."""
 
-    def loss_and_violation() -> tuple[torch.Tensor, torch.Tensor]:
-        lam, mu = variables.bounded()[:2]
-        weights = variables.weights(margins.lattices)
-        return variables.loss(terms), margins(lam, mu, weights) - slack**2
+    def __init__(
+        self, law: LPSLaw, lattices: Sequence[BondClasses], terms: Sequence[OperatorLoss]
+    ) -> None:
+        self.law, self.lattices, self.terms = law, lattices, terms
+        self.kernel: Any = law.kernel
 
-    def objective() -> tuple[torch.Tensor, torch.Tensor]:
-        loss, H = loss_and_violation()
-        return loss + multiplier @ H + penalty / 2 * (H @ H), loss
+    def solid(self, theta: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """λ, μ, α and D."""
+        kernel, q, first = self.kernel, theta[1:], self.lattices[0]
+        alpha = torch.tensor(kernel.alpha, dtype=torch.float64)
+        if kernel.free_alpha:
+            alpha = q[-1].clamp(*ALPHA_IN_SIGHT)
+        D = torch.from_numpy(kernel.D_of_q) @ q[: kernel.rank]
+        mu = self.law.size * volume(first, tables(first, alpha, D))
+        return mu + theta[0] / self.law.unit * mu**2, mu, alpha, D
 
-    tensors = [*variables.leaves, slack, multiplier, previous]
-    if checkpoint is not None and (state := checkpoint.load()) is not None:
-        losses, penalty, done = state.losses, state.penalty, state.iteration
-        with torch.no_grad():
-            for tensor, value in zip(tensors, state.tensors):
-                tensor.copy_(torch.from_numpy(value))
+    def loss(self, theta: torch.Tensor) -> torch.Tensor:
+        """The loss over all training sets."""
+        return total_loss(self.terms, self.solid(theta))
 
-    while done < method.outer_iterations:
-        losses += _adam(variables, [slack], objective, method.inner_epochs, tick)
-        done += 1
-        with torch.no_grad():
-            signed = loss_and_violation()[1]
-        H = signed.abs()
-        if (H <= TOLERANCE).all() and _stagnant(losses, method.inner_epochs):
-            done = method.outer_iterations
-        elif ((H >= REQUIRED_DECREASE * previous) & (H > TOLERANCE)).any():
-            penalty *= PENALTY_GROWTH
-            if penalty >= LARGEST_PENALTY:
-                done = method.outer_iterations
-        else:
-            multiplier += penalty * signed
-        previous.copy_(H)
-        if checkpoint is not None:
-            arrays = [tensor.detach().numpy() for tensor in tensors]
-            checkpoint.save(arrays, losses=losses, penalty=penalty, iteration=done)
-    return losses
-
-
-def _adam(
-    variables: Variables,
-    extra: list[torch.Tensor],
-    objective: Callable[[], tuple[torch.Tensor, torch.Tensor]],
-    epochs: int,
-    tick: Callable[[float], None],
-) -> list[float]:
-    """Adam on the variables until the objective stagnates; returns the loss by epoch.
-
-    `objective` gives what is minimised and the loss that is part of it.
-    """
-    optimiser = torch.optim.Adam([*variables.leaves, *extra], lr=LEARNING_RATE)
-    totals: list[float] = []
-    losses: list[float] = []
-    for _ in range(epochs):
-        optimiser.zero_grad()
-        total, loss = objective()
-        total.backward()
-        optimiser.step()
-        variables.project()
-        totals.append(total.item())
-        losses.append(loss.item())
-        tick(losses[-1])
-        if _stagnant(totals, WINDOW):
-            break
-    return losses
-
-
-def _stagnant(losses: list[float], window: int) -> bool:
-    return len(losses) > window and losses[-1 - window] - losses[-1] < STAGNATION * abs(losses[-1])
+    def margins(self, theta: torch.Tensor, cuts: Sequence[tuple[int, np.ndarray]]) -> torch.Tensor:
+        """Those of the law, and of the waves that were found below the floor, over ζ."""
+        (lam, mu, alpha, D), zeta = self.solid(theta), self.law.zeta
+        found = [mu - zeta, lam + mu - zeta]
+        if self.kernel.free_alpha:
+            found += [LARGEST_ALPHA - theta[-1], theta[-1] - SMALLEST_ALPHA]
+        parts = [torch.stack(found)]
+        asked = self.law.conditions.forms((lam - mu) / mu**2, mu, zeta)
+        for number, G in cuts:
+            which, lattice = divmod(number, len(self.lattices))
+            own, level = asked[which]
+            p = torch_products(mu * class_weights(self.lattices[lattice], alpha, D), own)
+            parts.append(torch.from_numpy(G) @ p - level)
+        return torch.cat(parts) / zeta

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
-import torch
 
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import lattice_group
@@ -32,16 +31,14 @@ from warp_peri.materials.lps import (
     long_wave_moduli,
     stiffnesses,
 )
-from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_force import lps_force
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import Samples
 
 
-def class_pairs(number: int) -> np.ndarray:
-    """Class numbers of each quadratic product, shape [2, C (C + 1) / 2]."""
-    return np.array(np.triu_indices(number))
+def class_pairs(number: int) -> tuple[np.ndarray, np.ndarray]:
+    """Class numbers of each quadratic product, each of shape [C (C + 1) / 2]."""
+    return np.triu_indices(number)
 
 
 def products(model: Model, classes: BondClasses) -> np.ndarray:
@@ -49,14 +46,6 @@ def products(model: Model, classes: BondClasses) -> np.ndarray:
     v, kappa = stiffnesses(model, classes)
     i, j = class_pairs(len(v))
     return np.concatenate([v, kappa * v[i] * v[j]])
-
-
-def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
-    """w = K(r) W / m [length⁻²] of each bond class, shape [C]; differentiable."""
-    r, weight = torch.from_numpy(classes.r), torch.from_numpy(classes.weight)
-    basis = torch.from_numpy(bernstein_basis(classes.r, classes.horizon, len(D) - 1))
-    kw = weight * (r / classes.horizon) ** -alpha * (basis @ D)
-    return kw / (torch.from_numpy(classes.count) * r**2 * kw).sum()
 
 
 def product_basis(classes: BondClasses) -> Basis:
@@ -130,68 +119,6 @@ def noise_rows(noise: Samples, horizon: float, weight: np.ndarray) -> np.ndarray
     return Products(bare, horizon).rows(np.full(len(noise), weight.sum() / len(noise))).R
 
 
-class OperatorLoss:
-    """Σ_s weight_s ‖L u − b‖² over the interior of one set.
-
-    Args:
-        points: samples on a lattice.
-        horizon: δ [Å].
-        weight: of each sample, shape [S].
-    """
-
-    def __init__(self, points: Samples, horizon: float, weight: np.ndarray) -> None:
-        self.bonds = Bonds(points, horizon)
-        self.u = torch.tensor(points.u)  # a copy: the set may be read-only
-        self.b = torch.tensor(points.loads[:, points.interior])
-        self.weight = torch.from_numpy(weight)
-
-    def _squares(self, *parameters: Any) -> torch.Tensor:
-        residual = lps_force(self.bonds, self.u, Solid(*parameters)) - self.b
-        return (residual**2).sum(dim=(1, 2))
-
-    def loss(self, *parameters: Any) -> torch.Tensor:
-        """The loss at (λ, μ, α, D), differentiable."""
-        return self.weight @ self._squares(*parameters)
-
-    def errors(self, *parameters: Any) -> np.ndarray:
-        """‖L u − b‖/‖b‖ of each sample that has a load."""
-        load = (self.b**2).sum(dim=(1, 2))
-        loaded = load > 0
-        with torch.no_grad():
-            return (self._squares(*parameters)[loaded] / load[loaded]).sqrt().numpy()
-
-
-PROBED_HORIZON = 2.0
-"""Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
-UNIT = Solid(1.0, 1.0, 1.0, np.ones(1))
-"""K = 1/r with λ = μ = 1."""
-
-
-def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
-    """The stiffness that loads and displacements show together [TPa].
-
-    That of the bond-based solid, K = 1/r, whose loads have the given work with the loads: ‖b‖² over
-    b·A u, A of unit stiffness. Noise in u, which b knows nothing of, averages out of it.
-
-    Raises InputError where it is not above zero: loads and displacements of opposite work.
-    """
-    loads = work = 0.0
-    for samples in sets:
-        h = samples.spacing
-        bonds = Bonds(
-            samples.points, min(PROBED_HORIZON * h, horizon) if h else horizon, bond_based=True
-        )
-        force = lps_force(bonds, torch.from_numpy(samples.u), UNIT).numpy()
-        b = samples.loads[:, samples.interior]
-        loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
-    if not work > 0:
-        raise InputError(
-            "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
-            "loads so; expected b to be the load, which is minus the internal force"
-        )
-    return loads / work
-
-
 @dataclass(frozen=True)
 class LPSFound:
     """A solid while it is learned.
@@ -219,10 +146,9 @@ class LPSFound:
         """At the end, relative to the loads."""
         return self.losses[-1]
 
-    def model(self, horizon: float, dimension: int = 2) -> Model:
-        """The model of these numbers."""
-        lam, mu, alpha, D = self.solid.values()
-        return Model(lam, mu, alpha, D, horizon, dimension=dimension)
+    def model(self, horizon: float, **more: Any) -> Model:
+        """The model of these numbers, and what else is known of it."""
+        return Model(**vars(self.solid), horizon=horizon, **more)
 
 
 HEADROOM = 1.01
@@ -265,12 +191,12 @@ class BernsteinKernel:
         ends = np.cumsum([len(classes.r) for classes in lattices])
         self._basis = np.split(left[:, :rank], ends[:-1])  # tables of unit q
         self._q_of_D = size[:rank, None] * right[:rank] * scale
-        self._D_of_q = right[:rank].T / (size[:rank] * scale)
+        self.D_of_q = right[:rank].T / (size[:rank] * scale)
         self._second = np.diff(np.eye(degree + 1), n=2, axis=0)
         free = right[rank:].T  # coefficients that no bond sees: take those that smooth
         if free.size and len(self._second):
-            smooth = np.linalg.lstsq(self._second @ free, self._second @ self._D_of_q, rcond=None)
-            self._D_of_q = self._D_of_q - free @ smooth[0]
+            smooth = np.linalg.lstsq(self._second @ free, self._second @ self.D_of_q, rcond=None)
+            self.D_of_q = self.D_of_q - free @ smooth[0]
         self._log_r = [np.log(t) for t, _ in scaled]
         first = lattices[0]
         self._plain = first.count * first.r**2 * first.weight
@@ -307,14 +233,14 @@ class BernsteinKernel:
         """Second differences of D, as large as those of a kernel of plain volume."""
         unit = self._volume(self.alpha) / mu
         slopes = np.zeros((len(self._second), len(q)))
-        slopes[:, : self.rank] = unit * (self._second @ self._D_of_q)
+        slopes[:, : self.rank] = unit * (self._second @ self.D_of_q)
         values = slopes @ q
         return values, slopes - np.outer(values, dmu / mu)
 
     def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, None]:
         """D, the smoothest of the weighted volume of K = r^(−α), and α."""
         alpha = float(q[-1]) if self.free_alpha else self.alpha
-        return self._D_of_q @ q[: self.rank] * (self._volume(alpha) / mu), alpha, None
+        return self.D_of_q @ q[: self.rank] * (self._volume(alpha) / mu), alpha, None
 
 
 class ShapeKernel:
@@ -412,7 +338,10 @@ class LPSLaw:
         self.moduli, self.smoothness = method.held, method.smoothness
         self._sigma = [classes.count * classes.r**2 for classes in lattices]
         self._pairs = [class_pairs(len(classes.r)) for classes in lattices]
-        self._shears = [shear_of(classes) for classes in lattices]
+        self._shears = [  # C44 of unit v of each class
+            np.array([long_wave_moduli(each, unit, 0.0)[2] for unit in np.eye(len(each.r))])
+            for each in lattices
+        ]
 
     def start(self, found: LPSFound) -> np.ndarray:
         """θ of a solid, from where the moduli keep what is asked."""
@@ -529,8 +458,3 @@ def optimum(
     law = LPSLaw(lattices, start, conditions, method, fixed_alpha=fixed_alpha)
     theta = law.start(start)
     return law.found(fit(blocks, law, theta, law.zeta, size=1.0, rounds=method.rounds))
-
-
-def shear_of(classes: BondClasses) -> np.ndarray:
-    """C44 of unit v of each class."""
-    return np.array([long_wave_moduli(classes, unit, 0.0)[2] for unit in np.eye(len(classes.r))])
