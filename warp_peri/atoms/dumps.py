@@ -9,7 +9,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import ase
 import ase.io
 import numpy as np
 import scipy.sparse as sp
@@ -19,10 +18,8 @@ from tqdm import tqdm
 
 from warp_peri.atoms.coarse_graining import coarse_grain
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import whole_file
 from warp_peri.files.foreign import encoding_of, unpacked
 from warp_peri.points.arrays import checked
-from warp_peri.points.interpolation import interpolation, mean_spacing
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
 FRAME = "ITEM: TIMESTEP"
@@ -54,7 +51,7 @@ class Frame:
         columns: of the file.
         z: third coordinates [Å], shape [A].
         cell: edges of the box as rows [Å], shape [3, 3].
-        unwrapped: whether images of the box were added to positions.
+        unwrapped: whether atoms that leave the box go on: columns xu or xsu, or images added.
     """
 
     ids: np.ndarray
@@ -87,12 +84,11 @@ def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
         for frame in _frames_of(path):
             if first is None:
                 first = frame
-                if frame.unwrapped:
+                if frame.unwrapped and not {"xu", "xsu"} & set(frame.columns):
                     warnings.warn(f"{path}: unwrapped by the images ix, iy, iz", stacklevel=2)
             elif not np.array_equal(first.ids, frame.ids):
                 raise ValueError("expected the ids of frame 1, got others")
-            sure = frame.unwrapped or {"xu", "xsu"} & set(frame.columns)
-            if frame.box is None and not sure and jumps(frame, first.x):
+            if frame.box is None and not frame.unwrapped and jumps(frame, first.x):
                 raise ValueError(
                     "atoms jump by an edge of the tilted box: expected xu, yu, zu, or images"
                 )
@@ -166,59 +162,25 @@ def _of_text(text: str) -> Frame:
     for part in head.split("ITEM: ")[1:]:
         title, *lines = part.rstrip("\n").split("\n")
         items[title] = lines
-    units = items.get("UNITS", ["metal"])[0].strip()
+    if (units := items.get("UNITS", ["metal"])[0].strip()) not in ANGSTROM_UNITS:
+        raise ValueError(f"expected units {' or '.join(ANGSTROM_UNITS)}, got {units}")
     (bounds,) = (title for title in items if title.startswith("BOX BOUNDS"))
     if "abc" in bounds:
         raise ValueError("a box of general edges (triclinic/general yes) is not read")
     limits = np.array([[float(word) for word in line.split()] for line in items[bounds]])
-    announced = int(items["NUMBER OF ATOMS"][0])
-    columns = tuple(header.split())
+    announced, columns = int(items["NUMBER OF ATOMS"][0]), tuple(header.split())
     wanted = _wanted(columns)
     places = [columns.index(name) for name in wanted]
     table = np.loadtxt(io.StringIO(rows), usecols=places, ndmin=2) if rows.strip() else None
     if table is None or len(table) != announced:
         raise ValueError(f"{announced} atoms announced, {0 if table is None else len(table)} there")
-    tilt = limits[:, 2] if limits.shape[1] == 3 else np.zeros(3)
-    return _frame(columns, dict(zip(wanted, table.T)), limits[:, :2], tilt, units)
-
-
-def _wanted(columns: Sequence[str]) -> list[str]:
-    """The columns that a frame is made of. Raises ValueError for those that are not there."""
-    shown = " ".join(columns)
-    if "id" not in columns:
-        raise ValueError(f"expected the column id, got {shown}")
-    used = next((name for name in POSITIONS if name in columns), None)
-    if used is None or used.replace("x", "y") not in columns:
-        raise ValueError(f"expected x and y of one kind, as xu yu, got {shown}")
-    height = used.replace("x", "z")
-    if height not in columns:
-        others = [name for name in ("z", "zu", "zs", "zsu") if name in columns]
-        if not others:
-            raise ValueError(f"expected z beside x and y, got {shown}")
-        height = others[0]  # a sheet's: nobody looks at it
-    wanted = ["id", used, used.replace("x", "y"), height]
-    wanted += [name for name in ("type", *IMAGES) if name in columns]
-    return wanted
-
-
-def _frame(
-    columns: tuple[str, ...],
-    values: dict[str, np.ndarray],
-    limits: np.ndarray,
-    tilt: np.ndarray,
-    units: str,
-) -> Frame:
-    """A frame of LAMMPS from its columns, the limits of the box's frame and its tilts."""
-    if units not in ANGSTROM_UNITS:
-        raise ValueError(f"expected units {' or '.join(ANGSTROM_UNITS)}, got {units}")
-    xy, xz, yz = tilt
-    x_out, y_out = (0.0, xy, xz, xy + xz), (0.0, yz)
-    low = limits[:, 0] - [min(x_out), min(y_out), 0.0]
-    high = limits[:, 1] - [max(x_out), max(y_out), 0.0]
+    values, used = dict(zip(wanted, table.T)), wanted[1]
+    xy, xz, yz = tilt = limits[:, 2] if limits.shape[1] == 3 else np.zeros(3)
+    low = limits[:, 0] - [min(0.0, xy, xz, xy + xz), min(0.0, yz), 0.0]
+    high = limits[:, 1] - [max(0.0, xy, xz, xy + xz), max(0.0, yz), 0.0]
     cell = np.diag(high - low)
     cell[1, 0], cell[2, 0], cell[2, 1] = tilt
-    _, used, *_ = values
-    positions = np.stack([values[name] for name in list(values)[1:4]], axis=1)
+    positions = table[:, 1:4]
     if used in ("xs", "xsu"):
         positions = low + positions @ cell
     images = None
@@ -229,9 +191,24 @@ def _frame(
             f"expected the columns xu, yu, zu in a tilted box, got {used}; or {used} with the "
             "images ix, iy, iz"
         )
-    ids = values["id"].astype(np.int64)
     types = values["type"].astype(np.int64) if "type" in values else None
-    return _ordered(ids, positions, types, cell, columns, images)
+    return _ordered(values["id"].astype(np.int64), positions, types, cell, columns, images)
+
+
+def _wanted(columns: Sequence[str]) -> list[str]:
+    """The columns that a frame is made of. Raises ValueError for those that are not there."""
+    shown = " ".join(columns)
+    if "id" not in columns:
+        raise ValueError(f"expected the column id, got {shown}")
+    used = next((name for name in POSITIONS if name in columns), None)
+    if used is None or used.replace("x", "y") not in columns:
+        raise ValueError(f"expected x and y of one kind, as xu yu, got {shown}")
+    heights = (used.replace("x", "z"), "z", "zu", "zs", "zsu")  # a sheet's: nobody looks at it
+    height = next((name for name in heights if name in columns), None)
+    if height is None:
+        raise ValueError(f"expected z beside x and y, got {shown}")
+    wanted = ["id", used, used.replace("x", "y"), height]
+    return wanted + [name for name in ("type", *IMAGES) if name in columns]
 
 
 def _ordered(
@@ -248,15 +225,21 @@ def _ordered(
     if not np.isfinite(positions).all():
         raise ValueError("positions that are not finite")
     order = np.argsort(ids)
-    ids = ids[order]
+    ids, x = ids[order], positions[order]
     if (twice := ids[1:][ids[1:] == ids[:-1]]).size:
         raise ValueError(f"the id {twice[0]} comes twice")
-    types = None if types is None else types[order]
-    x = positions[order]
     sides = (float(cell[0, 0]), float(cell[1, 1]))
     straight = np.abs(cell - np.diag(np.diag(cell))).max() <= ROUND * np.abs(cell).max()
-    box = sides if straight and min(sides) > 0 else None
-    return Frame(ids, x[:, :2], types, box, columns, x[:, 2], cell, images is not None)
+    return Frame(
+        ids,
+        x[:, :2],
+        None if types is None else types[order],
+        sides if straight and min(sides) > 0 else None,
+        columns,
+        x[:, 2],
+        cell,
+        images is not None or bool({"xu", "xsu"} & set(columns)),
+    )
 
 
 # ------------------------------------------------------------------ other formats
@@ -278,14 +261,6 @@ BOX_TOLERANCE = 1e-5
 """Relative difference of a given period from that of a dump's header."""
 TORN, NEAR = 1.5, 1.3
 """Lengths of a bond that broke, over what it was, and of bonds over the usual one."""
-
-
-def dump_positions(path: str | os.PathLike[str]) -> Iterator[np.ndarray]:
-    """Positions of every frame of a text dump [Å], shape [A, 2], atoms in the order of their ids.
-
-    Raises InputError as dump_frames does.
-    """
-    return (frame.x for frame in dump_frames(path))
 
 
 def dump_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.ndarray:
@@ -353,7 +328,7 @@ def dump_displacement(
         u = x - reference
         if box is not None:
             u -= box * np.rint(u / box)
-        elif jumps(frame, reference):
+        elif not frame.unwrapped and jumps(frame, reference):
             raise InputError(f"{path}: box: atoms moved beyond half the box; are they wrapped?")
         total += u if iota is None else iota * (u - total)
     if frames <= skip:
@@ -511,52 +486,3 @@ def _warn_of_torn(
             "they do",
             stacklevel=3,
         )
-
-
-def write_atoms(
-    path: str | os.PathLike[str],
-    frame: Frame,
-    displacement: ArrayLike,
-    points: PointsLike,
-    u: ArrayLike,
-    *,
-    symbols: Sequence[str] = ("C",),
-) -> int:
-    """Displacement of atoms, of the model at their places, and the difference, as extxyz.
-
-    OVITO shows the columns displacement, model and error as they are. Atoms further than a spacing
-    from every node are left out.
-
-    Args:
-        path: of the file to write, .extxyz.
-        frame: where the atoms are without load, as of dump_frames.
-        displacement: of the atoms [Å], shape [A, 2], by id.
-        points: nodes of the model, in Å.
-        u: the model's displacement on them [Å], shape [N, 2].
-        symbols: of the types 1, 2, … of the frame.
-
-    Returns how many atoms were written. Raises InputError for shapes that do not fit, types without
-    a symbol, or atoms that are all away from the nodes.
-    """
-    nodes = nodes_of(points)
-    displacement = checked("displacement", displacement, shape=frame.x.shape)
-    u = checked("u", u, shape=nodes.x.shape)
-    types = np.ones(len(frame.x), int) if frame.types is None else frame.types
-    if types.min() < 1 or types.max() > len(symbols):
-        raise InputError(f"symbols: expected one for each type up to {types.max()}, got {symbols}")
-    near = cKDTree(nodes.x).query(frame.x)[0] <= (nodes.spacing or mean_spacing(nodes))
-    if not near.any():
-        raise InputError("points: expected nodes around the atoms, all atoms are away from them")
-    model = interpolation(nodes.x, frame.x[near]) @ u
-    atoms = ase.Atoms(
-        [symbols[kind - 1] for kind in types[near]],
-        positions=np.column_stack([frame.x, frame.z])[near],
-        cell=frame.cell,
-    )
-    atoms.arrays["id"] = frame.ids[near]
-    moved = displacement[near]
-    for name, field in (("displacement", moved), ("model", model), ("error", model - moved)):
-        atoms.arrays[name] = np.pad(field, ((0, 0), (0, 1)))
-    with whole_file(path) as part:
-        ase.io.write(part, atoms, format="extxyz")
-    return int(near.sum())

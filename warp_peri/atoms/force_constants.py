@@ -29,6 +29,8 @@ EDGE = 0.45
 """Of a supercell's width: pairs that far apart are at its edge."""
 NEGLIGIBLE = 1e-9
 """Of the largest Φ: smaller ones are rounding, and what they sum up to goes to the atom itself."""
+ON_SITE = 1e-3
+"""Of the cell's edges, that atoms of a supercell may be off their sites."""
 NEAREST = 1e-5
 """Images whose distances differ by less, relative, count as equally near."""
 LONG = 4e-3
@@ -134,6 +136,7 @@ class ForceConstants:
         doubt: independent standard errors of `values`, shape [Q, P, 3, 3]; None where none is told.
         spread: the same, if what they change by with the size of displacements is each number's own
             and not one for all; None where they do not change.
+        cut: what of `values` is at half the supercell's width, an error of moduli, if told.
     """
 
     cell: np.ndarray
@@ -150,6 +153,7 @@ class ForceConstants:
     change: float | None = None
     doubt: np.ndarray | None = None
     spread: np.ndarray | None = None
+    cut: np.ndarray | None = None
 
     @property
     def dimension(self) -> int:
@@ -348,7 +352,8 @@ class ForceConstants:
         With `bent` [2 Q, ...]: what is even in errors of Φ comes behind what is odd in them. A
         tensor that is moved by one of them lies within √2 of both.
         """
-        given = self.doubt if self.doubt is not None else self.values[None][:0]
+        given = [] if self.doubt is None else [*self.doubt]
+        given += [] if self.cut is None else [self.cut]
         ends = [
             [self.nearest_elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
             for one in given
@@ -427,80 +432,104 @@ def from_supercell(
     Raises InputError for atoms that are not on sites, shapes that do not fit, no forces at all, or
     polar sheets.
     """
+    if phi.shape != (len(structure), 3, len(supercell), 3):
+        expected = [len(structure), 3, len(supercell), 3]
+        raise InputError(f"phi: expected shape {expected}, got {list(phi.shape)}")
+    if not np.abs(phi).max() > 0:
+        raise InputError(f"phi: expected forces between atoms, got none in {len(supercell)} atoms")
+    made, (i, j, share) = every_pair(
+        structure, supercell, displaced, thickness=thickness, polar=polar, stress=stress
+    )
+    phi = phi.transpose(0, 2, 1, 3)
+    if made.polar is not None:
+        phi = phi - field_of_ions(made.polar, structure, supercell, displaced)
+    size = np.abs(phi).max(axis=(2, 3), keepdims=True)
+    phi = balanced(np.where(size > NEGLIGIBLE * size.max(), phi, 0.0), displaced)
+    kept = np.asarray(phi.any(axis=(2, 3)))[i, j]
+    values, pairs, vectors = (phi[i, j] * share)[kept], made.pairs[kept], made.vectors[kept]
+    edge, _ = at_edge(vectors, values, np.array(supercell.cell), thickness is not None)
+    return replace(made, pairs=pairs, vectors=vectors, values=values, edge=edge, change=change)
+
+
+def balanced(phi: np.ndarray, displaced: Sequence[int]) -> np.ndarray:
+    """Φ [n, N, 3, 3] whose sums are zero, as translations ask, at the atoms themselves."""
+    phi = phi.copy()
+    for row, atom in zip(phi, displaced):
+        row[atom] -= row.sum(axis=0)
+        row[atom] = (row[atom] + row[atom].T) / 2
+    return phi
+
+
+def every_pair(
+    structure: Any,
+    supercell: Any,
+    displaced: Sequence[int],
+    *,
+    thickness: float | None,
+    polar: Polar | None,
+    stress: np.ndarray | None,
+) -> tuple[ForceConstants, tuple[np.ndarray, ...]]:
+    """Pairs of a cell's atoms with the nearest images of a supercell's, without Φ between them.
+
+    Arguments are those of `from_supercell`. Returns the pairs and, of each, the atom of the cell,
+    that of the supercell, [P], and the share of their Φ that it has, [P, 1, 1].
+    """
     cell, box = np.array(structure.cell), np.array(supercell.cell)
     x, X = np.array(structure.positions), np.array(supercell.positions)
-    n = len(x)
-    if phi.shape != (n, 3, len(X), 3) or len(displaced) != n:
-        raise InputError(f"phi: expected shape [{n}, 3, {len(X)}, 3], got {list(phi.shape)}")
-    inverse = np.linalg.inv(cell)
-    if not np.abs(phi).max() > 0:
-        raise InputError(f"phi: expected forces between atoms, got none in {len(X)} atoms")
-    to_site = (X[:, None] - X[list(displaced)][None]) @ inverse
-    off = np.abs(to_site - np.rint(to_site)).max(axis=2)
-    kind = off.argmin(axis=1)
-    if off.min(axis=1).max() > 1e-3:
+    if len(displaced) != len(x):
+        raise InputError(f"displaced: expected {len(x)} atoms, got {len(displaced)}")
+    kind, off = _sites(X, X[list(displaced)], cell)
+    if off > ON_SITE:
         raise InputError("supercell: expected atoms on the sites of the structure")
     if polar is not None:
         if thickness is not None:
             raise InputError("polar: expected a solid; the field of a sheet's ions is another")
-        polar, field = field_of_ions(polar, structure, supercell, displaced)
-        phi = phi - field
+        most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
+        shortest = float(np.linalg.norm(box, axis=1).min())
+        polar = replace(polar, decay=polar.decay or 2 * DECAYED * most / shortest)
+    fraction = (X - X[list(displaced)][:, None]) @ np.linalg.inv(box)
     shifts = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
-    pairs, vectors, values = [], [], []
-    for i in range(n):
-        strong = np.flatnonzero(np.abs(phi[i]).max(axis=(0, 2)) > NEGLIGIBLE * np.abs(phi).max())
-        fraction = (X[strong] - X[displaced[i]]) @ np.linalg.inv(box)
-        near = ((fraction - np.rint(fraction))[:, None] + shifts) @ box
-        far = np.linalg.norm(near, axis=2)
-        tie = far <= far.min(axis=1, keepdims=True) + NEAREST * np.linalg.norm(cell[0])
-        row, image = np.nonzero(tie)
-        share = 1 / tie.sum(axis=1)
-        pairs.append(np.stack([np.full(len(row), i), kind[strong[row]]], axis=1))
-        vectors.append(near[row, image])
-        shared = phi[i][:, strong[row]].transpose(1, 0, 2) * share[row, None, None]
-        own = strong[row] == displaced[i]
-        shared[own] -= shared.sum(axis=0)  # translations cost nothing
-        shared[own] = (shared[own] + shared[own].swapaxes(1, 2)) / 2
-        values.append(shared)
-    between, phi = np.concatenate(vectors), np.concatenate(values)
-    return ForceConstants(
-        cell,
-        x,
-        np.array(structure.numbers),
-        np.concatenate(pairs),
-        between,
-        phi,
-        thickness,
-        polar,
-        stress,
-        kinds_of(structure)[0],
-        at_edge(between, phi, box, thickness is not None),
-        change,
+    near = ((fraction - np.rint(fraction))[:, :, None] + shifts) @ box
+    far = np.linalg.norm(near, axis=3)
+    tie = far <= far.min(axis=2, keepdims=True) + NEAREST * np.linalg.norm(cell[0])
+    i, j, image = np.nonzero(tie)
+    share = 1 / tie.sum(axis=2)
+    pairs, none = np.stack([i, kind[j]], axis=1), np.zeros((len(i), 3, 3))
+    kinds, vectors = kinds_of(structure)[0], near[i, j, image]
+    made = ForceConstants(
+        cell, x, np.array(structure.numbers), pairs, vectors, none, thickness, polar, stress, kinds
     )
+    return made, (i, j, share[i, j][:, None, None])
 
 
-def at_edge(vectors: np.ndarray, values: np.ndarray, box: np.ndarray, flat: bool) -> float:
-    """Share of Σ |Φ| r² that is at half the width of a box; of a sheet its plane counts."""
-    far = np.linalg.norm(vectors, axis=1)
-    moment = np.abs(values).max(axis=(1, 2)) * far**2
+def _sites(X: np.ndarray, first: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, float]:
+    """Number of the site in the cell of each atom, [N], and how far the worst is off, in edges."""
+    to_site = (X[:, None] - first) @ np.linalg.inv(cell)
+    off = np.abs(to_site - np.rint(to_site)).max(axis=2)
+    return off.argmin(axis=1), float(off.min(axis=1).max())
+
+
+def at_edge(
+    vectors: np.ndarray, values: np.ndarray, box: np.ndarray, flat: bool
+) -> tuple[float, np.ndarray]:
+    """Share of Σ |Φ| r² that is at half the width of a box, and which pairs are, [P].
+
+    Of a sheet its plane counts.
+    """
+    size = np.linalg.norm(vectors, axis=1)
+    moment = np.abs(values).max(axis=(1, 2)) * size**2
     width = 1 / np.linalg.norm(np.linalg.inv(box), axis=0)[: 2 if flat else 3].max()
-    return float(moment[far > EDGE * width].sum() / max(moment.sum(), TINY))
+    far = size > EDGE * width
+    return float(moment[far].sum() / max(moment.sum(), TINY)), far
 
 
 def field_of_ions(
     polar: Polar, structure: Any, supercell: Any, displaced: Sequence[int]
-) -> tuple[Polar, np.ndarray]:
-    """Charges with the decay that a supercell asks for, and what they add to Φ, [n, 3, N, 3].
-
-    Arguments are those of `from_supercell`.
-    """
+) -> np.ndarray:
+    """What charges with a decay add to Φ, [n, N, 3, 3]; other arguments as for `from_supercell`."""
     cell, box = np.array(structure.cell), np.array(supercell.cell)
     x, X = np.array(structure.positions), np.array(supercell.positions)
-    most = float(np.linalg.eigvalsh(polar.dielectric)[-1]) ** 0.5
-    decay = polar.decay or 2 * DECAYED * most / float(np.linalg.norm(box, axis=1).min())
-    polar, apart = replace(polar, decay=decay), X[:, None] - X[list(displaced)]
-    off = apart @ np.linalg.inv(cell)
-    kind = np.abs(off - np.rint(off)).max(axis=2).argmin(axis=1)
+    apart, kind = X[:, None] - X[list(displaced)], _sites(X, X[list(displaced)], cell)[0]
     # the mean of all waves that fit into the supercell
     inverse = np.linalg.inv(np.rint(box @ np.linalg.inv(cell)))
     size = int(np.rint(1 / abs(np.linalg.det(inverse))))
@@ -511,11 +540,11 @@ def field_of_ions(
     k = 2 * np.pi * (parts - (parts > 0.5)) @ np.linalg.inv(cell).T
     D = polar.matrix(k, cell, x)
     phase = np.exp(-1j * np.einsum("kc,Nnc->kNn", k, apart)) / len(k)
-    phi = np.empty((len(x), 3, len(kind), 3))
+    phi = np.empty((len(x), len(kind), 3, 3))
     for j in range(len(x)):
         some = kind == j
-        phi[:, :, some] = np.einsum("kNi,kiab->iaNb", phase[:, some], D[:, :, :, j]).real
-    return polar, phi
+        phi[:, some] = np.einsum("kNi,kiab->iNab", phase[:, some], D[:, :, :, j]).real
+    return phi
 
 
 def finite_differences(
@@ -568,15 +597,19 @@ def from_calculator(
         repeats: of the cell along its edges; the supercell is to be wider than twice what the
             forces reach.
     """
-    supercell = structure.repeat(tuple(repeats))
-    supercell.calc = calculator
+    supercell, first = structure.repeat(tuple(repeats)), range(len(structure))
+    forces, x = forces_of(supercell, calculator), np.array(supercell.positions)
+    phi, change = finite_differences(forces, x, first, step=step)
+    return from_supercell(structure, supercell, phi, first, thickness=thickness, change=change)
+
+
+def forces_of(many: Any, calculator: Any) -> Callable[[np.ndarray], np.ndarray]:
+    """Forces [eV/Å] that a calculator has on the atoms of an ase.Atoms at positions [Å]."""
+    many = many.copy()
+    many.calc = calculator
 
     def forces(x: np.ndarray) -> np.ndarray:
-        supercell.positions[:] = x
-        return np.array(supercell.get_forces(apply_constraint=False))
+        many.positions[:] = x
+        return np.array(many.get_forces(apply_constraint=False))
 
-    at_rest = supercell.positions.copy()
-    first = range(len(structure))
-    phi, change = finite_differences(forces, at_rest, first, step=step)
-    supercell.positions[:] = at_rest
-    return from_supercell(structure, supercell, phi, first, thickness=thickness, change=change)
+    return forces

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import gc
 import itertools
 import re
 import warnings
@@ -21,10 +19,12 @@ from scipy.spatial import cKDTree
 
 from warp_peri.atoms.calculator_noise import EV_IN_TPA, TIMES, rattled
 from warp_peri.atoms.force_constants import (
+    EDGE,
     STEP,
     ForceConstants,
     Polar,
     finite_differences,
+    forces_of,
     from_supercell,
 )
 from warp_peri.atoms.relaxed import Reference
@@ -329,77 +329,45 @@ def born_charges(reference: Reference, calculator: Any) -> Polar | None:
     return Polar(born, np.asarray(calculator.get_property(DIELECTRIC, cell), dtype=float))
 
 
-def forces_of(many: ase.Atoms, calculator: Any) -> Any:
-    many = many.copy()
-    many.calc = calculator
-
-    def forces(x: np.ndarray) -> np.ndarray:
-        many.positions[:] = x
-        return np.array(many.get_forces(apply_constraint=False))
-
-    return forces
-
-
 def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float]) -> tuple[int, ...]:
-    cell, d = reference.cell, reference.dimension
-    edges, noise = np.array(cell.cell), reference.noise
-    step = STEP if noise is None else noise.length
-    heights = 1 / np.linalg.norm(np.linalg.inv(edges), axis=0)
-
-    def repeated(width: float) -> np.ndarray:
-        counts: np.ndarray = np.ceil(width / heights).astype(int)
-        counts[d:] = 1
-        return counts
-
+    """Repeats of the cell at half of whose width forces have ended, or as many as memory holds."""
+    cell, d, noise = reference.cell, reference.dimension, reference.noise
+    heights = 1 / np.linalg.norm(np.linalg.inv(np.array(cell.cell)), axis=0)
+    counts = [np.ceil(width / heights).astype(int) for width in (*NARROW, *widths)]
+    for one in counts:
+        one[d:] = 1
     if len(widths) == 1:
-        return tuple(repeated(*widths).tolist())
-    rim, most = np.nan, MOST_ATOMS if noise is None else NOISY_ATOMS
-    repeats: tuple[int, ...] = (1, 1, 1)
-    gc.collect()
-    with suppress(OSError, AttributeError):  # what was computed before is no part of this peak
-        ctypes.CDLL(None).malloc_trim(0)
+        return tuple(counts[-1].tolist())
+    rim, repeats, ended = np.nan, (1, 1, 1), ""
+    with suppress(OSError):  # what was computed before is no part of this peak
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
-    fullest, ended = _kilobytes("self/status", "VmHWM"), ""
-    for width in (*NARROW, *widths):
-        counts, narrow = repeated(width), width < widths[0]
-        if rim >= 0 and np.prod(counts) * len(cell) > most:
+    fullest = _kilobytes("self/status", "VmHWM")
+    for number, count in enumerate(counts):
+        wider = tuple(count.tolist())
+        atoms, narrow = int(np.prod(count)) * len(cell), number < len(NARROW)
+        if rim >= 0 and atoms > (MOST_ATOMS if noise is None else NOISY_ATOMS):
             break
-        wider = tuple(counts.tolist())
         if narrow and wider == repeats:
             continue
-        many = cell.repeat(wider)
         grown = (_kilobytes("self/status", "VmHWM") - fullest) * np.prod(wider) / np.prod(repeats)
         held = _kilobytes("self/status", "VmRSS") + _kilobytes("meminfo", "MemAvailable")
         if repeats != (1, 1, 1) and fullest + grown > FILLED * held:
-            ended = f"; {len(many)} atoms would need more memory than there is"
+            ended = f"; {atoms} atoms would need more memory than there is"
             break
-        at_rest, x = forces_of(many, calculator), np.array(many.positions)
+        many = cell.repeat(wider)
+        forces = forces_of(many, calculator)
         try:
-            still = at_rest(x)
+            still = forces(np.array(many.positions))
         except (MemoryError, RuntimeError) as error:  # networks' libraries raise the latter
             if repeats == (1, 1, 1) or not MEMORY.search(f"{type(error).__name__} {error}"):
                 raise
-            ended = f"; {len(many)} atoms need more memory than there is"
+            ended = f"; {atoms} atoms need more memory than there is"
             break
         repeats = wider
-        if narrow:
-            continue
-        rim, reached = 0.0, REACHED
-        part = (x - x[0]) @ np.linalg.inv(np.array(many.cell))
-        far = np.linalg.norm((part - np.rint(part)) @ np.array(many.cell), axis=1)
-        for axis in range(d):
-            moved = x.copy()
-            moved[0, axis] += step
-            change = np.abs(at_rest(moved) - still).max(axis=1)
-            if not change.max() > 0:
-                raise InputError(LOOSE)
-            outside = far > 0.45 * (counts * heights)[:d].min()
-            rim = max(rim, float(change[outside].max(initial=0.0) / change.max()))
-            if noise is not None:
-                least = TIMES**2 * noise.force / float(change.max())
-                reached = max(reached, least, ENDED if noise.rough else 0.0)
-        if rim <= reached:
-            return repeats
+        if not narrow:
+            rim, reached = _at_rim(many, forces, still, (count * heights)[:d].min(), reference)
+            if rim <= reached:
+                return repeats
     cells = f"{' x '.join(map(str, repeats[:d]))} cells"
     left = f"at half the width of {cells} forces still are {rim:.1e} of the largest"
     left = left if rim >= 0 else f"{cells}, narrower than {widths[0]:g} Å"
@@ -408,13 +376,32 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
     return repeats
 
 
+def _at_rim(
+    many: ase.Atoms, forces: Any, still: np.ndarray, width: float, reference: Reference
+) -> tuple[float, float]:
+    """The force at half a supercell's width from a displaced atom, over the largest; none's."""
+    noise, x, rim, none = reference.noise, np.array(many.positions), 0.0, REACHED
+    part = (x - x[0]) @ np.linalg.inv(np.array(many.cell))
+    far = np.linalg.norm((part - np.rint(part)) @ np.array(many.cell), axis=1)
+    for axis in range(reference.dimension):
+        moved = x.copy()
+        moved[0, axis] += STEP if noise is None else noise.length
+        change = np.abs(forces(moved) - still).max(axis=1)
+        if not change.max() > 0:
+            raise InputError(LOOSE)
+        rim = max(rim, float(change[far > EDGE * width].max(initial=0.0) / change.max()))
+        if noise is not None:
+            least = TIMES**2 * noise.force / float(change.max())
+            none = max(none, least, ENDED if noise.rough else 0.0)
+    return rim, none
+
+
 def _kilobytes(file: str, name: str) -> float:
     """A figure of memory by Linux; zero elsewhere, where what a cell takes is not foreseen."""
-    try:
-        found = re.search(rf"{name}:\s+(\d+)", Path("/proc", file).read_text(encoding="ascii"))
-    except OSError:
-        found = None
-    return float(found[1]) if found else 0.0
+    with suppress(OSError, IndexError):
+        text = Path("/proc", file).read_text(encoding="ascii")
+        return float(text.partition(f"{name}:")[2].split()[0])
+    return 0.0
 
 
 def check_phonons(atoms: ForceConstants) -> None:

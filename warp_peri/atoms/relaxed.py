@@ -26,7 +26,7 @@ from scipy.linalg import sqrtm
 
 from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
 from warp_peri.atoms.calculators import LammpsError
-from warp_peri.atoms.force_constants import ForceConstants, Polar, from_supercell
+from warp_peri.atoms.force_constants import ForceConstants, Polar
 from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
 from warp_peri.errors import InputError, optional
 from warp_peri.files.foreign import check_hdf5, check_yaml, content
@@ -53,6 +53,8 @@ RESIDUAL_FORCE, RESIDUAL_STRESS = 1e-3, 1e-4
 """Forces [eV/Å] and stress [TPa] that are taken for none."""
 MOVED = 0.01
 """Strain by which the cell may relax without a word."""
+STRAINED, LIKE = 0.01, 0.5
+"""Strain at which stress is compared with the energy's slope; relative difference of the same."""
 VOIGT = ("xx", "yy", "zz", "yz", "xz", "xy")
 PLACES = ((0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1))
 
@@ -282,6 +284,7 @@ def at_rest(
     cell.calc = calculator
     before = np.array(cell.cell)
     _check_forces(cell)
+    _check_stress(cell, flat)
     found = measured(cell, calculator, flat)
     noise = None if found.rounding else found
     if noise is not None:  # exact forces would keep the symmetry that is given
@@ -339,6 +342,27 @@ def _check_forces(cell: ase.Atoms) -> None:
     except Exception as error:  # calculators raise whatever they run into
         kinds, kind = ", ".join(sorted(set(cell.get_chemical_symbols()))), type(error).__name__
         raise InputError(f"calculator: it gives no forces for {kinds} ({kind}: {error})") from None
+
+
+def _check_stress(cell: ase.Atoms, flat: bool) -> None:
+    """Raise InputError for a stress that is not what the energy changes by under strain, at 1 %."""
+    way = np.diag([1.0, 0.7, 0.0 if flat else 0.4])
+    energy, one = [], cell.copy()
+    one.calc = cell.calc
+    for size in (STRAINED * 0.5, STRAINED * 1.5, STRAINED):
+        one.set_cell(np.array(cell.cell) @ (np.eye(3) + size * way), scale_atoms=True)
+        try:
+            energy.append(float(one.get_potential_energy()))
+            stress = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False))
+        except Exception:  # without energies nothing is compared, without stress nothing is there
+            return
+    wanted = (energy[1] - energy[0]) / STRAINED / one.get_volume()
+    told = float((stress * (way / (1 + STRAINED * np.diag(way)))).sum())
+    if abs(told - wanted) > LIKE * abs(wanted) or not np.isfinite(told):
+        raise InputError(
+            f"calculator: expected stress in eV/Å³, tension positive, got {told:.3g} along a "
+            f"strain of {STRAINED:.0%} where the energy says {wanted:.3g}: see its sign and unit"
+        )
 
 
 def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> None:
@@ -492,7 +516,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         thickness = thickness_of(cell)[0]
     polar = None
     if ions is not None:
-        polar = Polar(*(np.asarray(ions[name]) for name in ("born", "dielectric")))
+        polar = Polar(np.asarray(ions["born"]), np.asarray(ions["dielectric"]))
     elif thickness is None and len(set(cell.numbers)) > 1:
         warnings.warn(
             f"{file.parent}: no BORN is there; if ions carry charges, their field misses in its "
@@ -501,8 +525,7 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
         )
     if thickness is not None and polar is None and np.abs(cell.cell[:2, 2]).max() > 1e-6:
         raise InputError(f"{path}: expected a sheet across z")
-    made = from_supercell(cell, supercell, phi, displaced, thickness=thickness, polar=polar)
-    return projected(made, supercell)
+    return projected(cell, supercell, phi, displaced, thickness=thickness, polar=polar)
 
 
 def _opened(file: Path, beside: dict[str, Path]) -> tuple[Any, Any]:
