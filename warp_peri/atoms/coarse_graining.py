@@ -307,10 +307,8 @@ def read_fields(
     has another shape; for a factor, reach or spacing that is none; for positions off a square
     lattice, and a sheet without interior.
     """
-    path, asked = (
-        Path(path),
-        [name for name in (displacement, load, positions) if isinstance(name, str)],
-    )
+    path, names = Path(path), (displacement, load, positions)
+    asked = [name for name in names if isinstance(name, str)]
     if not (is_number(factor) and np.isfinite(factor)):
         raise InputError(f"factor: expected a finite number, got {factor!r}")
     if isinstance(reach, bool) or not isinstance(reach, (int, np.integer)) or not reach > 0:
@@ -324,12 +322,9 @@ def read_fields(
     else:
         step, side = float(positions), round((held[displacement][0].size / 2) ** 0.5)
         x = step * np.argwhere(np.ones((side, side), bool))
-    u, b = (
-        None
-        if name is None
-        else _components_last(path, held, name, len(x), square=side is not None)
-        for name in (displacement, load)
-    )
+    square = side is not None
+    u = _components_last(path, held, displacement, len(x), square=square)
+    b = None if load is None else factor * _components_last(path, held, load, len(x), square=square)
     nodes = np.rint(place := (x - x.min(axis=0)) / step).astype(int)
     if np.abs(place - nodes).max() > ON_LATTICE or np.prod(place.max(axis=0) + 1) > LARGEST_GRID:
         raise InputError(f"{path}: expected positions on a square lattice along x and y")
