@@ -92,7 +92,7 @@ def test_charges_of_a_sheet_are_refused_by_name():
 
 
 def test_what_is_no_file_of_phonopy_is_refused(tmp_path):
-    with pytest.raises(wp.InputError, match="a file of phonopy .* `phonopy -d --dim …` writes"):
+    with pytest.raises(wp.InputError, match="a file of phonopy .* `phonopy-init"):
         wp.atoms.from_phonopy(tmp_path)
     with pytest.raises(wp.InputError, match="no such file or folder"):
         wp.atoms.from_phonopy(tmp_path / "nowhere")

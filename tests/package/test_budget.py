@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_241,
-    "tokens": 292_754,
-    "lines of warp_peri": 40_251,
+    "code lines": 24_108,
+    "tokens": 290_917,
+    "lines of warp_peri": 40_069,
     "lines of kernels": 1_414,
-    "lines of warp_peri, kernels, examples and tools": 57_085,
+    "lines of warp_peri, kernels, examples and tools": 56_903,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -31,7 +31,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 3072,
+    "atoms": 2939,
     "cli": 1191,
     "core": 1747,
     "diffusion": 339,

@@ -585,6 +585,6 @@ def _yaml(path: Path) -> Path:
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     raise InputError(
-        f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; `phonopy -d "
-        "--dim …` writes the last beside a unit cell of any code"
+        f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
+        "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
     )
