@@ -30,7 +30,7 @@ def cancelled(horizon=2.0):
 def test_a_vanishing_weighted_volume_is_refused():
     model, points = cancelled(), lattice(3, 2.0)
     for use in (
-        lambda: model.on(points),
+        lambda: model.on(points)(noise(points)),
         lambda: certify(model, spacing=1.0),
         lambda: solve(model, points, noise(points), noise(points)),
     ):
@@ -52,7 +52,7 @@ def test_a_vanishing_weighted_volume_of_scattered_points_is_counted():
     )
     model = Model(0.3, 0.8, 1.0, [1.0, -a / b], 3.5)
     with pytest.raises(InputError, match="is zero at 1 nodes"):
-        model.on(points, allow_uncertified=True)
+        model.on(points, allow_uncertified=True)(noise(points))
 
 
 def test_strain_of_known_fields():

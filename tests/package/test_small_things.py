@@ -184,7 +184,7 @@ def errors_of(words, capsys):
     [
         ("1e9", "horizon: expected at most 100 spacings (1e+06), got 1000000000.0"),
         ("9e4", "have not at horizon 90000 Å; the largest that fits is 28284.3 Å"),
-        ("inf", "horizon: expected at least one spacing (10000.0), got inf"),
+        ("inf", "horizon: expected a number > 0, got inf"),
     ],
 )
 def test_a_fit_refuses_in_the_numbers_it_was_given(horizon, words, samples, tmp_path, capsys):
