@@ -1,26 +1,21 @@
-"""Exact Gaussian-process regression that knows its noise (F17–F19).
+"""Exact Gaussian-process regression that knows its noise (theory, F18).
 
 Kernels on standardised inputs: "product", the squared exponential with a length for each input;
-"additive", the sum of one-dimensional ones (of first order); "second", that and their products two
-by two. A few hundred points and tens of inputs are what it is for.
+"additive", the sum of one-dimensional ones. A few hundred points are what it is for.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import scipy.linalg as sl
 from scipy.optimize import minimize
-from scipy.spatial import cKDTree
-from tqdm import tqdm
 
-from warp_peri.errors import InputError
+from warp_peri import InputError
 
-KERNELS = ("product", "additive", "second")
+KERNELS = ("product", "additive")
 JITTER = 1e-10
 """Added to the diagonal, in units of the kernel's own."""
 LENGTHS = (np.log(0.1), np.log(60.0))
@@ -40,7 +35,6 @@ class GaussianProcess:
         noise: variance of each value, shape [n], or its covariance [n, n].
         log_amplitude: of the standardised values.
         log_lengths: of the standardised inputs, shape [d].
-        log_pairs: weight of the pairs of the kernel "second".
         centre, scale: of the inputs, shape [d].
         mean, size: of the values.
     """
@@ -51,7 +45,6 @@ class GaussianProcess:
     noise: np.ndarray = field(repr=False)
     log_amplitude: float
     log_lengths: np.ndarray
-    log_pairs: float
     centre: np.ndarray
     scale: np.ndarray
     mean: float
@@ -81,22 +74,15 @@ class GaussianProcess:
         if self.kernel == "product":
             square = (A**2).sum(1)[:, None] + (B**2).sum(1) - 2 * A @ B.T
             return np.asarray(amplitude * np.exp(-0.5 * np.maximum(square, 0)))
-        total, squares = np.zeros((len(A), len(B))), np.zeros((len(A), len(B)))
+        total = np.zeros((len(A), len(B)))
         for a, b in zip(A.T, B.T):
-            e = np.exp(-0.5 * (a[:, None] - b) ** 2)
-            total += e
-            squares += e * e if self.kernel == "second" else 0
-        if self.kernel == "second":
-            total += np.exp(2 * self.log_pairs) * 0.5 * (total * total - squares)
+            total += np.exp(-0.5 * (a[:, None] - b) ** 2)
         return np.asarray(amplitude * total)
 
     @property
     def prior(self) -> float:
         """Variance of a standardised value before any data."""
-        d = len(self.log_lengths)
-        count = {"product": 1.0, "additive": d}.get(self.kernel)
-        if count is None:
-            count = d + np.exp(2 * self.log_pairs) * d * (d - 1) / 2
+        count = {"product": 1, "additive": len(self.log_lengths)}[self.kernel]
         return float(np.exp(2 * self.log_amplitude) * count)
 
     @cached_property
@@ -116,12 +102,6 @@ class GaussianProcess:
         k = self.covariance(self.standard(X), self.points)
         return np.asarray(self.mean + self.size * (k @ self.weights))
 
-    def deviation(self, X: np.ndarray) -> np.ndarray:
-        """Standard deviation of the function (not of new data) at inputs [m, d]."""
-        k = self.covariance(self.points, self.standard(X))
-        v = sl.solve_triangular(self.factor, k, lower=True)
-        return np.asarray(self.size * np.sqrt(np.maximum(self.prior - (v * v).sum(0), 0)))
-
 
 def fit_process(
     X: np.ndarray,
@@ -138,7 +118,7 @@ def fit_process(
     Args:
         X: inputs, shape [n, d].
         y: values, shape [n].
-        kernel: "product", "additive" or "second".
+        kernel: "product" or "additive".
         noise: known variance of the values, shape [n], or covariance [n, n]; learned, the same for
             all, if not given.
         mean: of the process before data; that of y if not given.
@@ -160,8 +140,8 @@ def fit_process(
     Z, f = ((X - X.mean(axis=0)) / scale)[keep], (y[keep] - base) / size
     given = None if part is None else part / size**2
     d = X.shape[1]
-    start = np.concatenate([[0.0], np.full(d, 0.7), [0.0, np.log(0.1)]])
-    bounds = [(-5, 6), *[LENGTHS] * d, (-6, 4), (-12, 1)]
+    start = np.concatenate([[0.0], np.full(d, 0.7), [np.log(0.1)]])
+    bounds = [(-5, 6), *[LENGTHS] * d, (-12, 1)]
     optimum = minimize(
         unlikelihood, start, (Z, f, kernel, given), jac=True, bounds=bounds,
         method="L-BFGS-B", options={"maxiter": iterations},
@@ -169,27 +149,22 @@ def fit_process(
     theta = optimum.x
     variance = np.full(len(y), np.exp(2 * theta[-1]) * size**2) if known is None else known
     return GaussianProcess(
-        kernel, X, y, variance, float(theta[0]), theta[1 : 1 + d], float(theta[-2]),
-        X.mean(axis=0), scale, base, size,
-    )  # fmt: skip
+        kernel, X, y, variance, float(theta[0]), theta[1 : 1 + d], X.mean(axis=0), scale, base, size
+    )
 
 
 def unlikelihood(
     theta: np.ndarray, Z: np.ndarray, f: np.ndarray, kernel: str, noise: np.ndarray | None
 ) -> tuple[float, np.ndarray]:
-    """(F18) and its gradient by log amplitude, log lengths, log weight of pairs, log noise."""
+    """(F18) and its gradient by log amplitude, log lengths, log noise."""
     n, d = Z.shape
     amplitude, lengths = np.exp(2 * theta[0]), np.exp(theta[1 : 1 + d])
-    pairs = np.exp(2 * theta[-2]) if kernel == "second" else 0.0
     squares = [((z[:, None] - z) / length) ** 2 for z, length in zip(Z.T, lengths)]
     if kernel == "product":
         K = amplitude * np.exp(-0.5 * np.sum(squares, axis=0))
-        second = 0.0 * K
     else:
         ones = [np.exp(-0.5 * s) for s in squares]
-        summed = np.sum(ones, axis=0)
-        second = 0.5 * (summed * summed - np.sum([e * e for e in ones], axis=0))
-        K = amplitude * (summed + pairs * second)
+        K = amplitude * np.sum(ones, axis=0)
     added = _matrix(noise) if noise is not None else np.exp(2 * theta[-1]) * np.eye(n)
     total = K + added + JITTER * K[0, 0] * np.eye(n)
     try:
@@ -202,99 +177,11 @@ def unlikelihood(
     gradient = np.zeros_like(theta)
     gradient[0] = 2 * np.sum(G * K) + 2 * JITTER * K[0, 0] * np.trace(G)
     for i, s in enumerate(squares):
-        part = K if kernel == "product" else amplitude * (1 + pairs * (summed - ones[i])) * ones[i]
+        part = K if kernel == "product" else amplitude * ones[i]
         gradient[1 + i] = np.sum(G * part * s)
-    gradient[-2] = 2 * amplitude * pairs * np.sum(G * second)
-    gradient[-2] += 2 * JITTER * amplitude * pairs * d * (d - 1) / 2 * np.trace(G)
     if noise is None:
         gradient[-1] = 2 * np.exp(2 * theta[-1]) * np.trace(G)
     return float(value), gradient
-
-
-def greedy(Z: np.ndarray, count: int) -> np.ndarray:
-    """Inputs, in lengths of a product kernel, that tell most about the others (F19).
-
-    Largest posterior variance first: a pivoted Cholesky factor of their covariance. Returns at most
-    `count` of their numbers.
-    """
-    left, L = np.ones(len(Z)), np.zeros((min(count, len(Z)), len(Z)))
-    chosen: list[int] = []
-    for m in range(len(L)):
-        i = int(np.argmax(left))
-        if left[i] < 1e-12:
-            break
-        k = np.exp(-0.5 * ((Z - Z[i]) ** 2).sum(axis=1))
-        L[m] = (k - L[:m].T @ L[:m, i]) / np.sqrt(left[i])
-        left -= L[m] ** 2
-        chosen.append(i)
-        left[chosen] = -1
-    return np.array(chosen)
-
-
-def gathered(
-    Z: np.ndarray, chosen: np.ndarray, parts: np.ndarray, weight: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Means over the inputs that are nearest to each chosen one: all data count, few are kept.
-
-    Args:
-        Z: inputs in lengths of a kernel, shape [n, d].
-        chosen: numbers of some of them, shape [m].
-        parts: what is averaged, shape [n, p].
-        weight: of each, shape [n]; equal if not given.
-
-    Returns the means [m, p] and the sums of the weights [m].
-    """
-    nearest = cKDTree(Z[chosen]).query(Z)[1]
-    weight = np.ones(len(Z)) if weight is None else weight
-    total = np.bincount(nearest, weight, len(chosen))
-    sums = [np.bincount(nearest, weight * part, len(chosen)) for part in parts.T]
-    return np.stack(sums, axis=-1) / total[:, None], total
-
-
-def condensed(
-    X: np.ndarray,
-    y: np.ndarray,
-    points: int,
-    *,
-    noise: np.ndarray | None = None,
-    floor: float = 0.0,
-    rounds: int = 2,
-    progress: bool | None = None,
-    **options: Any,
-) -> GaussianProcess:
-    """A process of few points that stand for all data: greedy choices, each the mean around it.
-
-    Args:
-        X: inputs, shape [n, d].
-        y: values, shape [n].
-        points: at most.
-        noise: variance of each value; equal and learned if not given.
-        floor: least variance taken for a mean.
-        rounds: choices, each with the lengths of the fit before it; the first fit has points taken
-            evenly.
-        progress: a bar of the fits; None shows one on a terminal.
-        options: of fit_process.
-    """
-    even = np.unique(np.linspace(0, len(y) - 1, min(points, SUBSET, len(y))).astype(int))
-    process = fit_process(X[even], y[even], noise=None if noise is None else noise[even], **options)
-    weight = None if noise is None else 1 / noise
-    for _ in bar(rounds, progress):
-        chosen = greedy(process.standard(X), points)
-        if len(chosen) < 2:
-            break
-        means, sure = gathered(process.standard(X), chosen, np.column_stack([X, y]), weight)
-        known = None if noise is None else np.maximum(1 / sure, floor)
-        process = fit_process(means[:, :-1], means[:, -1], noise=known, **options)
-    return process
-
-
-def bar(rounds: int, progress: bool | None) -> Iterable[int]:
-    """The rounds of a fit with a bar; None shows one on a terminal only."""
-    hidden = None if progress is None else not progress
-    steps: Iterable[int] = tqdm(
-        range(rounds), desc="fits of a process", disable=hidden, leave=False
-    )
-    return steps
 
 
 def _matrix(noise: np.ndarray) -> np.ndarray:

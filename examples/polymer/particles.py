@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import warp as wp
-from tqdm import tqdm
+from scipy.spatial import cKDTree
 
-from examples.polymer.closure import Stress, check_time_step, in_cells, key_of
+from examples.polymer.closure import Stress, check_time_step, in_cells
 from examples.polymer.kernels import particles as kernels
-from warp_peri.contract import taken
-from warp_peri.dynamics.motion import Motion
-from warp_peri.errors import InputError
-from warp_peri.files.atomic import ArrayFile, write_text
-from warp_peri.files.checkpoint import fingerprint
-from warp_peri.files.series import write_vtu
+from warp_peri import InputError
 from warp_peri.launch import DEVICE, empty, ints, launch, zeros
-from warp_peri.points.scattered import neighbours
 
 REACH = 3.0
 """Of the bell, in smoothing lengths."""
@@ -36,7 +28,7 @@ class Particles:
     """The fluid's particles, at rest on a lattice; their images stand for the walls."""
 
     def __init__(self, flow: ChannelFlow) -> None:
-        self.flow, self.t, self.rebuilds = flow, 0.0, 0
+        self.flow, self.t = flow, 0.0
         b = flow.spacing
         along = round(flow.length / b)
         self.period = along * b
@@ -100,22 +92,6 @@ class Particles:
         self._forces()
         self._kick()
 
-    def state(self) -> dict[str, np.ndarray]:
-        """What a checkpoint keeps."""
-        kept = {"x": self._x, "v": self._v, "sigma": self._sigma, "near": self._near}
-        state = {name: np.array(array.numpy()) for name, array in kept.items()}
-        return state | {"t": np.array(self.t), "moved": np.array(self._moved)}
-
-    def restore(self, state: dict[str, np.ndarray]) -> None:
-        """Go on from it, with the same bits."""
-        self._x.assign(state["near"])
-        self._find()
-        for array, name in ((self._x, "x"), (self._v, "v"), (self._sigma, "sigma")):
-            array.assign(state[name])
-        self.t, self._moved = float(state["t"]), float(state["moved"])
-        self._gather()
-        self._forces()
-
     def _gather(self) -> None:
         """Images of places and velocities; then densities and gradients."""
         for name in ("places", "images", "gather"):
@@ -173,12 +149,16 @@ class Particles:
         launch(kernels.place_images, len(parent), [self.fluid, self._parent], [self._x])
         x = self._x.numpy()[: self.fluid + len(parent)].copy()
         x[:, 0] %= self.period
-        row, neighbour, _ = neighbours(x, reach, (self.period, 8.0))
-        self._row, self._neighbour = ints(row[: self.fluid + 1]), ints(neighbour)
+        x[:, 1] %= 8.0  # images below the wall, far from all others
+        tree = cKDTree(x, boxsize=(self.period, 8.0))
+        pairs = tree.query_pairs(reach, output_type="ndarray")
+        pairs = np.concatenate([pairs, pairs[:, ::-1]])
+        pairs = pairs[np.lexsort(pairs.T[::-1])]
+        ends = np.searchsorted(pairs[:, 0], np.arange(self.fluid + 1))
+        neighbour = pairs[: ends[-1], 1].astype(np.int32)
+        self._row, self._neighbour = ints(ends), ints(neighbour)
         self._bond = empty(len(neighbour), dtype=wp.vec3d)
-        self._near = wp.clone(self._x)
         self._moved = 0.0
-        self.rebuilds += 1
         self._record()
 
 
@@ -230,18 +210,6 @@ class ChannelFlow:
         if not 2 * reach < self.length:
             raise InputError(f"channel: expected a period above {2 * reach:.3g}, got {self.length}")
 
-    def moved(self, material: Any, options: dict[str, Any]) -> Motion:
-        """From rest, of a law, of dumbbells or of what `in_cells` takes.
-
-        The options are those of run_channel: `until`, `dt`, `every`, `checkpoint`, `progress`. The
-        histories, by particle, are x and u [T, N, 2], stress [T, N, 4] and density [T, N]; the
-        details are a ChannelRecord.
-        """
-        (how,) = taken(options, "move", run_channel)
-        run = run_channel(self, in_cells(material, self.De, Particles(self).fluid), **how)
-        history = {"u": run.v, "x": run.x, "stress": run.sigma, "density": run.rho}
-        return Motion(run.t, run.v[-1], None, history, run)
-
     @property
     def spacing(self) -> float:
         """Between particles at the start."""
@@ -292,97 +260,27 @@ class ChannelRecord:
         total = [np.bincount(row, v[:, 0], bins) for row, v in zip(place, self.v)]
         return heights, np.array(total) / np.where(count, count, np.nan)
 
-    def save_csv(self, path: str | os.PathLike[str], bins: int = 30) -> None:
-        """A line a time: t, then the mean u in bins from wall to wall, nan in empty ones."""
-        heights, u = self.profile(bins)
-        head = "# time in t0 = L/U; u in U at y = " + ",".join(f"{y:.6g}" for y in heights)
-        rows = [",".join(f"{x:.12g}" for x in (t, *now)) for t, now in zip(self.t, u)]
-        write_text(path, "\n".join([head, *rows]) + "\n")
-
-    def save_vtu(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """One file a time, flow_0000.vtu and so on. Raises InputError without meshio."""
-        paths = []
-        for n, (x, v, s, rho) in enumerate(zip(self.x, self.v, self.sigma, self.rho)):
-            data = {"velocity": v, "density": rho}
-            data |= {f"stress_{name}": s[:, i] for i, name in enumerate(("xx", "xy", "yy", "zz"))}
-            cells = "vertex", np.arange(len(x))[:, None]
-            paths.append(write_vtu(Path(folder) / f"flow_{n:04d}.vtu", x, cells, data))
-        return paths
-
 
 def run_channel(
-    flow: ChannelFlow,
-    stress: Stress,
-    *,
-    until: float,
-    dt: float,
-    every: int = 10,
-    checkpoint: str | os.PathLike[str] | None = None,
-    progress: bool = False,
+    flow: ChannelFlow, fluid: Any, *, until: float, dt: float, every: int = 10
 ) -> ChannelRecord:
-    """Run from rest.
+    """Run from equilibrium.
 
     Args:
         flow: the channel.
-        stress: what its particles, `Particles(flow).fluid` of them, are made of; at rest.
+        fluid: a law, dumbbells, or what `in_cells` takes, of `Particles(flow).fluid` particles.
         until: time at the end [t0].
         dt: time step [t0].
         every: steps between two records.
-        checkpoint: file written at every tenth record, and with the last record when a run fails; a
-            run that finds its own goes on from it.
-        progress: whether to show a bar.
 
-    Raises InputError for a time step beyond `flow.longest_step`, a run shorter than one record, a
-    checkpoint of another run, and as Particles.step does.
+    Raises InputError for a time step beyond `flow.longest_step`, and as Particles.step does.
     """
-    _check(flow, until, dt, every)
-    particles, steps = Particles(flow), round(until / dt)
-    key = "" if checkpoint is None else fingerprint(flow, dt, every, key_of(stress))
-    kept: dict[str, list[Any]] = {name: [] for name in ("t", "x", "v", "sigma", "rho")}
-    first, own = 0, {f"particles_{name}": name for name in particles.state()}
-    file = ArrayFile(checkpoint, key, "another channel, fluid or time step")
-
-    def made(arrays: dict[str, np.ndarray]) -> tuple[Any, ...]:
-        state = {name: arrays[long] for long, name in own.items()}
-        return int(arrays["done"]), state, arrays["stress"], {n: list(arrays[n]) for n in kept}
-
-    if (found := file.read(made)) is not None:
-        first, there, fluid, kept = found
-        particles.restore(there)
-        stress.restore(fluid)
-
-    def state(done: int) -> dict[str, Any]:
-        content = {name: np.array(rows) for name, rows in kept.items()}
-        now = particles.state()
-        content |= {long: now[name] for long, name in own.items()}
-        return content | {"stress": stress.state(), "done": done}
-
-    good = state(first) if checkpoint is not None else {}
-    bar = tqdm(range(first, steps), disable=not progress, desc="channel", initial=first)
-    try:
-        for n in bar:
-            particles.step(stress, dt)
-            if (n + 1) % every:
-                continue
-            row = (particles.t, particles.x, particles.v, particles.sigma, particles.rho)
-            for name, value in zip(kept, row):
-                kept[name].append(np.array(value))
-            if checkpoint is None:
-                continue
-            good = state(n + 1)
-            if (n + 1) % (10 * every) == 0 or n + 1 == steps:
-                file.write(good)
-    except InputError:
-        file.write(good)
-        raise
-    asked = steps // every  # a checkpoint may have gone further
-    return ChannelRecord(*(np.array(rows[:asked]) for rows in kept.values()))
-
-
-def _check(flow: ChannelFlow, until: float, dt: float, every: int) -> None:
     check_time_step(dt, flow.longest_step)
-    if every < 1 or not until >= every * dt * (1 - 1e-9) or until == np.inf:
-        raise InputError(
-            f"run: expected every ≥ 1 and until of so many steps of {dt:g} or more, got {every} "
-            f"and {until}"
-        )
+    particles, rows = Particles(flow), []
+    stress = in_cells(fluid, flow.De, particles.fluid)
+    for n in range(round(until / dt)):
+        particles.step(stress, dt)
+        if (n + 1) % every == 0:
+            fields = (particles.x, particles.v, particles.sigma, particles.rho)
+            rows.append((particles.t, *(np.array(value) for value in fields)))
+    return ChannelRecord(*(np.array(each) for each in zip(*rows)))

@@ -2,38 +2,50 @@
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import cached_property, reduce
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from typing import Any, ClassVar
 
+import h5py
 import numpy as np
 import warp as wp
 from scipy.interpolate import CubicSpline
+from scipy.spatial import cKDTree
 
 from examples.polymer.closure import Pairs, start_pairs
-from examples.polymer.dumbbells import Ensembles, listed
-from examples.polymer.gaussian_process import GaussianProcess, bar, fit_process
+from examples.polymer.dumbbells import Ensembles
+from examples.polymer.gaussian_process import GaussianProcess, fit_process
 from examples.polymer.kernels.rate_tables import heun_steps
 from examples.polymer.laws import IDENTITY, carried
-from examples.polymer.learned import FORMAT, LearnedLaw
-from warp_peri.errors import InputError
+from warp_peri import InputError
 from warp_peri.launch import DEVICE, floats, zeros
-from warp_peri.points.arrays import check_whole
 
 KNOTS = 400
 """Of a table of one input."""
 MARGIN = 0.25
 """How far a table goes beyond the data, in their range; further out it is constant."""
+WIDER = 3.0
+"""A state is outside beyond so many times the widest gap between neighbours of the data."""
 
 
-class Rates(LearnedLaw):
-    """Processes of some components of the rate, beside what is known of all."""
+@dataclass(frozen=True)
+class Rates:
+    """Processes of some components of the rate, beside what is known of all.
 
-    PLACES: ClassVar[tuple[int, ...]]
+    Args:
+        processes: one a component.
+        kinematics: whether what the flow does to any stress is added to what they give.
+        outside: "warn", "refuse" or "allow" states far from the data.
+    """
+
+    processes: tuple[GaussianProcess, ...]
+    kinematics: bool
+    outside: str = "warn"
+    PLACES: ClassVar[tuple[int, ...]] = ()
     """The components of s that are learned."""
-    if TYPE_CHECKING:
-        kinematics: bool
 
     @staticmethod
     def inputs(K: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -44,35 +56,68 @@ class Rates(LearnedLaw):
         """What of dC/dt is not learned, shape [n, 4]."""
         raise NotImplementedError
 
-    def features(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
-        """Inputs in states [n, 4]."""
-        return self.inputs(K, C - IDENTITY)
-
     def learned(self, X: np.ndarray) -> list[np.ndarray]:
         """What the processes give at inputs [n, d]."""
-        return [process(X) for process in self.learned_from]
+        return [process(X) for process in self.processes]
 
     def rate(self, K: np.ndarray, C: np.ndarray) -> np.ndarray:
         """dC/dt of states [n, 4]."""
         rate = self.known(K, C)
-        for place, value in zip(self.PLACES, self.learned(self.features(K, C))):
+        for place, value in zip(self.PLACES, self.learned(self.inputs(K, C - IDENTITY))):
             rate[..., place] += value
         return rate
 
+    @cached_property
+    def _cloud(self) -> tuple[cKDTree, float]:
+        """Inputs of the data, scaled, and the widest gap between neighbours of them."""
+        first = self.processes[0]
+        tree = cKDTree(first.X / first.scale)
+        gap = np.quantile(tree.query(tree.data, k=2)[0][:, 1], 0.99)
+        return tree, float(max(gap, 1e-3))
 
-@dataclass(frozen=True)
-class RateLaw(Rates, format=FORMAT, kind="rate"):
-    """Three processes of (K, s_xx, s_xy, s_yy), and what is known beside them.
+    def check(self, K: np.ndarray, C: np.ndarray) -> None:
+        """Warn or refuse outside the data; InputError for a state that is none."""
+        if not np.isfinite(C).all():
+            raise InputError("stress: not finite under the learned law")
+        if self.outside == "allow":
+            return
+        tree, gap = self._cloud
+        far = tree.query(self.inputs(K, C - IDENTITY) / self.processes[0].scale)[0] / gap
+        if (far > WIDER).any():
+            said = (
+                f"{(far > WIDER).sum()} of {len(C)} states are outside the training data, the "
+                f"farthest {far.max():.3g} times their spacing"
+            )
+            if self.outside == "refuse":
+                raise InputError(said)
+            warnings.warn(said, UserWarning, stacklevel=3)
 
-    Args:
-        processes: of the rates of s_xx, s_xy, s_yy; s_zz relaxes by itself, −s_zz.
-        kinematics: whether K s + s Kᵗ + K + Kᵗ is added to what they give.
-        outside, provenance: as of others.
-    """
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """An HDF5 file of the processes' arrays and numbers, for `read_law`."""
+        with h5py.File(path, "w") as file:
+            file.attrs.update(law=type(self).__name__, kinematics=self.kinematics)
+            file.attrs["outside"] = self.outside
+            for n, process in enumerate(self.processes):
+                for name, value in asdict(process).items():
+                    file[f"{n}/{name}"] = value
 
-    processes: tuple[GaussianProcess, GaussianProcess, GaussianProcess]
-    kinematics: bool
-    PROCESSES, PLACES, TITLE = (), (0, 1, 2), "rate, {kernel} kernel"
+
+def read_law(path: str | os.PathLike[str]) -> Rates:
+    """A law that was saved."""
+    with h5py.File(path) as file:
+        processes = []
+        for n in range(len(file)):
+            numbers = {name: value[()] for name, value in file[str(n)].items()}
+            processes.append(GaussianProcess(**numbers | {"kernel": numbers["kernel"].decode()}))
+        kinds = {kind.__name__: kind for kind in (RateLaw, TabulatedRateLaw, ShearLaw)}
+        kinematics, outside = bool(file.attrs["kinematics"]), file.attrs["outside"]
+        return kinds[file.attrs["law"]](tuple(processes), kinematics, outside)
+
+
+class RateLaw(Rates):
+    """Three processes of (K, s_xx, s_xy, s_yy), and what is known beside them."""
+
+    PLACES = (0, 1, 2)
 
     @staticmethod
     def inputs(K: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -87,17 +132,13 @@ class RateLaw(Rates, format=FORMAT, kind="rate"):
 
     def tabulated(self) -> TabulatedRateLaw:
         """The same law by tables, of the additive kernel. Raises InputError for another."""
-        law: TabulatedRateLaw = self.as_law(TabulatedRateLaw)
-        return law
-
-
-@dataclass(frozen=True)
-class TabulatedRateLaw(RateLaw):
-    """Seven cubic splines in place of each process; beyond their ends they are constant."""
-
-    def __post_init__(self) -> None:
         if any(process.kernel != "additive" for process in self.processes):
             raise InputError("tables: expected processes with the additive kernel")
+        return TabulatedRateLaw(self.processes, self.kinematics, self.outside)
+
+
+class TabulatedRateLaw(RateLaw):
+    """Seven cubic splines in place of each process; beyond their ends they are constant."""
 
     @cached_property
     def _tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[CubicSpline]]:
@@ -152,19 +193,13 @@ class TabulatedRateLaw(RateLaw):
         return steps
 
 
-@dataclass(frozen=True)
-class ShearLaw(Rates, format=FORMAT, kind="shear"):
+class ShearLaw(Rates):
     """A process of (s_xy, K_xy); other components are not known and stay as they are.
 
-    Args:
-        process: of the rate, or of what is left of it.
-        kinematics: whether K_xy is added: what shear does to a fluid whose s_yy is zero.
-        outside, provenance: as of others.
+    With kinematics K_xy is added: what shear does to a fluid whose s_yy is zero.
     """
 
-    process: GaussianProcess
-    kinematics: bool
-    PLACES, TITLE = (1,), "shear rate"
+    PLACES = (1,)
 
     @staticmethod
     def inputs(K: np.ndarray, s: np.ndarray) -> np.ndarray:
@@ -178,20 +213,14 @@ class ShearLaw(Rates, format=FORMAT, kind="shear"):
         return rate
 
 
-LAW = TypeVar("LAW", bound=Rates)
-
-
-def _by_rounds(
-    pairs: Pairs, fitted: Callable[[np.ndarray], LAW], rounds: int, progress: bool | None
-) -> LAW:
+def _by_rounds(pairs: Pairs, fitted: Callable[[np.ndarray], Any], rounds: int) -> Any:
     """A law of pairs, fitted by the stresses [n, 4] that their rates belong to.
 
     From the second round on, increments over a window belong to its middle, where the law found
     before puts it: the noise of the data does not enter there.
     """
-    check_whole("rounds", rounds, 1)
     s = pairs.s
-    for _ in bar(rounds if pairs.window > 0 else 1, progress):
+    for _ in range(rounds if pairs.window > 0 else 1):
         law = fitted(s)
         s = pairs.s + pairs.window / 2 * law.rate(pairs.K, pairs.s + IDENTITY)
     return law
@@ -206,28 +235,30 @@ def learn_rate(
     outside: str = "warn",
     most: int = 1000,
     rounds: int = 3,
-    progress: bool | None = None,
 ) -> RateLaw:
-    """Learn the rate of the stress, from histories of gradient and stress alone.
+    """Learn the rate of the stress (theory, F20), from histories of gradient and stress alone.
 
     Args:
-        records: whose K and S are looked at, as of `read_trajectory`; or pairs made of them. Noise
-            that is known is used; that of `window_pairs` is learned.
+        records: whose K and stress are looked at, as of `read_trajectory`; or pairs made of them.
+            Noise that is known is used; that of `window_pairs` is learned.
         window: intervals of one increment, each from a start of its own; pairs have theirs.
-        kernel: of the processes; products of K and s need "second" or "product", or kinematics.
+        kernel: of the processes; products of K and s need "product", or kinematics.
         kinematics: whether what the flow does to any stress is taken as known.
         outside: what happens far from the data, "warn", "refuse" or "allow".
         most: increments of records used at most, evenly chosen; pairs are all used.
         rounds: fits, of which those after the first know the middle of a window.
-        progress: a bar of the fits; None shows one on a terminal.
-
-    Raises InputError for no records, and as start_pairs and fit_process do.
     """
     if isinstance(records, Pairs):
         pairs = records
     else:
-        every = [start_pairs(record, window) for record in listed(records)]
-        pairs = reduce(Pairs.joined, every).evenly(most)
+        several = [records] if isinstance(records, Ensembles) else list(records)
+        every = [start_pairs(record, window) for record in several]
+        if len({one.window for one in every}) != 1:
+            raise InputError("records: expected one or more of the same interval")
+        names = ("K", "s", "rate", "noise")
+        parts = {n: np.concatenate([getattr(one, n) for one in every]) for n in names}
+        pairs = Pairs(window=every[0].window, **parts)
+        pairs = pairs.some(pairs.spread(most))
     exact = not np.nan_to_num(pairs.noise, nan=1.0).any()
     known = None if exact or np.isnan(pairs.noise).any() else pairs.noise
 
@@ -238,40 +269,35 @@ def learn_rate(
             fit_process(X, target[:, place], kernel=kernel, mean=0.0, noise=noises[place])
             for place in RateLaw.PLACES
         )
-        return RateLaw(tuple(processes), kinematics, outside=outside)  # type: ignore[arg-type]
+        return RateLaw(tuple(processes), kinematics, outside)
 
-    return _by_rounds(pairs, fitted, rounds, progress)
+    law: RateLaw = _by_rounds(pairs, fitted, rounds)
+    return law
 
 
 def learn_shear(
-    records: Ensembles | Sequence[Ensembles],
+    record: Ensembles,
     *,
     window: int = 5,
     kinematics: bool = True,
     outside: str = "warn",
     most: int = 900,
     rounds: int = 2,
-    progress: bool | None = None,
 ) -> ShearLaw:
     """Learn from dumbbells in simple shear at several rates.
 
-    Increments belong to the start of their window and have the known noise of (F16). With
+    Increments belong to the start of their window and have a known noise (theory, F16). With
     kinematics the part of the increment that the flow makes, K_xy ⟨q_y q_y⟩, is measured on the
     dumbbells and taken off: its fluctuation, √(2/N) of the whole for a relaxation time, is the
     largest noise there is (theory, F21). Without, it is known as a covariance.
 
     Args:
-        records: of simple shear; one.
+        record: of simple shear.
         window: intervals of one increment.
-        kinematics, outside, rounds, progress: as of learn_rate.
+        kinematics, outside, rounds: as of learn_rate.
         most: windows used at most, evenly chosen.
-
-    Raises InputError for other than one record, and as start_pairs and fit_process do.
     """
-    several = listed(records)
-    if len(several) > 1:
-        raise InputError(f"records: expected one of simple shear, got {len(several)}")
-    (record,), pairs = several, start_pairs(several[0], window)
+    pairs = start_pairs(record, window)
     keep, target = pairs.spread(most), pairs.rate[:, 1]
     if kinematics:
         T = len(record.K) - window + 1
@@ -285,9 +311,10 @@ def learn_shear(
     def fitted(s: np.ndarray) -> ShearLaw:
         X = ShearLaw.inputs(few.K, s)
         process = fit_process(X, target, noise=noise, mean=0.0, iterations=40)
-        return ShearLaw(process, kinematics, outside=outside)
+        return ShearLaw((process,), kinematics, outside)
 
-    return _by_rounds(few, fitted, rounds, progress)
+    law: ShearLaw = _by_rounds(few, fitted, rounds)
+    return law
 
 
 def _stretch_noise(record: Ensembles, keep: np.ndarray, k: np.ndarray, window: float) -> np.ndarray:

@@ -8,7 +8,7 @@ docs/record/polymer.json has what came out.
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
@@ -46,7 +46,6 @@ from examples.polymer import (
 from examples.polymer.closure import Stress, exact_pairs, reached, window_pairs
 from examples.polymer.gaussian_process import fit_process
 from examples.polymer.laws import IDENTITY
-from examples.polymer.learn import relative
 from examples.polymer.particles import Particles, run_channel
 from examples.polymer.plane import run_plane
 from examples.prose import Table, print_tables
@@ -80,6 +79,11 @@ SMOOTHING, REACH = 1.5, 3.0
 """Length of the Gaussian in spacings, and its cut in lengths, as printed."""
 ACROSS, SHIFTS = (15, 30, 60), (0.0, 0.2)
 """Particles from wall to wall, and how far each is shifted, in spacings."""
+
+
+def relative(value: np.ndarray, truth: np.ndarray) -> float:
+    """Relative ℓ2 error in %."""
+    return float(100 * np.linalg.norm(value - truth) / np.linalg.norm(truth))
 
 
 def numbers(values: Iterable[float]) -> list[str]:
@@ -127,7 +131,7 @@ def printed_shear(record: Ensembles, seed: int) -> ShearLaw:
                 y.append(rate[inside].mean())
                 noise.append(max(rate[inside].var(), 1e-9))
     process = fit_process(np.array(X), np.array(y), noise=np.array(noise), mean=0.0)
-    return ShearLaw(process, False, outside="allow")
+    return ShearLaw((process,), False, "allow")
 
 
 def shear_law(name: str, De: float, count: int, seed: int) -> ShearLaw:
@@ -333,8 +337,11 @@ def whole_run(name: str) -> tuple[float, float, ChannelRecord]:
         fluid = CoupledDumbbells(Dumbbells(Particles(flow).fluid, n, common=True, seed=0), flow.De)
         run = run_channel(flow, fluid, until=END, dt=END / STEPS, every=STEPS // 50)
     else:
-        make = dict(zip(FLUIDS, (lambda: MAXWELL, partial(exact_law, 1000),
-                                 partial(channel_law, RECIPES[1]))))  # fmt: skip
+        make: dict[str, Callable[[], Any]] = {
+            FLUIDS[0]: lambda: MAXWELL,
+            FLUIDS[1]: partial(exact_law, 1000),
+            FLUIDS[2]: partial(channel_law, RECIPES[1]),
+        }
         law = make[name]()
         learned = time.process_time() - start
         run = flow_of(law)

@@ -56,7 +56,8 @@ def home(tmp_path_factory):
 
 
 SLOW = (
-    "how-to/arrays", "how-to/crystals", "how-to/error_bars", "how-to/free_edges",
+    "how-to/arrays", "how-to/crystals", "how-to/error_bars", "how-to/flow",
+    "how-to/free_edges",
     "how-to/heterogeneous", "how-to/horizon", "how-to/large", "how-to/lattices", "how-to/neural",
     "how-to/strains", "how-to/tissue", "tutorials/crystal", "tutorials/torch",
 )  # fmt: skip

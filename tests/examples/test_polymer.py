@@ -1,0 +1,164 @@
+"""Polymer flow: dumbbells, laws, plates and a channel against what is exact."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import check_grad
+
+from examples.exact import couette, oscillation, poiseuille
+from examples.polymer import (
+    ChannelFlow,
+    Closure,
+    CoupledDumbbells,
+    Dumbbells,
+    PlaneFlow,
+    RateLaw,
+    UpperConvectedMaxwell,
+    held,
+    homogeneous,
+    learn_rate,
+    learn_shear,
+    mixed,
+    read_law,
+    read_trajectory,
+    run_channel,
+    run_plane,
+    shear,
+    simulate,
+    start_pairs,
+)
+from examples.polymer.closure import exact_pairs, reached
+from examples.polymer.dumbbells import propagator
+from examples.polymer.gaussian_process import fit_process, unlikelihood
+from examples.polymer.particles import Particles
+from tests.support.problems import fitted_order
+from warp_peri import InputError
+from warp_peri.launch import set_threads, threads
+
+MAXWELL = UpperConvectedMaxwell()
+
+
+def test_a_step_of_dumbbells_is_exact_in_its_moments():
+    K, dt = np.array([0.3, 2.0, 0.5, -0.3]), 0.7
+    A = np.array([[0.3, 2.0], [0.5, -0.3]]) - np.eye(2) / 2
+    E = expm(np.block([[-A, np.eye(2)], [np.zeros((2, 2)), A.T]]) * dt)
+    P, L = propagator(K[None], dt)
+    lower = np.array([[L[0, 0], 0], [L[0, 1], L[0, 2]]])
+    assert np.abs(P[0, :4].reshape(2, 2) - E[2:, 2:].T).max() < 1e-14
+    assert np.abs(lower @ lower.T - E[2:, 2:].T @ E[:2, 2:]).max() < 1e-11
+    assert P[0, 4] ** 2 + L[0, 3] ** 2 == pytest.approx(1, abs=1e-14)
+
+
+def test_ensembles_follow_the_exact_law_and_any_threads_give_the_same_bits():
+    count, K = 40_000, mixed(8, 12, 1.0, hold=3, seed=2)
+    record = simulate(Dumbbells(8, count, seed=1), K, 0.25)
+    exact = homogeneous(MAXWELL, K, 0.25, parts=200)
+    xx, xy, yy, zz = np.moveaxis(exact, -1, 0)
+    deviation = np.sqrt(np.stack([2 * xx**2, xx * yy + xy**2, 2 * yy**2, 2 * zz**2], -1) / count)
+    error = (record.C - exact) / deviation
+    assert np.abs(error).max() < 4.5  # of 416 normal numbers
+    assert 0.8 < np.sqrt(np.mean(error**2)) < 1.2
+    before = threads()
+    set_threads(3)
+    again = simulate(Dumbbells(8, count, seed=1), K[:2], 0.25)
+    set_threads(before)
+    assert np.array_equal(again.C, record.C[:3])
+
+
+@pytest.mark.parametrize("kernel", ["product", "additive"])
+def test_a_process_finds_its_function_and_its_likelihood_has_the_right_slope(kernel):
+    random = np.random.default_rng(0)
+    X = random.normal(size=(60, 2))
+    y = np.sin(X[:, 0]) + X[:, 1] ** 2 / 4 + 1e-3 * random.normal(size=60)
+    process = fit_process(X, y, kernel=kernel)
+    new = random.uniform(-1, 1, (50, 2))
+    assert np.abs(process(new) - np.sin(new[:, 0]) - new[:, 1] ** 2 / 4).max() < 0.05
+    given = X[:20], y[:20], kernel, None
+    value, slope = (lambda t, n=n: unlikelihood(t, *given)[n] for n in (0, 1))
+    theta = np.array([0.1, 0.3, -0.2, -2.0])
+    assert check_grad(value, slope, theta, epsilon=1e-6) < 1e-4 * np.linalg.norm(slope(theta))
+
+
+def test_a_plane_flow_is_of_second_order_and_a_wall_moves_it():
+    omega, errors, sizes = 60.0, [], [16, 32, 64]
+    for cells in sizes:
+        flow = PlaneFlow(1e-3, 1e-2, cells, force=lambda t: 12 * (1 - np.cos(omega * t)))
+        run = run_plane(flow, MAXWELL, until=0.05, dt=flow.longest_step / 2, every=cells // 8)
+        exact = poiseuille(flow.faces, run.t, 1e-3, 1e-2, 12.0)
+        exact -= oscillation(flow.faces, run.t, 1e-3, 1e-2, 12.0, omega)
+        errors.append(np.linalg.norm(run.u - exact) / np.linalg.norm(exact))
+    assert 1.85 < fitted_order(1 / np.array(sizes), errors) < 2.15
+    flow = PlaneFlow(1.0, 10.0, 64, top=lambda t: 1.0)
+    run = run_plane(flow, MAXWELL, until=20.0, dt=0.02, every=50)
+    off = run.u - couette(flow.faces, run.t, 1.0, 10.0)
+    assert np.abs(off)[run.t > 8].max() < 0.01  # the front has faded
+    with pytest.raises(InputError, match="time step: expected up to"):
+        run_plane(flow, MAXWELL, until=1.0, dt=1.0)
+
+
+def test_a_learned_shear_law_moves_plates_as_dumbbells_do():
+    record = simulate(Dumbbells(9, 10_000), held(shear(np.linspace(-4, 4, 9)), 200), 0.025)
+    law = learn_shear(record, window=2, outside="allow")
+    flow = PlaneFlow(1.0, 10.0, 32, top=np.sin)
+    exact, learned = (
+        run_plane(flow, fluid, until=8.0, dt=0.02, every=20).u for fluid in (MAXWELL, law)
+    )
+    assert np.linalg.norm(learned - exact) < 0.02 * np.linalg.norm(exact)
+
+
+def test_a_rate_is_learned_from_exact_pairs_kept_in_a_file_and_marched_by_tables(tmp_path):
+    K, C = reached(MAXWELL, 80, 1.0)
+    law = learn_rate(exact_pairs(MAXWELL, K, C), outside="refuse")
+    new = reached(MAXWELL, 50, 0.7, seed=1)
+    truth = MAXWELL.rate(*new)
+    assert np.abs(law.rate(*new) - truth).max() < 5e-3 * np.abs(truth).max()
+    law.save(tmp_path / "law.h5")
+    again = read_law(tmp_path / "law.h5")
+    assert isinstance(again, RateLaw)
+    assert np.array_equal(again.rate(*new), law.rate(*new))
+    tables = law.tabulated()
+    assert np.abs(tables.rate(*new) - truth).max() < 5e-3 * np.abs(truth).max()
+    cells = [Closure(one, 0.1, 50) for one in (tables, MAXWELL)]
+    marched, exact = (cell.advance(10 * new[0], 1e-2) for cell in cells)
+    assert np.abs(marched - exact).max() < 5e-3 * np.abs(exact).max()
+    with pytest.raises(InputError, match="are outside the training data"):
+        law.check(50 * new[0], new[1])
+
+
+def test_histories_of_stress_teach_a_law(tmp_path):
+    files = []
+    for seed in range(3):
+        K = mixed(1, 80, 1.0, hold=10, seed=seed)
+        record = simulate(Dumbbells(1, 20_000, seed=seed), K, 0.1)
+        rows = [np.r_[0.2 * t, K[min(t, 79), 0] / 2, 3 * record.stress[t, 0]] for t in range(81)]
+        np.savetxt(tmp_path / f"{seed}.csv", rows, delimiter=",")
+        files.append(tmp_path / f"{seed}.csv")
+    records = [read_trajectory(file, 2.0, 3.0, 20_000) for file in files]
+    law = learn_rate(records, window=2, outside="allow")
+    K = mixed(1, 40, 0.8, seed=9)
+    found, exact = (homogeneous(one, K, 0.1) for one in (law, MAXWELL))
+    assert np.linalg.norm(found - exact) < 0.1 * np.linalg.norm(exact - exact[0])
+    assert len(start_pairs(records[0], 2)) == 40
+
+
+def test_the_channel_against_the_exact_flow():
+    flow = ChannelFlow(1e-3)
+    dt = 0.03 / np.ceil(0.03 / (0.9 * flow.longest_step))
+    run = run_channel(flow, MAXWELL, until=0.03, dt=dt)
+    y = np.linspace(0, 1, 401)
+    profile = poiseuille(y, run.t, flow.De, flow.Re, flow.force, modes=400)
+    exact = np.array([np.interp(x[:, 1], y, row) for x, row in zip(run.x, profile)])
+    assert np.linalg.norm(run.v[..., 0] - exact) < 0.0033 * np.linalg.norm(exact)
+    assert np.abs(run.rho - 1).max() < 1e-4
+    heights, u = run.profile(30)
+    assert np.nanmax(np.abs(u[-1] - np.interp(heights, y, profile[-1]))) < 0.02
+
+
+def test_dumbbells_under_every_particle_flow_as_the_law_does():
+    flow = ChannelFlow(1e-2, across=20, smoothing=1.2)
+    n = Particles(flow).fluid
+    fluids = MAXWELL, CoupledDumbbells(Dumbbells(n, 2000, common=True), flow.De)
+    exact, coupled = (run_channel(flow, fluid, until=0.01, dt=1e-4).v for fluid in fluids)
+    assert np.linalg.norm(coupled - exact) < 0.08 * np.linalg.norm(exact)
+    with pytest.raises(InputError, match="expected 4 ensembles"):
+        run_plane(PlaneFlow(1.0, 1.0, 4), Dumbbells(3, 10), until=0.1, dt=0.01)
