@@ -141,6 +141,16 @@ def test_types_by_number_are_elements_by_their_masses_and_asked_for_without(tmp_
     lammps_calculator("lj/cut 6.0; pair_coeff * * 0.1 2.0", ["Mg", "O"])
 
 
+def test_lines_with_charges_have_the_energy_of_madelung():
+    salt = ase.build.bulk("MgO", "rocksalt", a=4.2)
+    salt.calc = lammps_calculator(
+        "coul/long 6.0; pair_coeff * *; kspace_style ewald 1e-5; mass 1 24.305; mass 2 15.999; "
+        "set type 1 charge 1; set type 2 charge -1",
+        ["Mg", "O"],
+    )
+    assert salt.get_potential_energy() == pytest.approx(-1.747565 * 14.39964 / 2.1, rel=1e-4)
+
+
 def test_any_calculator_of_ase_does():
     found = wp.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
     assert off(found) < 0.005

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_108,
-    "tokens": 290_917,
-    "lines of warp_peri": 40_069,
+    "code lines": 24_106,
+    "tokens": 290_871,
+    "lines of warp_peri": 40_066,
     "lines of kernels": 1_414,
-    "lines of warp_peri, kernels, examples and tools": 54_224,
+    "lines of warp_peri, kernels, examples and tools": 54_221,
     "lines of the longest file": 697,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -31,7 +31,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2939,
+    "atoms": 2937,
     "cli": 1191,
     "core": 1747,
     "diffusion": 339,

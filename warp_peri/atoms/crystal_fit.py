@@ -301,22 +301,16 @@ def errors_of(atoms: ForceConstants, strained: np.ndarray | None, symmetry: Symm
     Of an exact potential the difference of finite strains from long waves.
     """
     if atoms.doubt is not None:
-        d = atoms.dimension
-        allowed = allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
-        return atoms.elastic_doubt(allowed, bent=True)
+        return atoms.elastic_doubt(_allowed(symmetry, atoms.dimension), bent=True)
     return None if strained is None else (strained - _of_long_waves(atoms, symmetry))[None]
 
 
+def _allowed(symmetry: Symmetry, d: int) -> np.ndarray:
+    return allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
+
+
 def _of_long_waves(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
-    d = atoms.dimension
-    return atoms.elastic(allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d)))
-
-
-def _off_long_waves(atoms: ForceConstants, strained: np.ndarray, symmetry: Symmetry) -> float:
-    """Largest difference of long waves' moduli from those of finite strains, over the largest."""
-    group = _group(atoms, symmetry)
-    off = np.abs(_of_long_waves(atoms, group) - strained).max()
-    return float(off / np.abs(strained).max())
+    return atoms.elastic(_allowed(symmetry, atoms.dimension))
 
 
 def _group(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:
@@ -374,7 +368,11 @@ def from_atoms(
     h = _spacing(spacing, reference.spacing, reference.dimension)
     constants, strained, taken = known_constants(reference, calculator, supercell, symmetry)
     said = reference.said | taken
-    if strained is not None and (off := _off_long_waves(constants, strained, symmetry)) > AGREE:
+    off = 0.0
+    if strained is not None:
+        waves = _of_long_waves(constants, _group(constants, symmetry))
+        off = float(np.abs(waves - strained).max() / np.abs(strained).max())
+    if off > AGREE:
         told = (
             f"those of long waves are {off:.1%} off those of finite strains: forces reach further "
             f"than {taken['force constants']}, or the calculator is not that precise"
@@ -398,8 +396,7 @@ def known_constants(
     the likeliest of both. Arguments are those of `from_atoms`.
     """
     atoms, told = force_constants(reference, calculator, supercell)
-    noise, d, group = reference.noise, atoms.dimension, _group(atoms, symmetry)
-    allowed = allowed_tensors(group, point_group(group, d), np.eye(d))
+    noise, allowed = reference.noise, _allowed(_group(atoms, symmetry), atoms.dimension)
     largest = STRETCH if noise is None else noise.strain
     rough = noise is not None and noise.rough > 0
     found = by_strains(reference.cell, calculator, largest, atoms, allowed, rough=rough)
