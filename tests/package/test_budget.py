@@ -37,6 +37,7 @@ ROOMS = {
     "diffusion": 339,
     "dynamics": 529,
     "face": 943,
+    "fe_coupling": 826,
     "files": 559,
     "fitting": 1321,
     "fracture": 1696,
