@@ -1,4 +1,4 @@
-"""Rows of a fit to the waves of another solid: D₀⁻¹ D e − e, the error of displacement (T9, M3)."""
+"""Rows of a fit to the waves of another solid: errors of displacement (theory, T9, M3)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def waves_against(
 
 
 def wave_errors(answer: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """‖D⁻¹ D₀ − I‖₂ at wave vectors, shape [..., d, d] to [...] (M4).
+    """‖D⁻¹ D₀ − I‖₂ at wave vectors, shape [..., d, d] to [...] (theory, M4).
 
     The largest relative error of displacement under a load at that wave vector.
     """
