@@ -6,7 +6,7 @@ import pytest
 from tests.support import reference
 from tests.support.problems import QUADRATURE
 from warp_peri import InputError
-from warp_peri.points.quadrature import family_weights, quadrature_weights
+from warp_peri.points.quadrature import quadrature_weights
 
 
 def lattice_family(horizon):
@@ -69,30 +69,3 @@ def test_a_family_on_one_line_is_refused():
     line = np.stack([np.delete(np.linspace(-1, 1, 41), 20), np.zeros(40)], axis=1)
     with pytest.raises(InputError, match="no weights are exact"):
         quadrature_weights(line, 1.0)
-
-
-def by_svd(xi, horizon):
-    """Smallest weights for exactness on q, by NumPy's pseudoinverse."""
-    r = np.hypot(*xi.T)
-    powers = [(p - b, b) for p in range(2, 6) for b in range(p + 1)]
-    rows = np.array(
-        [(xi[:, 0] / r) ** a * (xi[:, 1] / r) ** b * r ** (a + b - 3) for a, b in powers]
-    )
-    rows /= np.array([horizon ** (a + b - 3) for a, b in powers])[:, None]
-    angle = np.linspace(0, 2 * np.pi, 720, endpoint=False)
-    around = [2 * np.pi * np.mean(np.cos(angle) ** a * np.sin(angle) ** b) for a, b in powers]
-    exact = [value / (a + b - 1) for value, (a, b) in zip(around, powers)]
-    return np.linalg.pinv(rows, rcond=1e-12) @ exact * horizon**2
-
-
-def test_weights_of_many_families_are_the_smallest_ones():
-    random = np.random.default_rng(5)
-    lattice = np.stack(np.meshgrid(*2 * [np.arange(-3.0, 4)]), axis=-1).reshape(-1, 2)
-    lattice = lattice[np.hypot(*lattice.T) > 0]
-    lattice = lattice[np.hypot(*lattice.T) <= 3]  # few radii: conditions depend on each other
-    shaken = [lattice + random.uniform(-0.2, 0.2, lattice.shape) for _ in range(6)]
-    for families in (shaken, [lattice, *shaken]):
-        weights, residual = family_weights(np.array(families), 3.5)
-        assert residual.max() < 1e-11
-        for xi, found in zip(families, weights):
-            np.testing.assert_allclose(found, by_svd(xi, 3.5), rtol=0, atol=1e-11)

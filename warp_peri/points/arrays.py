@@ -154,6 +154,11 @@ def check_mapping(name: str, value: Any) -> None:
         raise InputError(f"{name}: expected values by name, as {{'name': …}}, got {value!r:.60}")
 
 
+def listed(nodes: np.ndarray) -> str:
+    """The first few node numbers."""
+    return ", ".join(str(i) for i in nodes[:8]) + (" …" if len(nodes) > 8 else "")
+
+
 def is_name(name: Any) -> bool:
     """Whether HDF5 takes it as the name of one thing."""
     return isinstance(name, str) and name not in ("", ".") and "/" not in name

@@ -316,8 +316,6 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
     missing = [key for key in _NEEDED if not isinstance(items.get(key), h5py.Dataset)]
     if missing:
         raise InputError(f"arrays missing: {', '.join(missing)}")
-    if group["interior"].dtype != bool:
-        raise InputError(f"interior: expected bool, got {group['interior'].dtype}")
     for key, item in items.items():
         if not isinstance(item, h5py.Dataset):
             raise InputError(f"{key}: expected an array")
@@ -326,23 +324,16 @@ def _read_points(group: h5py.Group, units: Units) -> Samples:
     for key in sorted(set(items) - set(FIELDS)):
         text = h5py.check_string_dtype(items[key].dtype) is not None
         extra[key] = items[key].asstr()[:] if text else items[key][()]
-    box = group.attrs.get("box")
     points = Points(
         fields["x"],
         fields["interior"],
         _attribute(group.attrs, "spacing"),
-        box=box,
+        box=group.attrs.get("box"),
         outside=fields["outside"],
         units=units,
-        axis=_axis(group.attrs) if "axis" in group.attrs else None,
+        axis=group.attrs.get("axis"),
     )
     return Samples(points, fields["u"], fields["b"], extra)
-
-
-def _axis(attributes: Mapping[str, Any]) -> Any:
-    """A rotation in space, else a number."""
-    turned = np.ndim(attributes["axis"]) == 2
-    return attributes["axis"] if turned else _attribute(attributes, "axis")
 
 
 def _text(value: Any) -> Any:

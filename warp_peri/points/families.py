@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bisect
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import lru_cache
 
@@ -16,7 +15,7 @@ from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.launch import ints, launch_slices, zeros
 from warp_peri.points import scattered
-from warp_peri.points.lattice import lattice_steps, neighbour_table
+from warp_peri.points.lattice import neighbour_table
 from warp_peri.points.quadrature import DEGREE, quadrature_weights
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
@@ -106,12 +105,6 @@ class Families:
             raise InputError("points: expected a lattice (spacing > 0), got scattered points")
         return self.lattice
 
-    @property
-    def bytes_per_bond(self) -> float:
-        """Memory of these arrays [bytes] over the number of bonds."""
-        held = (self.row, self.neighbour, self.reverse, self.r, self.weight, self.pattern)
-        return sum(array.nbytes for array in held) / len(self.neighbour)
-
 
 def bond_classes(
     spacing: float, horizon: float, *, degree: int = DEGREE, dimension: int = 2
@@ -180,93 +173,48 @@ def families_of(
     nodes are named by number.
     """
     x, interior, outside = points.x, points.interior, points.outside
-    if points.spacing > 0:
-        build = _lattice_families(points, horizon, degree)
-    else:
-        build = _scattered_families(points, horizon, degree)
-    row, neighbour, lacking = build.row, build.neighbour, build.lacking
-    has_broken = np.zeros(len(x), bool)
+    classes: BondClasses | None = None
+    if points.spacing > 0:  # one pattern of bonds for all nodes
+        classes = bond_classes(points.spacing, horizon, degree=degree, dimension=x.shape[1])
+        grid, axes, table, lacking = _lattice_table(points, classes)
+        row = np.arange(len(x) + 1, dtype=np.int64) * len(classes.steps)
+        neighbour = table.reshape(-1)
+    else:  # bonds, and weights of their own for each family
+        row, neighbour, r = scattered.neighbours(x, horizon * (1 + HORIZON_TOLERANCE), points.box)
+        scattered.refuse_alone(row)
+        reverse = scattered.reverse_bonds(row, neighbour)
+        lacking = np.zeros(len(x), bool)
+        if points.box is None:
+            lacking[scattered.cut_balls(x, horizon, len(neighbour))] = True
+    if row[-1] >= 2**31:
+        raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
+    row, has_broken = row.astype(np.int32), np.zeros(len(x), bool)
     if outside is not None:
         has_broken = _any_neighbour(row, neighbour, outside) & ~outside
         _break(row, neighbour, outside)
     needed = interior if bond_based else interior | _any_neighbour(row, neighbour, interior)
     if (lacking & needed).any():
         short = lacking if bond_based else lacking | _any_neighbour(row, neighbour, lacking)
-        fits = "" if bond_based else build.fits(interior)
+        fits = ""
+        if classes is not None and not bond_based:
+            fits = f"; {_largest_horizon(grid, interior, points.spacing, _unit(points))}"
         raise InputError(
             f"{BOND_COLLAR if bond_based else COLLAR}: {np.count_nonzero(short & interior)} of "
             f"{np.count_nonzero(interior)} have not at horizon {horizon:g} {_unit(points)}{fits} "
             f"(nodes {scattered.listed(np.flatnonzero(short & interior))})"
         )
-    nodes = (
-        np.flatnonzero(interior),
-        np.flatnonzero(needed & ~has_broken),
-        np.flatnonzero(needed & has_broken),
-    )
-    return build.finish(needed, nodes)
-
-
-@dataclass(frozen=True)
-class _Build:
-    """Families before it is known which nodes need them.
-
-    `lacking` are the nodes without a whole family, `fits` says which horizon the collar of an
-    interior would carry, and `finish` makes the families once it is known which nodes need weights.
-    """
-
-    row: np.ndarray
-    neighbour: np.ndarray
-    lacking: np.ndarray
-    fits: Callable[[np.ndarray], str]
-    finish: Callable[[np.ndarray, tuple[np.ndarray, np.ndarray, np.ndarray]], Families]
-
-
-def _lattice_families(points: PointsLike, horizon: float, degree: int) -> _Build:
-    """On a lattice: one pattern of bonds for all nodes."""
-    d = points.x.shape[1]
-    classes = bond_classes(points.spacing, horizon, degree=degree, dimension=d)
-    grid, axes, table, lacking = _lattice_table(points, classes)
-    row = _numbered(np.arange(len(points.x) + 1, dtype=np.int64) * len(classes.steps))
-    neighbour = table.reshape(-1)
-
-    def finish(_: np.ndarray, nodes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Families:
-        order = np.lexsort(classes.steps.T)
-        opposite = np.empty(len(order), dtype=np.int32)
-        opposite[order] = order[::-1]
-        pattern = classes.xi @ axes.T
-        tables = (classes.r, classes.weight, *nodes, pattern, classes)
-        return Families(row, neighbour, opposite, *tables)
-
-    def fits(interior: np.ndarray) -> str:
-        return f"; {_largest_horizon(grid, interior, points.spacing, _unit(points))}"
-
-    return _Build(row, neighbour, lacking, fits, finish)
-
-
-def _scattered_families(points: PointsLike, horizon: float, degree: int) -> _Build:
-    """On scattered points: bonds, and weights of their own for each family."""
-    x, box = points.x, points.box
-    row, neighbour, r = scattered.neighbours(x, horizon * (1 + HORIZON_TOLERANCE), box)
-    scattered.check_points(x, row, neighbour, r)
-    reverse = scattered.reverse_bonds(row, neighbour)
-    lacking = np.zeros(len(x), bool)
-    if box is None:
-        lacking[scattered.cut_balls(x, horizon, len(neighbour))] = True
-    row = _numbered(row)
-
-    def finish(needed: np.ndarray, nodes: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Families:
+    sides = needed & ~has_broken, needed & has_broken
+    nodes = [np.flatnonzero(one) for one in (interior, *sides)]
+    if classes is None:
         ends = np.where(neighbour < 0, -1 - neighbour, neighbour)
-        weight = scattered.weights(x, np.flatnonzero(needed), row, ends, box, horizon, degree)
+        some = np.flatnonzero(needed)
+        weight = scattered.weights(x, some, row, ends, points.box, horizon, degree)
         return Families(row, neighbour, reverse, r, weight, *nodes)
-
-    return _Build(row, neighbour, lacking, lambda interior: "", finish)
-
-
-def _numbered(row: np.ndarray) -> np.ndarray:
-    """First bonds of the nodes as int32."""
-    if row[-1] >= 2**31:
-        raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
-    return row.astype(np.int32)
+    order = np.lexsort(classes.steps.T)
+    reverse = np.empty(len(order), dtype=np.int32)
+    reverse[order] = order[::-1]
+    tables = classes.r, classes.weight, *nodes, classes.xi @ axes.T, classes
+    return Families(row, neighbour, reverse, *tables)
 
 
 def squared_reach(ratio: float) -> int:
@@ -279,7 +227,7 @@ def _lattice_table(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Lattice steps of the nodes, axes, the node at each bond's end [N, B], who lacks some."""
     h, box, size = classes.spacing, points.box, None
-    grid, axes = lattice_steps(points)
+    grid, axes = nodes_of(points).lattice
     reach = int(np.abs(classes.steps).max())
     d = len(axes)
     if box is not None:
@@ -354,7 +302,7 @@ def carried_horizon(points: PointsLike) -> float:
     h = points.spacing
     if points.box is not None:
         return float(min(points.box)) / 4
-    grid, _ = lattice_steps(nodes_of(points))
+    grid, _ = nodes_of(points).lattice
     there = np.zeros(grid.max(axis=0) + 3, bool)
     there[tuple((grid + 1).T)] = True
     clear = distance_transform_edt(there)[tuple((grid[points.interior] + 1).T)]

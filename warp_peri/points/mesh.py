@@ -145,7 +145,7 @@ class Mesh:
 
 
 def make_mesh(
-    x: ArrayLike,
+    x: Any,
     cells: ArrayLike,
     parts: Mapping[str, ArrayLike] | None = None,
     middle: Mapping[tuple[int, int], ArrayLike] | None = None,

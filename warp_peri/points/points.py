@@ -2,18 +2,45 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import check_whole, checked, is_number
+from warp_peri.points.arrays import check_whole, checked, is_number, listed
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 from warp_peri.shown import Shown
 
 ROTATION, TWICE = 1e-6, 1e-9
 """That a rotation may be off; distance of nodes at one place, over the mean one of neighbours."""
+
+
+SHAPES = {2: "square", 3: "cubic"}
+SPARSE = "points: expected a {} lattice of spacing {}{}, but no two points are that close"
+LATTICE_TOLERANCE = 1e-6
+"""Largest distance of a node from its lattice position, in spacings."""
+
+EMPTY_SHARE, SMALL_TABLE = 1000, 10**7
+"""The table of lattice places around the nodes may be so much larger than their number, or so
+large; beyond that the nodes are too far apart to be one body."""
+LARGEST_TABLE = 2**30
+"""Places that can be numbered, with room for a margin."""
+
+
+class Lattice(NamedTuple):
+    """Where the nodes of a lattice lie.
+
+    Attributes:
+        steps: of the nodes from its corner, shape [N, d] int32.
+        axes: directions of the lattice as columns, shape [d, d].
+    """
+
+    steps: np.ndarray
+    axes: np.ndarray
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -135,6 +162,12 @@ class Points(Shown):
         """2 in the plane, 3 in space."""
         return int(self.x.shape[1])
 
+    @cached_property
+    def lattice(self) -> Lattice:
+        """Where the nodes of a lattice lie; InputError for others, naming points off it."""
+        check_lattice(self)
+        return straight_steps(self.x, self.spacing, " " + symbols(self.units)[0])
+
     @property
     def is_plain_lattice(self) -> bool:
         """Whether it is a lattice that neither repeats nor has broken bonds."""
@@ -158,3 +191,69 @@ def refuse_twice(x: np.ndarray) -> None:
         pairs = pairs[np.lexsort(pairs.T[::-1])]
         named = ", ".join(f"{a} and {b}" for a, b in pairs[:5])
         raise InputError(f"points: {len(pairs)} duplicates: {named}{' …' * (len(pairs) > 5)}")
+
+
+def check_lattice(points: Any) -> None:
+    """Raise InputError for scattered points, saying what carries samples from there."""
+    if points.spacing == 0:
+        raise InputError(
+            "points: expected a lattice, got scattered points; "
+            "transfers.onto_lattice(samples, spacing=…) carries samples to one"
+        )
+
+
+def straight_steps(x: np.ndarray, h: float, unit: str = "") -> Lattice:
+    """Where nodes of a lattice of spacing h lie, whose axes are those of x where it is along them.
+
+    Raises InputError naming points off the lattice, and for nodes too far apart to be one body.
+    """
+    places, d = np.prod(np.ptp(x, axis=0) / h + 1), x.shape[1]
+    if places > max(SMALL_TABLE, min(EMPTY_SHARE * len(x), LARGEST_TABLE)):
+        raise InputError(
+            f"points: {len(x)} nodes spread over {places:.1e} lattice places; expected one body"
+        )
+    axes = np.eye(d)
+    place = (x - x[0]) / h
+    off = np.abs(place - np.rint(place)).max(axis=1)
+    if np.median(off) > LATTICE_TOLERANCE:  # else it is straight, and few nodes are off it
+        axes = _axes(x, h, unit)
+        place = (x - x[0]) @ axes / h
+        off = np.abs(place - np.rint(place)).max(axis=1)
+    if len(far := np.flatnonzero(off > LATTICE_TOLERANCE)):
+        raise InputError(
+            f"points: expected a {SHAPES[d]} lattice of spacing {h}{unit}; off it: {listed(far)}, "
+            f"by up to {h * float(off.max()):.2g}{unit}, where {LATTICE_TOLERANCE * h:.1g}{unit} "
+            f"({LATTICE_TOLERANCE:g} spacings) are allowed: are positions rounded?"
+        )
+    grid = np.rint(place).astype(np.int32)
+    if np.gcd.reduce(grid, axis=None) != 1:
+        raise InputError(SPARSE.format(SHAPES[d], h, unit))
+    return Lattice(grid - grid.min(axis=0), axes)
+
+
+def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
+    """Of the directions of nearest-neighbour bonds, as near to the coordinates as can be named, and
+    then those that fit all positions best."""
+    some = x[:: max(1, len(x) // 2000)]
+    pairs = cKDTree(x).query_ball_point(some, h * (1 + LATTICE_TOLERANCE))
+    step = np.concatenate([x[near] - at for near, at in zip(pairs, some)]) / h
+    step = step[np.linalg.norm(step, axis=1) > 0.5]
+    if not len(step):
+        raise InputError(SPARSE.format(SHAPES[x.shape[1]], h, unit))
+    frame = [step[0] / np.linalg.norm(step[0])]
+    if x.shape[1] == 2:
+        frame.append(np.array([-frame[0][1], frame[0][0]]))
+    else:
+        across = step[np.abs(step @ frame[0]) < 0.1]
+        if not len(across):
+            raise InputError("points: expected a cubic lattice, got nodes along one line")
+        second = across[0] - (across[0] @ frame[0]) * frame[0]
+        frame.append(second / np.linalg.norm(second))
+        frame.append(np.cross(*frame))
+    d, columns = len(frame), np.stack(frame, axis=1)
+    orders, signs = itertools.permutations(range(d)), itertools.product((1, -1), repeat=d)
+    turns = [columns[:, order] * sign for order, sign in itertools.product(orders, signs)]
+    axes: np.ndarray = max(turns, key=np.trace)
+    grid = np.rint((x - x[0]) @ axes / h)
+    U, _, V = np.linalg.svd((x - x.mean(axis=0)).T @ (grid - grid.mean(axis=0)))
+    return np.asarray(U @ V)

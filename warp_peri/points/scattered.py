@@ -10,10 +10,9 @@ from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
 from warp_peri.kernels import quadrature as quadrature_kernels
 from warp_peri.launch import floats, ints, launch, launch_slices, zeros
+from warp_peri.points.arrays import listed as listed
 from warp_peri.points.quadrature import INDEPENDENT, RESIDUAL, conditions, family_weights
 
-COINCIDENT = 1e-6
-"""Points closer than this fraction of the horizon are one point given twice."""
 BATCH_BONDS = 10_000
 """Bonds whose weights are solved for at once by the SVD, where normal equations will not do."""
 FAMILY = 50
@@ -78,17 +77,10 @@ def reverse_bonds(row: np.ndarray, neighbour: np.ndarray) -> np.ndarray:
     return bonds
 
 
-def check_points(x: np.ndarray, row: np.ndarray, neighbour: np.ndarray, r: np.ndarray) -> None:
-    """Refuse points given twice and points without a neighbour, naming them."""
-    horizon = r.max(initial=0.0)
-    twice = np.flatnonzero(r <= COINCIDENT * horizon)
-    if len(twice):
-        i = np.searchsorted(row, twice, side="right") - 1
-        pairs = np.unique(np.sort(np.stack([i, neighbour[twice]], axis=1), axis=1), axis=0)
-        named = ", ".join(f"{a} and {b}" for a, b in pairs[:5])
-        raise InputError(f"points: {len(pairs)} duplicates: {named}{' …' * (len(pairs) > 5)}")
+def refuse_alone(row: np.ndarray) -> None:
+    """Refuse points without a neighbour, naming them."""
     alone = np.flatnonzero(np.diff(row) == 0)
-    if len(alone) == len(x):
+    if len(alone) == len(row) - 1:
         raise InputError(
             "horizon: expected at least the spacing of the points, but no two are that close"
         )
@@ -175,8 +167,3 @@ def weights(
         )
     answer: np.ndarray = weight
     return answer
-
-
-def listed(nodes: np.ndarray) -> str:
-    """The first few node numbers."""
-    return ", ".join(str(i) for i in nodes[:8]) + (" …" if len(nodes) > 8 else "")
