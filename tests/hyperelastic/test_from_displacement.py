@@ -83,13 +83,16 @@ def test_sensitivities_are_slopes_of_the_solved_displacement(frames):
     path = Search(frames, sheet(1.0, 1.5), (0.0, np.inf), True, uneven)
     c = path.scaled(TRUTH)
     path.begin(c)
+    assert path.balance()
+    assert path.linearise()
     reduced, gap = path.equations[:, :-1], path.equations[:, -1]
     gradient = 2 * reduced.T @ gap
     numbers = path.now
 
     def loss(values):
-        problem, _ = path._moved(values[len(c) :])
-        return path._solve(problem, values[: len(c)])[1].sum()
+        path.move(values - path.now)
+        assert path.balance()
+        return path.loss()
 
     for n in range(len(numbers)):
         step = 1e-4 * max(abs(numbers[n]), 0.1) * np.eye(len(numbers))[n]

@@ -150,13 +150,15 @@ class Sections:
 
 SCALE_WEIGHT = 1e3
 """Of the equation that fixes the initial stiffness, before it is met exactly."""
-TOGETHER, NEAR = 10, (0.03, 0.1)
-"""Steps of unknowns and fields at once, until fields move by such parts of their errors at most: by
-the unknowns, and to equilibrium, off which slopes and errors have the same noise."""
-DAMPING = (1e-9, 1e-6, 1e-3)
-"""Levenberg's: least, that of a step from the optimum, first."""
-STALE = 0.1
-"""Part of the loss: a step that lowers it by less leaves the slopes as they are."""
+NEAR = (0.03, 0.1)
+"""Parts of their errors that fields move by at most, by the unknowns and to equilibrium, where the
+slopes stay as they are and equilibria are solved for."""
+DAMPING, MOST_DAMPING = (1e-9, 1e-6, 1e-3), 1e3
+"""Of Levenberg: least, that of a step from the optimum, first; that of the last that is tried."""
+TRIES = 4
+"""Steps that are tried for each that is asked for, those with more damping included."""
+NO_ERROR = 1e-8
+"""Of fields that no unknowns could fit better."""
 STIFFEN = 30.0
 """Largest ratio of a deviation that is stiffer than the sheet at rest to itself before a step."""
 NO_FORCE = {"stresses": "scaled to a stiffness of one at rest, no force is known"}
@@ -171,7 +173,7 @@ class DisplacementFit:
     Attributes:
         material: with an initial stiffness (H14) of `scale`.
         errors: relative error of the solved displacement of every training frame.
-        history: root mean square of those errors after every step that solves for equilibria.
+        history: root mean square of those errors after every step.
         frames_left_out: frames that it does not stand on: no equilibrium was found at the start.
         thickness: of the sheet, where it was an unknown.
         others: the same with each frame left out in turn, by one Gauss-Newton step from here, with
@@ -193,7 +195,11 @@ class DisplacementFit:
 
 
 class Search:
-    """Where the search stands: unknowns, solved fields, loss."""
+    """Where the search stands: unknowns, fields and what both are to first order.
+
+    A step of Gauss and Newton moves unknowns and fields at once, so that it costs a tangent a frame
+    and no equilibrium; these are solved for where fields move little.
+    """
 
     def __init__(
         self,
@@ -235,20 +241,26 @@ class Search:
             raise InputError("dictionary: expected an energy with stiffness at rest")
         self.moving = fibres_of(dictionary) if moving else []
         self.fields = self.data.copy()
-        self.squares = np.full(len(self.data), np.inf)
         self.c = np.zeros(len(dictionary))
-        self.linear: dict[int, tuple[np.ndarray, Any]] = {}
-        self.stale, self.growth = False, STIFFEN
+        self.linear: dict[int, tuple[np.ndarray, np.ndarray, Any]] = {}
+        self.equations_of: dict[int, np.ndarray] = {}
+        self.growth = STIFFEN
 
     @property
-    def loss(self) -> float:
-        """Sum of squared relative errors."""
-        return float(self.squares[self.kept].sum())
+    def equations(self) -> np.ndarray:
+        """Rows whose squared sum is the loss: slopes by the unknowns, and errors as they are."""
+        return np.concatenate([np.zeros((0, len(self.now) + 1)), *self.equations_of.values()])
+
+    def loss(self, change: Any = 0.0) -> float:
+        """Sum of squared relative errors in equilibrium after a change of the unknowns, to first
+        order."""
+        rows = self.equations
+        return float(((rows[:, :-1] @ (change + 0 * self.now) + rows[:, -1]) ** 2).sum())
 
     @property
     def rms(self) -> float:
         """Root mean square of the relative errors."""
-        return float(np.sqrt(self.loss / len(self.kept)))
+        return float(np.sqrt(self.loss() / len(self.kept)))
 
     def scaled(self, c: np.ndarray) -> np.ndarray:
         """The same material with an initial stiffness of one."""
@@ -283,33 +295,75 @@ class Search:
     ) -> DisplacementFit:
         """The whole search from coefficients c, or from a known fit where that promises more."""
         name = progress if isinstance(progress, str) else "Gauss-Newton"
-        bar = tqdm(range(most_steps), desc=name, disable=not progress, leave=False)
-        start, near = vars(self).copy(), self.approached(c, known)
-        try:
-            self.begin(near)
-        except NoEquilibrium:
-            if near is c:
-                raise
-            self.left_out = [*range(len(self.data))]
-        if self.left_out and near is not c:  # the first coefficients may keep what these lose
-            vars(self).update(start)
-            self.begin(c)
-        damping, history = DAMPING[2], [self.rms]
+        bar = tqdm(range(TRIES * most_steps), desc=name, disable=not progress, leave=False)
+        self.begin(c, known)
+        damping, history, near, balanced = DAMPING[2], [self.rms], False, False
         for _ in bar:
-            before, last = self.loss, not self.promising(tolerance)
-            damping = self.step(damping, last=last)
+            before, loss, last = vars(self).copy(), self.loss(), not self.promising(tolerance)
+            near = self.move(self.nearest(self.equations, damping) - self.now) or last
+            found = self.balance() if near else self.linearise()
+            rises = not self.loss() <= (1 + tolerance) * loss and (balanced or not near)
+            if not found or rises:
+                vars(self).update(before)
+                damping, self.growth = max(100 * damping, DAMPING[1]), STIFFEN
+                if last or damping > MOST_DAMPING:
+                    break
+                if not balanced:  # what the equations promise may be what fields lack
+                    balanced = self.balance()
+                    if not (balanced and self.promising(tolerance) and self.linearise()):
+                        break
+                continue
+            damping, balanced = max(damping / 10, DAMPING[0]), near
+            self.growth = STIFFEN
             history.append(self.rms)
             bar.set_postfix(error=f"{100 * self.rms:.3f} %")
-            if last or not self.loss < (1 - tolerance) * before:
+            goes_on = self.promising(tolerance) if near else self.loss() < (1 - tolerance) * loss
+            if not goes_on or (near and not self.linearise()):
                 break
+        if not balanced:
+            self.balance()
+            history.append(self.rms)
         stretch = largest_stretch(self.problem.op, self.data)
         each = self.linear if len(self.linear) > 1 else ()
         fit, *others = [self._fit(left, stretch) for left in ([], *([n] for n in each))]
         return replace(fit, history=history, others=others, fields=self.fields)
 
+    def promising(self, tolerance: float) -> bool:
+        """Whether the equations promise a step that lowers the loss by more than a fraction."""
+        change = self.nearest(self.equations, DAMPING[0]) - self.now
+        return self.rms > NO_ERROR and self.loss(change) < (1 - tolerance) * self.loss()
+
+    def begin(self, c: np.ndarray, known: DisplacementFit | None = None) -> None:
+        """Begin at the measured fields, or those of a known fit where they promise more.
+
+        Where a tangent there is not positive definite, at equilibria of the first coefficients;
+        what has none is left out.
+        """
+        starts, begun, least = [(c, self.data, 1.0)], vars(self).copy(), np.inf
+        if known is not None and known.fields is not None:
+            starts.append((self.scaled(known.material.coefficients), known.fields, STIFFEN))
+        for self.c, self.fields, self.growth in starts:  # stiffer ones would add to noise at first
+            if self.linearise():
+                left = self.loss(self.nearest(self.equations, DAMPING[2]) - self.now)
+                if left < least:
+                    begun, least = vars(self).copy(), left
+        vars(self).update(begun)
+        if least < np.inf:
+            return
+        self.c, self.fields = c, self.data.copy()
+        found = {n: self.problem.find(c, None, u, start=u) for n, u in enumerate(self.data)}
+        self.kept = [n for n, equilibrium in found.items() if equilibrium]
+        self.left_out = [n for n in found if n not in self.kept]
+        for n in self.kept:
+            self.fields[n] = found[n].u
+        if not (self.kept and self.linearise()):
+            raise NoEquilibrium("no frame has an equilibrium with the first coefficients")
+
     def _fit(self, left: list[int], stretch: float) -> DisplacementFit:
         """What is here, or one step from here with some frames left out, in the scale of forces."""
-        K, numbers, errors = len(self.c), self.now, np.sqrt(self.squares)
+        K, numbers, errors = len(self.c), self.now, np.full(len(self.data), np.inf)
+        for n, rows in self.equations_of.items():
+            errors[n] = np.linalg.norm(rows[:, -1])
         if left:
             rest = [rows for n, rows in self.equations_of.items() if n not in left]
             numbers = self.nearest(np.concatenate(rest), DAMPING[1])
@@ -338,135 +392,61 @@ class Search:
         rms = float(np.sqrt(np.delete(errors**2, left).mean()))
         return DisplacementFit(solid, errors, [rms], left, thickness, scale=scale, scatter=scatter)
 
-    def approached(self, c: np.ndarray, known: DisplacementFit | None = None) -> np.ndarray:
-        """Coefficients after steps that move unknowns and fields at once, from the measured fields.
+    def linearise(self) -> bool:
+        """Derivatives of the fields by all unknowns in the order of `now`, Newton's step to
+        equilibrium, and the equations of the errors there.
 
-        A step costs a tangent a frame and no equilibrium. They end where one does not lower the
-        errors that the equations tell, where a tangent is not positive definite or a field folds.
+        False where a tangent is not positive definite, or a field folds.
         """
-        starts, begun, least = [(c, self.data, 1.0)], vars(self).copy(), np.inf
-        if known is not None and known.fields is not None:
-            starts.append((self.scaled(known.material.coefficients), known.fields, STIFFEN))
-        for self.c, self.fields, self.growth in starts:  # stiffer ones would add to noise at first
-            if self.linearise(ahead=True):
-                change = self.nearest(self.equations, DAMPING[2]) - self.now
-                if (left := self._after(change)) < least:
-                    begun, least = vars(self).copy(), left
-        vars(self).update(begun)
-        if least == np.inf:
-            return c
-        damping = DAMPING[2]
-        for _ in range(TOGETHER):
-            before = vars(self).copy()
-            change = self.nearest(self.equations, damping) - self.now
-            fields, squares = self.fields.copy(), np.zeros(2)
-            for n, (slopes, _) in self.linear.items():
-                for k, way in enumerate([slopes @ change, slopes[:, : len(c)] @ self.c]):
-                    away = way.reshape(-1, 2)
-                    fields[n, self.inner] += away
-                    squares[k] += ((away * self.seen[n]) ** 2).sum() / self.size[n] ** 2
-            if min(map(self.problem.op.smallest_area, fields)) <= SMALLEST_AREA:
-                break
-            loss, left = self._after(0 * change), self._after(change)
-            moved = self.now + change
-            self.problem, self.thickness = self._moved(moved[len(c) :])
-            self.c, self.fields, self.stale, self.growth = moved[: len(c)], fields, True, STIFFEN
-            if (squares <= np.square(NEAR) * left).all():
-                break
-            if not self.linearise(ahead=True) or self._after(0 * change) > loss:
-                vars(self).update(before)
-                break
-            damping = max(damping / 10, DAMPING[0])
-        self.growth = STIFFEN
-        return self.c
-
-    def begin(self, c: np.ndarray) -> None:
-        """Solve all frames with the first coefficients; what has no equilibrium is left out."""
-        fields, squares = self._solve(self.problem, c)
-        self.left_out = [n for n in self.kept if not np.isfinite(squares[n])]
-        self.kept = [n for n in self.kept if np.isfinite(squares[n])]
-        if not self.kept:
-            raise NoEquilibrium("no frame has an equilibrium with the first coefficients")
-        self.c, self.fields, self.squares = c, fields, squares
-        if self.linear.keys() >= set(self.kept):
-            self.linear, self.stale = {n: self.linear[n] for n in self.kept}, True
-            self._reduce()
-        else:
-            self.linearise()
-
-    def _solve(
-        self, problem: StaticProblem, c: np.ndarray, change: np.ndarray | None = None
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Fields of all kept frames, and their squared relative errors; infinite where none.
-
-        They are looked for from where a change of the unknowns leads, to first order.
-        """
-        fields, squares = self.fields.copy(), np.full(len(self.data), np.inf)
+        op, self.linear = self.problem.op, {}
         for n in self.kept:
-            start = self.fields[n].copy()
-            slopes, near = self.linear.get(n, (None, None))
-            if change is not None and slopes is not None:
-                start[self.inner] += (slopes @ change).reshape(-1, 2)
-                if problem.op.smallest_area(start) <= SMALLEST_AREA:
-                    start = self.fields[n]
-            equilibrium = problem.find(c, None, self.data[n], start=start, near=near)
-            if equilibrium is None and near is not None and change is None:
-                equilibrium = problem.find(c, None, self.data[n], start=self.data[n])
-            if equilibrium is None:
-                if self.squares[n] < np.inf:
-                    return fields, squares
-                continue
-            fields[n] = equilibrium.u
-            gap = (equilibrium.u - self.data[n])[self.inner] * self.seen[n]
-            squares[n] = (gap**2).sum() / self.size[n] ** 2
-        return fields, squares
-
-    def linearise(self, *, ahead: bool = False) -> bool:
-        """Derivatives of the fields by all unknowns in the order of `now`; whether all are stable.
-
-        With the reduced equations of their errors, a Newton step `ahead` where they are no
-        equilibria.
-        """
-        op = self.problem.op
-        linear: dict[int, tuple[np.ndarray, Any]] = {}
-        for n in self.kept:
-            u = self.fields[n]
-            factor = self.problem.factors(self.c, u)[0]
-            if factor is None:
-                continue
+            u, factors = self.fields[n], None
+            if op.smallest_area(u) > SMALLEST_AREA:
+                factors = self.problem.factors(self.c, u)[0]
+            if factors is None:
+                return False
             F = [columns(op, u, self.moving, self.c)]
             if self.thickness is not None:
                 slopes = op.by_thickness(u, self.c, self.thickness.slopes(self.x))
                 F.append(slopes.reshape(len(F[0]), -1))
-            linear[n] = -factor.solve(np.concatenate(F, axis=1)), factor.rough()
-        self.linear, self.stale = linear, False
-        self._reduce(ahead=ahead)
-        return len(linear) == len(self.kept)
+            J = -factors.solve(np.concatenate(F, axis=1))
+            # the force is linear in the coefficients, and so are Newton's steps
+            self.linear[n] = J, J[:, : len(self.c)] @ self.c, factors.rough()
+        self._reduce()
+        return True
 
-    def _reduce(self, *, ahead: bool = False) -> None:
+    def _reduce(self) -> None:
         """The equations of the errors of every frame, as triangles."""
         self.equations_of = {}
-        for n, (J, _) in self.linear.items():
-            gap = (self.fields[n] - self.data[n])[self.inner].reshape(-1, 1)
-            if ahead:  # the force is linear in the coefficients, and so are Newton's steps
-                gap += J[:, : len(self.c)] @ self.c[:, None]
-            rows = np.concatenate([J, gap], axis=1) / self.size[n]
-            rows *= np.repeat(self.seen[n], 2, axis=0)
-            self.equations_of[n] = triangle([rows])
+        for n, (J, away, _) in self.linear.items():
+            gap = (self.fields[n] - self.data[n])[self.inner].ravel() + away
+            rows = np.column_stack([J, gap]) / self.size[n]
+            self.equations_of[n] = triangle([rows * np.repeat(self.seen[n], 2, axis=0)])
 
-    @property
-    def equations(self) -> np.ndarray:
-        """Rows whose squared sum is the loss: slopes by the unknowns, and errors as they are."""
-        return np.concatenate([np.zeros((0, len(self.now) + 1)), *self.equations_of.values()])
+    def move(self, change: np.ndarray) -> bool:
+        """Move unknowns, and fields to first order; whether these move little."""
+        squares, left, self.fields = np.zeros(2), self.loss(change), self.fields.copy()
+        for n, (J, away, _) in self.linear.items():
+            for k, way in enumerate(((J @ change).reshape(-1, 2), away.reshape(-1, 2))):
+                self.fields[n, self.inner] += way
+                squares[k] += ((way * self.seen[n]) ** 2).sum() / self.size[n] ** 2
+        numbers, K = self.now + change, len(self.c)
+        self.problem, self.thickness = self._moved(numbers[K:])
+        self.c = numbers[:K]
+        return bool((squares <= np.square(NEAR) * left + NO_ERROR**2).all())
 
-    def _after(self, change: np.ndarray) -> float:
-        """The loss after a change of the unknowns, to first order, as the equations have it."""
-        return float(((self.equations @ np.array([*change, 1.0])) ** 2).sum())
-
-    def promising(self, tolerance: float) -> bool:
-        """Whether the equations promise a step that lowers the loss by more than a fraction."""
-        change = self.nearest(self.equations, DAMPING[0]) - self.now
-        return self._after(change) < (1 - tolerance) * self.loss
+    def balance(self) -> bool:
+        """Solve for all equilibria, slopes as they are; False where one is not found."""
+        self.fields = self.fields.copy()
+        for n, (J, away, near) in self.linear.items():
+            given = self.c, None, self.data[n]
+            found = self.problem.find(*given, start=self.fields[n], near=near)
+            found = found or self.problem.find(*given, start=self.fields[n])
+            if found is None:
+                return False
+            self.fields[n], self.linear[n] = found.u, (J, 0 * away, near)
+        self._reduce()
+        return True
 
     def nearest(self, equations: np.ndarray, damping: float) -> np.ndarray:
         """Unknowns between their bounds that meet the equations best, as Levenberg damps them."""
@@ -477,33 +457,6 @@ class Search:
         moved = between(J, J @ now - r, now, self._bounds(now), damping, self._scale(len(now)))
         moved[:K] = now[:K] if self.held else self.scaled(np.maximum(moved[:K], 0.0))
         return moved
-
-    def step(self, damping: float, *, last: bool = False) -> float:
-        """One step of Gauss, Newton and Levenberg; the next damping.
-
-        The last one, of which little is promised, goes by the slopes that are there.
-        """
-        if self.stale and not last and not self.linearise():
-            return damping
-        K, now = len(self.c), self.now
-        for _ in range(1 if last else 8):
-            moved = self.nearest(self.equations, damping)
-            problem, thickness = self._moved(moved[K:])
-            before, loss = vars(self).copy(), self.loss
-            fields, squares = self._solve(problem, moved[:K], moved - now)
-            if squares[self.kept].sum() < loss:
-                self.problem, self.c, self.fields, self.squares = (
-                    problem, moved[:K], fields, squares,
-                )  # fmt: skip
-                self.thickness = thickness
-                self.stale = last or self.loss > (1 - STALE) * loss
-                if self.stale:
-                    self._reduce()
-                if self.stale or self.linearise():
-                    return max(damping / 10, DAMPING[0])
-                vars(self).update(before)
-            damping = max(10 * damping, 1e-6)
-        return damping
 
     @property
     def now(self) -> np.ndarray:
