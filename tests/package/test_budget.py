@@ -39,7 +39,6 @@ ROOMS = {
     "face": 943,
     "fe_coupling": 826,
     "files": 559,
-    "fe_coupling": 826,
     "fitting": 1321,
     "fracture": 1696,
     "learning": 935,
