@@ -7,7 +7,8 @@ gradient. λ − μ (`bulk`) and μ are one number, or one value a place, each f
 
 On a lattice all places share the bonds row[0] to row[1], of which own = far. A field lies in
 planes: component a of sample s at place q is planes[s, a P + q], and LANES places next to one
-another go through a bond together, in vector registers. Scattered points, and a lattice with broken
+another go through a bond together, in vector registers; a bond and its opposite, which follow one
+another, go through the operator's sweeps as one. Scattered points, and a lattice with broken
 bonds, lie as they are numbered, node by node; each has bonds row[q] to row[q + 1] of its own, and
 one lane. A broken bond leads nowhere, end[e] = 0, and has stiffness 0.
 
@@ -61,22 +62,58 @@ OWN = """
     for (int a = 0; a < DIM; ++a)
         x[a] = component(f, 0, a);
 """
-DILATATION = """
+PAIRS = """
+    for (int e = row.data[0]; e < row.data[1]; e += 2) {
+        const REAL* v = (const REAL*)(bond.data + e);
+        const REAL k = own.data[e];
+        const int to = end.data[e];
+"""
+DILATATION = {
+    False: OWN
+    + """
     V total = 0;
     BONDS
         total += (ALIKE ? REAL(DIM) * k : REAL(DIM)) * along(f, x);
     }
     into(of_place(theta), total);
-"""
-FORCE = """
-    const REAL* t = of_place(theta);
+""",
+    True: """
+    const REAL* f = of_node(planes);
+    V total = 0;
+    PAIRS
+        for (int a = 0; a < DIM; ++a)
+            total += (REAL(DIM) * k * v[a]) * (component(f, to, a) - component(f, -to, a));
+    }
+    into(of_place(theta), total);
+""",
+}
+DENSITY = {
+    False: """
     const V mine = BULK(0) * number_at(t, 0);
-    V out[DIM] = {};
     BONDS
         const V far = BULK(to) * number_at(t, to);
-        const auto shear = REAL(DIM * (DIM + 2)) * v[DIM] * MEAN;
+        const auto shear = REAL(DIM * (DIM + 2)) * v[DIM] * MEAN(to);
         const V density = ALIKE ? (SPREAD * k) * (mine + far) + k * shear * along(f, x)
                                 : SPREAD * (k * mine + l * far) + shear * along(f, x);
+""",
+    True: """
+    PAIRS
+        V bent = 0;  // ξ·(μ u(ξ) − μ u) of both
+        for (int a = 0; a < DIM; ++a)
+            bent += v[a] * BENT;
+        const V spread = BULK(to) * number_at(t, to) - BULK(-to) * number_at(t, -to);
+        const REAL shear = REAL(DIM * (DIM + 2)) * v[DIM] * k;
+        const V density = (SPREAD * k) * spread + SHEAR * bent;
+""",
+}
+BENT = {
+    False: "((component(f, to, a) + component(f, -to, a)) - 2 * x[a])",
+    True: "(MEAN(to) * (component(f, to, a) - x[a]) + MEAN(-to) * (component(f, -to, a) - x[a]))",
+}
+FORCE = """
+    const REAL* t = of_place(theta);
+    V out[DIM] = {};
+    DENSITY
         for (int a = 0; a < DIM; ++a)
             out[a] -= density * v[a];
     }
@@ -108,7 +145,7 @@ SLOPES = """
         }
         const REAL shear = REAL(DIM * (DIM + 2)) * v[DIM];
         const V far = BULK(to) * number_at(t, to);
-        bar += push * (SPREAD * (mine + far) + (shear * MEAN) * ahead) + pull * ahead;
+        bar += push * (SPREAD * (mine + far) + (shear * MEAN(to)) * ahead) + pull * ahead;
         total += (ALIKE ? k * shear : shear) * ahead * along(g, y);
         KEEP
     }
@@ -167,13 +204,18 @@ def sweeps(scalar, dimension, *, lattice, fields):
     lanes = BYTES // wp.types.type_size_in_bytes(scalar) if lattice else 1
     vector = "__attribute__((ext_vector_type(LANES), aligned(sizeof(REAL))))"
     words = {
-        "BONDS": BONDS, "KEEP": KEEP[lattice], "VECTOR": vector if lattice else "",
+        "DENSITY": DENSITY[lattice], "BENT": BENT[fields],
+        "SHEAR": "shear" if fields else "(shear * MEAN(to))",
+        "PAIRS": PAIRS, "BONDS": BONDS, "KEEP": KEEP[lattice], "VECTOR": vector if lattice else "",
         "COUNT": "piece.c[2]" if lattice else "1", "FAMILY": "0" if lattice else "base",
         "APART": "theta.shape[1]" if lattice else "1", "NODE": "1" if lattice else "DIM",
         "BULK(0)": "number_at(bulk_at, 0)" if fields else "REAL(1)",
         "BULK(to)": "number_at(bulk_at, to)" if fields else "REAL(1)",
+        "BULK(-to)": "number_at(bulk_at, -to)" if fields else "REAL(1)",
         "SPREAD": "REAL(DIM)" if fields else "(REAL(DIM) * bulk.data[0])",
-        "MEAN": "(number_at(mu_at, 0) + number_at(mu_at, to))" if fields else "(2 * mu.data[0])",
+        "MEAN(to)": "(number_at(mu_at, 0) + number_at(mu_at, to))" if fields
+        else "(2 * mu.data[0])",
+        "MEAN(-to)": "(number_at(mu_at, 0) + number_at(mu_at, -to))",
     }  # fmt: skip
     numbers = {"DIM": dimension, "LANES": lanes, "REAL": f"wp::{scalar.__name__}"}
 
@@ -198,7 +240,7 @@ def sweeps(scalar, dimension, *, lattice, fields):
             text = text.replace(word, str(value))
         return wp.func_native(unpacked(Law) + text)
 
-    phases = {"laid": LAID, "needed": either(OWN + DILATATION), "asked": either(OWN + FORCE)}
+    phases = {"laid": LAID, "needed": either(DILATATION[lattice]), "asked": either(OWN + FORCE)}
     return SimpleNamespace(
         Law=Law,
         lanes=lanes,

@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_004,
-    "tokens": 289_744,
-    "lines of warp_peri": 39_939,
-    "lines of kernels": 1_414,
-    "lines of warp_peri, kernels, examples and tools": 54_094,
+    "code lines": 24_008,
+    "tokens": 289_764,
+    "lines of warp_peri": 39_941,
+    "lines of kernels": 1_456,
+    "lines of warp_peri, kernels, examples and tools": 54_138,
     "lines of the longest file": 650,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -42,7 +42,7 @@ ROOMS = {
     "fitting": 1321,
     "fracture": 1696,
     "learning": 935,
-    "materials": 5362,
+    "materials": 5366,
     "neural": 1015,
     "points": 1711,
     "prediction": 887,

@@ -87,11 +87,6 @@ class Solid:
                 )
         check_influence(found["alpha"].item(), D.reshape(-1) if D.ndim == 0 else D)
 
-    @property
-    def bond_based(self) -> bool:
-        """Whether λ = μ: then no dilatation enters (theory, 42), and a collar of δ is enough."""
-        return bool(self.lam == self.mu)
-
     def values(self) -> tuple[Any, ...]:
         """λ, μ, α and D."""
         return self.lam, self.mu, self.alpha, self.D

@@ -147,9 +147,17 @@ def rows_of(points: Points, families: Families, scalar: Any) -> Layout | None:
         pieces(home[families.whole], home[families.whole]),
         pieces(home[:0], home[:0]),
     )
+    pairs = np.argsort(np.minimum(np.arange(len(steps)), families.reverse), kind="stable")
     row, places_in = np.array([0, len(steps)]), int(sides.prod() + 2 * room)
     return Layout(
-        True, row, steps @ stride, _bond(families.pattern), places_in, (at, owner), home, *of
+        True,
+        row,
+        steps[pairs] @ stride,
+        _bond(families.pattern[pairs]),
+        places_in,
+        (at, owner),
+        home,
+        *of,
     )
 
 

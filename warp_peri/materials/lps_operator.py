@@ -194,9 +194,8 @@ class LPSOperator(OnPoints):
         numbers: list[Any] = [] if parameters is None else list(parameters.values())
         values = [one.numpy() for one in numbers] or list(self.learnable.values())
         for (name, own), value in zip(self.learnable.items(), values):
-            if np.size(value) != np.size(own):
-                got = f"expected {np.size(own)} numbers, as the model has, got {np.size(value)}"
-                raise InputError(f"{name}: {got}")
+            if (got := np.size(value)) != (size := np.size(own)):
+                raise InputError(f"{name}: expected {size} numbers, as the model has, got {got}")
         asked = any(one.requires_grad for one in numbers[:2])
         check_bond_based(bonds, values[0], values[1], asked)
         felt = evaluate(bonds, self._fields(u.numpy()), bonds.law(*values))
