@@ -20,7 +20,7 @@ BUDGET = {
     "tokens": 289_764,
     "lines of warp_peri": 39_941,
     "lines of kernels": 1_456,
-    "lines of warp_peri, kernels, examples and tools": 54_138,
+    "lines of warp_peri, kernels, examples and tools": 53_728,
     "lines of the longest file": 650,
     "lines of the longest function": 94,
     "parameters of one function": 13,
