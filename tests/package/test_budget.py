@@ -17,7 +17,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 24_008,
-    "tokens": 289_764,
+    "tokens": 289_769,
     "lines of warp_peri": 39_941,
     "lines of kernels": 1_456,
     "lines of warp_peri, kernels, examples and tools": 53_728,

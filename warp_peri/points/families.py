@@ -203,8 +203,8 @@ def families_of(
             f"{np.count_nonzero(interior)} have not at horizon {horizon:g} {_unit(points)}{fits} "
             f"(nodes {scattered.listed(np.flatnonzero(short & interior))})"
         )
-    sides = needed & ~has_broken, needed & has_broken
-    nodes = [np.flatnonzero(one) for one in (interior, *sides)]
+    whole, cut = np.flatnonzero(needed & ~has_broken), np.flatnonzero(needed & has_broken)
+    nodes = np.flatnonzero(interior), whole, cut
     if classes is None:
         ends = np.where(neighbour < 0, -1 - neighbour, neighbour)
         some = np.flatnonzero(needed)
