@@ -200,8 +200,7 @@ def lps_elsewhere() -> Entries:
     leaves = [torch.tensor(v, dtype=torch.double, requires_grad=True) for v in numbers.values()]
     load = torch.from_numpy(rough(points, seed=6)).requires_grad_()
     given = wp.Dirichlet(points, load, torch.from_numpy(waves(points, 1, 0.02)[0]))
-    asked = wp.methods.Solid(*leaves)
-    u = wp.solve(law, given, solver=wp.Direct(), parameters=asked).u
+    u = wp.solve(law, given, solver=wp.Direct(), parameters=dict(zip(numbers, leaves))).u
     slopes = torch.autograd.grad((u**2).sum(), [*leaves, load])
     for name, slope in zip([*numbers, "load"], slopes):
         yield f"slope of an answer by {name}", "resolved", slope.numpy(), 1e-9

@@ -16,9 +16,9 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_008,
-    "tokens": 289_769,
-    "lines of warp_peri": 39_941,
+    "code lines": 24_009,
+    "tokens": 289_767,
+    "lines of warp_peri": 39_942,
     "lines of kernels": 1_456,
     "lines of warp_peri, kernels, examples and tools": 53_728,
     "lines of the longest file": 650,
@@ -39,7 +39,7 @@ ROOMS = {
     "face": 943,
     "fe_coupling": 826,
     "files": 559,
-    "fitting": 1321,
+    "fitting": 1322,
     "fracture": 1696,
     "learning": 935,
     "materials": 5366,

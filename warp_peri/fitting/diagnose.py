@@ -201,9 +201,9 @@ def _families(samples: Samples, operator: Any, drawn: np.ndarray) -> dict[str, n
     inner = invariant_basis(model.horizon / h, group)
     every = invariant_basis(np.sqrt((stencil.steps**2).sum(axis=1).max()), group)
     bonds = invariant_basis(model.horizon / h, np.array([np.eye(d), -np.eye(d)], int))
-    symmetry, turn = getattr(model, "symmetry", "isotropic"), getattr(model, "orientation", None)
-    group = point_group(symmetry, d)
-    allowed = allowed_tensors(symmetry, group, np.eye(d) if turn is None else turn)
+    symmetry = getattr(model, "symmetry", "isotropic")
+    turn = getattr(model, "orientation", np.eye(d))
+    allowed = allowed_tensors(symmetry, point_group(symmetry, d), turn)
     allowed = np.linalg.qr(allowed.reshape(len(allowed), -1).T)[0]
     grid = grid_of(samples.points, every.steps, least=stencil.reach)
     grid = replace(grid, interior=grid.interior[drawn])
@@ -264,7 +264,8 @@ class _Fit:
     def _others(self, right: np.ndarray) -> np.ndarray:
         """Rows times right sides [G, S, E, D] over the samples outside each part, [K, G, F, D]."""
         each = self.rows.swapaxes(-1, -2) @ right
-        return each.sum(axis=1) - np.array([each[:, part].sum(axis=1) for part in self.parts])
+        inside = np.array([each[:, part].sum(axis=1) for part in self.parts])
+        return np.asarray(each.sum(axis=1) - inside)
 
     def _solved(self, along: np.ndarray, grams: np.ndarray, ridge: float) -> np.ndarray:
         least = ridge**2 * np.trace(grams, axis1=-2, axis2=-1) + TINY
