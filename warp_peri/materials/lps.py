@@ -377,8 +377,7 @@ class Model(Record, format="warp_peri.model"):
 
     def check_proofs(self) -> None:
         """As of a Record, on every spacing that the model is said to be certified on."""
-        figures = by_spacing("certificate", self.certificate, self.certified_on)
-        group = lattice_group(self.dimension)
+        figures, group = by_spacing(self), lattice_group(self.dimension)
         for spacing in dict.fromkeys((*self.certified_on, *figures)):
             each, stencil = figures.get(spacing, {}), lps_stencil(self, spacing)
             if (bound := each.get("symbol_bound")) is not None:
@@ -442,9 +441,10 @@ class Model(Record, format="warp_peri.model"):
                 ("E, ν", f"{shown_moduli(self.units, (self.E,))}, {self.nu:.3g}"),
             ]
         else:
-            fields = (("λ", np.asarray(self.lam)), ("μ", np.asarray(self.mu)))
-            ends = ((name, shown_moduli(self.units, (x.min(), x.max()))) for name, x in fields)
-            rows = [(f"{name}, least and largest", shown) for name, shown in ends]
+            rows = [
+                (f"{name}, least and largest", shown_moduli(self.units, (np.min(x), np.max(x))))
+                for name, x in (("λ", self.lam), ("μ", self.mu))
+            ]
         rows += [
             ("horizon", f"{self.horizon:g} {length}"),
             ("K", f"degree {self.degree}, α = {self.alpha:.3g}"),
@@ -455,25 +455,23 @@ class Model(Record, format="warp_peri.model"):
         return rows + error_rows(self.errors)
 
 
-def by_spacing(
-    key: str, figures: dict[str, Any], known: tuple[float, ...]
-) -> dict[float, dict[str, Any]]:
-    """Figures of a certificate by the spacing that they are of, one of those known to all digits.
+def by_spacing(model: Model) -> dict[float, dict[str, Any]]:
+    """Figures of its certificate by the spacing that they are of, to all digits where certified.
 
-    Raises InputError naming the key for figures of none.
+    Raises InputError for figures of none.
     """
-    exact, found = {f"{h:g}": h for h in known}, {}
-    for name, each in figures.items():
+    exact, found = {f"{h:g}": h for h in model.certified_on}, {}
+    for name, each in model.certificate.items():
         try:
             found[exact.get(name) or float(each.get("spacing", name))] = each
         except (AttributeError, TypeError, ValueError):
-            raise InputError(f"{key}: expected figures of a spacing, got {name!r:.50}") from None
+            raise InputError(f"certificate: expected spacings, got {name!r:.50}") from None
     return found
 
 
 def statements(model: Model) -> dict[float, str]:
     """What is proven of a model by the spacing of the lattice, made of the numbers."""
-    figures = by_spacing("certificate", model.certificate, model.certified_on)
+    figures = by_spacing(model)
     bounds = {h: each.get("symbol_bound") for h, each in figures.items()}
     about = model.units, model.dimension
     return {h: statement_of(h, c, *about) for h, c in bounds.items() if c is not None}
