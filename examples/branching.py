@@ -21,6 +21,8 @@ from warp_peri.ranks import gather, is_first, partition
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
+SI, PS = ("m", "Pa"), 1e-12
+"""Units of length and stress; a picosecond, in which motions are timed [s]."""
 DAMAGED = 0.35
 """φ from which a node counts as on a crack."""
 
@@ -28,9 +30,9 @@ DAMAGED = 0.35
 def glass(h: float, ratio: float) -> tuple[BrittleSolid, wp.Cracked, np.ndarray]:
     """The solid, its plate, and nodes whose bonds do not break."""
     mu = 72e9 * 3 / 8  # λ = μ: ν = 1/3 in plane stress
-    model = wp.Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h)
+    model = wp.Model(lam=mu, mu=mu, alpha=1.0, D=np.ones(1), horizon=ratio * h, units=SI)
     solid, x = BrittleSolid(model, 2440.0, toughness=135.0), rectangle(0.1, 0.04, h)
-    points = partition(wp.Points(x, np.ones(len(x), bool), h))
+    points = partition(wp.Points(x, np.ones(len(x), bool), h, units=SI))
     edge = np.abs(points.x[:, 1:]) > 0.02 - h
     load = np.where(edge, np.sign(points.x) * (0.0, 12e6 / h), 0.0)
     plate = wp.Cracked(points, load, cracks=[[(-0.051, 0.0), (0.0, 0.0)]])
@@ -65,9 +67,10 @@ def main(arguments: list[str] | None = None) -> int:
     h = given.spacing
     solid, plate, no_fail = glass(h, given.ratio)
     x, step = gather(plate.points, plate.points.x), given.share * solid.longest_step(h)
-    every = max(1, round(given.time / step) // 100)
+    steps = round(given.time / PS / step)
+    every = max(1, steps // 100)
     run = wp.move(
-        solid, plate, step=step, steps=every * (round(given.time / step) // every), every=every,
+        solid, plate, step=step, steps=every * (steps // every), every=every,
         no_fail=no_fail, watch={"tip": lambda phi: tip(x, phi)},
         series=given.out / "series" if given.series else None,
     )  # fmt: skip
@@ -76,7 +79,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     nu, mu = 1 / 3, solid.model.mu
     rayleigh = np.sqrt(mu / solid.density) * (0.862 + 1.14 * nu) / (1 + nu)  # Viktorov's fit
-    runs = [(t, s) for t, s in zip(run.time, run["tip"]) if 2e-3 < s < 0.045]
+    runs = [(t, s) for t, s in zip(PS * run.time, run["tip"]) if 2e-3 < s < 0.045]
     width = max(3, len(runs) // 8)
     windows = (np.transpose(runs[k : k + width]) for k in range(len(runs) - width + 1))
     speed = max((np.polyfit(*part, 1)[0] for part in windows), default=np.nan)

@@ -16,8 +16,8 @@ from warp_peri import Cracked
 from warp_peri.damage import BrittleSolid, Injected, box, contour_integral, energy_release, penny
 
 PICTURE = ROOT / "runs" / "penny_crack.png"
-UNITS = ("mm", "GPa")  # with µs, densities are in g/cm³
-LAM, MU, DENSITY, TOUGHNESS = 21.0, 26.0, 2.45, 3.8e-6  # 1 J/m² is 1e-6 GPa mm
+UNITS = ("mm", "GPa")
+LAM, MU, DENSITY, TOUGHNESS = 21.0, 26.0, 2450.0, 3.8e-6  # kg/m³; 1 J/m² is 1e-6 GPa mm
 NU = LAM / (2 * (LAM + MU))
 E = 2 * MU * (1 + NU)
 
@@ -99,7 +99,7 @@ if __name__ == "__main__":
     axes[1].hlines(y - 2 * np.sign(y), y[0, 0], y[1, 0], color="C1")
     axes[1].set_ylim(-0.75 * count, 0.75 * count)
     figure.colorbar(image, ax=axes[1], label="share of broken bonds")
-    axes[2].plot(motion.time, stress)
+    axes[2].plot(1e-6 * motion.time, stress)
     axes[2].set(xlabel="time [µs]", ylabel="stress over Griffith's", title="The block unloads")
     headline(figure, "A round crack, pulled apart, runs to the faces of its block")
     PICTURE.parent.mkdir(exist_ok=True)

@@ -136,7 +136,7 @@ def test_in_motion_force_and_energy_are_those_of_the_matrix(d, share, monkeypatc
     assert energy.sum() == pytest.approx(u.ravel() @ L @ u.ravel() / 2, rel=1e-12)
     stiffest = np.linalg.eigvalsh(L.toarray())[-1]
     assert stiffest < 1.05 * largest_stiffness(brittle.model, body.classes)
-    assert moving.longest_step < 2 * np.sqrt(brittle.density / stiffest)
+    assert moving.longest_step < 2 * np.sqrt(brittle.inertia / stiffest)
 
 
 def test_few_bonds_are_no_measure_of_a_gradient_in_motion():

@@ -236,8 +236,6 @@ def test_what_cannot_be_pulled_is_refused():
     ):
         with pytest.raises(InputError, match=words):
             SoftBody(model, body, law, **options)
-    with pytest.raises(InputError, match="expected the horizon 4"):
-        SoftBody(Model(1.0, 1.0, 1.0, np.ones(1), 4.0), body, law, ends)
     soft, u, line = SoftBody(model, body, law, ends), body.x * (0, 1), [(-7, 0.1), (7, 0.1)]
     for given, loads, across, words in (
         (u, [], line, "one factor or more"),

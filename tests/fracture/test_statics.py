@@ -264,8 +264,6 @@ def test_contours_and_lengths_that_make_no_sense_are_refused():
         short.solve(None, u[:, 0])
     with pytest.raises(InputError, match="u: expected finite values"):
         short.solve(None, u + np.nan)
-    with pytest.raises(InputError, match="body: expected the horizon 4"):
-        CutSolid(Model(1.0, 1.0, 1.0, np.ones(1), 4.0), body, ~points.interior)
 
 
 def test_a_body_with_cracks_is_solved_as_any_other_problem():

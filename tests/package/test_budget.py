@@ -16,11 +16,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 24_007,
-    "tokens": 289_712,
-    "lines of warp_peri": 39_940,
+    "code lines": 23_994,
+    "tokens": 289_730,
+    "lines of warp_peri": 39_927,
     "lines of kernels": 1_456,
-    "lines of warp_peri, kernels, examples and tools": 53_726,
+    "lines of warp_peri, kernels, examples and tools": 53_716,
     "lines of the longest file": 650,
     "lines of the longest function": 94,
     "parameters of one function": 13,
@@ -40,7 +40,7 @@ ROOMS = {
     "fe_coupling": 826,
     "files": 559,
     "fitting": 1322,
-    "fracture": 1696,
+    "fracture": 1683,
     "learning": 935,
     "materials": 5364,
     "neural": 1015,

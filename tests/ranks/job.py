@@ -261,7 +261,7 @@ def rest(folder):
         lambda: wp.solve(solid(2), wp.Dirichlet(sheet, *map(torch.tensor, fields(sheet.x))),
                          parameters={"mu": torch.tensor(0.4, requires_grad=True)}),
         lambda: partition(wp.Points(everywhere, inside(everywhere), 0.0)),
-        lambda: wp.move(BrittleSolid(solid(2), 2.5, toughness=1.0),
+        lambda: wp.move(BrittleSolid(solid(2), 2500.0, toughness=1.0),
                         wp.Cracked(sheet, pressure=np.eye(2)), step=0.1, steps=1),
         lambda: lattice((8, 52), H, inside, block=8) if comm.size > 1 else partition(1, by="hue"),
     )]  # fmt: skip
@@ -282,7 +282,7 @@ def at_the_door():
         wp.move(material or solid(2), problem, **SWING | {"steps": 4} | options)
 
     def broken(at=-5.0, toughness=1e-4, watched=1.0, **options):
-        glass = BrittleSolid(replace(solid(2), horizon=2.5, certified_on=()), 2.5, toughness)
+        glass = BrittleSolid(replace(solid(2), horizon=2.5, certified_on=()), 2500.0, toughness)
         body = Cracked(plate, cracks=[[(-10.5, 0.0), (at, 0.0)]])
         watch = {"some": lambda phi: watched * phi.max()}
         given = {"step": 0.5 * glass.longest_step(1.0), "steps": 4, "watch": watch}
@@ -294,7 +294,7 @@ def at_the_door():
         "problem": [partial(moved, problem=wp.Dirichlet(sheet, None if one else b, u)),
                     lambda: wp.solve(solid(2), wp.Dirichlet(sheet, b, u[None] if one else u))],
         "density": [partial(moved, density=2000.0 + one)],
-        "step": [partial(moved, step=1e-3 / (1 + one)), partial(broken, step=0.01 / (1 + one))],
+        "step": [partial(moved, step=1e-3 / (1 + one)), partial(broken, step=1e-3 / (1 + one))],
         "steps": [partial(moved, steps=4 + one), partial(broken, steps=4 + one)],
         "signal": [partial(moved, signal=np.arange(5.0 + one)[:5] + one)],
         "solver": [lambda: wp.solve(solid(2), wp.Dirichlet(sheet, b, u),
@@ -313,7 +313,9 @@ def crack(folder, by="rows", steps="60", pause="0"):
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0, units=("mm", "GPa")), by)
     x = points.x
     glass = BrittleSolid(
-        wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")), 2.5, toughness=1e-4
+        wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.5, units=("mm", "GPa")),
+        2500.0,
+        toughness=1e-4,
     )
     ends = np.abs(x[:, 1]) > 9
     os.environ["PAUSE"] = pause  # no part of what a checkpoint knows a run by
@@ -349,7 +351,7 @@ def corrected(by="rows"):
     """A notched plate that breaks, its missing bonds made up for."""
     x = rectangle(40.0, 20.0, 1.0)
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
-    glass = BrittleSolid(wp.Model(0.3, 0.3, 1.0, np.ones(1), horizon=3.0), 2.5, toughness=1e-4)
+    glass = BrittleSolid(wp.Model(0.3, 0.3, 1.0, np.ones(1), horizon=3.0), 2500.0, toughness=1e-4)
     pull = np.where(np.abs(points.x[:, 1:]) > 9, np.sign(points.x) * (0.0, 0.01), 0.0)
     plate = Cracked(points, pull, cracks=[[(-20.5, 0.0), (-5.0, 0.0)]], corrected=True)
     motion = wp.move(glass, plate, step=0.5 * glass.longest_step(1.0), steps=60)
@@ -362,7 +364,7 @@ def block(by="rows"):
     points = partition(wp.Points(x, np.ones(len(x), bool), 1.0), by)
     x = points.x
     model = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, dimension=3)
-    rock = BrittleSolid(model, 2.5, toughness=1e-4)
+    rock = BrittleSolid(model, 2500.0, toughness=1e-4)
     pull = np.where(np.abs(x[:, 1:2]) > 4, np.sign(x) * (0.0, 0.02, 0.0), 0.0)
     notch = [(-11.0, 0.0, -5.0), (-4.0, 0.0, -5.0), (-4.0, 0.0, 5.0), (-11.0, 0.0, 5.0)]
     motion = wp.move(

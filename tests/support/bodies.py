@@ -3,6 +3,7 @@
 import numpy as np
 
 from warp_peri import Model
+from warp_peri.dynamics.verlet import inertia
 from warp_peri.fracture.body import box, lattice_body
 from warp_peri.fracture.dynamics import BreakingBody, BrittleSolid
 
@@ -10,6 +11,7 @@ from warp_peri.fracture.dynamics import BreakingBody, BrittleSolid
 def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, dimension=2, **criterion):
     """K = 1/r and one criterion, a stretch by default."""
     model = Model(lam=lam, mu=mu, alpha=1.0, D=[1.0], horizon=horizon, dimension=dimension)
+    density = density / inertia(1.0, model.units)  # density: in units of TPa ps²/Å²
     return BrittleSolid(model, density, **(criterion or {"critical_stretch": 0.01}))
 
 

@@ -22,13 +22,7 @@ from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
 from warp_peri.fracture.softening import BondLaw, pull_of, share_of
-from warp_peri.fracture.statics import (
-    check_horizon,
-    check_no_fail,
-    check_pieces,
-    strain_of,
-    symmetric_factors,
-)
+from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of, symmetric_factors
 from warp_peri.materials.lps import Model, bernstein_basis
 from warp_peri.points.arrays import checked
 
@@ -117,7 +111,6 @@ class SoftBody:
         no_fail: np.ndarray | None = None,
     ) -> None:
         check_breakable(model, body.classes)
-        check_horizon(model, body)
         safe, table = check_no_fail(no_fail, len(body.x)), cracked(body, cracks)
         held = checked("held", held, bool, body.x.shape)
         self.body, self.law, self.held = body, law, held
@@ -133,8 +126,7 @@ class SoftBody:
 
     def stretch(self, u: np.ndarray) -> np.ndarray:
         """s of each bond at u, flat [d N]."""
-        along: np.ndarray = (self.rows @ u) / self.square
-        return along
+        return np.asarray((self.rows @ u) / self.square)
 
     def rest(self, u: np.ndarray, share: np.ndarray) -> np.ndarray:
         """u at rest from a start that holds the given components, by Newton's method, flat [d N].

@@ -54,22 +54,18 @@ class LatticeBody:
     @property
     def xi(self) -> np.ndarray:
         """Bond vectors of the ball [length], shape [B, d]."""
-        vectors: np.ndarray = self.classes.xi @ self.axes.T
-        return vectors
+        return np.asarray(self.classes.xi @ self.axes.T)
 
     @property
     def r(self) -> np.ndarray:
         """Bond lengths of the ball [length], shape [B]."""
-        lengths: np.ndarray = self.classes.r[self.classes.bond_class]
-        return lengths
+        return np.asarray(self.classes.r[self.classes.bond_class])
 
     @property
     def opposite(self) -> np.ndarray:
         """Number of the bond with the opposite vector, shape [B]."""
         order = np.lexsort(self.classes.steps.T)
-        numbers = np.empty(len(order), dtype=np.int64)
-        numbers[order] = order[::-1]
-        return numbers
+        return np.asarray(order[::-1][np.argsort(order)])
 
 
 def lattice_body(
@@ -84,7 +80,7 @@ def lattice_body(
         endless: x is one layer, straight, of a body that goes on along its last axis, all layers
             alike; a bond then leads to the node of this layer below or above its end.
 
-    Raises InputError for points off the lattice, given twice, or too many to be numbered.
+    Raises InputError for points off the lattice, or given twice.
     """
     x = np.array(x, dtype=float)
     if x.ndim != 2 or x.shape[1] not in (2, 3) or len(x) == 0 or not np.isfinite(x).all():
@@ -93,8 +89,6 @@ def lattice_body(
         )
     classes = bond_classes(spacing, horizon, dimension=x.shape[1])
     grid, axes = straight_steps(x, spacing)
-    if len(x) * len(classes.steps) >= 2**31:
-        raise InputError(f"x: {len(x)} nodes have more bonds than can be numbered (2³¹)")
     steps = classes.steps * [*(x.shape[1] - 1) * (1,), 0] if endless else classes.steps
     return LatticeBody(x, float(spacing), classes, neighbour_table(grid, steps), axes)
 
@@ -289,7 +283,7 @@ def section(body: LatticeBody, line: ArrayLike, name: str) -> tuple[np.ndarray, 
 def _goes_on(body: LatticeBody, tip: np.ndarray, along: np.ndarray) -> bool:
     """Whether the body has nodes further along than the end of a crack; else it is a mouth."""
     away = body.x[_near(body, tip[None])] - tip
-    return bool((away @ along > ON_LINE * body.spacing * np.hypot(*along)).any())
+    return bool((away @ along > ON_LINE * body.spacing).any())
 
 
 def _near(body: LatticeBody, corners: np.ndarray) -> np.ndarray:

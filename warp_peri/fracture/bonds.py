@@ -58,8 +58,7 @@ def bonds_of(model: Model, classes: BondClasses, moduli: Any = None) -> SplitBon
 def bond_weights(model: Model, classes: BondClasses) -> np.ndarray:
     """w = K W / m of the bonds of a ball [length⁻²], Σ w r² = 1, shape [B]."""
     v, _ = stiffnesses(model, classes)
-    weights: np.ndarray = v[classes.bond_class] / model.mu
-    return weights
+    return np.asarray(v[classes.bond_class] / model.mu)
 
 
 def unit_toughness(model: Model, classes: BondClasses) -> float:
@@ -293,8 +292,7 @@ class CutOperator:
 
     def dilatation(self, nodes: np.ndarray) -> np.ndarray:
         """θ of these nodes in the last sweep, where λ ≠ μ."""
-        found: np.ndarray = self._theta.numpy()[self.home[nodes]]
-        return found
+        return np.asarray(self._theta.numpy()[self.home[nodes]])
 
     def sweep(
         self,
@@ -317,8 +315,6 @@ class CutOperator:
             criterion = self._criterion if breaking else kernels.NONE
             self._recorded[key] = self._shared(3 * (self._pieces,), criterion, *arrays)
         self._recorded[key]()
-        if not breaking:
-            return np.empty(0, np.int64)
         lost = self._lost.numpy()
         rows, lanes = np.flatnonzero(lost), np.arange(kernels.LANES)
         losing = self._number[self._pieces[rows, :1] + lanes][lost[rows, None] >> lanes & 1 > 0]

@@ -15,7 +15,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.core.record import Entry, OnLinear
+from warp_peri.core.record import UNITS, Entry, OnLinear, Positive
+from warp_peri.dynamics.verlet import inertia
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import (
@@ -25,23 +26,24 @@ from warp_peri.fracture.bonds import (
     mean_gradients,
     unit_toughness,
 )
-from warp_peri.fracture.statics import by_component, check_horizon, check_no_fail
+from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.launch import floats, launch_slices, zeros
 from warp_peri.materials.lps import Model
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.families import bond_classes
+from warp_peri.points.unit_names import REDUCED, USUAL, Units, check_units
 
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=2):
+class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
     """What breaks, and when.
 
     Attributes:
         model: moduli and a positive influence function, the same for the dilatation.
-        density: ρ, mass per volume.
+        density: ρ [kg/m³], and times are in ps; in reduced units mass per volume in these.
         toughness: G_c [stress · length]; the lattice's critical stretch follows from it (C6).
         critical_stretch: s₀ itself, instead of G_c.
         critical_energy: energy density of a bond over its quadrature weight at which it breaks
@@ -53,7 +55,7 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=2):
     """
 
     model: Model
-    density: Annotated[float, Entry(length=-2, stress=1, positive=True)]
+    density: Positive
     toughness: Annotated[float | None, Entry(length=1, stress=1, positive=True)] = None
     critical_stretch: Annotated[float | None, Entry(positive=True)] = None
     critical_energy: Annotated[float | None, Entry(stress=1, volume=-1, positive=True)] = None
@@ -72,15 +74,39 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=2):
         """The solid before anything breaks."""
         return self.model
 
+    @classmethod
+    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
+        """Version 2 had ρ in stress · time² over length², whose times are read as ps."""
+        model, density = content.get("model"), content.get("density")
+        if content.get("version") == 2 and isinstance(model, dict) and is_number(density):
+            units = check_units([model.get(key, usual) for key, usual in zip(UNITS, USUAL)])
+            content |= {"version": 3, "density": density / inertia_in(units, 1.0)}
+        return content
+
+    @property
+    def inertia(self) -> float:
+        """ρ in units of stress · time² over length²."""
+        return inertia_in(self.units, self.density)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance, the density with its unit."""
+        unit = "" if self.units == REDUCED else " kg/m³"
+        return [(n, text + unit if n == "density" else text) for n, text in super().rows()]
+
     def longest_step(self, spacing: float) -> float:
         """Time step on a lattice that is stable whatever breaks (theory, C9)."""
         classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
-        return float(2 * np.sqrt(self.density / largest_stiffness(self.model, classes)))
+        return float(2 * np.sqrt(self.inertia / largest_stiffness(self.model, classes)))
 
     @property
     def by_energy(self) -> bool:
         """Whether bonds break by their energy instead of their stretch."""
         return self.critical_energy is not None
+
+
+def inertia_in(units: Units, density: float) -> float:
+    """ρ in units of stress · time² over length², of kg/m³ and ps where units are named."""
+    return density if units == REDUCED else inertia(density, units)
 
 
 def positive_kernel(model: Model, horizon: float) -> Model:
@@ -223,7 +249,7 @@ class BreakingBody:
         exchange: fills the displacement [N, d] of nodes that another process moves; None where
             none does.
 
-    Raises InputError for a model that changes sign, another horizon, or arrays that do not fit.
+    Raises InputError for a model that changes sign, or arrays that do not fit.
     """
 
     def __init__(
@@ -238,7 +264,6 @@ class BreakingBody:
         ramp: Callable[[float], float] | None = None,
         corrected: bool = False,
     ) -> None:
-        check_horizon(solid.model, body)
         self.solid, self.body, self.ramp, self.corrected = solid, body, ramp, corrected
         self.longest_step = solid.longest_step(body.spacing) * (SHORTER if corrected else 1)
         self.no_fail = check_no_fail(no_fail, len(body.x))
@@ -314,7 +339,7 @@ class BreakingBody:
                 "at rest, before anything moves"
             )
         self.correct(state)
-        kinetic = self.solid.density / 2 * np.square(fields[1].numpy()).sum(axis=1)
+        kinetic = self.solid.inertia / 2 * np.square(fields[1].numpy()).sum(axis=1)
         state.work = floats(kinetic + state.energy.numpy())
         return state
 
@@ -337,14 +362,13 @@ class BreakingBody:
     def damage(self, state: BreakingState) -> np.ndarray:
         """φ, the share of bonds that a node has lost, shape [N]."""
         left = self.operator.kept(state.links).sum(axis=1)
-        phi: np.ndarray = 1 - left / np.maximum(state.whole, 1)
-        return phi
+        return np.asarray(1 - left / np.maximum(state.whole, 1))
 
     def ledger(self, state: BreakingState, nodes: Any) -> list[float]:
         """Time, work, kinetic, elastic and dissipated energy [stress · volume] of this state, in a
         sheet per thickness [stress · area]; of the own nodes of all processes, as AllNodes says
         which those are. work = kinetic + elastic + dissipated."""
-        body, density = self.body, self.solid.density
+        body, density = self.body, self.solid.inertia
         kinetic = density / 2 * np.square(state.v.numpy()).sum(axis=1)
         fields = (state.work.numpy(), kinetic, state.energy.numpy(), state.dissipated)
         sums = nodes.sum(np.stack([field[nodes.own] for field in fields], axis=1))
@@ -367,7 +391,7 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
     dt is not looked at: CrackRun refuses one that is longer than `longest_step`.
     """
     operator, count = body.operator, len(body.body.x)
-    density, kernels = body.solid.density, halves(body.body.dimension)
+    density, kernels = body.solid.inertia, halves(body.body.dimension)
     share, later = (body.share(time) for time in (state.time, state.time + dt))
     launch_slices(
         kernels.kick_and_drift,
@@ -375,7 +399,7 @@ def step(body: BreakingBody, state: BreakingState, dt: float) -> BreakingState:
         (dt, density, share, later, state.force, body.load, body.held, body.grip),
         (state.v, state.work, state.u),
     )
-    if body.exchange is not None:
+    if body.exchange:
         body.exchange(state.u.numpy())
     lost = operator.sweep(*state.swept, breaking=True)
     body.correct(state)

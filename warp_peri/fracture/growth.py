@@ -7,7 +7,6 @@ its limit; what a growing crack spends follows from the largest of them (theory,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -77,9 +76,10 @@ class _Losing:
         if self._corrected:
             self._more = corrections(body, self.neighbour, self._bonds)
         if solid is None:
-            how: Any = {"neighbour": self.neighbour, "corrected": self._corrected}
-            self._solid = solid = CutSolid(self._model, body, self._held, **how)
-            self.u = solid.solve(None, u)
+            self._solid = CutSolid(
+                self._model, body, self._held, neighbour=self.neighbour, corrected=self._corrected
+            )
+            self.u = self._solid.solve(None, u)
             return
         check_pieces(body, self.neighbour, self._held)
         free, factors = solid.free, solid.factors
@@ -97,8 +97,9 @@ class _Losing:
 
     def stretch(self) -> np.ndarray:
         """e/r² of the bonds, shape [E]; 0 of those lost."""
-        along = self.alive * (self._rows @ self.u.ravel())
-        return np.asarray(along / self._body.r[self._bond] ** 2)
+        return np.asarray(
+            self.alive * (self._rows @ self.u.ravel()) / self._body.r[self._bond] ** 2
+        )
 
     def energy(self) -> float:
         """Elastic energy [stress · length^d]."""

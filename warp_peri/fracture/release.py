@@ -170,8 +170,6 @@ def domain_integral(
     r1, r2 = (round(radius / h) * h for radius in radii)
     if np.shape(tip) != (d,):
         raise InputError(f"tip: expected a point of shape [{d}], got {list(np.shape(tip))}")
-    if np.shape(u) != body.x.shape:
-        raise InputError(f"u: expected shape {list(body.x.shape)}, got {list(np.shape(u))}")
     place = np.rint((body.x - body.x.min(axis=0)) / h).astype(int)
     sides = place.max(axis=0) + 1
     if np.prod(sides) != len(body.x):
@@ -226,8 +224,7 @@ def _from_the_left(field: np.ndarray, x: np.ndarray, reach: float) -> tuple[np.n
 
 def _line(x: np.ndarray, axis: int) -> np.ndarray:
     """Coordinates along one axis of a box of places, [n₁, …, d]."""
-    coordinates: np.ndarray = np.moveaxis(x[..., axis], axis, -1)[(0,) * (x.shape[-1] - 1)]
-    return coordinates
+    return np.asarray(np.moveaxis(x[..., axis], axis, -1)[(0,) * (x.shape[-1] - 1)])
 
 
 def _fall(away: np.ndarray, h: float, r1: float, r2: float) -> np.ndarray:
@@ -236,8 +233,7 @@ def _fall(away: np.ndarray, h: float, r1: float, r2: float) -> np.ndarray:
     The tip may then stand anywhere between two columns of nodes.
     """
     outer, inner = (np.clip((r2 - away + d) / (r2 - r1), 0.0, 1.0) for d in (-h / 2, h / 2))
-    slope: np.ndarray = (outer - inner) / h
-    return slope
+    return np.asarray((outer - inner) / h)
 
 
 def crack_gradient(field: np.ndarray, h: float, behind: np.ndarray, row: int) -> np.ndarray:

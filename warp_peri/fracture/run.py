@@ -66,8 +66,7 @@ class Section:
         if excess != 0:
             theta = owner.operator.dilatation(node) + owner.operator.dilatation(far)
             pull = pull + excess * share[bond] * theta
-        carried: np.ndarray = (pull * kept)[:, None] * xi
-        return carried
+        return np.asarray((pull * kept)[:, None] * xi)
 
 
 class CrackRun:
@@ -176,8 +175,7 @@ class CrackRun:
                 bar.update()
                 if state.steps % self.every == 0 or state.steps == steps:
                     self._record(state)
-                    records = len(self.history["time"])
-                    if self.file is not None and records % self.checkpoint_every == 0:
+                    if self.file and len(self.history["time"]) % self.checkpoint_every == 0:
                         self._save(self.file, state)
         return state
 
@@ -240,8 +238,7 @@ class CrackRun:
             "history": self.history,
             "files": {} if self.series is None else self.series.times,
         }
-        nodal = {name: array[self.nodes.own] for name, array in self._nodal(state).items()}
-        file.write(nodal, content)
+        file.write({n: one[self.nodes.own] for n, one in self._nodal(state).items()}, content)
 
     def _resumed(self, file: RunFile, state: BreakingState, steps: int) -> BreakingState:
         """The state to go on from, which is the checkpoint's where there is one."""

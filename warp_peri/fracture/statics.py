@@ -17,7 +17,6 @@ from warp_peri.contract import OnPoints
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutRows, bond_matrix, bond_weights, bonds_of, largest_stiffness
-from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.statics import direct
@@ -52,7 +51,7 @@ class CutSolid(OnPoints):
         left: residual of the last solve over its right-hand side.
 
     Raises InputError for a piece of the body that nothing holds, naming it, for an operator
-    with negative eigenvalues, for a body of another horizon, and Krylov for another material; of
+    with negative eigenvalues, and Krylov for another material; of
     one that moves for an influence function that changes sign, and nodes that are held in part.
     """
 
@@ -72,7 +71,6 @@ class CutSolid(OnPoints):
     ) -> None:
         self.model, self.body, self.corrected = material.linear, body, corrected
         self.moves, self.solver = moves, solver
-        check_horizon(self.model, body)
         self.neighbour = cracked(body, cracks) if neighbour is None else neighbour
         held = by_component(held, body.x.shape)
         if not moves:
@@ -85,17 +83,14 @@ class CutSolid(OnPoints):
         self.free, self.inside = ~held.ravel(), np.asarray(~held.all(axis=1))
         self.left = np.inf
         squares = self.one and not (self.bonds.stiffness < 0).any()
-        if moves and not (squares and (held == held[:, :1]).all()):
-            raise InputError(
-                "move: expected one material with a positive influence function, whose nodes "
-                "are held in all components or in none"
-            )
-        if isinstance(solver, Krylov) and (not squares or solver.preconditioner):
-            raise InputError(
-                "solver: expected Krylov() for one material with a positive influence "
-                f"function, or Direct(), got {solver}"
-            )
         if moves or isinstance(solver, Krylov):
+            plain = moves or not getattr(solver, "preconditioner", None)
+            if not (squares and plain and (not moves or (held == held[:, :1]).all())):
+                what = "move: expected" if moves else "solver: expected Krylov() for"
+                raise InputError(
+                    f"{what} one material with a positive influence function, in motion with nodes "
+                    f"held in all components or in none; got {solver}"
+                )
             self._rows = CutRows(self.model, body, self.neighbour, corrected)
             return
         rows = sp.csr_array(self.matrix[self.free])
@@ -240,14 +235,6 @@ def by_component(held: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     if mask.shape == shape[:1]:
         mask = np.repeat(mask[:, None], shape[1], axis=1)
     return checked("held", mask, bool, shape)
-
-
-def check_horizon(model: Model, body: LatticeBody) -> None:
-    """Refuse a body whose bonds are not those of the model's ball."""
-    if not np.isclose(body.classes.horizon, model.horizon, rtol=1e-9):
-        raise InputError(
-            f"body: expected the horizon {model.horizon:g}, got {body.classes.horizon:g}"
-        )
 
 
 def check_no_fail(no_fail: ArrayLike | None, count: int) -> np.ndarray:
