@@ -1,23 +1,16 @@
-"""The bonds of a lattice, each listed once, and the sweeps over them with their adjoints."""
+"""The bonds of a lattice, each listed once; what a force state needs of them, and what it does."""
 
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import torch
-import warp as wp
 
 from warp_peri.contract import Remade
-from warp_peri.core.tensors import differentiable_once
 from warp_peri.errors import InputError
-from warp_peri.kernels.neural.sweeps import sweeps
-from warp_peri.launch import floats, ints, launch_slices
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike, nodes_of
-
-SCALARS = {torch.float32: wp.float32, torch.float64: wp.float64}
 
 
 class NetworkBonds(Remade):
@@ -54,7 +47,6 @@ class NetworkBonds(Remade):
         self.rows, self.whole = families.rows, families.whole
         self.neighbour = families.neighbour.reshape(-1, len(self.xi))
         self._list()
-        self._placed: dict[Any, Any] = {}
 
     def _list(self) -> None:
         """Every bond of a whole family once; a bond of two such families from its first half."""
@@ -86,164 +78,32 @@ class NetworkBonds(Remade):
         r: np.ndarray = np.hypot(*self.xi.T)
         return r
 
-    def of(self, dtype: torch.dtype) -> Any:
-        """Kernels, lattice and lists of nodes in one precision."""
-        if dtype not in SCALARS:
-            raise InputError(f"u: expected float32 or float64, got {dtype}")
-        if dtype not in self._placed:
-            kernels = sweeps(SCALARS[dtype])
-            real = np.float32 if dtype == torch.float32 else np.float64
-            lattice = kernels.Lattice()
-            lattice.xi = floats(self.xi.astype(real), kernels.vec)
-            lattice.length = floats(self.lengths.astype(real), kernels.scalar)
-            lattice.opposite, lattice.place = ints(self.opposite), ints(self.place)
-            lattice.neighbour, lattice.number = ints(self.neighbour), ints(self.number)
-            lattice.near, lattice.far = ints(self.near), ints(self.far)
-            self._placed[dtype] = kernels, lattice
-        return self._placed[dtype]
-
     @cached_property
-    def lists(self) -> dict[str, Any]:
-        """Lists of nodes as the kernels read them."""
-        every = np.arange(len(self.neighbour))
-        return {
-            name: ints(values)
-            for name, values in (("rows", self.rows), ("whole", self.whole), ("every", every))
-        } | {"row": ints(self.row)}
+    def _places(self) -> tuple[torch.Tensor, ...]:
+        """near, far, place, and the listed bonds of whole families, as torch indexes."""
+        found = self.near, self.far, self.place, self.number[self.whole]
+        return tuple(torch.as_tensor(one, dtype=torch.int64) for one in found)
 
-    def extension(self, u: torch.Tensor) -> torch.Tensor:
-        """e of every listed bond [length], shape [S, L]."""
-        kernels, lattice = self.of(u.dtype)
-        out = u.new_empty(len(u), len(self.near))
-        self._sweep(kernels.extension, kernels, len(self.near), (lattice, u), out)
-        return out
+    def gather(
+        self, u: torch.Tensor, share: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Extensions e = |Y| − |ξ| of the acting bonds [length], [S, A], the dilatations ϑ = Σ
+        share e of whole nodes (NO3), [S, F], and the directions M = Y/|Y| of these bonds,
+        [S, A, 2], of u [S, N, 2] and shares [B]; Y = ξ + u_j − u_i."""
+        near, far, place, number = self._places
+        xi = torch.as_tensor(self.xi, dtype=u.dtype)[place]
+        r = torch.as_tensor(self.lengths, dtype=u.dtype)[place]
+        eta = u[:, far] - u[:, near]
+        Y = xi + eta
+        length = torch.linalg.vector_norm(Y, dim=2)
+        e = ((2 * xi + eta) * eta).sum(dim=2) / (length + r)  # without the cancellation
+        acting = slice(self.acting)
+        M = Y[:, acting] / torch.where(length > 0, length, 1.0)[:, acting, None]
+        return e[:, acting], e[:, number] @ share, M
 
-    def stretching(self, u: torch.Tensor, v: torch.Tensor, count: int) -> torch.Tensor:
-        """M·(v_j − v_i) of the first bonds, shape [S, count]."""
-        kernels, lattice = self.of(u.dtype)
-        out = u.new_empty(len(v), count)
-        self._sweep(kernels.stretching, kernels, count, (lattice, u, v), out)
-        return out
-
-    def average(self, e: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
-        """Σ share e over the families of whole nodes, shape [S, F]."""
-        kernels, lattice = self.of(e.dtype)
-        out = e.new_empty(len(e), len(self.whole))
-        given = (lattice, self.lists["whole"], e, share)
-        self._sweep(kernels.average, kernels, len(self.whole), given, out, len(self.xi))
-        return out
-
-    def by_share(self, e: torch.Tensor, seed: torch.Tensor) -> torch.Tensor:
-        """Derivative of Σ seed average(e, share) to the shares, shape [B]."""
-        kernels, lattice = self.of(e.dtype)
-        out = e.new_empty(len(self.xi))
-        given = (lattice, self.lists["whole"], wp.from_torch(e), wp.from_torch(seed))
-        launch_slices(kernels.by_share, len(out), given, (wp.from_torch(out),), weight=seed.numel())
-        return out
-
-    def spread(self, e: torch.Tensor, share: torch.Tensor, seed: torch.Tensor) -> torch.Tensor:
-        """`e` with the adjoint of `average` added in place."""
-        kernels, lattice = self.of(e.dtype)
-        given = (lattice, self.lists["row"], share, seed)
-        self._sweep(kernels.spread, kernels, e.shape[1], given, e)
-        return e
-
-    def pull(self, u: torch.Tensor, tension: torch.Tensor, nodes: str) -> torch.Tensor:
-        """−Σ tension M at the interior ("rows") or every node, shape [S, ·, 2]."""
-        kernels, lattice = self.of(u.dtype)
-        out = u.new_empty(len(tension), len(self.lists[nodes]), 2)
-        given = (lattice, self.lists[nodes], u, tension)
-        self._sweep(kernels.pull, kernels, out.shape[1], given, out, len(self.xi))
-        return out
-
-    def turn(
-        self, u: torch.Tensor, v: torch.Tensor, tension: torch.Tensor, nodes: str
-    ) -> torch.Tensor:
-        """−Σ tension Ṁ, Ṁ of the motion v, shape [S, ·, 2]."""
-        kernels, lattice = self.of(u.dtype)
-        out = u.new_empty(len(tension), len(self.lists[nodes]), 2)
-        given = (lattice, self.lists[nodes], u, v, tension)
-        self._sweep(kernels.turn, kernels, out.shape[1], given, out, len(self.xi))
-        return out
-
-    def _sweep(
-        self,
-        kernel: Any,
-        kernels: Any,
-        count: int,
-        given: tuple[Any, ...],
-        out: torch.Tensor,
-        weight: int = 1,
-    ) -> None:
-        """Launch on torch tensors where they lie; those of rank three are vectors."""
-
-        def lent(value: Any) -> Any:
-            if not isinstance(value, torch.Tensor):
-                return value
-            vectors = kernels.vec if value.dim() == 3 else kernels.scalar
-            return wp.from_torch(value.detach().contiguous(), dtype=vectors)
-
-        arrays = [lent(value) for value in given]
-        launch_slices(kernel, count, arrays, (lent(out),), samples=len(out), weight=weight)
-
-    def on_every(self, inner: torch.Tensor) -> torch.Tensor:
-        """A field of the interior as one of all nodes, zero elsewhere."""
-        field = inner.new_zeros(len(inner), len(self.neighbour), 2)
-        field[:, self.rows] = inner
-        return field
-
-
-class Gather(torch.autograd.Function):
-    """u [S, N, 2] and shares [B] → extensions of the acting bonds [S, A] and ϑ [S, F]."""
-
-    @staticmethod
-    def forward(
-        context: Any, u: torch.Tensor, share: torch.Tensor, bonds: NetworkBonds
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        e = bonds.extension(u)
-        context.bonds = bonds
-        context.save_for_backward(u, share, e)
-        return e[:, : bonds.acting].contiguous(), bonds.average(e, share)
-
-    @staticmethod
-    @differentiable_once
-    def backward(
-        context: Any, by_e: torch.Tensor, by_theta: torch.Tensor
-    ) -> tuple[torch.Tensor | None, torch.Tensor | None, None]:
-        u, share, e = context.saved_tensors
-        bonds, by_theta = context.bonds, by_theta.contiguous()
-        by_u = by_share = None
-        if context.needs_input_grad[0]:
-            seed = torch.zeros_like(e)
-            seed[:, : bonds.acting] = by_e
-            by_u = bonds.pull(u, bonds.spread(seed, share, by_theta), "every")
-        if context.needs_input_grad[1]:
-            by_share = bonds.by_share(e, by_theta)
-        return by_u, by_share, None
-
-
-class Scatter(torch.autograd.Function):
-    """u [S, N, 2] and tensions of the acting bonds [S, A] → forces on the interior [S, I, 2]."""
-
-    @staticmethod
-    def forward(
-        context: Any, u: torch.Tensor, tension: torch.Tensor, bonds: NetworkBonds
-    ) -> torch.Tensor:
-        context.bonds = bonds
-        context.save_for_backward(u, tension)
-        return bonds.area * bonds.pull(u, tension, "rows")
-
-    @staticmethod
-    @differentiable_once
-    def backward(
-        context: Any, seed: torch.Tensor
-    ) -> tuple[torch.Tensor | None, torch.Tensor | None, None]:
-        u, tension = context.saved_tensors
-        bonds = context.bonds
-        wide = bonds.area * bonds.on_every(seed)
-        by_u = by_tension = None
-        if context.needs_input_grad[0]:
-            by_u = bonds.turn(u, wide, tension, "every")
-        if context.needs_input_grad[1]:
-            by_tension = bonds.stretching(u, wide, bonds.acting)
-        return by_u, by_tension, None
+    def scatter(self, M: torch.Tensor, tension: torch.Tensor) -> torch.Tensor:
+        """Minus the force density of the acting bonds' tensions [S, A] at all nodes, [S, N, 2]."""
+        near, far = (ends[: self.acting] for ends in self._places[:2])
+        pull = self.area * tension[..., None] * M
+        nodes = M.new_zeros(len(M), len(self.neighbour), 2)
+        return nodes.index_add(1, near, -pull).index_add(1, far, pull)

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from warp_peri.contract import OnPoints
 from warp_peri.core.tensors import on_fields, refuse_tangents
 from warp_peri.errors import InputError
-from warp_peri.neural.bonds import Gather, NetworkBonds, Scatter
+from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import Samples
 from warp_peri.statics.equilibria import Equilibria, probed
@@ -174,7 +174,7 @@ def interpolated_force(
     """
     bonds, material = placed.bonds, placed.material
     omega, share, r = placed.shares(u.dtype)
-    e, theta = Gather.apply(u, share, bonds)  # type: ignore[no-untyped-call]
+    e, theta, M = bonds.gather(u, share)
     kinds = np.arange(len(bonds.xi)) if material.anisotropic else bonds.kind
     first = torch.as_tensor(np.unique(kinds, return_index=True)[1])
     kind = torch.as_tensor(kinds, dtype=torch.int64)
@@ -207,8 +207,7 @@ def interpolated_force(
     for corner, x, y in corners:
         a, b, c, d = (table[corner + shift] for shift in beside)
         tension = tension + (1 - y) * ((1 - x) * a + x * b) + y * ((1 - x) * c + x * d)
-    force: torch.Tensor = Scatter.apply(u, tension, bonds)  # type: ignore[no-untyped-call]
-    return force
+    return bonds.scatter(M, tension)[:, bonds.rows]
 
 
 def _range(most: torch.Tensor, cells: int, offset: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -287,7 +286,7 @@ class Placed(OnPoints):
         """
         bonds, field = self.bonds, np.reshape(u, (-1, *self.points.x.shape))
         with torch.no_grad():
-            tension = self.tension(self._taken(field)).double().numpy()
+            tension = self.tension(self._taken(field))[0].double().numpy()
         near, far = bonds.near[: bonds.acting], bonds.far[: bonds.acting]
         xi = bonds.xi[bonds.place[: bonds.acting]]
         y = xi + field[:, far] - field[:, near]
@@ -302,16 +301,17 @@ class Placed(OnPoints):
 
     def _force(self, u: torch.Tensor) -> torch.Tensor:
         """Forces [S, I, 2] of u [S, N, 2]."""
-        force: torch.Tensor = Scatter.apply(u, self.tension(u), self.bonds)  # type: ignore[no-untyped-call]
-        return force
+        tension, M = self.tension(u)
+        return self.bonds.scatter(M, tension)[:, self.bonds.rows]
 
-    def tension(self, u: torch.Tensor) -> torch.Tensor:
-        """Force states of both ends of the acting bonds [stress/length³], [S, A] of [S, N, 2]."""
+    def tension(self, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Force states of both ends of the acting bonds [stress/length³], [S, A] of u [S, N, 2],
+        and the directions of these bonds, [S, A, 2]."""
         omega, share, r = self.shares(u.dtype)
-        e, theta = Gather.apply(u, share, self.bonds)  # type: ignore[no-untyped-call]
+        e, theta, M = self.bonds.gather(u, share)
         own, other = self.inputs(omega, theta, e, r)
         state = self.material.force_state
-        return (state(*own) + state(*other)).reshape(len(u), -1)
+        return (state(*own) + state(*other)).reshape(len(u), -1), M
 
     def shares(self, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """ω, ω |ξ| / Σ ω |ξ|² and |ξ| of the bonds of a family, each of shape [B]."""
@@ -376,18 +376,16 @@ class Tangent:
     """J = ∂force/∂u at one field: products with fields and with forces, without the networks.
 
     The slopes of every bond's force state to its extension and to the dilatations of its ends are
-    computed once; after that a product is three sweeps.
+    computed once; the force with these slopes in their place is torch's to differentiate.
     """
 
     def __init__(self, placed: Placed, u: torch.Tensor) -> None:
         self.bonds, self.u = placed.bonds, u
         with torch.no_grad():
             omega, self.share, r = placed.shares(u.dtype)
-            e = self.bonds.extension(u)
-            theta = self.bonds.average(e, self.share)
-            acting = e[:, : self.bonds.acting].contiguous()
+            self.e, self.theta, _ = self.bonds.gather(u, self.share)
         both = []
-        for seen in placed.inputs(omega, theta, acting, r):
+        for seen in placed.inputs(omega, self.theta, self.e, r):
             theta, e = (part.contiguous().requires_grad_() for part in seen[1:3])
             with torch.enable_grad():
                 state = placed.material.force_state(seen[0], theta, e, seen[3])
@@ -396,32 +394,34 @@ class Tangent:
         (own, self.to_own, by_e), (other, self.to_other, by_far) = both
         self.tension, self.to_e = (own + other)[None], (by_e + by_far)[None]
 
+    def _force(self, u: torch.Tensor) -> torch.Tensor:
+        """The force of force states that are linear in what they see, [S, I, 2] of [S, N, 2]."""
+        bonds = self.bonds
+        e, theta, M = bonds.gather(u, self.share)
+        theta = theta - self.theta
+        tension = self.tension + self.to_e * (e - self.e)
+        tension = (
+            tension + self.to_own * theta[:, bonds.own] + self.to_other * theta[:, bonds.other]
+        )
+        return bonds.scatter(M, tension)[:, bonds.rows]
+
     def __call__(self, v: torch.Tensor) -> torch.Tensor:
         """J v on the interior, shape [I, 2] or [S, I, 2], of v, shape [N, 2] or [S, N, 2]."""
-        bonds = self.bonds
-        field = v.reshape(-1, *self.u.shape[1:])
-        u = self.u.expand(len(field), -1, -1)
-        rate = bonds.stretching(u, field, len(bonds.near))
-        theta = bonds.average(rate, self.share)
-        tension = self.to_e * rate[:, : bonds.acting]
-        tension += self.to_own * theta[:, bonds.own] + self.to_other * theta[:, bonds.other]
-        force = bonds.pull(u, tension, "rows")
-        force += bonds.turn(u, field, self.tension.expand(len(field), -1), "rows")
-        return bonds.area * (force if v.dim() == 3 else force[0])
+        fields = v.reshape(-1, *self.u.shape[1:])
+        with torch.enable_grad():
+            u = self.u.expand_as(fields).clone().requires_grad_()
+            force = self._force(u)
+            seed = torch.zeros_like(force, requires_grad=True)
+            (back,) = torch.autograd.grad(force, u, seed, create_graph=True)  # linear in the seed
+            (rate,) = torch.autograd.grad(back, seed, fields)
+        return rate if v.dim() == 3 else rate[0]
 
     def transposed(self, w: torch.Tensor) -> torch.Tensor:
         """Jᵗ w on all nodes, shape [N, 2], of w on the interior, shape [I, 2]."""
-        bonds = self.bonds
-        wide = bonds.area * bonds.on_every(w[None])
-        by_tension = bonds.stretching(self.u, wide, bonds.acting)[0]
-        seed = w.new_zeros(1, len(bonds.near))
-        seed[0, : bonds.acting] = self.to_e[0] * by_tension
-        by_theta = w.new_zeros(len(bonds.whole))
-        by_theta.index_add_(0, bonds.own, self.to_own * by_tension)
-        by_theta.index_add_(0, bonds.other, self.to_other * by_tension)
-        bonds.spread(seed, self.share, by_theta[None])
-        out = bonds.pull(self.u, seed, "every") + bonds.turn(self.u, wide, self.tension, "every")
-        return out[0]
+        with torch.enable_grad():
+            u = self.u.clone().requires_grad_()
+            (back,) = torch.autograd.grad(self._force(u), u, w[None])
+        return back[0]
 
 
 def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
