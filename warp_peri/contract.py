@@ -156,7 +156,7 @@ class OnPoints(Remade):
     def load(self, b: Any) -> np.ndarray:
         """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
         b = checked("b", b, float, (..., *self.shape), ~self.held)
-        return b[..., self.points.interior, :]
+        return np.asarray(b[..., self.points.interior, :])
 
     def energy(self, u: Any) -> Any:
         """Shape [...], as Operator's; None where there is none, as here."""

@@ -17,7 +17,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 23_883,
-    "tokens": 288_472,
+    "tokens": 288_477,
     "lines of warp_peri": 39_787,
     "lines of kernels": 1_275,
     "lines of warp_peri, kernels, examples and tools": 53_395,
