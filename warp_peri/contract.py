@@ -7,7 +7,6 @@ test (tests/conformance). `OnPoints` gives an operator its torch tensors and cop
 from __future__ import annotations
 
 import sys
-import warnings
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol, Self, overload
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, quietly
 from warp_peri.points.arrays import checked, plain
 from warp_peri.points.samples import nodes_of
 
@@ -84,8 +83,7 @@ def _kept(value: Any) -> Any:
 
 
 def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # said of the first
+    with quietly():  # said of the first
         return kind(*given, **options)
 
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 LAST_WORDS: list[Callable[[str, int], None]] = []
@@ -29,6 +33,48 @@ class InputError(ValueError):
         line = " ".join(str(message)[: 4 * LONGEST].split())
         shown = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
         super().__init__(shown if len(shown) <= LONGEST else shown[:LONGEST] + " …")
+
+
+_EARS: ContextVar[tuple[tuple[list[str], ...], bool]] = ContextVar("warnings", default=((), True))
+"""Lists that hear this thread's warnings, and whether they are said aloud."""
+_HOME = str(Path(__file__).parent)
+
+
+def warn(text: str) -> None:
+    """Warn of something, once in what `heard` surrounds, at the line that called the library."""
+    lists, aloud = _EARS.get()
+    known = any(text in each for each in lists)
+    for each in lists:
+        each.append(text)
+    if aloud and not known:
+        frame, level, outer = sys._getframe(), 0, 1
+        while (frame := frame.f_back) is not None:  # type: ignore[assignment]
+            level += 1
+            if frame.f_code.co_filename.startswith(_HOME):
+                outer = level
+        warnings.warn(text, stacklevel=outer + 2)
+
+
+@contextmanager
+def heard() -> Iterator[list[str]]:
+    """Texts of warnings that this thread has inside, which are said all the same."""
+    lists, aloud = _EARS.get()
+    texts: list[str] = []
+    token = _EARS.set(((*lists, texts), aloud))
+    try:
+        yield texts
+    finally:
+        _EARS.reset(token)
+
+
+@contextmanager
+def quietly(wanted: bool = True) -> Iterator[None]:
+    """Warnings that this thread has inside are neither said nor heard, where that is wanted."""
+    token = _EARS.set(((), False) if wanted else _EARS.get())
+    try:
+        yield
+    finally:
+        _EARS.reset(token)
 
 
 def optional(module: str, without: str) -> Any:

@@ -16,12 +16,12 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 23_883,
-    "tokens": 288_477,
-    "lines of warp_peri": 39_787,
+    "code lines": 23_866,
+    "tokens": 288_264,
+    "lines of warp_peri": 39_746,
     "lines of kernels": 1_275,
-    "lines of warp_peri, kernels, examples and tools": 53_395,
-    "lines of the longest file": 650,
+    "lines of warp_peri, kernels, examples and tools": 53_354,
+    "lines of the longest file": 648,
     "lines of the longest function": 94,
     "parameters of one function": 13,
     "characters of the longest string": 1_727,
@@ -31,23 +31,23 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2937,
+    "atoms": 2927,
     "cli": 1191,
-    "core": 1747,
+    "core": 1746,
     "diffusion": 339,
-    "dynamics": 529,
-    "face": 943,
-    "fe_coupling": 826,
+    "dynamics": 527,
+    "face": 972,
+    "fe_coupling": 825,
     "files": 559,
-    "fitting": 1322,
-    "fracture": 1683,
-    "learning": 935,
-    "materials": 5364,
+    "fitting": 1319,
+    "fracture": 1682,
+    "learning": 933,
+    "materials": 5356,
     "neural": 904,
-    "points": 1711,
-    "prediction": 887,
+    "points": 1708,
+    "prediction": 886,
     "ranks": 911,
-    "statics": 1095,
+    "statics": 1081,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

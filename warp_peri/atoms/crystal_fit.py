@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -28,7 +27,7 @@ from warp_peri.core.elastic import (
 )
 from warp_peri.core.groups import Symmetry, name_of, point_group
 from warp_peri.core.stencil import directions
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import Crystal
 from warp_peri.materials.crystal_fit import from_phonons
 from warp_peri.points.unit_names import USUAL, Units, check_units
@@ -379,7 +378,7 @@ def from_atoms(
         )
         if off > TOO_FAR:
             raise InputError(f"moduli: {told}")
-        warnings.warn(f"moduli: {told}", stacklevel=2)
+        warn(f"moduli: {told}")
         said["moduli disagree"] = told
     return _learned(constants, h, horizon, symmetry, units, said, strained)
 

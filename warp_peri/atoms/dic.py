@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 from scipy.ndimage import binary_erosion
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import content, encoding_of
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, SEEN, Samples
@@ -392,7 +391,7 @@ def frames_of_folder(
         why = others[0] if others else f"of {', '.join(kinds)} files none; {EXPORT}"
         raise InputError(f"{folder}: expected at least {LEAST} frames, got {len(frames)}; {why}")
     for why in others:
-        warnings.warn(f"passed over: {why}", stacklevel=2)
+        warn(f"passed over: {why}")
     last = len(frames) - 1
     chosen = np.unique(np.linspace(FIRST * last, last, count).astype(int))
     samples = frames_on_lattice([frames[n] for n in chosen], radius=radius, positions=positions)
@@ -420,10 +419,7 @@ def in_reference(frames: Sequence[SheetFrame], positions: str | None) -> list[Sh
                 'positions="reference" or "current" says which'
             )
         if 2 * taken < given and taken < (APART if len(frames) > 1 else ON_LATTICE):
-            warnings.warn(
-                "frames: positions are those of the current frame; displacements are taken off",
-                stacklevel=3,
-            )
+            warn("frames: positions are those of the current frame; displacements are taken off")
             positions = "current"
     return back if positions == "current" else list(frames)
 

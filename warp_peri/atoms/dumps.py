@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from warp_peri.atoms.coarse_graining import coarse_grain
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import encoding_of, unpacked
 from warp_peri.points.arrays import checked
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
@@ -85,7 +84,7 @@ def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
             if first is None:
                 first = frame
                 if frame.unwrapped and not {"xu", "xsu"} & set(frame.columns):
-                    warnings.warn(f"{path}: unwrapped by the images ix, iy, iz", stacklevel=2)
+                    warn(f"{path}: unwrapped by the images ix, iy, iz")
             elif not np.array_equal(first.ids, frame.ids):
                 raise ValueError("expected the ids of frame 1, got others")
             if frame.box is None and not frame.unwrapped and jumps(frame, first.x):
@@ -459,11 +458,10 @@ def _warn_of_shares(force: np.ndarray, mass: np.ndarray) -> None:
     size = [np.sqrt(np.square(force[:, mass == one]).mean()) / one for one in kinds]
     if max(size) > UNLIKE * min(size):
         shares = ", ".join(f"{each / max(size):.2g}" for each in size)
-        warnings.warn(
+        warn(
             f"force: atoms of masses {', '.join(f'{one:g}' for one in kinds)} carry loads per mass "
             f"of {shares}, relative: what a cell's mean by mass does then is not the answer to its "
-            "load alone; a load is to go over the atoms of a cell by mass",
-            stacklevel=3,
+            "load alone; a load is to go over the atoms of a cell by mass"
         )
 
 
@@ -480,9 +478,8 @@ def _warn_of_torn(
     usual = np.median(length[:, :3].max(axis=1, initial=0.0))
     bonds = (length > usual / NEAR) & (length < NEAR * usual)  # no atoms above each other
     if count := int((longer & bonds).any(axis=1).sum()):
-        warnings.warn(
+        warn(
             f"{path.name}: {count} of {len(x)} atoms are {TORN - 1:.0%} or more further from a "
             "neighbour than without load: the sheet is torn there, and no field on nodes is what "
-            "they do",
-            stacklevel=3,
+            "they do"
         )

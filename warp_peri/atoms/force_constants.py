@@ -6,7 +6,6 @@ Lengths in Å, energies in eV as every code of atoms has them; the stiffness of 
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -18,7 +17,7 @@ import scipy.sparse as sp
 from warp_peri.core.elastic import acoustic, stress_brackets
 from warp_peri.core.groups import group_of_structure, kinds_of, point_group
 from warp_peri.core.stencil import directions
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.points.unit_names import STRESSES
 
 STEP, WIDER = 2e-3, 5
@@ -343,7 +342,7 @@ class ForceConstants:
                 )
             )
         for doubt in doubts:
-            warnings.warn(f"force constants: {doubt}", stacklevel=2)
+            warn(f"force constants: {doubt}")
         return C
 
     def elastic_doubt(self, allowed: np.ndarray, *, bent: bool = False) -> np.ndarray:

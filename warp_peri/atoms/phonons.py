@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -28,7 +27,7 @@ from warp_peri.atoms.force_constants import (
     from_supercell,
 )
 from warp_peri.atoms.relaxed import Reference
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
@@ -372,7 +371,7 @@ def _wide_enough(reference: Reference, calculator: Any, widths: Sequence[float])
     left = f"at half the width of {cells} forces still are {rim:.1e} of the largest"
     left = left if rim >= 0 else f"{cells}, narrower than {widths[0]:g} Å"
     told = f"supercell: {left}{ended or '; supercell=… takes a wider one'}"
-    warnings.warn(told, stacklevel=4)
+    warn(told)
     return repeats
 
 

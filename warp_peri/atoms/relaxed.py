@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import os
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,7 +27,7 @@ from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, 
 from warp_peri.atoms.calculators import LammpsError
 from warp_peri.atoms.force_constants import ForceConstants, Polar
 from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.foreign import check_hdf5, check_yaml, content
 
 VACUUM = 8.0
@@ -132,10 +131,9 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     if not empty:
         widest = max(gap(atoms, a)[0] for a in range(3))
         if widest >= WIDE:
-            warnings.warn(
+            warn(
                 f"structure: taken for a solid, with a gap of {widest:.3g} Å along an edge; a "
-                f"sheet has {VACUUM:g} Å of vacuum or more",
-                stacklevel=4,
+                f"sheet has {VACUUM:g} Å of vacuum or more"
             )
         ready.pbc = True
         return to_shared_axes(ready) if turning else ready, False
@@ -237,10 +235,9 @@ def smallest(atoms: ase.Atoms, flat: bool, calculator: Any) -> ase.Atoms:
     except Exception:  # without energies; forces that are not there are told where they are asked
         return one
     if abs(whole - part) > min(SAME, ROUNDING * max(abs(whole), abs(part))):
-        warnings.warn(
+        warn(
             f"structure: the cell of {len(atoms)} atoms is kept: the calculator has {whole:.6g} eV "
-            f"an atom in it and {part:.6g} eV in the smallest, of {len(one)}",
-            stacklevel=3,
+            f"an atom in it and {part:.6g} eV in the smallest, of {len(one)}"
         )
         return atoms
     return one
@@ -405,9 +402,7 @@ def _stress_left(
     try:
         stress = stress_of(cell, thickness)[:d, :d]
     except NotImplementedError:
-        warnings.warn(
-            "calculator: it gives no stress; the crystal is taken to be at rest", stacklevel=3
-        )
+        warn("calculator: it gives no stress; the crystal is taken to be at rest")
         return None
     none = RESIDUAL_STRESS if noise is None else max(RESIDUAL_STRESS, 2 * TIMES * noise.stress)
     for name, (i, j) in zip(VOIGT, PLACES):
@@ -518,10 +513,9 @@ def from_phonopy(path: str | os.PathLike[str], *, thickness: float | None = None
     if ions is not None:
         polar = Polar(np.asarray(ions["born"]), np.asarray(ions["dielectric"]))
     elif thickness is None and len(set(cell.numbers)) > 1:
-        warnings.warn(
+        warn(
             f"{file.parent}: no BORN is there; if ions carry charges, their field misses in its "
-            "waves",
-            stacklevel=2,
+            "waves"
         )
     if thickness is not None and polar is None and np.abs(cell.cell[:2, 2]).max() > 1e-6:
         raise InputError(f"{path}: expected a sheet across z")

@@ -9,7 +9,6 @@ import re
 import shlex
 import tempfile
 import time
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,7 @@ import numpy as np
 import warp_peri
 from warp_peri.atoms.dic import frames_of_folder, noise_of
 from warp_peri.cli.settings_file import keep
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import finite, locked, parsed, plain, whole_file, write_json, write_text
 from warp_peri.files.foreign import MARKS, check_xml, content, encoding_of
 from warp_peri.points.unit_names import USUAL
@@ -162,7 +161,7 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
     def done(candidate: Any) -> None:
         """Each is kept as it ends."""
         if candidate.fit is None:
-            warnings.warn(f"passed over: {candidate.why}", stacklevel=2)
+            warn(f"passed over: {candidate.why}")
             return
         name = candidate.name.replace(", ", "_").replace(" ", "_")
         warp_peri.save(given.out / f"{name}.json", candidate.fit.material)

@@ -9,7 +9,6 @@ import argparse
 import contextlib
 import dataclasses
 import shlex
-import warnings
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,7 +18,7 @@ from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
 from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
 from warp_peri.cli.settings_file import keep, refuse_used
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.fitting import settings
 from warp_peri.learning import DEGREES, HORIZONS
@@ -159,7 +158,7 @@ def run_train(given: argparse.Namespace) -> Result:
             found = warp_peri.diagnose(fit.material, samples, noise)
             metrics["residual"] = {"why": found.sentence, **found.shares}
             if found.advice:
-                warnings.warn(found.advice, stacklevel=1)
+                warn(found.advice)
         metrics |= {"thickness": data.thickness, "density": data.density}
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
@@ -195,7 +194,7 @@ def _told_by_data(fit: Any, samples: Samples, horizon: float) -> Result:
 
     best, warned = long_waves_of_data(fit.moduli[0], samples, horizon)
     if warned:
-        warnings.warn(warned, stacklevel=1)
+        warn(warned)
     return {"moduli of a crystal model": best} if best else {}
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import warnings
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from functools import cache
@@ -37,7 +36,7 @@ from typing import (
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, write_json
 from warp_peri.points.arrays import LARGEST, checked, is_number
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, shown_moduli, symbols
@@ -208,7 +207,7 @@ class Record(Shown):
         own, values = {k: v for k, v in content.items() if k not in HEAD}, {}
         if _has_units(cls):
             if not set(UNITS) & set(content):
-                warnings.warn(f"{where}it names no units: taken as Å and TPa", stacklevel=3)
+                warn(f"{where}it names no units: taken as Å and TPa")
                 content |= dict(zip(UNITS, USUAL))
             if missing := [key for key in UNITS if key not in content]:
                 raise InputError(f"missing keys: {', '.join(missing)}")

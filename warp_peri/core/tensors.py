@@ -4,7 +4,6 @@ are refused a second time on every path, where torch would leave out terms."""
 from __future__ import annotations
 
 import itertools
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial, wraps
@@ -17,7 +16,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, splu
 from torch.autograd import forward_ad
 
 from warp_peri.contract import SINGULAR, placed, uncompiled
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, quietly
 
 Backward = Callable[..., tuple[torch.Tensor | None, ...]]
 TWICE = (
@@ -347,8 +346,7 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[n
     """
     one, inside = operator.shape, operator.points.interior
     axis = -len(one)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # g is no displacement
+    with quietly():  # g is no displacement
         if operator.is_symmetric:
             w = np.compress(inside, _rest(operator, g, np.zeros_like(g), solver).u, axis)
         else:

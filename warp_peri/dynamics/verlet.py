@@ -6,7 +6,6 @@ The step is bounded by the symbol (theory, 49–51); the energy that leapfrog ke
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -18,7 +17,7 @@ from warp_peri.contract import offered, stencil_of
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
 from warp_peri.dynamics.motion import Motion
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
 from warp_peri.launch import shared_by
@@ -277,9 +276,7 @@ def started(
         check_whole("every", every, 1)
         signal = None if signal is None else read("signal", signal, float, (steps + 1,))
     allowed = bool(getattr(operator, "allowed", False))
-    with shared_by(nodes.comm), warnings.catch_warnings():
-        if allowed:  # the operator says it once
-            warnings.simplefilter("ignore")
+    with shared_by(nodes.comm), quietly(allowed):  # the operator says it once
         if own := getattr(operator, "stiffest_wave", None):  # stiffer than the even solid
             longest = float(2 * np.sqrt(inertia(density, operator.model.units) / own()))
         else:
@@ -355,7 +352,7 @@ def marched(
     history = {"energy": np.array(energy)} | ({} if record is None else {"u": np.array(seen)})
     if bent and bent > (proven := operator.model.proven_strain(operator.points.spacing)) > 0:
         told = f"strain: the step is stable up to |H| = {proven:.2%}, the motion went to {bent:.2%}"
-        warnings.warn(told, stacklevel=4)
+        warn(told)
     return Motion(time, state.u, body.on_all(state.v), history)
 
 

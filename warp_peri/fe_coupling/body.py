@@ -6,7 +6,6 @@ families are whole; a rim along the outline is elasticity with the operator's ow
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.fe_coupling.boundary_elements import (
     Field,
     Moduli,
@@ -219,7 +218,7 @@ def solve_body(
         )
     if lattice is None or kept.all():
         deepest = depth[mesh.cells].min(axis=1).max()
-        warnings.warn(_alone(model, collar + overlap, deepest, coupling), stacklevel=2)
+        warn(_alone(model, collar + overlap, deepest, coupling))
         u_rim = problem.solve(f.ravel(), given.ravel()).reshape(f.shape)
         record = Exchange(rim_residual=problem.residual(f.ravel(), u_rim.ravel()))
         fields: Any = u_rim, None, np.zeros((0, rim.d)), overlap, record, problem

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.ndimage import distance_transform_edt
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.fe_coupling.boundary_elements import Field
 from warp_peri.materials.lps import Model
 from warp_peri.materials.lps_operator import LPSOperator
@@ -243,10 +242,9 @@ def bulk_lattice(
         if here is not None and (last or verdict == "taken"):
             if wave_number and error > TOLERANCE:
                 unit = symbols(model.units)[0]
-                warnings.warn(
+                warn(
                     f"b: waves of {2 * np.pi / wave_number:.3g} {unit} are not resolved to "
-                    f"{TOLERANCE:.1%} on the lattice of {spacing:g} {unit}, the finest",
-                    stacklevel=3,
+                    f"{TOLERANCE:.1%} on the lattice of {spacing:g} {unit}, the finest"
                 )
             return here, tuple(tried)
     raise InputError(f"model: {tried[-1].verdict}; give a spacing")

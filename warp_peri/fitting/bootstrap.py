@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -12,7 +11,7 @@ from scipy.special import stdtrit
 from tqdm import tqdm
 
 from warp_peri.contract import offered
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, quietly
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples, part
 
@@ -96,8 +95,7 @@ def resample_loads(
     with tqdm(total=draws, desc="fits", unit="fit", disable=not progress) as bar:
         while len(materials) < draws:
             try:
-                with warnings.catch_warnings():  # the fit to all loads warns
-                    warnings.simplefilter("ignore", UserWarning)
+                with quietly():  # the fit to all loads warns
                     chosen = part(one, rng.integers(count, size=count))
                     materials.append(law.learn(chosen, **options).material)
                 bar.update()

@@ -7,7 +7,6 @@ what a family takes off the residual beyond those within it is the share of its 
 from __future__ import annotations
 
 import itertools
-import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -19,7 +18,7 @@ from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
 from warp_peri.core.stencil import Basis, half_ball, invariant_basis
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING
 from warp_peri.fitting.rows import forces
 from warp_peri.points.lattice import lattice_steps
@@ -160,15 +159,14 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
 def warn_of_kind(material: Any, samples: Samples, noise: Samples | None = None) -> None:
     """Say where so much is left of data that they ask for another kind of material."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # said by the fit
+        with quietly():  # said by the fit
             _, left, size = _residual(material, samples)
             loud = (left**2).sum() > LOUD**2 * size
             told = diagnose(material, samples, noise).advice if loud else ""
     except InputError:  # in space, scattered, too few
         return
     if told:
-        warnings.warn(told, stacklevel=3)
+        warn(told)
 
 
 def _residual(material: Any, samples: Samples) -> tuple[Any, np.ndarray, float]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from warp_peri.core.elastic import allowed_tensors
 from warp_peri.core.groups import CANDIDATES, LEAST, Symmetry, point_group, shared_with_nodes
 from warp_peri.core.stencil import invariant_basis
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_equations
 from warp_peri.fitting.rows import over_loads, rows
 from warp_peri.points.samples import Samples, part
@@ -72,10 +71,9 @@ def judged(
     elif np.isfinite(own).all() and (own > MUCH * best + MUCH_OF_ALL).any():
         worst = int(np.argmax(own - best))
         what = ("L u = b", "the moduli of long waves")[worst]
-        warnings.warn(
+        warn(
             f"symmetry: the data contradict what is told: in {what} it leaves {own[worst]:.1%} of "
-            f"the loads, another group {best[worst]:.1%}; symmetry='auto' looks for it",
-            stacklevel=4,
+            f"the loads, another group {best[worst]:.1%}; symmetry='auto' looks for it"
         )
     if not np.isfinite(own).all():
         return told, None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,7 +17,7 @@ from warp_peri.core.tensors import as_tensor as as_tensor
 from warp_peri.core.tensors import linear, nonlinear, real, refuse_tangents
 from warp_peri.dynamics.adjoint import in_motion as in_motion
 from warp_peri.dynamics.motion import Motion
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
 from warp_peri.fracture.softening import BondLaw, pull_of, share_of
@@ -227,7 +226,7 @@ class SoftBody:
                 if share[levers > 0].any():
                     if not rows:
                         raise
-                    warnings.warn(f"load {load:g} and beyond are left out: {error}", stacklevel=2)
+                    warn(f"load {load:g} and beyond are left out: {error}")
                     break
                 forces.append(0 * levers.sum())  # nothing is left across the line
             rows.append((load, int((share == 0).sum())))

@@ -6,7 +6,6 @@ The weights of a bond are those of the whole ball.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import HORIZON_TOLERANCE, BondClasses, bond_classes
 from warp_peri.points.lattice import neighbour_table, straight_steps
@@ -239,10 +238,9 @@ def _cut_face(
     hit = np.abs(height) < ON_LINE * h
     hit &= (x @ inward.T - offset > np.maximum(slack, 0)).all(axis=1)
     if hit.any():
-        warnings.warn(
+        warn(
             f"crack: {np.count_nonzero(hit)} nodes lie on it; it is moved by {HAIR:g} spacings "
-            "against its normal, to the right of a polyline",
-            stacklevel=4,
+            "against its normal, to the right of a polyline"
         )
         height = height + HAIR * h
     rise = body.xi @ normal
@@ -306,6 +304,6 @@ def cracked(body: LatticeBody, cracks: Sequence[ArrayLike]) -> np.ndarray:
     for polyline in cracks:
         cut = crossing_bonds(body, polyline)
         if not cut.any():
-            warnings.warn("crack: cuts no bond of the body", stacklevel=4)
+            warn("crack: cuts no bond of the body")
         neighbour[cut] = np.where(neighbour[cut] >= 0, -1 - neighbour[cut], neighbour[cut])
     return neighbour

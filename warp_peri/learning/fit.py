@@ -6,7 +6,6 @@ import dataclasses
 import math
 import platform
 import time
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -19,7 +18,7 @@ from tqdm.auto import tqdm
 
 from warp_peri.core.elastic import from_voigt, plane_isotropic
 from warp_peri.core.stencil import difference_tensors
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.fitting.augmented_lagrangian import to_the_optimum
 from warp_peri.fitting.evaluate import evaluate
@@ -371,8 +370,7 @@ def worse_than_local(data: TrainingData, found: LPSFound) -> bool:
     model = found.model(data.horizon, units=data.sets[0].points.units)
     C = from_voigt(plane_isotropic(model.lam, model.mu))
     errors = np.zeros(2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+    with quietly():
         for each in data.sets:
             own = evaluate(model, each, allow_uncertified=True)
             errors += [len(each) * table["E_u"] for table in (own, _local(C, each))]
@@ -526,11 +524,10 @@ def _check_end(final: LPSFound, loss: str, data: TrainingData, method: Method) -
     low = [name for name, value in ended.items() if value <= bound * (1 + ON_BOUND)]
     if low:
         unit = symbols(data.sets[0].points.units)[1]
-        warnings.warn(
+        warn(
             f"{' and '.join(low)} ended on the lower bound, {bound:.3g} {unit}, "
             f"where the data show a stiffness of {data.stiffness:.3g} {unit}: they do not "
-            "determine it, or ask for less",
-            stacklevel=3,
+            "determine it, or ask for less"
         )
 
 

@@ -7,7 +7,6 @@ import hashlib
 import itertools
 import os
 import time
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ import joblib
 import numpy as np
 from tqdm import tqdm
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.fitting.evaluate import evaluate
@@ -248,7 +247,7 @@ def sweep(
                 failed += [failure] if failure else []
                 bar.update()
         for failure in sorted(failed):
-            warnings.warn(f"sweep: {failure}; the other fits go on", stacklevel=2)
+            warn(f"sweep: {failure}; the other fits go on")
         found |= {file: _read(file, train, files[file]) for file in todo}
     if not (trials := [trial for trial in found.values() if trial is not None]):
         raise RuntimeError("sweep: every fit failed")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, Self
@@ -24,7 +23,7 @@ from warp_peri.core.groups import (
 from warp_peri.core.proof import Proof, largest, prove
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
@@ -512,10 +511,9 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
             straight = np.abs(same - np.eye(d)).max(axis=(1, 2)).min() < SAME_AXIS
             straight = straight and np.abs(axes - np.eye(d)).max() < SAME_AXIS
             if not straight and unsaid(nodes):
-                warnings.warn(
+                warn(
                     "axis: lattice or crystal are turned, and the points do not state how the "
-                    "crystal lies: taken as on its nodes in the model; Points(…, axis=…) states it",
-                    stacklevel=3,
+                    "crystal lies: taken as on its nodes in the model; Points(…, axis=…) states it"
                 )
             return
         there = axes.T @ checked_orientation(nodes.axis, d)

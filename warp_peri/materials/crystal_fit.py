@@ -28,7 +28,7 @@ from warp_peri.core.groups import (
     shared_with_nodes,
 )
 from warp_peri.core.stencil import directions, invariant_basis
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.fitting import regression
 from warp_peri.fitting.long_waves import ENOUGH, long_wave_moduli
 from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, particular
@@ -210,11 +210,10 @@ class Micromodulus:
         if self.moduli is not None and moduli is None:
             C, misfit = long_wave_moduli(given, tensors.allowed)
             if misfit > POOR:
-                warnings.warn(
+                warn(
                     f"moduli: those of the longest waves leave {misfit:.0%} of what these loads do "
                     "to them, and may be as far off: give them, or loads of longer waves on more "
-                    "nodes",
-                    stacklevel=3,
+                    "nodes"
                 )
         found = tensors.fitted(R, y, C)
         if not found.loss < ABSURD:
@@ -402,10 +401,9 @@ def from_phonons(
     )
     off = float(np.abs(law.tensor() - true).max() / np.abs(true).max())
     if off > OFF:
-        warnings.warn(
+        warn(
             f"moduli: with {law.bonds} bonds they are up to {off:.0%} of the largest away from "
-            "those of the atoms; a longer horizon brings them back",
-            stacklevel=2,
+            "those of the atoms; a longer horizon brings them back"
         )
     return law
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,7 +15,7 @@ from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import Proof, prove
 from warp_peri.core.record import Entry, Length, Record, taken
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import check_whole, checked, is_number
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.points import Points
@@ -329,7 +328,7 @@ class Model(Record, format="warp_peri.model"):
             )
         if not allow_uncertified:
             raise InputError(message)
-        warnings.warn(message, stacklevel=3)
+        warn(message)
 
     def check_dimension(self, points: PointsLike) -> None:
         """Raise InputError for points of another dimension than the model's."""

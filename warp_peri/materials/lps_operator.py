@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar
@@ -18,7 +17,7 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 from warp_peri.contract import OnPoints, is_tensor
 from warp_peri.core.proof import largest
 from warp_peri.core.sweeps import torus_symbol
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.launch import DEVICE, known_device, recording
 from warp_peri.materials.lps import Model, Solid, on_nominal_lattice, statements
 from warp_peri.materials.lps_bonds import Bonds, SweepLaw, check_volumes
@@ -472,7 +471,7 @@ class LPSOperator(OnPoints):
         )
         if not self.allowed:
             raise InputError(message)
-        warnings.warn(message, stacklevel=4)
+        warn(message)
 
     def _unasked(self) -> Krylov:
         """Settings of an iteration that nobody asked for: closer than a factorisation is held to,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import Basis
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import compressed
 from warp_peri.fitting.settings import Conditions, Optimum
@@ -296,7 +295,7 @@ def model_at(
     statement = found.provenance["transfer"]["statement"]
     if (once := found.content()["sha256"]) not in _said:
         _said.add(once)
-        warnings.warn(f"transferred {statement}", stacklevel=4)
+        warn(f"transferred {statement}")
     return found
 
 

@@ -9,7 +9,6 @@ the linear part by C(ε) κ_in κ_out: C bounds Ψ″ on the ball, κ_p² the ra
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property, lru_cache, partial
@@ -25,7 +24,7 @@ from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest, prove
 from warp_peri.core.record import Length, OnLinear, Stress
 from warp_peri.core.stencil import Stencil, squared
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, quietly, warn
 from warp_peri.materials.crystal import Crystal
 from warp_peri.materials.crystal_fit import transferred
 from warp_peri.points.arrays import is_number, is_positive
@@ -429,7 +428,7 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
             said = "the crystal model has no certificate on this lattice"
             if not allow_uncertified:
                 raise InputError(f"certificate: {said}; allow_uncertified=True takes them")
-            warnings.warn(f"certificate: {said}", stacklevel=4)
+            warn(f"certificate: {said}")
         return here
 
     def certified(self) -> ThirdOrderCrystal:
@@ -519,8 +518,7 @@ class PlacedThirdOrder(Pointwise):
     def at(self, numbers: Mapping[str, Any]) -> PlacedThirdOrder:
         """The same with other constants, of which nothing is proven."""
         own: dict[str, Any] = {name: float(value) for name, value in numbers.items()}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # said of this one
+        with quietly():  # said of this one
             given: dict[str, Any] = {"transfer": False, "allow_uncertified": True}
             return PlacedThirdOrder(replace(self.model, **own, proven={}), self.points, **given)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -18,7 +17,7 @@ from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import checked_orientation
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.stencil import Stencil, invariant_basis
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled
 from warp_peri.fitting.rows import load_sizes, rows, swept
@@ -116,11 +115,10 @@ class ThirdOrder:
         wrong = np.linalg.norm((operator(given.u) - b).reshape(len(b), -1), axis=1)
         largest = float(operator.largest_gradient(given.u).max())
         if largest > (proven := law.proven_strain(law.spacing)):
-            warnings.warn(
+            warn(
                 f"strain: solutions are proven unique up to |H| = {proven:.2%}, the training data "
                 f"reach {largest:.2%}; a larger ridge of the smoothing than {smoothing.ridge:g} "
-                "may prove more",
-                stacklevel=3,
+                "may prove more"
             )
         history = record | {"largest_gradient": largest, "seconds": time.perf_counter() - begin}
         return MaterialFit(law, history, {"E_res": float((wrong / learning.size).mean())})

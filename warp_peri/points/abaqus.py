@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 import re
-import warnings
 from collections.abc import Iterator
 from types import SimpleNamespace
 
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 
 PLANE = {3: "triangle", 4: "quad", 6: "triangle6", 8: "quad8", 9: "quad9"}
 KINDS = dict.fromkeys(("CPS", "CPE", "S", "M3D"), (2, PLANE))
@@ -98,7 +97,7 @@ def read_abaqus(text: str) -> SimpleNamespace:
         if name in sets or kind in options:
             sets[kind].setdefault(options[kind], set()).update(members)
     if passed:
-        warnings.warn(f"not read: {', '.join(dict.fromkeys(passed))}", stacklevel=4)
+        warn(f"not read: {', '.join(dict.fromkeys(passed))}")
     row = {number: n for n, number in enumerate(nodes)}
     if missing := {n for *_, cells in blocks for n in cells[:, 1:].flat} - {*row}:
         raise InputError(f"*ELEMENT: expected nodes that are there, got {min(missing)}")

@@ -6,7 +6,6 @@ import dataclasses
 import hashlib
 import json
 import os
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,7 +13,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5
 from warp_peri.points.arrays import check_mapping, check_positive, is_name, is_number
@@ -290,7 +289,7 @@ def _read(file: h5py.File) -> Dataset:
             raise InputError(f"{key}: expected {expected!r}, got {value!r}")
     length, stress = (_text(file.attrs.get(key)) for key in ("length_unit", "stress_unit"))
     if length is None and stress is None:
-        warnings.warn("the file names no units: taken as Å and TPa", stacklevel=3)
+        warn("the file names no units: taken as Å and TPa")
         length, stress = USUAL
     units = check_units((length, stress))
     thickness, density = (_attribute(file.attrs, key) for key in ("thickness", "density"))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -19,7 +18,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.foreign import check_hdf5, check_xml, content
 from warp_peri.points.abaqus import read_abaqus
 from warp_peri.points.arrays import checked
@@ -238,10 +237,9 @@ def _welded(x: np.ndarray, near: float) -> np.ndarray:
     label = _joined(len(x), cKDTree(x).query_pairs(near, output_type="ndarray"))
     first = np.unique(label, return_index=True)[1]
     if len(first) < len(x):
-        warnings.warn(
+        warn(
             f"mesh: {len(x) - len(first)} of {len(x)} corners lie where others do and are taken as "
-            "these; a crack needs a width",
-            stacklevel=3,
+            "these; a crack needs a width"
         )
     return np.asarray(first[label])
 
@@ -283,7 +281,7 @@ def _named(
             words = f"part '{name}': expected {whole}, {lost} of {len(of)} are not"
             if not inner:
                 raise InputError(words)
-            warnings.warn(f"{words} and are left out", stacklevel=3)
+            warn(f"{words} and are left out")
         if len(kept) or not lost:
             named[name] = kept
             left[kept] = False
@@ -471,13 +469,12 @@ def _groups(read: Any, body: np.ndarray) -> dict[str, np.ndarray]:
         if not name.startswith("gmsh:"):
             sides = outer[(count == 1) & np.isin(outer, nodes).all(axis=1)]
             if not len(sides):
-                warnings.warn(f"{name}: no side of the outline is between its nodes", stacklevel=4)
+                warn(f"{name}: no side of the outline is between its nodes")
             sets.setdefault(name, []).append(sides)
     if lines and not sets:
-        warnings.warn(
+        warn(
             f"none of the {sum(len(data) for _, data in lines)} {('lines', 'faces')[dim - 1]} in "
             f"the file is in a group: all parts are '{REST}'; vtu, vtk and xdmf keep no sets, .msh "
-            "and .inp do",
-            stacklevel=4,
+            "and .inp do"
         )
     return {name: np.concatenate(facets) for name, facets in sets.items()}

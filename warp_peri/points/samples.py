@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 from weakref import WeakValueDictionary
@@ -10,7 +9,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import InputError, optional, warn
 from warp_peri.points.arrays import as_array, check_mapping, checked, is_name
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
@@ -177,10 +176,9 @@ def axis_of(points: PointsLike) -> float:
     """
     if points.axis is None:
         if unsaid(points):
-            warnings.warn(
+            warn(
                 "axis: the model depends on direction, and the points do not state that of the "
-                "material: taken along x; Points(…, axis=degrees) states it",
-                stacklevel=4,
+                "material: taken along x; Points(…, axis=degrees) states it"
             )
         return 0.0
     return float(np.deg2rad(points.axis))

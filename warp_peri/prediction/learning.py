@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from warp_peri.contract import offered
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import largest_strain
 from warp_peri.points.samples import Samples, part
@@ -179,10 +178,9 @@ def off_axis(rich: Any, samples: Samples) -> float:
     turn = float(np.degrees(np.arctan2(found[1], found[0]))) * HALF_PERIOD / 180
     if abs(turn) < TURNED or abs(found[1]) < SURE * np.sqrt((spread[:, 1] ** 2).sum()):
         return 0.0
-    warnings.warn(
+    warn(
         f"axis: {points.axis:g}° is stated, and the data are explained best at "
-        f"{points.axis + turn:.1f}°; the difference is a part of every error",
-        stacklevel=4,
+        f"{points.axis + turn:.1f}°; the difference is a part of every error"
     )
     return turn
 

@@ -11,7 +11,6 @@ positive definite; then the load in parts; then past negative curvature, to anot
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +21,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse.linalg import LinearOperator
 
 from warp_peri.core.stencil import Stencil
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
@@ -512,8 +511,7 @@ def warn_beyond(records: list[NonlinearRecord], proven: float) -> None:
         return
     largest = max(record.largest_gradient for record in records)
     known = f"|H| = {proven:.2%}" if proven > 0 else "no strain, for want of a certificate"
-    warnings.warn(
+    warn(
         f"strain: solutions are proven unique up to {known}; {len(beyond)} of {len(records)} "
-        f"samples go beyond it, to {largest:.2%}, where others may exist",
-        stacklevel=4,
+        f"samples go beyond it, to {largest:.2%}, where others may exist"
     )

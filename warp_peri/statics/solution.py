@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import operator
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import InputError, heard, optional, warn
 from warp_peri.points.arrays import is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
@@ -283,21 +281,6 @@ class Solution(Shown):
         return lines + [("warning", text) for text in self.warnings]
 
 
-@contextmanager
-def heard() -> Iterator[list[str]]:
-    """Warnings raised inside, as texts; they are said again, to the caller's caller, at the end."""
-    texts: list[str] = []
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        try:
-            yield texts
-        finally:
-            kinds = [(str(one.message), one.category) for one in caught]
-    texts += [text for text, _ in kinds]
-    for text, kind in kinds:
-        warnings.warn(text, kind, stacklevel=5)
-
-
 def told(solved: Callable[[], Solution]) -> Solution:
     """A solution with what was said on the way to it."""
     with heard() as texts:
@@ -325,9 +308,8 @@ def warn_beyond(model: Any, strain: Callable[[], float]) -> None:
         return
     largest = strain()
     if largest > BEYOND * model.trained_strain:
-        warnings.warn(
+        warn(
             f"strain: the solution reaches {100 * largest:.2g} %, the training data "
             f"{100 * model.trained_strain:.2g} %: the model is linear and knows nothing of what "
-            "comes beyond",
-            stacklevel=3,
+            "comes beyond"
         )

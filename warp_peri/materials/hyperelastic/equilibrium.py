@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -13,7 +12,7 @@ import scipy.sparse as sp
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.materials.hyperelastic.energies import Term
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
@@ -216,10 +215,9 @@ class StaticProblem:
         if equilibrium is None:
             raise NoEquilibrium("no stable equilibrium found on the way to all of load and collar")
         if not equilibrium.followed:
-            warnings.warn(
+            warn(
                 "the branch of stable equilibria that begins at rest ended before all of load and "
-                "collar; what is returned is another minimum, perhaps one of many",
-                stacklevel=2,
+                "collar; what is returned is another minimum, perhaps one of many"
             )
         smallest = self.smallest_eigenvalue(c, equilibrium.u)
         if not smallest > 0:

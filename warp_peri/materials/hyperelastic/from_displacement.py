@@ -6,7 +6,6 @@ is their loss, (H13) and (H18) its slopes through the equilibrium.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -15,7 +14,7 @@ import numpy as np
 from scipy.ndimage import binary_dilation, binary_erosion
 from tqdm import tqdm
 
-from warp_peri.errors import InputError
+from warp_peri.errors import InputError, warn
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
 from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds, triangle
 from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, StaticProblem
@@ -642,9 +641,8 @@ def warn_of_interpolation(fit: DisplacementFit) -> None:
     """Warn where the deviations outweigh the sheet at rest by far."""
     stiffest = stiffest_deviation(fit)
     if stiffest > INTERPOLATES:
-        warnings.warn(
+        warn(
             f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "
             "interpolate the collar, whatever the material; is the sheet heterogeneous "
-            "(thickness=), or were the frames smoothed?",
-            stacklevel=3,
+            "(thickness=), or were the frames smoothed?"
         )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import OnPoints
+from warp_peri.errors import warn
 from warp_peri.materials.hyperelastic.energies import HyperelasticSolid
 from warp_peri.materials.hyperelastic.equilibrium import (
     NoEquilibrium,
@@ -40,10 +40,9 @@ def warn_beyond(solid: HyperelasticSolid, op: HyperelasticOperator, u: np.ndarra
         return
     largest = largest_stretch(op, u)
     if largest - 1 > BEYOND * (solid.stretch - 1):
-        warnings.warn(
+        warn(
             f"stretch: the fields reach {largest:.4g}, the training data {solid.stretch:.4g}: "
-            "nothing is known of the material beyond",
-            stacklevel=3,
+            "nothing is known of the material beyond"
         )
 
 

@@ -1,0 +1,88 @@
+"""One operator, used by four Python threads at once, gives each what it gives one alone."""
+
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
+import numpy as np
+import pytest
+import torch
+
+import warp_peri as wp
+from tests.conformance.test_gradients import OPERATORS, field
+from tests.conformance.test_laws import LAWS
+from warp_peri.errors import heard, quietly, warn
+
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
+USERS = 4
+
+
+def of_four(work):
+    """What four threads that begin together find, each for its own number, twice each."""
+    begin = Barrier(USERS)
+
+    def user(number):
+        begin.wait()
+        return [work(number) for _ in range(2)]
+
+    with ThreadPoolExecutor(USERS) as pool:
+        return [one for both in pool.map(user, range(USERS)) for one in both]
+
+
+def assert_as_alone(work):
+    alone = [one for number in range(USERS) for one in [work(number)] * 2]
+    for expected, found in zip(alone, of_four(work), strict=True):
+        for one, other in zip(expected, found, strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("name", OPERATORS)
+def test_a_force_and_its_derivatives(name):
+    op = OPERATORS[name]()
+    learnable = getattr(op, "learnable", {})
+
+    def work(number):
+        u, v = field(op, seed=number), field(op, seed=number + USERS)
+        at = torch.from_numpy(u).requires_grad_()
+        op(at).square().sum().backward()
+        found = [op(u), op.product(u, v), at.grad.numpy()]
+        numbers = [torch.tensor(np.array(v, float)).requires_grad_() for v in learnable.values()]
+        if numbers:
+            force = op.force_with(torch.from_numpy(u)[None], dict(zip(learnable, numbers)))
+            found += [one.numpy() for one in torch.autograd.grad(force.square().sum(), numbers)]
+        return found
+
+    assert_as_alone(work)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_solve_and_its_gradient(name):
+    points = LAWS[name].points(4)
+    op = LAWS[name].material().on(points)
+
+    def work(number):
+        u = (1 + number) * 1e-4 * torch.from_numpy(points.x)
+        u = (u + 1e-5 * torch.sin(u / 1e-4)).requires_grad_()
+        solution = wp.solve(op, wp.Dirichlet(points, None, u))
+        (slope,) = torch.autograd.grad(solution.u.square().sum(), u)
+        return solution.u.detach().numpy(), slope.numpy()
+
+    assert_as_alone(work)
+
+
+def test_warnings_belong_to_the_thread_that_has_them():
+    def work(number):
+        with heard() as texts:
+            warn(f"number {number}")
+            with quietly():
+                warn("nobody hears this")
+        return (texts,)
+
+    for number, (texts,) in enumerate(of_four(work)):
+        assert texts == [f"number {number // 2}"]
+
+
+def test_a_warning_names_the_line_that_called_the_library():
+    points = wp.Points(np.indices((5, 5)).reshape(2, -1).T * 1.0, np.arange(25) == 12, 1.0)
+    with pytest.warns(UserWarning, match="allow_uncertified|certified") as told:
+        wp.Model(0.4, 0.4, 1.0, [1.0], horizon=2.0).on(points, allow_uncertified=True)
+    assert told[0].filename == __file__
