@@ -1,18 +1,22 @@
 # make graphene: everything from a fresh clone to the report of the main job.
 # make test:     the same set-up, then the test suite, a file of tests to a core at a time.
+# make slow:     what the suite leaves out for its time: kills, workers, the wheel, long fits.
 # make verify:   known problems against their references; 1 where a row surprises.
 # make docs:     the pages in docs/ as a site, in site/, and how they read in numbers.
 PYTHON ?= python3
 VENV   ?= .venv
 BIN     = $(VENV)/bin
 
-.PHONY: graphene test verify lint docs clean
+.PHONY: graphene test slow verify lint docs clean
 
 graphene: $(VENV)/.installed
 	$(BIN)/python examples/train_graphene.py
 
 test: $(VENV)/.installed
 	$(BIN)/python -m pytest --numprocesses auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+
+slow: $(VENV)/.installed
+	$(BIN)/python -m pytest -m slow
 
 verify: $(VENV)/.installed
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.known_problems

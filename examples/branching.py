@@ -82,11 +82,11 @@ def main(arguments: list[str] | None = None) -> int:
     runs = [(t, s) for t, s in zip(PS * run.time, run["tip"]) if 2e-3 < s < 0.045]
     width = max(3, len(runs) // 8)
     windows = (np.transpose(runs[k : k + width]) for k in range(len(runs) - width + 1))
-    speed = max((np.polyfit(*part, 1)[0] for part in windows), default=np.nan)
+    speed = max((np.polyfit(part[0], part[1], 1)[0] for part in windows), default=np.nan)
     numbers = {"nodes": len(x), "ledger": run.missing, "branch": branch_point(x, phi, h)}
     print(json.dumps(numbers | {"speed_over_rayleigh": speed / rayleigh}))
     figure, ax = plt.subplots(figsize=(8, 3.6), layout="constrained")
-    shown = ax.scatter(*(1e3 * x.T), c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
+    shown = ax.scatter(1e3 * x[:, 0], 1e3 * x[:, 1], c=phi, s=4, cmap="magma_r", vmin=0, vmax=0.6)
     ax.set(aspect="equal", xlabel="x [mm]", ylabel="y [mm]", title="The crack has split in two")
     figure.colorbar(shown, ax=ax, label="share of broken bonds")
     figure.savefig(given.out / "damage.png", dpi=120)

@@ -73,7 +73,9 @@ def main(arguments: list[str] | None = None) -> int:
     }
     print(json.dumps(numbers))
     figure, ax = plt.subplots(figsize=(5.5, 4.5), layout="constrained")
-    shown = ax.tripcolor(*mesh.x.T, mesh.cells, stress, shading="gouraud")
+    shown = ax.tripcolor(
+        mesh.x[:, 0], mesh.x[:, 1], stress, triangles=mesh.cells, shading="gouraud"
+    )
     ax.set(aspect="equal", xlabel="x [Å]", ylabel="y [Å]", title="Tension along x")
     figure.colorbar(shown, ax=ax, label="stress along x over the tension")
     figure.savefig(given.out / "stress.png", dpi=120)

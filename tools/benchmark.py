@@ -278,7 +278,8 @@ def solves(*, quick: bool, threads: int) -> None:
                 f"{shape:14} {unknowns:8} {layout:8.2f}{setup:8.2f}{solve:8.2f} {iterations:10.0f}"
                 f"   {residual:.1e}", flush=True,
             )  # fmt: skip
-        power = np.polyfit(*np.log([[*seconds], [*seconds.values()]]), 1)[0]
+        sizes, times = np.log([*seconds]), np.log([*seconds.values()])
+        power = np.polyfit(sizes, times, 1)[0]
         print(f"{shape:14} time of a solve grows with unknowns to the power {power:.2f}")
     ratio = gradient_over_solve(model, sides[-1] if quick else 500)
     print(f"gradient to load, λ, μ, α, D: {ratio:.2f} × the solve")
@@ -404,7 +405,12 @@ def by_predict(family: Any) -> Callable[[Samples], Solver]:
 
     def prepare(samples: Samples) -> Solver:
         placed, points = family.with_doubts(samples.points), samples.points
-        return lambda b, u: wp.predict(placed, wp.Dirichlet(points, b, u), 0.01).u[samples.interior]
+
+        def answer(b: np.ndarray, u: np.ndarray) -> np.ndarray:
+            found: Any = wp.predict(placed, wp.Dirichlet(points, b, u), 0.01)
+            return np.asarray(found.u[samples.interior])
+
+        return answer
 
     return prepare
 
@@ -487,7 +493,7 @@ def front(*, quick: bool, threads: int) -> None:
     caption = (
         "Free disks of graphene and waves of 16 to 24 Å; fits saw the other half of the waves."
     )
-    table = {"caption": caption, "date": f"{date.today()}", "commit": commit}
+    table: dict[str, Any] = {"caption": caption, "date": f"{date.today()}", "commit": commit}
     table["command"] = "python tools/benchmark.py front"
     table["columns"] = ["model", "set-up [ms]", "one load [ms]", "disks [%]", "short waves [%]"]
     machine = f"{platform.machine()}, {os.cpu_count()} cores"

@@ -153,8 +153,8 @@ class OnPoints(Remade):
 
     def load(self, b: Any) -> np.ndarray:
         """b on the interior nodes, [..., I, d], which the force equals in equilibrium."""
-        b = checked("b", b, float, (..., *self.shape), ~self.held)
-        return np.asarray(b[..., self.points.interior, :])
+        load = checked("b", b, float, (..., *self.shape), ~self.held)
+        return np.asarray(load[..., self.points.interior, :])
 
     def energy(self, u: Any) -> Any:
         """Shape [...], as Operator's; None where there is none, as here."""

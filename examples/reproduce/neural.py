@@ -158,12 +158,17 @@ def fresh(name: str, units: Any, seed: int = 0) -> tuple[NeuralOperator, Trainin
 
     Strain, rate, batch and epochs are not printed.
     """
-    wide = {"influence": (256, 512), "state": (512, 512), "units": units, "seed": seed}
+    wide: dict[str, Any] = {
+        "influence": (256, 512),
+        "state": (512, 512),
+        "units": units,
+        "seed": seed,
+    }
     if name == "graphene":
         return NeuralOperator(20.0, **wide, strain=0.5), Training(epochs=330, batch=2)
     if name == "leaflet":
         small = wide | {"influence": (32, 64), "state": (64, 64)}
-        fibres = {"anisotropic": True, "proportional": True, "strain": 2.0}
+        fibres: dict[str, Any] = {"anisotropic": True, "proportional": True, "strain": 2.0}
         operator = NeuralOperator(REACH * SPACING, **small, **fibres)
         return operator, Training(epochs=30, rate=2e-3, batch=5)
     operator = NeuralOperator(int(name[-1]) * SPACING, **wide, anisotropic=True, strain=2.0)

@@ -431,7 +431,7 @@ def algorithm_1_steps() -> Table:
 def swept(temperature: int) -> Sweep:
     """Algorithm 2 at 0 K, or at 300 K smoothed as printed; fits are kept in runs/."""
     own = data() if temperature == 0 else warm()["iota", 1.0]
-    how = {"test": own["test"], "jobs": -1, "progress": True}
+    how: dict[str, Any] = {"test": own["test"], "jobs": -1, "progress": True}
     how |= {"noise": own["noise"]} if "noise" in own else {}
     return wp.methods.sweep(own["train"], own["val"], folder_of(temperature), **how)
 
@@ -510,7 +510,10 @@ def table_4() -> Table:
     ]
 
 
-def two_grids(sets: Mapping[str, Samples], against: Mapping[str, Samples]) -> list[list[str]]:
+Sets = wp.Dataset | Mapping[str, wp.Samples]
+
+
+def two_grids(sets: Sets, against: Sets) -> list[list[str]]:
     """One fit at δ = 12.5 Å to both grids: errors on the grid of 2.5 and on that of 5 Å."""
     model = fitted([sets["train"], sets["train_fine"]], 12.5, 10).material
     names = [name + end for end in ("_fine", "") for name in SETS[1:]]

@@ -13,7 +13,7 @@ from ase.neighborlist import neighbor_list
 
 import warp_peri as wp
 from tests.support.noisy import Noisy
-from warp_peri.atoms import crystal_fit, phonons
+from warp_peri.atoms import phonons
 from warp_peri.atoms.calculator_noise import (
     BENDING,
     LARGEST,
@@ -91,16 +91,6 @@ def test_the_error_goes_into_the_law_and_into_what_is_proven(aluminium):
     rows = dict(aluminium.rows())
     told = float(rows["proven at moduli less 2 standard errors"].split()[2])
     assert told == pytest.approx(1e3 * aluminium.law.certificate.proven * (1 - 2 * share), rel=1e-3)
-
-
-@pytest.mark.slow
-def test_a_sheet_under_noise_has_a_law_too():
-    sheet = ase.build.fcc111("Al", (1, 1, 2), a=3.99, vacuum=10)
-    sheet.pbc = (True, True, False)
-    exact, noisy = (wp.from_atoms(sheet, c) for c in (EMT(), Noisy(EMT(), 1e-5, 1)))
-    off = np.abs(noisy.tensor - exact.tensor).max() / np.abs(exact.tensor).max()
-    assert off < 0.003
-    assert off < 4 * noisy.unsure
 
 
 def differences(cell, many):
@@ -203,19 +193,6 @@ def test_an_imaginary_phonon_is_refused_beyond_three_standard_errors():
         wp.InputError, match=r"crystal, got the stiffness -[\d.e+-]+ ± [\d.]+ .*; its error hides"
     ):
         unsure.answer(k, np.ones((2, 3)))
-
-
-@pytest.mark.slow
-def test_force_constants_that_are_unstable_within_their_error_are_mended_by_strains(monkeypatch):
-    calculator = Noisy(EMT(), 1e-5)
-    reference = at_rest(ase.build.bulk("Al"), calculator)
-    true = from_calculator(reference.cell, EMT(), (5, 5, 5))
-    unsure = replace(true, values=-0.2 * true.values, doubt=1.2 * true.values[None])
-    monkeypatch.setattr(crystal_fit, "force_constants", lambda *_: (unsure, {}))
-    found, _, told = crystal_fit.known_constants(reference, calculator)
-    assert "C44 -7" in told["moduli, force constants alone"]
-    moduli = wp.atoms.from_force_constants(found).content()["moduli_GPa"]["atoms"]
-    assert moduli == pytest.approx(ALUMINIUM, rel=3e-3)
 
 
 def test_born_charges_sum_to_zero_and_their_self_term_is_symmetric():

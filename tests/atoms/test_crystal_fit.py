@@ -1,7 +1,6 @@
 """Structures to laws: moduli of finite strains, sheets and solids found, what is refused."""
 
 import json
-import re
 import sys
 import warnings
 from dataclasses import replace
@@ -20,11 +19,9 @@ from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 
 import warp_peri as wp
-from tests.support.noisy import rigid_ions
 from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
-from warp_peri.atoms.phonons import born_charges, force_constants, wave_loads
+from warp_peri.atoms.phonons import born_charges
 from warp_peri.atoms.relaxed import at_rest
-from warp_peri.cli.learn import read_structure
 from warp_peri.cli.main import main
 from warp_peri.core.elastic import voigt
 from warp_peri.core.groups import group_of_structure
@@ -65,23 +62,6 @@ def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
     assert (graphene / "law.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
-def test_learning_says_what_there_is_how_good_and_is_repeated_from_its_settings(tmp_path, capsys):
-    ase.io.write(tmp_path / "Cu.cif", ase.build.bulk("Cu"))
-    line = f"learn {tmp_path}/Cu.cif --calculator ase.calculators.emt:EMT --out {tmp_path}/out"
-    assert main(line.split()) == 0
-    first = capsys.readouterr().out
-    wave = json.loads((tmp_path / "out" / "learn.json").read_text())["holds_to"]["law"]
-    what, good, proof, further, rule, *_ = first.splitlines()
-    assert what == f"{tmp_path}/out/model.json: elastic crystal model of Cu.cif, point group m-3m"
-    assert good == f"displacement under waves: error of at most 2 % down to {wave:.3g} Å"
-    assert proof == "proven: exactly one equilibrium for every load"
-    assert further.startswith(f"next: warp-peri info {tmp_path}/out/model.json")
-    assert set(rule) == {"-"}
-    assert main(["learn", "--config", f"{tmp_path}/out/learn.toml"]) == 0
-    assert capsys.readouterr().out.splitlines()[:4] == first.splitlines()[:4]
-
-
 def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, capsys):
     (tmp_path / "a b.dump").write_text("ITEM: TIMESTEP\n0\nITEM: ATOMS id type x y z\n1 1 0 0 0\n")
     (tmp_path / "a b.txt").write_text("nothing of ASE's")
@@ -95,29 +75,6 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
     (tmp_path / "file").write_text("")
     assert main([*line, str(tmp_path / "file" / "out")]) == 2
     assert "cannot be written" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_data_file_of_lammps_is_learned_from_with_its_potential(tmp_path, capsys):
-    """Skewed boxes, and types in any order: they are elements by their masses."""
-    data, out = tmp_path / "a.data", tmp_path / "out"
-    ase.io.write(data, ase.build.bulk("Si"), format="lammps-data", masses=True)
-    line = f"learn {data} --calculator lammps:sw --potential Si.sw --out {out}"
-    assert main(line.split()) == 0
-    found = json.loads((out / "learn.json").read_text())["moduli_GPa"]["finite strains"]
-    assert found == pytest.approx({"C11": 151.42, "C12": 76.42, "C44": 56.45}, rel=1e-3)
-    salt = ase.build.bulk("GaN", "wurtzite", a=3.19, c=5.19)
-    calculator = lammps_calculator("sw", ["Ga", "N"], "GaN.sw")
-    ends = []
-    how = {"masses": True, "atom_style": "charge", "specorder": ["N", "Ga"]}
-    ase.io.write(data, salt, format="lammps-data", **how)
-    for one in (salt, read_structure(data)):
-        one.calc = calculator
-        ends.append(one.get_potential_energy())
-    assert ends[0] == pytest.approx(ends[1], rel=1e-6)
-    data.write_text(data.read_text().replace("Atoms # charge", "Atoms"))
-    assert main(line.split()) == 2
-    assert "says it behind Atoms, as in: Atoms # charge" in capsys.readouterr().err
 
 
 def test_types_by_number_are_elements_by_their_masses_and_asked_for_without(tmp_path):
@@ -206,10 +163,7 @@ def ordered(name):
     return atoms
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["initial_magmoms", "initial_charges", "tags", pytest.param("own", marks=pytest.mark.slow)],
-)
+@pytest.mark.parametrize("name", ["initial_magmoms", "initial_charges", "tags"])
 def test_what_tells_atoms_of_one_element_apart_is_kept_in_the_smallest_cell(name):
     """Moments, charges and tags by themselves; what else a calculator goes by keeps the cell."""
     calculator, given = Exchange(name), ordered(name)
@@ -271,26 +225,6 @@ def test_elements_of_a_typed_pair_coeff_are_its_types():
         lammps_calculator(f"hybrid a b; {lines}", ["Al", "Ni"])
 
 
-@pytest.mark.slow
-def test_a_potential_with_kinks_is_called_one():
-    """Tables of CoAl.eam.alloy have kinks; AIREBO's graphyne was called piezoelectric."""
-    alloy = ase.Atoms("CoAl", scaled_positions=[[0, 0, 0], [0.5] * 3], cell=[2.86] * 3, pbc=True)
-    made = lammps_calculator("eam/alloy", ["Co", "Al"], "CoAl.eam.alloy")
-    with warnings.catch_warnings(record=True) as seen:
-        warnings.simplefilter("always")
-        try:
-            found = wp.from_atoms(alloy, made)
-        except wp.InputError as error:
-            seen.append(error)
-        else:
-            assert "of the largest from steps of 0.002 to 0.01" in repr(found)
-    told = " ".join(str(getattr(one, "message", one)) for one in seen)
-    assert re.search(r"change by [\d.]+% of the largest .* the potential has kinks", told)
-    with pytest.raises(wp.InputError, match="the potential has kinks") as raised:
-        wp.from_atoms(graphyne(), lammps_calculator("airebo 3.0 1 1", ["C"], "CH.airebo"))
-    assert "piezoelectric" not in str(raised.value)
-
-
 def graphyne():
     """γ-graphyne: hexagons of carbon on a triangular lattice, joined by C≡C."""
     turns = np.stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)], axis=1)
@@ -314,53 +248,6 @@ def test_born_charges_of_a_calculator_are_asked_for():
     calculator.reset()
     assert born_charges(sheet, calculator) is None
     assert born_charges(solid, EMT()) is None
-
-
-@pytest.mark.slow
-def test_a_calculator_with_charges_has_the_field_of_its_ions():
-    """Magnesium oxide of rigid ions (G. V. Lewis and C. R. A. Catlow, 1985), ± 2 e."""
-    found = wp.from_atoms(ase.build.bulk("MgO", "rocksalt", a=4.2), rigid_ions())
-    C = 1e3 * voigt(found.tensor)
-    assert (C[0, 0], C[0, 1]) == pytest.approx((392.963, 164.309), rel=5e-3)  # strains of a period
-    assert "Born charges" in found.said["force constants"]
-
-
-@pytest.mark.slow
-def test_a_supercell_that_forces_leave_is_said():
-    nickel = ase.build.bulk("Ni")
-    with (
-        pytest.warns(UserWarning, match=r"moduli: those of long waves are \d+.\d% off"),
-        pytest.warns(UserWarning, match="16% of what moduli are made of"),
-    ):
-        found = wp.from_atoms(nickel, EMT(), supercell=(3, 3, 3))
-    assert 0.02 < off(found) < 0.2
-    with pytest.warns(UserWarning, match="16% of what moduli are made of"):
-        said = repr(found)
-    assert "forces reach further than 3 x 3 x 3 cells" in said
-    with (
-        pytest.raises(wp.InputError, match="forces reach further than 2 x 2 x 2 cells"),
-        pytest.warns(UserWarning, match="100% of what moduli are made of"),
-    ):
-        wp.from_atoms(ase.build.bulk("Al"), EMT(), supercell=(2, 2, 2))
-    with pytest.raises(wp.InputError, match="forces between atoms, got none in 1 atoms"):
-        wp.from_atoms(ase.build.bulk("Al"), EMT(), supercell=(1, 1, 1))
-
-
-@pytest.mark.slow
-def test_a_stretched_sheet_of_three_layers_is_called_anisotropic():
-    """Molybdenum disulphide, 10 % longer: an isotropic solid leaves a fifth of the loads."""
-    sheet = ase.build.mx2("MoS2", a=3.118, vacuum=10)
-    sheet.set_cell(np.array(sheet.cell) @ np.diag([1.1, 1.0, 1.0]), scale_atoms=True)
-    made = lammps_calculator("sw/mod", ["Mo", "S"], "tmd.sw.mod")
-    held = at_rest(sheet, made, hold=["xx"])
-    reach, atoms = 3 * held.spacing, force_constants(held, made)[0]
-    ends = {"longest": 18.0, "shortest": 2.7, "loads": 24, "seed": 0, "collar": 6}
-    samples = wave_loads(atoms, held.spacing, **ends).samples
-    law = wp.fit(samples, wp.LPS(reach, wp.Bernstein(4))).material
-    found = wp.diagnose(law, samples)
-    assert found.residual > 0.1
-    assert found.shares["anisotropy"] > 0.9
-    assert "Micromodulus" in found.advice
 
 
 def test_an_unstable_structure_is_refused_with_its_worst_wave():

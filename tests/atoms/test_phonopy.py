@@ -35,24 +35,6 @@ def test_force_sets_are_those_of_the_calculator():
         wp.atoms.from_force_constants(found, spacing=100.0)
 
 
-@pytest.mark.slow
-def test_force_constants_are_read_in_their_place(tmp_path):
-    phonopy = pytest.importorskip("phonopy")
-    file_io = pytest.importorskip("phonopy.file_IO")
-    shutil.copy(EXAMPLES / "copper" / "phonopy_disp.yaml", tmp_path)
-    with pytest.raises(wp.InputError, match="expected FORCE_CONSTANTS or FORCE_SETS"):
-        wp.atoms.from_phonopy(tmp_path)
-    full = phonopy.load(
-        EXAMPLES / "copper" / "phonopy_disp.yaml",
-        force_sets_filename=EXAMPLES / "copper" / "FORCE_SETS",
-        is_compact_fc=False,
-    )
-    file_io.write_FORCE_CONSTANTS(full.force_constants, tmp_path / "FORCE_CONSTANTS")
-    found = wp.atoms.from_phonopy(tmp_path / "phonopy_disp.yaml")
-    wanted = moduli(wp.atoms.from_phonopy(EXAMPLES / "copper"))
-    assert moduli(found) == pytest.approx(wanted, rel=1e-6)
-
-
 def test_magnetic_moments_of_a_folder_tell_its_sites_apart(tmp_path):
     phonopy = pytest.importorskip("phonopy")
     file_io = pytest.importorskip("phonopy.file_IO")

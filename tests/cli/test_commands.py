@@ -531,7 +531,7 @@ def test_moduli_that_the_data_deny_are_told_beside_those_that_they_have(tmp_path
     assert "moduli of a crystal model" in printed.out
 
 
-@pytest.mark.parametrize("kind", ["tensors", pytest.param("third-order", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", ["tensors", "third-order"])
 def test_every_law_is_trained_at_the_shell(kind, tmp_path, capsys):
     law, path = crystal_data(tmp_path)
     words = ["train", path, "--law", kind, "--out", tmp_path / "out"]

@@ -75,9 +75,7 @@ LONG = ("third order, filtered", "third order, energy", "LPS, bond-based")
 
 
 @pytest.mark.filterwarnings("ignore")
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONG)) for name in EACH]
-)
+@pytest.mark.parametrize("name", [name for name in EACH if name not in LONG])
 def test_every_command_answers_or_refuses_whatever_the_law(name, tmp_path, capsys):
     wp.save(tmp_path / "m.json", EACH[name]())
     if name in LAWS:

@@ -185,15 +185,8 @@ def errors_of(name, length=1.0, stress=1.0):
     return found["E_res"], found["E_u"]
 
 
-@pytest.mark.parametrize(
-    "name",
-    [pytest.param(one, marks=[pytest.mark.slow] * one.endswith("functions")) for one in FITS],
-)
-@pytest.mark.parametrize(
-    "scale",
-    ["small and stiff", pytest.param("large and soft", marks=pytest.mark.slow)],
-    indirect=True,
-)
+@pytest.mark.parametrize("name", FITS)
+@pytest.mark.parametrize("scale", ["small and stiff"], indirect=True)
 def test_a_fit(name, scale):
     (here, there), (unit, other) = scale
     assert errors_of(name)[0] < 0.5

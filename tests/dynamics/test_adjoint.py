@@ -78,9 +78,7 @@ def check_fields(op, within):
         )  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name", ["third order, energy", pytest.param("crystal, third order", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("name", ["third order, energy"])
 def test_a_nonlinear_force_is_felt_where_the_motion_went(name, made):
     check_fields(made(name), 1e-6)
 
@@ -195,7 +193,7 @@ def test_a_motion_that_does_not_run_back_says_so(made, monkeypatch):
         motion.u.sum().backward()
 
 
-@pytest.mark.parametrize("steps", [1000, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("steps", [1000])
 def test_few_states_are_kept(steps, made, monkeypatch):
     op, alive, most = made("LPS, bond-based"), {}, [0]
 

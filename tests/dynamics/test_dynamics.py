@@ -131,15 +131,6 @@ def test_to_move_as_a_whole_changes_no_energy():
         assert run.drift < 1e-12
 
 
-@pytest.mark.slow
-def test_energy_over_a_hundred_thousand_steps():
-    model = kernel("positive", 2.5, lam=-0.2)
-    points, _ = periodic((8, 8))
-    step = 0.9 * critical_time_step(model, spacing=1.0, density=DENSITY)
-    options = {"density": DENSITY, "step": step, "steps": 100_000, "every": 100}
-    assert velocity_verlet(model, points, noise(points), 0 * points.x, **options).drift < 1e-9
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

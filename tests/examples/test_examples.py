@@ -13,9 +13,7 @@ import numpy as np
 import pytest
 
 from examples import train_graphene
-from tests.package.test_pages import BLOCKS, TEXT
-from tests.package.test_shell_pages import run_as_typed
-from warp_peri import LPS, Bernstein, fit, load, save
+from warp_peri import load
 from warp_peri.cli.main import main as command
 from warp_peri.materials.lps import Model
 from warp_peri.points.dataset import load_dataset
@@ -143,16 +141,6 @@ def test_defaults_reach_the_figures_of_the_pages(main_run):
     assert [shipped["smooth_error"], shipped["disks_error"]] == pytest.approx(measured, rel=1e-6)
 
 
-@pytest.mark.slow
-def test_two_stage_method_stops_before_the_optimum(graphene, tmp_path):
-    arguments = ["--horizon", "12.5", "--degree", "3", "--method", "two-stage", "--linear"]
-    assert train_graphene.main([*arguments, "--data", str(graphene), "--out", str(tmp_path)]) == 0
-    numbers = json.loads((tmp_path / "metrics.json").read_text())
-    assert [stage["name"][0] for stage in numbers["stages"]] == ["1", "2"]
-    assert numbers["starts"] == {}
-    assert not {"third_order", "micromodulus"} & set(numbers)
-
-
 def test_evaluate_prints_one_object_with_every_set(main_run, graphene, capsys):
     model = str(main_run / "model.json")
     assert command(["evaluate", model, str(graphene), "--json"]) == 0
@@ -168,22 +156,6 @@ def test_evaluate_prints_one_object_with_every_set(main_run, graphene, capsys):
     main_job = json.loads((main_run / "metrics.json").read_text())
     assert table["E_u"] == pytest.approx(main_job["E_u"]["test"])
     assert table["E_res_abs"] == pytest.approx(np.mean(table["E_res_abs_samples"]))
-
-
-@pytest.mark.slow
-def test_evaluate_exits_2_for_an_uncertified_set_by_name(graphene, tmp_path, capsys):
-    law = LPS(12.5, Bernstein(4))
-    save(tmp_path / "model.json", fit(load_dataset(graphene)["train"], law).material)
-    arguments = ["evaluate", str(tmp_path / "model.json"), str(graphene), "--set", "test_fine"]
-    assert command([*arguments, "--json", "--no-transfer"]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert "certified on 5 Å, not on 2.5 Å" in captured.err
-    # One grid does not teach another: allowed there, the operator turns out to be indefinite.
-    assert command([*arguments, "--json", "--allow-uncertified"]) == 2
-    err = capsys.readouterr().err
-    assert "warning: spacing: the model is certified on 5 Å" in err
-    assert "the operator on these 1245 nodes is indefinite" in err
 
 
 def test_evaluate_names_a_set_that_is_not_there(main_run, graphene, capsys):
@@ -247,24 +219,6 @@ def test_readme_snippet_runs(graphene, tmp_path, monkeypatch, capsys):
     assert f"{100 * float(error):.2f}" == printed
     assert statement.startswith("Every static problem on any finite set of nodes")
     assert Model.load("model.json").certified_on == (5.0,)
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_the_tutorial_on_graphene_prints_what_it_shows(
-    main_run, graphene, tmp_path, monkeypatch, capsys
-):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "data").mkdir()
-    shutil.copy(graphene, tmp_path / "data" / "graphene_0K.h5")
-    run_as_typed("tutorials/graphene", capsys)
-    ((code, shown),) = BLOCKS["tutorials/graphene"]
-    exec(code, {})
-    assert capsys.readouterr().out == shown
-    first = re.search(r"```text\n(.*?)```", TEXT["tutorials/graphene"], re.S)[1].splitlines()
-    printed = (main_run / "printed.txt").read_text().splitlines()
-    assert first[1:4] == printed[1:4]
-    assert first[5][:40] == printed[5][:40]
 
 
 def test_bad_input_of_an_example_is_one_line_and_status_2(tmp_path, monkeypatch, capsys):

@@ -8,9 +8,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from tools.make_hgo import make_hgo
-from warp_peri import Dataset, save
-
 LAWS = Path(__file__).parent.parent.parent / "examples" / "laws"
 LEARNED_FROM_GRAPHENE = {"linear": 3.0, "third_order": 0.094, "crystal": 0.95, "neural": 15.0}
 """Error on the unseen disks that is not to be passed, %."""
@@ -30,14 +27,6 @@ def run(name, folder, monkeypatch):
 def test_laws_learned_from_graphene(name, graphene, tmp_path, monkeypatch):
     (tmp_path / "data").symlink_to(graphene.parent)
     assert 100 * run(name, tmp_path, monkeypatch)["error"] < LEARNED_FROM_GRAPHENE[name]
-
-
-@pytest.mark.slow
-def test_tissue(tmp_path, monkeypatch):
-    sets = make_hgo(tmp_path / "hgo", counts=(60, 6, 6, 4), jobs=1, progress=False)
-    (tmp_path / "data").mkdir()
-    save(tmp_path / "data" / "hgo.h5", Dataset(sets, thickness=1.0, density=1000.0))
-    assert 100 * run("tissue", tmp_path, monkeypatch)["error"] < 0.22
 
 
 def test_cracks_and_diffusion(tmp_path, monkeypatch):

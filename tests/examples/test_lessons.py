@@ -71,15 +71,6 @@ def test_a_law_of_ones_own_goes_through_every_verb(alone):
         wp.certify(law, points=wp.Points.sheet((9, 9), 5.0))
 
 
-@pytest.mark.slow
-def test_a_law_of_ones_own_goes_on_ranks(alone, tmp_path):
-    pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
-    mpiexec = Path(sys.executable).with_name("mpiexec")
-    found = own_law(tmp_path, str(mpiexec), "-n", "2")
-    assert found[:2] == alone[0][:2]
-    assert found[2:] == pytest.approx(alone[0][2:], rel=1e-7)
-
-
 def test_a_ball_swells_in_a_block_as_the_textbook_says():
     from examples.solid_in_space import swollen
 

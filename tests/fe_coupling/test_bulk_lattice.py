@@ -3,7 +3,6 @@
 import dataclasses
 
 import numpy as np
-import pytest
 
 from tests.support.plates import plate
 from warp_peri import Model
@@ -34,13 +33,6 @@ def test_the_body_asks_for_a_finer_lattice_and_so_do_short_waves():
     assert tried[-1].spacing == 1.5
     assert tried[0].verdict == "the waves of the load are not resolved"
     assert tried[0].wave_error > 0.005
-
-
-@pytest.mark.slow
-def test_where_nothing_does_the_finest_is_taken_and_said():
-    with pytest.warns(UserWarning, match="b: waves of 3.01 Å are not resolved to 0.5%"):
-        _, tried = bulk_lattice(MODEL, plate(8.0, 20.0, 6, 32), wave(3.0), None)
-    assert tried[-1].spacing == 0.5
 
 
 def test_a_solution_tells_what_was_tried():

@@ -5,7 +5,6 @@ import dataclasses
 import numpy as np
 import pytest
 
-import warp_peri
 from examples.exact import plate_with_hole
 from tests.micromodulus.crystals import cubic_tensor, dispersive, learned
 from warp_peri.errors import InputError
@@ -13,7 +12,7 @@ from warp_peri.fe_coupling.body import Coupling, solve_body
 from warp_peri.fe_coupling.boundary_elements import Moduli
 from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.points.mesh import make_mesh
-from warp_peri.points.outlines import Block, Circle, Sphere, box, mesh_outline, mesh_solid
+from warp_peri.points.outlines import Circle, Sphere, box, mesh_outline, mesh_solid
 
 TURNED = {2: 20.0, 3: [[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]]}
 SIDES = ("left", "right", "top", "bottom")
@@ -74,39 +73,8 @@ def test_a_turned_body_with_free_faces_feels_nothing(body):
     assert np.abs(found.bulk_stress).max() < 1e-8 * feels
 
 
-@pytest.mark.slow
-def test_a_hole_converges_to_the_exact_plate():
-    C, errors, spacings = cubic_tensor(2), [], (3.0, 2.0, 1.5)
-    for h in spacings:
-        law = fit_symbol(dispersive(C, h), h, 2.5 * h, symmetry="4mm", tensor=C)
-        mesh = mesh_outline(box(120, 120), [Circle(12.0, size=h / 2)], size=2 * h)
-        held = {side: lambda x, law=law: exact(x, law)[0] for side in SIDES}
-        solution = warp_peri.solve(law, warp_peri.Body(mesh, held))
-        parts = solution.details
-        gaps = [
-            (u - exact(x, law)[0], exact(x, law)[0])
-            for x, u in ((parts.rim.x, parts.u_rim), (parts.points.x, parts.u_bulk))
-        ]
-        errors.append(max(np.linalg.norm(gap) / np.linalg.norm(u) for gap, u in gaps))
-    rate = np.polyfit(np.log(spacings), np.log(errors), 1)[0]
-    assert rate > 1.5
-    assert errors[-1] < 5e-5
-
-
 def exact(x, law):
     return plate_with_hole(x, 12.0, 0.005, Moduli(law.tensor()))
-
-
-@pytest.mark.slow
-def test_tetrahedra_know_their_parts_their_voids_and_what_they_hold():
-    mesh = mesh_solid(Block((40.0, 40.0, 40.0)), [Sphere(6.0, size=3.0)], size=8.0)
-    assert set(mesh.parts) == {"left", "right", "front", "back", "bottom", "top", "void"}
-    assert mesh.hole_sizes == pytest.approx([12.0], rel=0.02)
-    middles = mesh.x[mesh.cells].mean(axis=1)
-    assert (mesh.holding(middles) == np.arange(len(mesh.cells))).all()
-    assert (mesh.holding(np.array([[0.0, 0.0, 0.0], [21.0, 0.0, 0.0]])) == -1).all()
-    top = np.unique(mesh.faces[mesh.parts["top"]])
-    assert mesh.x[top, 2] == pytest.approx(20.0)
 
 
 @pytest.mark.parametrize(

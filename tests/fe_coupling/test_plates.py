@@ -1,11 +1,9 @@
 """Bodies with holes by elements at the outline and the learned operator inside."""
 
 import dataclasses
-import re
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from examples.exact import hoop_stress, plate_with_hole
 from tests.support.plates import plate
@@ -199,23 +197,6 @@ def test_a_thin_body_is_solved_by_elements_alone(model):
     assert error(solution.u_rim, field(solution.rim.x)[0]) < 5e-4
 
 
-@pytest.mark.slow
-def test_elements_alone_name_a_spacing_that_gives_the_lattice_room(model):
-    """The spacing that is named serves."""
-    mesh = mesh_outline(box(30, 30), [], size=1.0)
-    held = {"left": (0, 0)}
-    with pytest.warns(UserWarning, match="elements alone") as caught:
-        solve_body(model, mesh, displacement=held, coupling=Coupling(spacing=SPACING, overlap=9.0))
-    (said,) = [str(each.message) for each in caught if "alone" in str(each.message)]
-    spacing = float(re.search(r"Coupling\(spacing=([0-9.]+)\) or less", said)[1])
-    coupling = Coupling(spacing=spacing, overlap=9.0)
-    with pytest.warns(UserWarning, match="transferred from") as caught:
-        assert solve_body(model, mesh, displacement=held, coupling=coupling).points is not None
-    assert all(str(each.message).startswith("transferred from") for each in caught)
-    with pytest.warns(UserWarning, match=r"Room for the lattice: a body [0-9.]+ times as large"):
-        solve_body(model, mesh, displacement=held, coupling=Coupling(spacing=1.0, overlap=16.0))
-
-
 def test_a_narrow_strip_with_a_small_hole_is_solved_by_elements_alone(model):
     mesh = mesh_outline(box(40, 5), [Circle(1.0, size=0.5)], size=1.5)
     with pytest.warns(UserWarning, match="elements alone"):
@@ -236,29 +217,3 @@ def test_moduli_without_positive_energy_are_refused(model):
             displacement={"sides": (0, 0)},
             coupling=Coupling(spacing=SPACING),
         )
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("degree", "least"), [(1, 1.8), (2, 2.7)])
-def test_displacement_converges_with_the_mesh_of_the_rim(model, degree, least):
-    field = exact(model)
-    rings = np.array([8, 16, 32, 64])
-    coupling = Coupling(spacing=SPACING, degree=degree)
-    solutions = [
-        solve_body(
-            model,
-            plate(RADIUS, HALF, n, 4 * n),
-            displacement={"sides": lambda x: field(x)[0]},
-            coupling=coupling,
-        )
-        for n in rings
-    ]
-    finest = solutions.pop()
-    tree = cKDTree(finest.rim.x)
-    errors = []
-    for solution in solutions:
-        corners = solution.rim.corner_nodes
-        away, same = tree.query(solution.rim.x[corners])
-        there = away < 1e-9  # the inner sides of two rims do not lie on one line
-        errors.append(error(solution.u_rim[corners[there]], finest.u_rim[same[there]]))
-    assert -np.polyfit(np.log(rings[:-1]), np.log(errors), 1)[0] >= least

@@ -170,39 +170,6 @@ def test_every_parity_of_waves_is_known(model, clean):
         assert square(WaveResponse(points, HORIZON).about(model), model) < 1e-20
 
 
-@pytest.mark.slow
-def test_bias_of_the_raw_loss_is_gone(model, clean):
-    """Noise softens what the residual learns; the correction and the response are not misled."""
-    data = noisy(clean, SIZE, seed=3)
-    noise = fluctuation(clean, 12, SIZE, seed=4)
-    options = {"horizon": HORIZON, "kernel": Bernstein(DEGREE), "normalise": True}
-    wrong = {}
-    for loss in ("residual", "corrected", "output"):
-        result = fit(data, noise=noise, loss=loss, **options)
-        assert result.loss.name == loss
-        assert result.material.certified_on == (1.0,)
-        wrong[loss] = abs(result.material.mu / model.mu - 1)
-    assert wrong["residual"] > 0.1
-    assert wrong["corrected"] < wrong["residual"] / 3
-    assert wrong["output"] < wrong["residual"] / 5
-
-
-@pytest.mark.slow
-def test_the_default_follows_the_data(model, clean):
-    options = {"horizon": HORIZON, "kernel": Bernstein(DEGREE), "normalise": True}
-    data = noisy(clean, SIZE, seed=3)
-    loud, faint = (fluctuation(clean, 8, size, seed=4) for size in (SIZE, 1e-6))
-    without = fit(data, **options).loss
-    assert without.name == "residual"
-    assert "no fields of noise" in without.reason
-    quiet = fit(data, noise=faint, **options).loss
-    assert quiet.name == "residual"
-    assert "%" in quiet.reason
-    assert fit(data, noise=loud, **options).loss.name == "output"
-    plain = dataclasses.replace(data, arrays={})
-    assert fit(plain, noise=loud, **options).loss.name == "corrected"
-
-
 def refusals(clean):
     noise = fluctuation(clean, 2, SIZE, seed=4)
     return {

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +16,6 @@ from warp_peri.atoms.dic import SheetFrame, frames_of_folder, frames_on_lattice
 from warp_peri.cli.main import main
 from warp_peri.materials.hyperelastic import model_selection
 from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
-from warp_peri.materials.hyperelastic.model_selection import KeptFits
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, uniaxial
 
@@ -90,47 +88,6 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path
     assert low <= middle <= high
     table = np.loadtxt(tmp_path / "out" / "curves.csv", delimiter=",", skiprows=1)
     assert (table[:, 2] <= table[:, 1]).all()
-
-
-@pytest.mark.slow
-def test_a_second_start_goes_on_from_the_fits_that_are_kept(folder, tmp_path, monkeypatch, capsys):
-    fit, names = model_selection.fit_displacement, []
-
-    def counted(train, dictionary, **options):
-        names.append(options["progress"])
-        if len(names) == 3:
-            raise KeyboardInterrupt
-        return fit(train, dictionary, **options)
-
-    monkeypatch.setattr(model_selection, "fit_displacement", counted)
-    line = ["dic", str(folder), "--even", "--count", "4", "--out", str(tmp_path / "out")]
-    assert main(line) == 130
-    assert names[:2] == ["neo-Hookean", "Mooney-Rivlin"]  # bars have the candidates' names
-    capsys.readouterr()
-    assert main(line) == 0
-    assert "2 fits are there and are taken as they are" in capsys.readouterr().err
-    assert names[2:] == ["Yeoh", "Yeoh"]
-    bands = json.loads((tmp_path / "out" / "dic.json").read_text())["tension_with_90_percent_band"]
-    for broken in (tmp_path / "out" / "fits").glob("neo*.fit.json"):
-        broken.write_text("{")
-    assert main(line) == 0
-    assert names[4:] == ["neo-Hookean"]  # a record that cannot be read is made again
-    again = json.loads((tmp_path / "out" / "dic.json").read_text())["tension_with_90_percent_band"]
-    for direction, curve in bands.items():  # those of records too
-        for stretch, numbers in curve.items():
-            np.testing.assert_allclose(again[direction][stretch], numbers, rtol=1e-6)
-    printed = capsys.readouterr().out.splitlines()
-    start = printed.index(f"{tmp_path}/out/material.json: material of a sheet, Mooney-Rivlin")
-    held_out = json.loads((tmp_path / "out" / "dic.json").read_text())["held_out_E_u"]
-    error = f"{100 * held_out['Mooney-Rivlin']:.2g} % on frames left out"
-    assert printed[start + 1] == f"error of displacement: {error}"
-    assert printed[start + 3].startswith(f"next: warp-peri info {tmp_path}/out/material.json")
-    assert set(printed[start + 4]) == {"-"}
-    frames = frames_of_folder(folder, 4, radius=0.0)
-    for settings, count in ((model_selection.SETTINGS, (3, 0)), ("others", (0, 3))):
-        assert KeptFits(tmp_path / "out" / "fits", frames, settings).count() == count
-    other = wp.Samples(frames.points, frames.u + 1e-9)
-    assert KeptFits(tmp_path / "out" / "fits", other, model_selection.SETTINGS).count() == (0, 3)
 
 
 def frames_of(solid, points, *, noise=0.0, lost=0.0, count=6):
@@ -293,23 +250,3 @@ def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     (tmp_path / "cut").mkdir()
     table(tmp_path / "cut", cut, [0.1 * cut, 0.2 * cut, 0.3 * cut, 0.4 * cut])
     assert main([*line, "--along", "y"]) == 2
-
-
-@pytest.mark.slow
-def test_a_rubber_sheet_of_elements_pulls_as_it_should(tmp_path):
-    """The shipped frames of elements, noise of 0.02 pixels: tension at stretch 1.4 within 1 %."""
-    shipped = Path(__file__).parents[2] / "examples" / "frames"
-    make_frames.write_frames(tmp_path / "frames")
-    for path in (tmp_path / "frames").iterdir():
-        again, there = (
-            np.loadtxt(p / path.name, delimiter=",", skiprows=1) for p in (path.parent, shipped)
-        )
-        np.testing.assert_allclose(again, there, atol=2e-3)  # written to 1e-3 pixels
-    line = ["dic", str(shipped), "--pixel", "0.012mm", "--fibres", "0"]
-    assert main([*line, "--out", str(tmp_path / "out")]) == 0
-    found = json.loads((tmp_path / "out" / "dic.json").read_text())
-    assert found["material"].startswith("Mooney-Rivlin")
-    assert "no force is known" in found["stresses"]
-    pull = uniaxial(wp.load(tmp_path / "out" / "material.json"), [1.01, 1.4])
-    true = [(s - s**-2) * (make_frames.C1 + make_frames.C2 / s) for s in (1.01, 1.4)]
-    assert pull[1] / pull[0] == pytest.approx(true[1] / true[0], rel=0.01)

@@ -8,12 +8,11 @@ import pytest
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, off, solid
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import Bernstein, InputError, evaluate
+from warp_peri import InputError, evaluate
 from warp_peri.learning.fit import learn as fit
 from warp_peri.materials.influence import gaussian, named, table
-from warp_peri.materials.lps import Model, stiffnesses
-from warp_peri.methods import Conditions, Optimum, TwoStage
-from warp_peri.points.families import bond_classes
+from warp_peri.materials.lps import Model
+from warp_peri.methods import Optimum, TwoStage
 from warp_peri.shapes import InfluenceFunction
 
 RECOVERED = 1e-4
@@ -58,26 +57,6 @@ def test_a_given_table_leaves_the_constants_to_learn():
     assert learned.influence is not None
     assert learned.influence.parameters == {}
     assert (learned.material.lam, learned.material.mu) == pytest.approx((0.1, 0.7), rel=RECOVERED)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(4))
-def test_a_table_at_every_bond_is_as_good_as_the_polynomial(seed):
-    """Both then reach every kernel of the lattice: one optimum, conditions active."""
-    first = np.random.default_rng(seed).normal(size=len(LENGTHS)) if seed else 1 / LENGTHS
-    true = kernel("sign-changing", HORIZON, lam=-0.3, mu=0.7)
-    points = noisy(manufactured(true, lattice(4, HORIZON), 3), 0.02, seed=1)
-    shape = table(LENGTHS, first, learned=True)
-    asked = Conditions(zeta=0.01)
-    learned = fit(points, horizon=HORIZON, kernel=shape, loss="residual", conditions=asked)
-    expected = fit(points, HORIZON, Bernstein(len(LENGTHS) - 1), conditions=asked)
-    (loss,), reference = learned.starts.values(), min(expected.starts.values())
-    assert loss == pytest.approx(reference, rel=1e-5)
-    classes = bond_classes(1.0, HORIZON)
-    for stiffness, other in zip(
-        stiffnesses(learned.material, classes), stiffnesses(expected.material, classes)
-    ):
-        np.testing.assert_allclose(stiffness, other, atol=1e-3)
 
 
 def test_bounds_are_kept():
@@ -127,21 +106,6 @@ def test_a_start_beside_zero_is_no_trap(start):
     assert learned.influence.parameters["a"] == pytest.approx(0.28, rel=RECOVERED)
 
 
-@pytest.mark.slow
-def test_a_function_is_never_asked_beyond_its_bounds():
-    def root(r, a):
-        if a < 0:
-            raise ValueError("outside")
-        return 1 + np.sqrt(a) * r
-
-    true = InfluenceFunction(root, {"a": 0.0}, {"a": (0.0, 5.0)})
-    points = manufactured(solid(true, 1.0), lattice(4, HORIZON), 2)
-    start = InfluenceFunction(root, {"a": 0.5}, {"a": (0.0, 5.0)})
-    learned = fit(points, horizon=HORIZON, kernel=start)
-    assert learned.influence is not None
-    assert 0 <= learned.influence.parameters["a"] < 1e-4
-
-
 def test_a_start_that_leaves_its_domain_is_passed_over():
     def logarithm(r, a):
         with np.errstate(invalid="ignore"):
@@ -161,18 +125,6 @@ def test_moduli_that_a_shape_cannot_have_are_no_result(moduli):
     points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
     with pytest.raises(RuntimeError, match="moduli to be held missed by"):
         fit(points, horizon=HORIZON, kernel=shape, method=Optimum(moduli=moduli))
-
-
-@pytest.mark.slow
-def test_moduli_are_held_by_a_shape_that_can():
-    def two(r, a, b):
-        return 1 / r + a + b * r
-
-    shape = InfluenceFunction(two, {"a": 0.1, "b": 0.1})
-    points = manufactured(solid(shape, 1.0), lattice(4, HORIZON), 2)
-    learned = fit(points, horizon=HORIZON, kernel=shape, method=Optimum(moduli=(0.1, 0.6)))
-    assert learned.moduli[0]["C44"] == pytest.approx(0.6, abs=1e-6)
-    assert (learned.material.lam, learned.material.mu) == pytest.approx((0.1, 0.6), abs=1e-6)
 
 
 def test_a_fit_with_a_table_travels():

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
+from tests.support.problems import GRADIENT, difference, ell, kernel, lattice
 from tests.support.symbols import smallest_margins
-from warp_peri import Bernstein, certify
-from warp_peri.learning.fit import learn as fit
+from warp_peri import certify
 from warp_peri.learning.two_stage import (
     DENSE_ZETA,
     PRINTED_HORIZON,
@@ -18,7 +17,7 @@ from warp_peri.learning.two_stage import (
     mirror_blocks,
 )
 from warp_peri.materials.lps import stiffnesses
-from warp_peri.methods import Conditions, TwoStage
+from warp_peri.methods import Conditions
 from warp_peri.points.families import bond_classes
 
 HORIZON, ZETA = 3.0, 0.02
@@ -96,15 +95,3 @@ def test_symbol_margins_are_the_smallest_of_the_zone():
     smallest = smallest_margins(CLASSES, conditions, *stiffnesses(model, CLASSES))
     np.testing.assert_allclose(margins, smallest, atol=2e-3)
     assert (margins >= smallest - 1e-12).all()
-
-
-@pytest.mark.slow
-def test_stage_two_moves_a_violating_start_towards_the_conditions():
-    """On data of a kernel that violates them, the conditions are kept to a small remainder."""
-    method = TwoStage(epochs=500, inner_epochs=200, outer_iterations=10)
-    true = kernel("sign-changing", 2.5)
-    assert certify(true, spacing=1.0).symbol_min < -0.03
-    points = manufactured(true, lattice(6, 2.5), 6, wave_number=2.0)
-    learned = fit(points, horizon=2.5, kernel=Bernstein(4), method=method)
-    assert learned.certificate.symbol_min > -0.003
-    assert learned.history[1].E_res_train < learned.history[0].E_res_train

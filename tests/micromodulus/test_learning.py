@@ -16,7 +16,6 @@ from warp_peri.atoms.force_constants import Polar, from_calculator, from_superce
 from warp_peri.core.elastic import allowed_tensors, voigt
 from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
-from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.materials.crystal import Crystal, tensors_of
 from warp_peri.materials.crystal_fit import Micromodulus, fit_symbol, from_phonons, transferred
 from warp_peri.points.points import Points
@@ -26,9 +25,6 @@ from warp_peri.points.samples import Samples
 def fit(samples, horizon, **asked):
     """The material that is learned."""
     return Micromodulus(horizon, **asked).learn(samples).material
-
-
-ISOTROPIC = {2: point_group("isotropic", 2), 3: point_group("m-3m", 3)}
 
 
 def waves(law, points, count, seed=0):
@@ -121,15 +117,6 @@ def test_moduli_are_held_as_given():
     given = np.array([[0.2, 0.1, 0], [0.1, 0.2, 0], [0, 0, 0.06]])
     held = fit(samples, law.horizon, symmetry="4mm", moduli=given)
     np.testing.assert_allclose(held.elastic_tensor(), given, atol=1e-12)
-
-
-@pytest.mark.slow
-def test_long_waves_of_graphene_have_its_moduli(graphene):
-    data = warp_peri.load(graphene)
-    group = point_group("6mm", 2)
-    C, misfit = long_wave_moduli(data["train"], allowed_tensors("6mm", group, np.eye(2)))
-    assert voigt(C)[[0, 0, 2], [0, 1, 2]] == pytest.approx([1.2475, -0.1972, 0.7223], abs=0.004)
-    assert misfit < 0.02
 
 
 def test_graphene_from_fields(graphene):

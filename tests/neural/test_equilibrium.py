@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import torch
 
-import warp_peri as wp
 from examples.reproduce.descent import polak_ribiere
 from tests.support.problems import lattice
 from warp_peri.errors import InputError
@@ -100,50 +99,6 @@ def gradient(material, loss):
     material.zero_grad()
     loss()
     return torch.cat([part.grad.ravel() for part in material.parameters()])
-
-
-@pytest.mark.slow
-def test_gradients_of_an_equilibrium():
-    """By the adjoint, through the steps of the search as it converges, and by differences."""
-    material, placed, u = problem()
-    rows, search = placed.bonds.rows, NeuralEquilibrium(placed)
-    target = torch.tensor(0.01 * np.random.default_rng(3).normal(size=(16, 2)))
-
-    def loss():
-        found = search.solve(np.zeros_like(u), u, tolerance=1e-12)
-        return ((torch.tensor(found.u[rows]) - target) ** 2).sum(), found
-
-    def implicit():
-        given = wp.Dirichlet(placed.points, torch.zeros(u.shape), torch.as_tensor(u).double())
-        answer = wp.solve(placed, given, solver=wp.Newton(tolerance=1e-12)).u
-        ((answer[rows] - target) ** 2).sum().backward()
-
-    def unrolled(steps):
-        inner, _ = polak_ribiere(
-            unbalanced(placed, u), torch.zeros_like(target), tolerance=1e-11, most=steps
-        )
-        ((inner - target) ** 2).sum().backward()
-
-    found = gradient(material, implicit)
-    gaps = [
-        float((gradient(material, lambda n=n: unrolled(n)) - found).norm()) for n in (5, 10, 60)
-    ]
-    assert gaps[2] < 1e-7 * float(found.norm())
-    assert gaps[2] < gaps[1] < gaps[0]
-    first = 0
-    random = torch.Generator().manual_seed(4)
-    for name, part in material.named_parameters():
-        mine = found[first : first + part.numel()].reshape(part.shape)
-        first += part.numel()
-        step = torch.randn(part.shape, generator=random, dtype=torch.float64)
-        values = []
-        with torch.no_grad():
-            for sign in (1, -2, 1):
-                part += sign * 1e-5 * step
-                values.append(float(loss()[0]))
-        expected = (values[0] - values[1]) / 2e-5
-        size = max(float(mine.norm() * step.norm()), 1e-6 * float(found.norm()))
-        assert abs(float((mine * step).sum()) - expected) < 1e-6 * size, name
 
 
 def test_factors_survive_other_numbers():

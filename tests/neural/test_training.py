@@ -48,7 +48,7 @@ def student(**other):
     return NeuralOperator(HORIZON, (8, 8), (16, 16), strain=0.2, seed=1, **other).double()
 
 
-@pytest.mark.parametrize("cells", [pytest.param(0, marks=pytest.mark.slow), 12])
+@pytest.mark.parametrize("cells", [12])
 def test_forces_are_learned(cells):
     material = student()
     settings = Training(epochs=60, rate=1e-2, batch=2, cells=cells)

@@ -110,17 +110,6 @@ def installed(wheel, tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_the_installed_command_answers_anywhere(installed, tmp_path):
-    place = run(
-        [installed / "python", "-c", "import warp_peri; print(*warp_peri.__path__)"], tmp_path
-    )
-    assert Path(place.strip()).is_relative_to(installed.parent)
-    words = run([installed / "warp-peri", "--help"], tmp_path)
-    assert words == run([installed / "python", "-m", "warp_peri", "--help"], tmp_path)
-    assert "coarse-grain" in words
-
-
-@pytest.mark.slow
 def test_the_installed_package_works(installed, tmp_path):
     script = shutil.copy(ROOT / "tests/package/typed_use.py", tmp_path)
     run([installed / "python", script, tmp_path], tmp_path)
@@ -133,12 +122,3 @@ def test_the_installed_package_works(installed, tmp_path):
     run([command, "solve", model, data, "--out", "solved.h5"], tmp_path)
     run([command, "export", model, data, "--out", "fields"], tmp_path)
     assert len(list(tmp_path.glob("fields/*.vtu"))) == 8
-
-
-@pytest.mark.slow
-def test_its_types_are_seen(installed, tmp_path):
-    """Which py.typed promises."""
-    pytest.importorskip("mypy")
-    script = shutil.copy(ROOT / "tests/package/typed_use.py", tmp_path)
-    options = ("--strict", "--config-file=", "--python-executable", installed / "python")
-    assert "no issues found" in run([sys.executable, "-m", "mypy", *options, script], tmp_path)

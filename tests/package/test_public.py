@@ -94,26 +94,6 @@ def test_linear_bodies_and_cracks_on_ranks_load_no_torch():
     assert fresh(code) == ""
 
 
-@pytest.mark.slow
-def test_functions_stay_functions_and_no_kernel_is_compiled_where_every_name_is_resolved(tmp_path):
-    """`sweep` names a function, and in its wing the module that it stands in."""
-    cache = tmp_path / "kernels"
-    code = (
-        "import warp_peri, warp_peri.learning.sweep, warp_peri.learning.fit\n"
-        "for name in warp_peri.__all__:\n"
-        "    assert callable(getattr(warp_peri, name)), name\n"
-        "from warp_peri import fit\n"
-        "from warp_peri.methods import sweep\n"
-        "from warp_peri.proofs import solvability, uniqueness\n"
-        "print(fit.__module__, *map(callable, (sweep, solvability, uniqueness)))\n"
-        "import warp as wp; wp.init(); print(wp.config.kernel_cache_dir)"
-    )
-    said, used = fresh(code, WARP_CACHE_PATH=str(cache)).splitlines()
-    assert said == "warp_peri.learning.laws True True True"
-    assert Path(used).is_relative_to(cache)
-    assert not [path for path in cache.rglob("*") if path.is_file()]
-
-
 def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="module 'warp_peri' has no attribute 'slove'"):
         _ = warp_peri.slove

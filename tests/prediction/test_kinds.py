@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.support.plates import plate
 from tests.support.problems import kernel, lattice, manufactured, smooth
 from warp_peri.prediction import Factors, Family, Members
 
@@ -48,14 +47,6 @@ def test_turned_lattices(family):
     check(wp.predict(family, asked(points), None), points)
 
 
-@pytest.mark.slow
-def test_scattered_points(family):
-    even = lattice(9, 1.5 * HORIZON)
-    moved = 0.1 * np.random.default_rng(0).uniform(-1, 1, even.x.shape)
-    points = wp.Points(even.x + moved, even.interior, 0.0)
-    check(wp.predict(family, asked(points), None), points)
-
-
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_crystals(dimension):
     from tests.micromodulus.test_operator import body, learned
@@ -68,20 +59,6 @@ def test_crystals(dimension):
     b[:, 0] = 1e-3
     answer = wp.predict(family, wp.Dirichlet(points, b, 0 * b), None)
     check(answer, points)
-
-
-@pytest.mark.filterwarnings("ignore:mesh:UserWarning")
-@pytest.mark.slow
-def test_a_body_is_answered_and_its_edge_named(family):
-    stretch = {"sides": lambda x: 1e-3 * x}
-    body = wp.Body(plate(3.0, 12.0, 6, 24), displacement=stretch)
-    answer = wp.predict(family, body, 0.05)
-    assert not answer.kept
-    assert any(one.startswith("free edges") for one in answer.uncovered)
-    assert "not covered: free edges" in answer.why
-    assert answer.error > 0
-    with pytest.raises(wp.InputError, match="knows nothing of its error"):
-        wp.predict(family.rich, body)
 
 
 def test_one_placed_elsewhere_is_refused(family):

@@ -65,7 +65,7 @@ def finished(process, status=0):
     return json.loads(out.splitlines()[-1]) | {"said": err}
 
 
-@pytest.fixture(scope="module", params=[(1,), pytest.param((1, 3), marks=pytest.mark.slow)])
+@pytest.fixture(scope="module", params=[(1,)])
 def later(request):
     """Numbers of ranks that go on from where two have come."""
     return request.param

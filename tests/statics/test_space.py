@@ -2,18 +2,16 @@
 
 import numpy as np
 import pytest
-import torch
 
 import warp_peri
 from tests.support.cubes import cube, field, load, periodic_cube, solid
-from tests.support.problems import difference, fitted_order
+from tests.support.problems import fitted_order
 from tests.support.solving import solve
 from warp_peri import Direct, Krylov
 from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
 from warp_peri.fitting.evaluate import without_rigid_part
 from warp_peri.materials.lps import moduli
-from warp_peri.methods import Solid
 from warp_peri.micromodulus import tensors_of
 from warp_peri.points.families import bond_classes
 
@@ -131,30 +129,3 @@ def test_large_cubes_and_periods_are_solved_in_space():
     u -= u.mean(axis=0)
     found = warp_peri.solve(cell, warp_peri.Periodic(cell.points, cell(u))).u
     np.testing.assert_allclose(found, u, atol=1e-10)
-
-
-@pytest.mark.slow
-def test_the_direct_solve_is_differentiable_in_space():
-    points, model = cube(2, 2.0), solid(2.0, alpha=1.2, D=[1.0, 0.4])
-    random = np.random.default_rng(0)
-    b, u, seed = random.normal(size=(3, *points.x.shape))
-    numbers = ("lam", "mu", "alpha", "D")
-    given = {name: np.atleast_1d(getattr(model, name)).astype(float) for name in numbers}
-    operator = model.on(points, allow_uncertified=True)
-
-    def scalar(load, collar, *values):
-        answer = operator.rest(load, collar, parameters=Solid(*values)).u
-        return (torch.from_numpy(seed) * answer).sum()
-
-    start = [torch.tensor(part, requires_grad=True) for part in (b, u, *given.values())]
-    found = torch.autograd.grad(scalar(*start), start)
-    for n, gradient in enumerate(found):
-        way = torch.from_numpy(random.normal(size=tuple(gradient.shape)))
-
-        def along(t, n=n, way=way):
-            moved = [part.detach() for part in start]
-            moved[n] = moved[n] + t[0] * way
-            return scalar(*moved).item()
-
-        expected = difference(along, [0.0], 0.003)[0]
-        assert float((gradient * way).sum()) == pytest.approx(expected, rel=1e-7)

@@ -1,6 +1,5 @@
 """Third-order constants on micromodulus tensors: force, proof, learning, files."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -11,11 +10,9 @@ import warp_peri
 from tests.micromodulus.crystals import cubic_tensor, dispersive
 from tests.support.nonlinear import LAM, MU, TENSOR, psi, solid, tangent
 from tests.support.problems import lattice, smooth
-from warp_peri.core.elastic import allowed_tensors, voigt
+from warp_peri.core.elastic import voigt
 from warp_peri.core.grid import grid_of
-from warp_peri.core.groups import point_group
 from warp_peri.errors import InputError
-from warp_peri.fitting.long_waves import long_wave_moduli
 from warp_peri.learning.laws import fit
 from warp_peri.materials.crystal_fit import Micromodulus, fit_symbol
 from warp_peri.materials.third_order import Smoothing, energy_density, proven_kappa
@@ -158,21 +155,6 @@ def test_what_made_the_data_is_found_again(law):
     np.testing.assert_allclose(model.linear.tensors, law.linear.tensors, atol=1e-7 * size)
     assert found.errors["E_res"] < 1e-8
     assert model.proven["strain"] == pytest.approx(law.proven["strain"], rel=1e-4)
-
-
-@pytest.mark.slow
-def test_moduli_of_long_waves_are_found_beside_the_constants(law):
-    points = nodes(15)
-    samples = loaded(law, points, 0.1, count=8, wave_number=0.3)
-    allowed = allowed_tensors("isotropic", point_group("isotropic", 2), np.eye(2))
-    plain, _ = long_wave_moduli(samples, allowed)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        found = fit(samples, ThirdOrder(Micromodulus(REACH), law.smoothing, law.form))
-    assert found.material.provenance["fit"]["long_wave_misfit"] < 5e-4
-    without = np.array([plain[0, 0, 1, 1], plain[0, 1, 0, 1]])
-    np.testing.assert_allclose(found.material.numbers[:2], (LAM, MU), atol=0.005 * MU)
-    assert np.abs(without - (LAM, MU)).max() > 0.02 * MU
 
 
 def test_what_does_not_fit_is_refused(law):

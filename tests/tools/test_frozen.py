@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tools import frozen
-from warp_peri.launch import set_threads, threads
 
 FIELD = np.random.default_rng(0).normal(size=(40, 2))
 
@@ -72,19 +71,3 @@ def test_what_is_missing_or_fails_is_beyond_and_what_is_absent_is_skipped(monkey
     assert found["one: force"]["shape"] == [40, 2]
     assert found["one: stress"] == "ValueError: no stress"
     assert found["two: force"] == "skipped: no data"
-
-
-@pytest.mark.slow
-def test_forces_and_solves_are_those_of_the_record():
-    """One material of each kind; all of them, and fits, are in the slow test."""
-    some = "lps_bond_based|crystal_third_order_filtered|crystal_in_space|soft|coupled"
-    before = threads()
-    try:
-        assert frozen.main(["check", "--only", f"^({some}): "]) == 0
-    finally:
-        set_threads(before)
-
-
-@pytest.mark.slow
-def test_every_number_is_that_of_the_record():
-    assert frozen.main(["check"]) == 0

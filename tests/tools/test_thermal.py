@@ -12,8 +12,7 @@ from tools.graphene import THICKNESS, area_per_atom
 from tools.lammps_session import CARBON_MASS, LammpsSession
 from tools.loads import PatchLoad, WaveLoad, atom_force
 from tools.make_thermal import long_wave_constants
-from tools.thermal import REDUCTIONS, Task, read_run, run_file, settled
-from warp_peri.points.dataset import load_dataset
+from tools.thermal import Task, run_file, settled
 
 BOLTZMANN = 8.617333262e-5  # eV/K
 EV_PER_AMU_SQUARE_ANGSTROM_PER_PS = 1.0364269656e-4
@@ -70,82 +69,6 @@ def test_a_seed_decides_every_bit_and_noise_is_shared(sheet):
     apart = np.abs(once[-1, 0] - other[-1, 0])
     together = np.abs(once[-1, 0] - pushed[-1, 0])
     assert together.max() < 0.2 * apart.max()
-
-
-@pytest.mark.slow
-def test_data_sets_of_every_reduction(plans, tmp_path, monkeypatch):
-    paths = make(tmp_path, plans)
-    assert {key[0] for key in paths} == set(REDUCTIONS)
-    noise = {}
-    for (reduction, factor), path in paths.items():
-        assert path.name == f"graphene_300K_{reduction}_f0.5.h5"
-        data = load_dataset(path)
-        assert sorted(data) == ["noise", "noise_test", "test", "train", "val"]
-        assert data.provenance["reduction"] == reduction
-        assert data.provenance["factor"] == factor
-        train = data["train"]
-        assert list(train.arrays["seed"]) == [1, 2, 1]
-        assert (train.arrays["snr"] > 0).all()
-        assert list(train.arrays["load_id"]) == ["x k=(0,1)", "x k=(1,0)", "y k=(1,1)"]
-        assert not data["noise"].b.any()
-        # Loads are those of 0 K, times the factor.
-        assert np.abs(train.b).max() > 0
-        noise[reduction] = np.sqrt((data["noise"].u ** 2).mean())
-    assert noise["shared"] < 0.2 * noise["plain"]
-    assert noise["shared"] > 0
-    half = load_dataset(paths["plain", 0.5])["train"].b
-
-    # Unloaded runs serve every factor; runs that are there are not made again.
-    made = []
-    real = tool.run
-
-    def watched(task, *rest):
-        made.append(task)
-        return real(task, *rest)
-
-    monkeypatch.setattr(tool, "run", watched)
-    more = make(tmp_path, plans, factors=[0.5, 1.0], reductions=["plain"])
-    assert {task.factor for task in made} == {1.0}
-    assert np.allclose(load_dataset(more["plain", 1.0])["train"].b, 2 * half, rtol=1e-12)
-
-
-@pytest.mark.slow
-def test_a_killed_tool_goes_on_with_the_run_in_hand(plans, tmp_path, monkeypatch):
-    whole = make(tmp_path / "whole", plans, reductions=["iota"])["iota", 0.5]
-    real, made = tool.run, []
-
-    def killed(task, *rest):
-        if len(made) == 4:
-            raise KeyboardInterrupt
-        made.append(task)
-        return real(task, *rest)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(tool, "run", killed)
-        with pytest.raises(KeyboardInterrupt):
-            make(tmp_path / "cut", plans, reductions=["iota"])
-    again = []
-    monkeypatch.setattr(tool, "run", lambda task, *rest: (again.append(task), real(task, *rest))[1])
-    cut = make(tmp_path / "cut", plans, reductions=["iota"])["iota", 0.5]
-    assert not set(made) & set(again)
-    assert cut.read_bytes() == whole.read_bytes()
-
-
-@pytest.mark.slow
-def test_smoothing_and_average_are_those_of_the_trajectory(plans, tmp_path):
-    make(tmp_path, plans, reductions=["plain"])
-    sheet = plans[1].body
-    x = trajectory(sheet, 3, steps=BATH.steps)[:, 0]
-    u = x - sheet.positions()
-    u -= np.array(sheet.box) * np.rint(u / sheet.box)
-    smoothed = np.zeros_like(u[0])
-    for step in u:
-        smoothed = (1 - BATH.iota) * smoothed + BATH.iota * step
-    task = Task(sheet, None, 0.0, 3)
-    run = read_run(run_file(tmp_path / "graphene_0K.cache", task, BATH))
-    assert np.allclose(run.smoothed, smoothed, atol=1e-7)
-    assert np.allclose(run.average, u[BATH.transient :].mean(axis=0), atol=1e-7)
-    assert run.snr == 0
 
 
 def test_a_run_is_known_by_all_that_decides_it(sheet, tmp_path):

@@ -26,7 +26,7 @@ from warp_peri.errors import InputError
 from warp_peri.files.atomic import destination, finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
-from warp_peri.points.unit_names import symbols
+from warp_peri.points.unit_names import Units, symbols
 from warp_peri.statics.solution import Coupling, Direct, Krylov
 from warp_peri.storage import load
 
@@ -316,7 +316,7 @@ UNITS |= dict.fromkeys(("largest_displacement", "spacing", "horizon", "overlap")
 """Numbers with a unit: 0 that of length, 1 that of stress."""
 
 
-def with_units(given: argparse.Namespace, result: Result, units: Sequence[str]) -> Result:
+def with_units(given: argparse.Namespace, result: Result, units: Units) -> Result:
     """The result, whose numbers are told with their units; JSON names these apart."""
     named = symbols(units)
     shown = {f"{k} [{named[UNITS[k]]}]" if k in UNITS else k: v for k, v in result.items()}

@@ -77,7 +77,8 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
     @classmethod
     def today(cls, content: dict[str, Any]) -> dict[str, Any]:
         """Version 2 had ρ in stress · time² over length², whose times are read as ps."""
-        model, density = content.get("model"), content.get("density")
+        model: Any = content.get("model")
+        density: Any = content.get("density")
         if content.get("version") == 2 and isinstance(model, dict) and is_number(density):
             units = check_units([model.get(key, usual) for key, usual in zip(UNITS, USUAL)])
             content |= {"version": 3, "density": density / inertia_in(units, 1.0)}

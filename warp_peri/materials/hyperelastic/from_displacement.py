@@ -351,10 +351,10 @@ class Search:
             return
         self.c, self.fields = c, self.data.copy()
         found = {n: self.problem.find(c, None, u, start=u) for n, u in enumerate(self.data)}
-        self.kept = [n for n, equilibrium in found.items() if equilibrium]
-        self.left_out = [n for n in found if n not in self.kept]
-        for n in self.kept:
-            self.fields[n] = found[n].u
+        there = {n: equilibrium for n, equilibrium in found.items() if equilibrium}
+        self.kept, self.left_out = [*there], [n for n in found if n not in there]
+        for n, equilibrium in there.items():
+            self.fields[n] = equilibrium.u
         if not (self.kept and self.linearise()):
             raise NoEquilibrium("no frame has an equilibrium with the first coefficients")
 
