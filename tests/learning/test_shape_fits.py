@@ -1,6 +1,7 @@
 """Fits of influence functions given as callables."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -165,3 +166,19 @@ def test_several_starts_and_the_best_of_them():
     assert learned.influence.name == "gaussian"
     assert list(learned.starts) == ["0 exponential", "1 gaussian", "2 conical"]
     assert learned.starts["1 gaussian"] < 1e-6 < learned.starts["2 conical"]
+
+
+def test_a_width_is_found_from_far_off():
+    """Of data of another kernel: from a width near the best, and from the horizon on."""
+    made = manufactured(kernel("1/r", 12.5, spacing=5.0), lattice(8, 25.0, 5.0), 8, 0, 0.2)
+    near, far = (
+        fit(
+            made,
+            20.0,
+            replace(named("gaussian", 20.0), parameters={"width": width}),
+            loss="residual",
+        )
+        for width in (8.0, 20.0)
+    )
+    assert far.influence.parameters["width"] == pytest.approx(near.influence.parameters["width"])
+    assert far.history[-1].loss[-1] == pytest.approx(near.history[-1].loss[-1], rel=1e-6)

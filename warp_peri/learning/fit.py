@@ -499,7 +499,7 @@ def _shaped(data: TrainingData, shapes: Sequence[InfluenceFunction]) -> dict[str
     found = {}
     for number, shape in enumerate(shapes):
         D, _ = shape.coefficients(lengths, data.horizon)
-        solid = Solid(0.0, data.stiffness, 0.0, D)
+        solid = Solid(0.0, data.stiffness / USUAL_STIFFNESS, 0.0, D)
         found[f"{number} {shape.name}"] = LPSFound(solid, shape)
     return found
 
