@@ -19,7 +19,7 @@ import numpy as np
 
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.arrays import checked, plain
-from warp_peri.points.samples import nodes_of
+from warp_peri.points.samples import Samples
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -79,7 +79,9 @@ class Remade:
 
 def _kept(value: Any) -> Any:
     """The nodes alone of samples; of what is often changed afterwards, a copy."""
-    return deepcopy(value) if isinstance(value, np.ndarray | list | dict) else nodes_of(value)
+    if isinstance(value, np.ndarray | list | dict):
+        return deepcopy(value)
+    return value.points if isinstance(value, Samples) else value
 
 
 def _remade(kind: Callable[..., Any], given: tuple[Any, ...], options: dict[str, Any]) -> Any:

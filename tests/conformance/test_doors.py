@@ -7,7 +7,10 @@ import torch
 import warp_peri as wp
 from tests.conformance.test_laws import LAWS
 from tests.support.bodies import solid
+from tests.support.problems import kernel
 from warp_peri.damage import Cracked, rectangle
+from warp_peri.fe_coupling.body import Coupling
+from warp_peri.points.mesh import make_mesh
 
 pytestmark = pytest.mark.filterwarnings("ignore:strain:UserWarning", "ignore:crack")
 
@@ -223,3 +226,43 @@ def test_a_list_of_masked_rows_is_masked():
     hidden = [np.ma.masked_array(row, np.arange(len(row)) == 0) for row in points.x]
     with pytest.raises(wp.InputError, match="^u: expected float values, got masked entries"):
         material.on(points)(hidden)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_positions_are_not_taken_for_points(name):
+    x, material = LAWS[name].points(4).x, LAWS[name].material()
+    for call in (lambda: material.on(x), lambda: wp.solve(material, wp.Dirichlet(x, None, 0 * x))):
+        with pytest.raises(wp.InputError, match="^points: expected Points"):
+            call()
+
+
+def test_names_of_sets_are_read_again():
+    points, u, _ = cracked(3.0)
+    for name in ("a\0b", "a/b", ".", ""):
+        with pytest.raises(wp.InputError, match="cannot be the name of a set"):
+            wp.Dataset({name: wp.Samples(points, u[None])}, 3.35, 2200.0)
+
+
+@pytest.mark.parametrize("option", ["transfer", "allow_uncertified"])
+def test_flags_of_an_evaluation(option):
+    name = next(name for name in LAWS if name.startswith("LPS"))
+    points, material = LAWS[name].points(4), LAWS[name].material()
+    u = 1e-4 * points.x[None]
+    for bad in ("no", 3, None):
+        with pytest.raises(wp.InputError, match=f"^{option}: expected True or False"):
+            wp.evaluate(material, wp.Samples(points, u, 0 * u), **{option: bad})
+        with pytest.raises(wp.InputError, match=f"^{option}: expected True or False"):
+            material.on(points, **{option: bad})
+    for bad in (u, None, [wp.Samples(points, u)]):
+        with pytest.raises(wp.InputError, match="^samples: expected Samples"):
+            wp.evaluate(material, bad)
+
+
+def test_an_edge_of_two_parts_has_one_displacement():
+    x = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 9.0], [0.0, 9.0]])
+    left = np.array([[3, 0]])
+    mesh = make_mesh(x, [[0, 1, 2], [0, 2, 3]], {"left": left, "same": left})
+    material = kernel("1/r", 2.0)
+    held = {"left": (0.0, 0.0), "same": (0.1, 0.1)}
+    with pytest.raises(wp.InputError, match="expected one displacement where both are"):
+        wp.solve(material, wp.Body(mesh, held, coupling=Coupling(spacing=1.0)))

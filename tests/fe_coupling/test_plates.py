@@ -120,6 +120,8 @@ def test_the_exact_field_is_in_balance_and_kirsch_when_isotropic():
         ({"displacement": {"sides": "left"}}, "part 'sides': expected float values"),
         ({"traction": {"hole": (np.nan, 0)}}, "part 'hole': expected finite values"),
         ({"traction": {"hole": 0.1}}, "part 'hole': expected vectors of shape"),
+        ({"traction": {"hole": [0.1]}}, "part 'hole': expected vectors of shape"),
+        ({"traction": {"hole": lambda x, n: n[:, :1]}}, "part 'hole': expected vectors of shape"),
         ({"b": (0.0, 0.0)}, "b: expected a function"),
         ({"b": lambda x: x[:, 0]}, r"b: expected vectors of shape \[\d+, 2\], got shape"),
         ({"b": lambda x: np.nan * x}, "b: expected finite values"),

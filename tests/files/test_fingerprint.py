@@ -221,3 +221,32 @@ def test_contents_of_a_checkpoint_are_those_that_were_written(tmp_path):
         file.create_dataset("u", (10**11, 2), "f8", chunks=(10, 2))
     with pytest.raises(wp.InputError, match="not a readable checkpoint"):
         wp.move(kernel("positive", 2.5), wp.Dirichlet(points, None, u), steps=3, **how)
+
+
+SCALE, POWERS, SHIFTED = 1.0, np.poly1d([1.0]), partial(np.add, 1.0)
+
+
+def test_what_a_function_reads_inside_and_through_others_counts(monkeypatch):
+    """In a comprehension, of a callable of another module, and of a module's attributes."""
+
+    def scaled(values):
+        return sum(SCALE * value for value in values)
+
+    def raised(values):
+        return POWERS(values) + SHIFTED(values)
+
+    def of_module(values):
+        return cfg.SIZE * values
+
+    cfg = type(np)("cfg")
+    cfg.SIZE = 1.0
+    for function, where, name, other in (
+        (scaled, globals(), "SCALE", 100.0),
+        (raised, globals(), "POWERS", np.poly1d([2.0])),
+        (raised, globals(), "SHIFTED", partial(np.add, 2.0)),
+        (of_module, vars(cfg), "SIZE", 3.0),
+    ):
+        before = fingerprint(function)
+        assert fingerprint(function) == before
+        monkeypatch.setitem(where, name, other)
+        assert fingerprint(function) != before

@@ -135,6 +135,17 @@ def test_checkpoints_of_other_trainings(tmp_path):
         train(student(), loads(0), loads(2), settings, checkpoint=path, progress=False)
     with pytest.raises(InputError, match="the checkpoint has precision"):
         goes_on(student().float(), loads(0))
+    scaled = student()
+    scaled.scale *= 2
+    for other in (scaled, NeuralOperator(HORIZON, (8, 8), (16, 16), strain=0.2, seed=7).double()):
+        with pytest.raises(InputError, match="the checkpoint has first numbers"):
+            goes_on(other, loads(0))
+    state = torch.load(path, weights_only=True)
+    state["kept"] = {name: 5 * part for name, part in state["kept"].items()}
+    torch.save(state, tmp_path / "changed.ckpt")
+    changed = tmp_path / "changed.ckpt"
+    with pytest.raises(InputError, match="the contents are not what was written"):
+        train(student(), loads(0), loads(1), settings, checkpoint=changed, progress=False)
     whole = path.read_bytes()
     for content in (b"no checkpoint", whole[: len(whole) // 2]):
         path.write_bytes(content)

@@ -195,8 +195,8 @@ def real(name: str, value: Any) -> torch.Tensor:
 def pair_of(operator: Any, b: Any, u: Any) -> tuple[torch.Tensor, torch.Tensor]:
     """Load and displacement on all nodes as tensors; InputError for what does not fit."""
     b, u = (as_tensor(name, field) for name, field in (("b", b), ("u", u)))
-    operator.check(u, not u.is_complex())
-    if b.shape != u.shape or b.is_complex():
+    operator.check(u, not (u.is_complex() or u.dtype == torch.bool))
+    if b.shape != u.shape or b.is_complex() or b.dtype == torch.bool:
         raise InputError(f"b: expected shape {list(u.shape)}, got {b.dtype} of {list(b.shape)}")
     return b, u
 

@@ -304,6 +304,8 @@ def recorded_nodes(record: ArrayLike | None, count: int) -> np.ndarray | None:
         return None
     try:
         nodes = np.atleast_1d(np.asarray(record))
+        if nodes.ndim != 1:
+            raise IndexError(f"got shape {list(nodes.shape)}")
         if nodes.dtype != bool and (nodes < 0).any():  # NumPy counts these from the end
             raise IndexError(f"index {nodes.min()} is below 0")
         return np.asarray(np.arange(count)[nodes])

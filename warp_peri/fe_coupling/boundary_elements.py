@@ -342,6 +342,13 @@ class BodyLoads:
             known = np.isfinite(there)
             if name in self.pulls and known.all():
                 raise InputError(f"part '{name}': expected it held or pulled, got both")
+            if (fixed[nodes] & known & (there != given[nodes])).any():
+                parts, own = rim.mesh.parts, rim.mesh.parts[name]
+                for other in (one for one in (*self.held,) if one != name):
+                    if np.intersect1d(own, parts[other]).size:  # corners may jump
+                        raise InputError(
+                            f"parts '{other}', '{name}': expected one displacement where both are"
+                        )
             given[nodes] = np.where(known, there, given[nodes])
             fixed[nodes] |= known
         return given, fixed
@@ -412,10 +419,8 @@ def _field(name: str, value: Field | Traction | ArrayLike, *, free: bool = False
         given = value(*where) if callable(value) else value
         vectors = checked(name, given, read=False)
         vectors = checked(name, given, read=~(free & np.isnan(vectors)))
-        try:
-            vectors = np.broadcast_to(vectors, where[0].shape) if vectors.ndim else vectors
-        except ValueError:
-            vectors = np.empty(0)
+        if vectors.shape == where[0].shape[1:]:
+            vectors = np.broadcast_to(vectors, where[0].shape)
         if vectors.shape != where[0].shape:
             raise InputError(
                 f"{name}: expected vectors of shape {list(where[0].shape)}, got shape "

@@ -31,6 +31,8 @@ Placed = tuple[np.ndarray, np.ndarray | None, int]
 """Rows [n, ...], their rising places in the whole or None for all, and how many it has."""
 
 
+PLAIN = (bool, int, float, complex, str, bytes, tuple, list, dict, np.ndarray, np.generic)
+"""What a module may hold for a function to read; what lives, as os.environ, is none of it."""
 OF_A_FIT = ("sha256", "certificate", "proven", "provenance")
 """Of a material's file, which a second fit of the same numbers has otherwise."""
 
@@ -153,14 +155,27 @@ def _spelled(part: Any, above: frozenset[int] = frozenset()) -> Iterator[bytes]:
 
 def _read_by(function: Any) -> dict[str, Any]:
     """What a function encloses, and the values that it reads of its module."""
-    found = inspect.getclosurevars(function)
-    home = getattr(function, "__module__", None)
-    read = {
-        name: one
-        for name, one in found.globals.items()
-        if not inspect.ismodule(one) and (not callable(one) or one.__module__ == home)
-    }
-    return {**read, **found.nonlocals}
+    names, code = set[str](), [function.__code__]
+    for one in code:  # those of what is defined inside, too
+        names |= {*one.co_names}
+        code += filter(inspect.iscode, one.co_consts)
+    known = getattr(function, "__globals__", {})
+    read: dict[str, Any] = {}
+    for name in names & known.keys():
+        one = known[name]
+        if inspect.ismodule(one):  # of which it may read plain values of these names
+            own = {key: getattr(one, key, None) for key in sorted(names)}
+            read[name] = {key: value for key, value in own.items() if isinstance(value, PLAIN)}
+        elif one is not function and (_is_value(one) or one.__module__ == function.__module__):
+            read[name] = one
+    return read | inspect.getclosurevars(function).nonlocals
+
+
+def _is_value(one: Any) -> bool:
+    """Whether it is no part of a program: no module, class or plain function."""
+    return not (
+        one is None or inspect.ismodule(one) or inspect.isroutine(one) or isinstance(one, type)
+    )
 
 
 def _lasting(content: Any) -> Any:

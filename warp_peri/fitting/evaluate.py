@@ -9,6 +9,7 @@ import numpy as np
 
 from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
+from warp_peri.points.arrays import check_flag
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 
@@ -69,6 +70,10 @@ def evaluate(
     """
     if isinstance(points, Dataset):
         points = points.obvious()
+    if not isinstance(points, Samples):
+        raise InputError(f"samples: expected Samples or a Dataset, got {type(points).__name__}")
+    check_flag("transfer", transfer)
+    check_flag("allow_uncertified", allow_uncertified)
     if len(points) == 0:
         raise InputError("the set has no samples to evaluate")
     options: dict[str, Any] = {} if transfer else {"transfer": False}  # not of every law

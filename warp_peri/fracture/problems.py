@@ -110,7 +110,7 @@ class Cracked:
             if learns and not self.corrected:
                 extra = in_torch().crack_load(cut, pressure, numbers or {})
             b = in_torch().as_tensor("b", b) if learns else checked("b", b, float, body.x.shape)
-            b = b + extra
+            b = b + (in_torch().as_tensor("pressure", extra) if learns else extra)
         solved = cut.rest_in_torch(b, u, solver, numbers) if learns else cut.rest(b, u, solver)
         return replace(solved, points=self.points)
 

@@ -16,7 +16,7 @@ from warp_peri.fitting.settings import Conditions, Optimum
 from warp_peri.fitting.transfer import wave_errors, waves_against
 from warp_peri.materials.certificate import certify, with_proof
 from warp_peri.materials.lps import Model, Solid
-from warp_peri.points.arrays import check_positive
+from warp_peri.points.arrays import check_flag, check_positive
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import check_same, search_length, symbols
@@ -283,6 +283,8 @@ def model_at(
 
     Raises InputError where the model is certified on no lattice, and nothing is proven of it here.
     """
+    check_flag("transfer", transfer)
+    check_flag("allow_uncertified", allow_uncertified)
     if spacing and transfer and not (model.certified_on or allow_uncertified):
         model = _proven(model, spacing)
     at_home = spacing == 0 or model.is_certified_on(spacing)

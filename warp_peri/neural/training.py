@@ -304,6 +304,7 @@ class _Run:
         self.adam = torch.optim.Adam(material.parameters(), lr=training.rate)
         self.random = torch.Generator().manual_seed(training.seed)
         self.history, self.least = TrainingHistory(), math.inf
+        self.begun = fingerprint(material.state_dict(), material.scale)[:16]
         self.kept: dict[str, torch.Tensor] = {}
         if isinstance(learned, _Loads):
             with torch.no_grad():
@@ -342,7 +343,7 @@ class _Run:
         precision = str(self.learned.u.dtype)
         sets = {"samples": self.learned.samples, "validation": self.unseen.samples}
         seen = {name: fingerprint(samples)[:16] for name, samples in sets.items()}
-        return known | {"precision": precision, **seen}
+        return known | {"precision": precision, **seen, "first numbers": self.begun}
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Everything that is needed to go on."""
@@ -358,6 +359,7 @@ class _Run:
         }
         if isinstance(self.learned, Frames):
             state["frames"] = self.learned.content()
+        state["mark"] = fingerprint(state)
         with whole_file(path) as temporary:
             torch.save(state, temporary)
 
@@ -367,16 +369,24 @@ class _Run:
             return
         try:
             state = torch.load(path, weights_only=True)
-            theirs = dict(state["settings"])
+            mark, theirs = state.pop("mark"), dict(state["settings"])
         except (OSError, RuntimeError, pickle.UnpicklingError, EOFError) as error:
             raise InputError(f"{path}: expected a checkpoint of a training ({error})") from None
-        except (KeyError, TypeError, ValueError, IndexError):
+        except (AttributeError, KeyError, TypeError, ValueError, IndexError):
             raise InputError(f"{path}: expected a checkpoint of a training") from None
         for key, value in self.settings().items():
             if theirs.get(key) != value:
                 raise InputError(
                     f"{path}: the checkpoint has {key} {theirs.get(key)!r}, expected {value!r}"
                 )
+        if mark != fingerprint(state):
+            raise InputError(f"{path}: the contents are not what was written")
+        history = state["history"]
+        if history["epochs"] > self.training.epochs:
+            raise InputError(
+                f"{path}: expected at least its {history['epochs']} epochs, got "
+                f"{self.training.epochs}; name another file for a shorter training"
+            )
         if isinstance(self.learned, Frames):
             self.learned.resume(state["frames"])
         self.material.load_state_dict(state["material"])
@@ -385,7 +395,6 @@ class _Run:
         self.material.scale, self.least, self.kept = (
             state[key] for key in ("scale", "least", "kept")
         )
-        history = state["history"]
         self.history = TrainingHistory(**{**history, "curve": [tuple(c) for c in history["curve"]]})
 
 

@@ -161,7 +161,7 @@ def listed(nodes: np.ndarray) -> str:
 
 def is_name(name: Any) -> bool:
     """Whether HDF5 takes it as the name of one thing."""
-    return isinstance(name, str) and name not in ("", ".") and "/" not in name
+    return isinstance(name, str) and name not in ("", ".") and not {"/", "\0"} & {*name}
 
 
 SAMPLES = 32

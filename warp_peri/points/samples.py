@@ -152,7 +152,11 @@ PointsLike: TypeAlias = Points | Samples
 
 
 def nodes_of(given: PointsLike) -> Points:
-    """The points themselves."""
+    """The points themselves, or a rank's piece of them; InputError for what is none."""
+    if not (isinstance(given, (Points, Samples)) or hasattr(given, "comm")):
+        raise InputError(
+            f"points: expected Points(x, interior, spacing), got {type(given).__name__}"
+        )
     return given.points if isinstance(given, Samples) else given
 
 

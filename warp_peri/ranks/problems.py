@@ -103,11 +103,12 @@ def alike(material: Any, problem: Any, options: Mapping[str, Any]) -> None:
         given = {name: asked.pop(name, None) for name in NODAL}
         try:
             stacked = [given[n] is not None and np.shape(given[n])[:-2] for n in ("b", "u")]
+            there = [n for n, one in given.items() if one is not None and n != "record"]
         except ValueError as error:
             raise InputError(f"b, u: expected arrays ({error})") from None
         regions = sorted(asked.pop("regions", None) or ())
     kind = type(problem).__name__
-    same(comm, material=material, problem=(kind, stacked, regions), **asked)
+    same(comm, material=material, problem=(kind, stacked, there, regions), **asked)
 
 
 def solved(
