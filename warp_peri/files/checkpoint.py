@@ -168,7 +168,7 @@ def _read_by(function: Any) -> dict[str, Any]:
             read[name] = {key: value for key, value in own.items() if isinstance(value, PLAIN)}
         elif one is not function and (_is_value(one) or one.__module__ == function.__module__):
             read[name] = one
-    return read | inspect.getclosurevars(function).nonlocals
+    return {**read, **inspect.getclosurevars(function).nonlocals}
 
 
 def _is_value(one: Any) -> bool:
