@@ -17,7 +17,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 23_907,
-    "tokens": 288_754,
+    "tokens": 288_758,
     "lines of warp_peri": 39_792,
     "lines of kernels": 1_275,
     "lines of warp_peri, kernels, examples and tools": 53_421,
