@@ -18,8 +18,8 @@ import numpy as np
 
 import warp_peri as wp
 from examples import graphene_report as report
+from examples import sweep_report
 from examples.local_elasticity import errors_of_local
-from examples.studies import sweep_report
 from tools.options import Options
 from warp_peri import Dataset, InputError, Samples
 from warp_peri.cluster import scheduler
@@ -58,14 +58,12 @@ def run(given: argparse.Namespace) -> dict[str, Any]:
     data = wp.load(path)
     sets = sets_at(data, given.spacing)
     seconds = {"data": time.perf_counter() - begin}
+    conditions = wp.methods.Conditions(given.conditions)
     trained = train(
+        wp.LPS(given.horizon, wp.Bernstein(given.degree), method_of(given), conditions),
         sets["train"],
-        given.horizon,
-        wp.Bernstein(given.degree),
         sets,
         noise=noise_at(data, given.spacing),
-        method=method_of(given),
-        conditions=wp.methods.Conditions(given.conditions),
         allow_uncertified=True,
         progress=True,
     )

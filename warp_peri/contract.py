@@ -291,11 +291,6 @@ def refuse_uncut(material: Any, problem: str) -> None:
 LINEAR = "a linear solid, or a material with a linear part"
 
 
-def linear_part(given: Any, verb: str) -> Any:
-    """The linear solid of a material or of its operator; InputError for what has none."""
-    return offered(getattr(given, "model", given), "linear", verb, LINEAR)
-
-
 def stencil_of(law: Any, spacing: float, verb: str) -> tuple[Any, np.ndarray]:
     """The stencil that a linear solid is on a lattice, and the turns of nodes that leave it so.
 

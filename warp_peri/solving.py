@@ -6,7 +6,6 @@ from typing import Any
 
 from warp_peri.contract import offered, uncompiled
 from warp_peri.dynamics.motion import Motion, refuse_learning
-from warp_peri.files.atomic import as_path
 from warp_peri.files.checkpoint import ALONE, agreed
 from warp_peri.points.arrays import check_flag, check_mapping
 from warp_peri.statics.solution import Solution, Solver, told
@@ -69,7 +68,7 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
     return uncompiled(moved)(material, options)  # type: ignore[no-any-return]
 
 
-FLAGS = {"transfer", "allow_uncertified", "allow_unstable", "count_cracks"}
+FLAGS = {"transfer", "allow_uncertified", "count_cracks"}
 """Options that are True or False."""
 
 
@@ -82,9 +81,6 @@ def _check(problem: Any, options: dict[str, Any], verb: str) -> None:
         for name in {"parameters", "watch", "regions", "sections"} & options.keys():
             if options[name] is not None:
                 check_mapping(name, options[name])
-        for name in {"checkpoint", "series"} & options.keys():
-            if options[name] is not None:
-                as_path(name, options[name])
         if _on_ranks(problem) or not hasattr(problem, "learns"):
             refuse_learning(problem, options, verb)
 

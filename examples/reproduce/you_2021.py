@@ -25,6 +25,7 @@ from scipy.optimize import least_squares
 import warp_peri as wp
 from examples.exact import continuum_symbol
 from examples.prose import Table, print_tables
+from examples.sweep_report import PRINTED_TABLE_3
 from tools.graphene import bond_length
 from tools.lammps_session import LammpsSession
 from tools.loads import TRAINING, VALIDATION
@@ -59,14 +60,6 @@ FREE = Optimum(moduli=None)
 ERRORS = ("E_res train", "E_u train", "E_res val", "E_u val")
 ALL_ERRORS = ("E_res train", "E_res val", "E_u train", "E_u val", "E_u test")
 COLUMNS = ["E_res train", "E_res val", "E_u train", "E_u val", "E_u disks"]
-TABLE_3 = {
-    0: (12.5, 13.91, 17.54, 16.31, 14.49, 1.0),
-    5: (12.5, 10.42, 12.19, 13.02, 7.69, 0.6933),
-    10: (20.0, 9.81, 11.72, 13.28, 7.16, 0.6704),
-    15: (22.5, 9.80, 11.61, 13.50, 7.22, 0.6731),
-    20: (25.0, 9.75, 11.89, 13.53, 7.00, 0.6729),
-}
-"""δ* [Å], E_res train, E_u train, E_res val, E_u val [%], AvgE by degree, as printed (0 K)."""
 TABLE_4 = (10, 2.8335, -0.4796, 0.7978, 0.91, -0.4297, 9.81, 11.72, 13.28, 7.16, 0.203, 6.75)
 """M, α, λ, μ, E [TPa], ν, then E_res and E_u of train, val and test, of which E_res test is
 absolute and has no unit, as printed (0 K)."""
@@ -475,15 +468,15 @@ def by_degree(temperature: int, printed: Mapping[int, Sequence[float]]) -> list[
 
 def table_3() -> Table:
     """Table 3 at 0 K: here, and printed in brackets."""
-    return ["M", "δ*", *ERRORS, "AvgE"], by_degree(0, TABLE_3)
+    return ["M", "δ*", *ERRORS, "AvgE"], by_degree(0, PRINTED_TABLE_3)
 
 
 def pairs() -> Table:
     """E_u [%] on validation of every δ (down) and M (across)."""
     found = {(trial.horizon, trial.degree): trial.E_u_val for trial in swept(0).trials}
     horizons = sorted({horizon for horizon, _ in found})
-    rows = [[f"{h:g}", *percent([found[h, M] for M in TABLE_3])] for h in horizons]
-    return ["δ", *map(str, TABLE_3)], rows
+    rows = [[f"{h:g}", *percent([found[h, M] for M in PRINTED_TABLE_3])] for h in horizons]
+    return ["δ", *map(str, PRINTED_TABLE_3)], rows
 
 
 def constants_and_errors(model: Any, found: Mapping[str, float]) -> list[str]:

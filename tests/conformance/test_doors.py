@@ -179,7 +179,6 @@ def test_options_of_a_motion(option):
 
 WRONG_OF_BREAKING = {
     "count_cracks": ("no", 1),
-    "allow_unstable": ("no", 1),
     "ramp": (3.0, "a"),
     "watch": ({"a": 3}, 3, ["a"]),
     "regions": (3, ["a"], {"a": [1, [2]]}, {"a": [0, 1]}),
@@ -199,6 +198,8 @@ def test_options_of_a_body_that_breaks(option):
     for bad in ("no", 1, None):
         with pytest.raises(wp.InputError, match="^corrected: expected True or False"):
             Cracked(points, u=u, corrected=bad)
+    with pytest.raises(wp.InputError, match="expected options among .*, got allow_unstable"):
+        wp.move(solid(), Cracked(points, u=u), step=1e-4, steps=2, allow_unstable="no")
 
 
 def test_what_points_samples_and_data_sets_are_made_of():

@@ -181,6 +181,15 @@ def test_the_force_across_a_line_does_not_depend_on_where_x_points():
     )
 
 
+def test_other_numbers_of_one_pull_are_not_those_of_the_next():
+    soft, unit = strip(BondLaw(5.0, 0.05, 0.02), False)
+    how = {"loads": [0.005, 0.01], "line": [(-9, 0.0), (9, 0.0)]}
+    first = soft.pull(unit, **how)["force"]
+    other = soft.pull(unit, **how, parameters={"softness": 20.0})["force"].numpy()
+    assert np.abs(other - first).max() > 1e-3 * np.abs(first).max()
+    np.testing.assert_array_equal(soft.pull(unit, **how)["force"], first)
+
+
 @pytest.mark.parametrize("line", [[(-9, -2.2), (9, 3.1)], [(9, 3.1), (-9, -2.2)]])
 def test_the_force_across_a_slanted_line_is_what_pulls_one_side_off_the_other(line):
     soft, unit = strip(BondLaw(5.0), False)

@@ -141,7 +141,7 @@ def _dataset(given: argparse.Namespace) -> Dataset:
 
 def run_train(given: argparse.Namespace) -> Result:
     """Data → model.json, metrics.json and the settings, in a folder."""
-    from warp_peri.learning.sweep import Run, evaluated
+    from warp_peri.learning.sweep import train
 
     refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
     data = _dataset(given)
@@ -149,13 +149,13 @@ def run_train(given: argparse.Namespace) -> Result:
     noise = data[given.noise] if given.noise else None
     law = _law(given, samples, symbols(data.units)[0])
     with locked(given.out):
-        fit = law.learn(samples, progress=given.progress, **({"noise": noise} if noise else {}))
-        run = Run(fit, *evaluated(fit.material, data.sets), {})
+        options: dict[str, Any] = {"noise": noise} if noise else {}
+        run = train(law, samples, data.sets, progress=given.progress, **options)
         metrics = training_metrics(run)
         if given.law == "lps":
-            metrics |= _told_by_data(fit, samples, given.horizon)
+            metrics |= _told_by_data(run.fit, samples, given.horizon)
         with contextlib.suppress(InputError):  # scattered points, too few samples, third order
-            found = warp_peri.diagnose(fit.material, samples, noise)
+            found = warp_peri.diagnose(run.fit.material, samples, noise)
             metrics["residual"] = {"why": found.sentence, **found.shares}
             if found.advice:
                 warn(found.advice)

@@ -132,7 +132,13 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     >>> wp.diagnose(wp.fit(samples, wp.LPS(10.0, wp.Bernstein(0))).material, samples).causes[0]
     'dispersion'
     """
-    operator, left, size = _residual(material, samples)
+    return _causes(*_residual(material, samples), samples, noise)
+
+
+def _causes(
+    operator: Any, left: np.ndarray, size: float, samples: Samples, noise: Samples | None
+) -> Diagnosis:
+    """The causes of what is left of ‖b‖², `size`, on the interior."""
     points, u = samples.points, samples.u
     total, inner = float((left**2).sum()), operator(np.where(samples.interior[:, None], u, 0.0))
     residual = float(np.sqrt(total / size))
@@ -160,9 +166,9 @@ def warn_of_kind(material: Any, samples: Samples, noise: Samples | None = None) 
     """Say where so much is left of data that they ask for another kind of material."""
     try:
         with quietly():  # said by the fit
-            _, left, size = _residual(material, samples)
+            operator, left, size = _residual(material, samples)
             loud = (left**2).sum() > LOUD**2 * size
-            told = diagnose(material, samples, noise).advice if loud else ""
+            told = _causes(operator, left, size, samples, noise).advice if loud else ""
     except InputError:  # in space, scattered, too few
         return
     if told:

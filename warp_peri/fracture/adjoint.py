@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any
 
 import numpy as np
@@ -204,7 +205,7 @@ class SoftBody:
             )
         levers = torch.from_numpy(self.levers(line))
         asked = parameters is not None or is_tensor(u)
-        given, *law = self._learned(u, dict(parameters or {}), asked)
+        soft, given, *law = self._learned(u, dict(parameters or {}), asked)
         start = checked("u", given.detach().numpy(), float, self.held.shape).ravel()
         given = torch.where(torch.from_numpy(self.held), given, 0.0).ravel()
         share, worst = torch.ones(len(levers)).double(), torch.zeros(len(levers)).double()
@@ -215,8 +216,8 @@ class SoftBody:
             at, change = np.where(self.free, at, load * given.detach().numpy()), 1.0
             try:
                 while not change < SETTLED:
-                    at = self.rest(at, share.detach().numpy())
-                    field = self._at_rest(at, share, law[0], load * given)
+                    at = soft.rest(at, share.detach().numpy())
+                    field = soft._at_rest(at, share, law[0], load * given)
                     s = self._stretch(field)
                     worst = torch.maximum(worst, s).where(breakable, 0.0)
                     lasting = torch.minimum(share_of(worst, law[0], law[1], law[2], torch), share)
@@ -238,8 +239,9 @@ class SoftBody:
         ends: Any = (force, end) if asked else (force.numpy(), end.numpy())
         return Motion(load, ends[1], None, {"load": load, "force": ends[0], "broken": broken})
 
-    def _learned(self, u: Any, numbers: dict[str, Any], asked: bool) -> list[torch.Tensor]:
-        """u, softness, stretch and tail, of which second derivatives are refused."""
+    def _learned(self, u: Any, numbers: dict[str, Any], asked: bool) -> tuple[Any, ...]:
+        """The body with these numbers, and u, softness, stretch and tail, of which second
+        derivatives are refused."""
         own = vars(self.law) | numbers
         if own.keys() != vars(self.law).keys():
             names = ", ".join(vars(self.law))
@@ -249,14 +251,16 @@ class SoftBody:
         for name, value in zip(own, law):
             if value.numel() != 1:
                 raise InputError(f"{name}: expected one number, got shape {list(value.shape)}")
-        self.law = BondLaw(*(float(value.detach()) for value in law))
-        if asked and self.law.tail == 0:
+        soft = copy(self)
+        soft.law = BondLaw(*(float(value.detach()) for value in law))
+        if asked and soft.law.tail == 0:
             raise InputError(
                 "tail: expected > 0 for a gradient, which bonds that break at once lack"
             )
-        return [
+        once = (
             nonlinear(lambda x: x, None, (lambda x, upstream: upstream,), x) for x in (given, *law)
-        ]
+        )
+        return soft, *once
 
     def _stretch(self, u: torch.Tensor) -> torch.Tensor:
         """As `stretch`, of a tensor."""

@@ -12,12 +12,11 @@ from tqdm import tqdm
 
 from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
-from warp_peri.files.atomic import as_path
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
 from warp_peri.fracture.body import HAIR, section
 from warp_peri.fracture.dynamics import BreakingBody, BreakingState, step
-from warp_peri.points.arrays import check_mapping, check_positive, check_whole, checked
+from warp_peri.points.arrays import check_positive, check_whole, checked
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""
@@ -111,7 +110,6 @@ class CrackRun:
         self.nodes: Any = AllNodes(len(body.body.x)) if nodes is None else nodes
         own, comm = self.nodes.own, self.nodes.comm
         x = body.body.x[own]
-        asked: dict[str, Any] = {"watch": watch, "regions": regions, "sections": sections}
         with agreed(comm):
             check_positive("step", step)
             if not step <= body.longest_step:
@@ -121,8 +119,6 @@ class CrackRun:
                 )
             check_whole("every", every, 1)
             check_whole("checkpoint_every", checkpoint_every, 1)
-            for name, given in asked.items():
-                check_mapping(name, given or {})
             self.watch: dict[str, Any] = dict(watch or {})
             if not all(map(callable, self.watch.values())) or {*LEDGER} & {*self.watch}:
                 raise InputError(
@@ -146,7 +142,7 @@ class CrackRun:
         self.body, self.dt, self.every = body, float(step), int(every)
         self.checkpoint_every, self.file, self.series = int(checkpoint_every), None, None
         if checkpoint is not None:
-            self.file = RunFile(as_path("checkpoint", checkpoint), KIND, self.nodes)
+            self.file = RunFile(checkpoint, KIND, self.nodes)
         if series is not None:
             self.series = Series(series, getattr(nodes, "piece", self.nodes), x)
         self.history: dict[str, list[Any]] = {}

@@ -20,7 +20,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked, write_json
 from warp_peri.files.checkpoint import fingerprint
 from warp_peri.fitting.evaluate import evaluate
-from warp_peri.fitting.settings import Bernstein, Conditions, Kernel, Method, Optimum, TwoStage
+from warp_peri.fitting.settings import Bernstein, Conditions, Method, Optimum, TwoStage
 from warp_peri.learning import DEGREES, HORIZONS
 from warp_peri.learning.fit import learn
 from warp_peri.materials.lps import Model
@@ -82,47 +82,35 @@ class Run:
 
 
 def train(
+    law: Any,
     samples: Samples,
-    horizon: float,
-    kernel: Kernel,
     sets: Mapping[str, Samples],
     *,
-    noise: Samples | None = None,
     allow_uncertified: bool = False,
-    **settings: Any,
+    **options: Any,
 ) -> Run:
-    """Learn from samples, and evaluate on sets.
+    """Learn a law from samples, and evaluate it on sets.
 
     Args:
+        law: what is learned, as LPS(…).
         samples: training samples.
-        horizon: δ [Å].
-        kernel: as for `fit`.
         sets: to evaluate on, by name; one that `evaluate` refuses is passed over with its reason.
-        noise: fields of noise alone on the nodes of the samples.
         allow_uncertified: warn about an uncertified spacing instead of refusing the set.
-        settings: options of `fit` beyond these: method, conditions, loss, normalise, progress.
+        options: of the law's `learn`: progress, and noise where it takes it.
 
     Raises what `fit` raises.
     """
     begin = time.perf_counter()
-    learned = learn(samples, horizon, kernel, noise=noise, **settings)
+    learned = law.learn(samples, **options)
     between = time.perf_counter()
-    told = evaluated(learned.material, sets, allow_uncertified=allow_uncertified)
-    seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
-    return Run(learned, *told, seconds)
-
-
-def evaluated(
-    material: Any, sets: Mapping[str, Samples], **options: Any
-) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
-    """The tables of `evaluate` by set, and why a set has none; its options."""
     tables, refused = {}, {}
     for name, points in sets.items():
         try:
-            tables[name] = evaluate(material, points, **options)
+            tables[name] = evaluate(learned.material, points, allow_uncertified=allow_uncertified)
         except InputError as error:  # no load, another spacing, a collar too small
             refused[name] = str(error)
-    return tables, refused
+    seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
+    return Run(learned, tables, refused, seconds)
 
 
 COST_TOLERANCE = 0.1

@@ -286,11 +286,9 @@ class Placed(OnPoints):
         """
         bonds, field = self.bonds, np.reshape(u, (-1, *self.points.x.shape))
         with torch.no_grad():
-            tension = self.tension(self._taken(field))[0].double().numpy()
+            tension, M = (one.double().numpy() for one in self.tension(self._taken(field)))
         near, far = bonds.near[: bonds.acting], bonds.far[: bonds.acting]
-        xi = bonds.xi[bonds.place[: bonds.acting]]
-        y = xi + field[:, far] - field[:, near]
-        pull = (tension / np.linalg.norm(y, axis=2))[..., None] * y
+        xi, pull = bonds.xi[bonds.place[: bonds.acting]], tension[..., None] * M
         part = 0.5 * bonds.area * pull[..., :, None] * xi[:, None, :]
         whole = np.zeros((len(self.points.x), len(field), 2, 2))
         for ends in (near, far):
