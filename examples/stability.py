@@ -29,7 +29,6 @@ from examples.figures import Panel, draw_panels
 from examples.prose import said_by
 from examples.reproduce.slides import curl_and_pressure, lattice
 from tools.options import Options
-from warp_peri.dynamics.verlet import INERTIA
 from warp_peri.errors import exit_status
 from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.fitting.regression import Regression, settle
@@ -40,6 +39,7 @@ from warp_peri.methods import Conditions, Optimum
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.quadrature import family_weights
 from warp_peri.points.samples import part
+from warp_peri.solvers.verlet import INERTIA
 
 DATA = ROOT / "data" / "graphene_0K.h5"
 LAM, MU = 0.3, 0.8  # of solids made up here [TPa], whose nodes lie 1 Å apart

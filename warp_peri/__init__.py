@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from warp_peri import tissue as tissue
     from warp_peri import transfers as transfers
     from warp_peri.atoms.crystal_fit import from_atoms
-    from warp_peri.core.tensors import Module
-    from warp_peri.dynamics.motion import Motion
+    from warp_peri.core.torch_bridge import Module
     from warp_peri.errors import InputError
     from warp_peri.fitting.diagnose import diagnose
     from warp_peri.fitting.evaluate import evaluate
@@ -48,8 +47,9 @@ if TYPE_CHECKING:
     from warp_peri.points.samples import Samples
     from warp_peri.prediction.predict import predict
     from warp_peri.problems import Body, Dirichlet, Periodic
+    from warp_peri.solvers.motion import Motion
+    from warp_peri.solvers.solution import Direct, Krylov, Newton, Solution
     from warp_peri.solving import move, solve
-    from warp_peri.statics.solution import Direct, Krylov, Newton, Solution
     from warp_peri.storage import load, save
 
 __version__ = "0.2.0"
@@ -90,9 +90,9 @@ __all__ = [
 ]
 
 _NAMES = {
-    "core.tensors": ("Module",),
+    "core.torch_bridge": ("Module",),
     "fracture.problems": ("Cracked",),
-    "dynamics.motion": ("Motion",),
+    "solvers.motion": ("Motion",),
     "errors": ("InputError",),
     "fitting.diagnose": ("diagnose",),
     "fitting.evaluate": ("evaluate",),
@@ -110,7 +110,7 @@ _NAMES = {
     "problems": ("Body", "Dirichlet", "Periodic"),
     "solving": ("move", "solve"),
     "materials.certificate": ("certify",),
-    "statics.solution": ("Direct", "Krylov", "Newton", "Solution"),
+    "solvers.solution": ("Direct", "Krylov", "Newton", "Solution"),
     "storage": ("load", "save"),
     "atoms.crystal_fit": ("from_atoms",),
 }

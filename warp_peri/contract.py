@@ -96,7 +96,7 @@ def is_tensor(value: Any) -> bool:
 
 def _torch() -> Any:
     """What reads operators in torch, which is loaded when it is asked for."""
-    return import_module("warp_peri.core.tensors")
+    return import_module("warp_peri.core.torch_bridge")
 
 
 def uncompiled(call: Callable[..., Any]) -> Callable[..., Any]:
@@ -174,7 +174,7 @@ class OnPoints(Remade):
         return _torch().force_with(self, u, numbers)
 
     def rest_in_torch(self, b: Any, u: Any, solver: Any = None, parameters: Any = None) -> Any:
-        """`rest` of tensors, differentiable in both and in numbers: core.tensors.at_rest."""
+        """`rest` of tensors, differentiable in both and in numbers: core.torch_bridge.at_rest."""
         return _torch().at_rest(self, b, u, solver, parameters)
 
     @property

@@ -5,7 +5,7 @@ from warp_peri.fitting.settings import Conditions, Constrained, Optimum, TwoStag
 from warp_peri.learning.sweep import Sweep, sweep
 from warp_peri.materials.lps import Solid
 from warp_peri.materials.third_order import Smoothing
-from warp_peri.statics.solution import Coupling
+from warp_peri.solvers.solution import Coupling
 
 __all__ = [
     "Conditions",

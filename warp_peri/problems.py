@@ -11,15 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import is_tensor, offered, placed, taken
-from warp_peri.dynamics.adjoint import in_motion
-from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.fe_coupling.body import solve_body
 from warp_peri.fe_coupling.boundary_elements import Field, Traction
 from warp_peri.points.arrays import checked
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.statics.solution import Coupling, Solution, refuse_solver
+from warp_peri.solvers.adjoint import in_motion
+from warp_peri.solvers.motion import Motion, refuse_learning
+from warp_peri.solvers.solution import Coupling, Solution, refuse_solver
 
 GIVEN = ("displacement", "traction", "b", "edge", "coupling")
 """What a Body says itself, and no option may."""

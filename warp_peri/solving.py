@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 from warp_peri.contract import offered, uncompiled
-from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.files.checkpoint import ALONE, agreed
 from warp_peri.points.arrays import check_flag, check_mapping
-from warp_peri.statics.solution import Solution, Solver, told
+from warp_peri.solvers.motion import Motion, refuse_learning
+from warp_peri.solvers.solution import Solution, Solver, told
 
 PROBLEMS = "a problem: Dirichlet(points, b, u), Periodic(points, b), Body(mesh, …) or Cracked(…)"
 

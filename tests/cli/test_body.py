@@ -15,7 +15,7 @@ from tests.support.problems import kernel
 from warp_peri.cli.arguments import add_options
 from warp_peri.cli.commands import _solver
 from warp_peri.cli.main import main
-from warp_peri.statics.solution import PRECONDITIONERS
+from warp_peri.solvers.solution import PRECONDITIONERS
 
 
 @pytest.fixture

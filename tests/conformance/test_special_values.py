@@ -9,8 +9,8 @@ import torch
 import warp_peri as wp
 from tests.conformance.test_gradients import KINKED, OPERATORS, field, torn
 from tests.conformance.test_laws import LAWS, third_order
-from tests.dynamics.test_adjoint import given, loss
 from tests.gradients.cases import FLOWS, WAVES, seeded, solver_of
+from tests.solvers.test_adjoint import given, loss
 from tests.support import cubes
 from tests.support.problems import difference, lattice
 

@@ -11,7 +11,7 @@ from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, body_gradient, solve_body
 from warp_peri.fe_coupling.boundary_elements import Moduli, Rim, RimProblem
 from warp_peri.points.mesh import make_mesh
-from warp_peri.statics import linear
+from warp_peri.solvers import linear
 
 MODEL = Model(
     lam=0.3, mu=0.8, alpha=1.0, D=[0.4, 0.6, -0.3, 0.6, -0.2], horizon=3.0, certified_on=(1.0,)

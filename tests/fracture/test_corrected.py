@@ -22,11 +22,11 @@ from warp_peri.damage import (
     rectangle,
     tip_shift,
 )
-from warp_peri.dynamics.verlet import inertia
 from warp_peri.fracture import bonds
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, largest_stiffness
 from warp_peri.fracture.dynamics import SPREAD, BreakingBody
 from warp_peri.fracture.statics import CutSolid
+from warp_peri.solvers.verlet import inertia
 
 
 def matrix(model, body, table, corrected=True):

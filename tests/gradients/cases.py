@@ -5,7 +5,7 @@ import torch
 
 import warp_peri as wp
 from tests.conformance.test_gradients import OPERATORS, field
-from tests.dynamics.test_adjoint import given, loss
+from tests.solvers.test_adjoint import given, loss
 from tests.support.problems import difference
 
 VERBS = ("force", "solve", "move")

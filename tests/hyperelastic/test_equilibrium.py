@@ -12,7 +12,7 @@ from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSo
 from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, Sheet, StaticProblem
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import hyperelastic_errors, largest_stretch
-from warp_peri.statics.equilibria import stable_way
+from warp_peri.solvers.equilibria import stable_way
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
 

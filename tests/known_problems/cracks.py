@@ -18,7 +18,7 @@ from warp_peri.fracture.problems import Cracked
 from warp_peri.fracture.release import energy_release, tip_shift
 from warp_peri.points.families import bond_classes
 from warp_peri.points.points import Points
-from warp_peri.statics.solution import Krylov
+from warp_peri.solvers.solution import Krylov
 
 NU = {"LPS": 0.3, "bond-based": 1 / 3, LEARNED: 0.3}
 HALF = 13

@@ -23,7 +23,6 @@ from tests.known_problems.statics import (
     solid,
 )
 from warp_peri import launch
-from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import box, rectangle
 from warp_peri.fracture.dynamics import BrittleSolid
@@ -33,6 +32,7 @@ from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet
 from warp_peri.ranks import gather, partition
 from warp_peri.ranks.processes import own_mpiexec
+from warp_peri.solvers.verlet import critical_time_step, inertia
 from warp_peri.solving import move
 
 DENSITY = 1000.0

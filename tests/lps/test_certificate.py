@@ -11,7 +11,7 @@ from tests.support.problems import KERNELS, ell, kernel, lattice, periodic
 from tests.support.symbols import smallest, symbol
 from warp_peri import InputError, Model, certify
 from warp_peri.materials.lps_matrices import matrices
-from warp_peri.statics.direct import DENSE, smallest_eigenvalue
+from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
 
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]

@@ -8,13 +8,13 @@ import pytest
 
 import warp_peri
 from tests.micromodulus.crystals import lattice, learned, plain_force, random_law
-from warp_peri.dynamics.verlet import critical_time_step
 from warp_peri.errors import InputError
 from warp_peri.launch import set_threads, threads
 from warp_peri.materials.crystal import Crystal
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.statics.linear import Linear
+from warp_peri.solvers.linear import Linear
+from warp_peri.solvers.verlet import critical_time_step
 
 SIZE = {2: 12, 3: 6}
 CASES = [(d, kind) for d in (2, 3) for kind in ("cube", "ball", "period")]

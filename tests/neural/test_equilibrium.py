@@ -11,7 +11,7 @@ from warp_peri.neural.material import NeuralOperator
 from warp_peri.neural.placed import NeuralEquilibrium, evaluate
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
-from warp_peri.statics.equilibria import Equilibria
+from warp_peri.solvers.equilibria import Equilibria
 
 HORIZON = 3.0
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import warp_peri
+from warp_peri.solvers.linear import METHODS
 
 ROOT = Path(__file__).parent.parent.parent
 SCRIPT = Path(__file__).with_name("typed_use.py").read_text()
@@ -76,5 +77,5 @@ def test_the_script_runs(tmp_path):
     assert run.returncode == 0, run.stderr
     _, error, *_, method, refusal = run.stdout.splitlines()
     assert float(error) < 1e-6  # the model that made the data is found again
-    assert method in warp_peri.statics.METHODS
+    assert method in METHODS
     assert "none.json" in refusal

@@ -127,7 +127,7 @@ def test_solvability_figures():
 def test_sparse_solvability_is_the_dense_one(monkeypatch):
     points, model = cloud(10, 3.0), plain(3.0)
     dense = solvability(model, points)
-    monkeypatch.setattr(sys.modules["warp_peri.statics.direct"], "DENSE", 10)
+    monkeypatch.setattr(sys.modules["warp_peri.solvers.direct"], "DENSE", 10)
     sparse = solvability(model, points)
     assert sparse.symmetric_min == pytest.approx(dense.symmetric_min, rel=1e-4)
     assert sparse.singular_min == pytest.approx(dense.singular_min, rel=1e-6)

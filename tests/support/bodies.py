@@ -3,9 +3,9 @@
 import numpy as np
 
 from warp_peri import Model
-from warp_peri.dynamics.verlet import inertia
 from warp_peri.fracture.body import box, lattice_body
 from warp_peri.fracture.dynamics import BreakingBody, BrittleSolid
+from warp_peri.solvers.verlet import inertia
 
 
 def solid(lam=1.0, mu=1.0, horizon=3.0, density=1.0, dimension=2, **criterion):

@@ -4,7 +4,7 @@ import numpy as np
 
 from warp_peri import Direct, Dirichlet, Krylov, Newton, Periodic, Points, move
 from warp_peri import solve as solved
-from warp_peri.statics.solution import PRECONDITIONERS
+from warp_peri.solvers.solution import PRECONDITIONERS
 
 
 def solve(model, points, b, u, *, method="auto", iteration=None, **options):

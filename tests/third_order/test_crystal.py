@@ -19,7 +19,7 @@ from warp_peri.materials.third_order import Smoothing, energy_density, proven_ka
 from warp_peri.materials.third_order_fit import ThirdOrder
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
-from warp_peri.statics import linear
+from warp_peri.solvers import linear
 
 REACH = 3.0
 AXIS = 20.0

@@ -11,8 +11,8 @@ from tests.support.problems import ell, lattice, smooth
 from tests.support.solving import solve, solve_nonlinear
 from warp_peri import InputError
 from warp_peri.materials.third_order import PlacedThirdOrder
-from warp_peri.statics import conjugate_gradients, equilibria, linear
-from warp_peri.statics.equilibria import NonlinearRecord
+from warp_peri.solvers import conjugate_gradients, equilibria, linear
+from warp_peri.solvers.equilibria import NonlinearRecord
 
 HORIZON = 3.0
 

@@ -18,7 +18,7 @@ from warp_peri.materials.lps_transfer import model_for
 from warp_peri.methods import Smoothing
 from warp_peri.points.families import carried_horizon, families_of
 from warp_peri.proofs import critical_time_step
-from warp_peri.statics.solution import Direct
+from warp_peri.solvers.solution import Direct
 from warp_peri.transfers import on_lattice
 
 HOME = replace(kernel("1/r", 3.0), largest_wave_number=2.0)

@@ -27,7 +27,7 @@ from warp_peri.files.atomic import destination, finite, locked, plain
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import Units, symbols
-from warp_peri.statics.solution import Coupling, Direct, Krylov
+from warp_peri.solvers.solution import Coupling, Direct, Krylov
 from warp_peri.storage import load
 
 Result = dict[str, Any]

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from warp_peri.contract import OnPoints
 from warp_peri.core.record import Entry, Length, Record
-from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
 from warp_peri.kernels.diffusion import flux as kernels
 from warp_peri.launch import floats, ints, launch_slices, zeros
@@ -23,8 +22,9 @@ from warp_peri.points.arrays import checked, checked_fields, mean_inverse, plain
 from warp_peri.points.families import Families, families_of
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
-from warp_peri.statics.direct import definite_factors
-from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
+from warp_peri.solvers.adjoint import Implicit, stepped
+from warp_peri.solvers.direct import definite_factors
+from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
 
 Conductivity = float | np.ndarray | Callable[[np.ndarray], np.ndarray]
 ROUNDING = 1e-10

@@ -13,7 +13,6 @@ from numpy.typing import ArrayLike
 from warp_peri.contract import OnPoints
 from warp_peri.core.record import Record, Stress
 from warp_peri.diffusion.conductor import Conductivity, Conductor, DiffusionOperator
-from warp_peri.dynamics.adjoint import Implicit, stepped
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import lattice_body
 from warp_peri.fracture.bonds import bond_matrix, bonds_of, dilatations
@@ -22,7 +21,8 @@ from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import Units, check_same
-from warp_peri.statics.solution import Direct, Solution, Solver, refuse_solver
+from warp_peri.solvers.adjoint import Implicit, stepped
+from warp_peri.solvers.solution import Direct, Solution, Solver, refuse_solver
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -43,10 +43,10 @@ from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.samples import edge_strain
 from warp_peri.points.unit_names import symbols
-from warp_peri.statics.direct import definite_factors
-from warp_peri.statics.linear import STIFF
-from warp_peri.statics.solution import TOLERANCE, warn_beyond
-from warp_peri.statics.solution import Coupling as Coupling
+from warp_peri.solvers.direct import definite_factors
+from warp_peri.solvers.linear import STIFF
+from warp_peri.solvers.solution import TOLERANCE, warn_beyond
+from warp_peri.solvers.solution import Coupling as Coupling
 
 UNTOLD = Coupling()
 OVERLAP, CRYSTAL_OVERLAP = 2.0, 4.0

@@ -18,7 +18,7 @@ from warp_peri.materials.lps_transfer import LEAST, TOLERANCE, on_lattice
 from warp_peri.points.mesh import Mesh
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.statics.linear import Linear
+from warp_peri.solvers.linear import Linear
 
 EXCHANGES = 40
 """Solves that a coupling takes, for which the inverse is set up."""

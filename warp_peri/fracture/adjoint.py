@@ -14,10 +14,8 @@ from scipy.sparse.linalg import splu
 from tqdm import tqdm
 
 from warp_peri.contract import is_tensor
-from warp_peri.core.tensors import as_tensor as as_tensor
-from warp_peri.core.tensors import linear, nonlinear, real, refuse_tangents
-from warp_peri.dynamics.adjoint import in_motion as in_motion
-from warp_peri.dynamics.motion import Motion
+from warp_peri.core.torch_bridge import as_tensor as as_tensor
+from warp_peri.core.torch_bridge import linear, nonlinear, real, refuse_tangents
 from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
@@ -25,6 +23,8 @@ from warp_peri.fracture.softening import BondLaw, pull_of, share_of
 from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of, symmetric_factors
 from warp_peri.materials.lps import Model, bernstein_basis
 from warp_peri.points.arrays import checked
+from warp_peri.solvers.adjoint import in_motion as in_motion
+from warp_peri.solvers.motion import Motion
 
 NEWTON = 40
 TOLERANCE = 1e-8

@@ -16,7 +16,6 @@ import warp as wp
 from numpy.typing import ArrayLike
 
 from warp_peri.core.record import UNITS, Entry, OnLinear, Positive
-from warp_peri.dynamics.verlet import inertia
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import (
@@ -33,6 +32,7 @@ from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked, is_number
 from warp_peri.points.families import bond_classes
 from warp_peri.points.unit_names import REDUCED, USUAL, Units, check_units
+from warp_peri.solvers.verlet import inertia
 
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, box, cracked, lattice_body, through
 from warp_peri.fracture.bonds import (
@@ -26,7 +25,8 @@ from warp_peri.fracture.statics import CutSolid, by_component, check_no_fail, ch
 from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import check_whole
 from warp_peri.points.families import BondClasses
-from warp_peri.statics.conjugate_gradients import definite
+from warp_peri.solvers.conjugate_gradients import definite
+from warp_peri.solvers.motion import Motion
 
 MOST, TOLERANCE = 40, 1e-11
 """Iterations of an event after which the body is factorised anew, and what is left of the forces

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import is_tensor, offered, refuse_uncut, taken
-from warp_peri.dynamics.motion import Motion, refuse_learning
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, lattice_body, penny
 from warp_peri.fracture.dynamics import BreakingBody
@@ -21,7 +20,8 @@ from warp_peri.fracture.statics import CutSolid, crack_load, in_torch
 from warp_peri.points.arrays import check_flag, checked, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.solution import Direct, Krylov, Solution, refuse_solver
+from warp_peri.solvers.motion import Motion, refuse_learning
+from warp_peri.solvers.solution import Direct, Krylov, Solution, refuse_solver
 
 
 @dataclass(frozen=True, eq=False)

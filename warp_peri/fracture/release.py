@@ -16,7 +16,7 @@ from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, box, lattice_body, size_and_normal, through
 from warp_peri.fracture.statics import CutSolid
 from warp_peri.materials.lps import Model
-from warp_peri.statics.solution import Direct, Krylov, Solution
+from warp_peri.solvers.solution import Direct, Krylov, Solution
 
 RADIUS = 4.0
 """Half side of the smaller square around a tip, in horizons; the larger has twice that."""

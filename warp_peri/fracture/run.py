@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from tqdm import tqdm
 
-from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
 from warp_peri.fracture.body import HAIR, section
 from warp_peri.fracture.dynamics import BreakingBody, BreakingState, step
 from warp_peri.points.arrays import check_positive, check_whole, checked
+from warp_peri.solvers.motion import Motion
 
 NODAL = ("u", "v", "force", "energy", "work")
 """Arrays of a state that a checkpoint holds for each node."""

@@ -19,9 +19,9 @@ from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import CutRows, bond_matrix, bond_weights, bonds_of, largest_stiffness
 from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
-from warp_peri.statics import direct
-from warp_peri.statics.conjugate_gradients import definite
-from warp_peri.statics.solution import Direct, Krylov, Solution, Solver, refuse_solver
+from warp_peri.solvers import direct
+from warp_peri.solvers.conjugate_gradients import definite
+from warp_peri.solvers.solution import Direct, Krylov, Solution, Solver, refuse_solver
 
 SYMMETRIC = 1e-9
 """What a stress and its transpose may differ by, over the largest component."""

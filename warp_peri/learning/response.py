@@ -23,7 +23,7 @@ from warp_peri.materials.lps_fit import LPSFound, Products, optimum, product_bas
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import WAVE_VECTOR, Samples
-from warp_peri.statics.direct import MatrixProblem
+from warp_peri.solvers.direct import MatrixProblem
 
 SAMPLES_AT_ONCE = 8
 STEPS = 12

@@ -18,7 +18,7 @@ from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import families_of
 from warp_peri.points.samples import PointsLike
 from warp_peri.points.unit_names import USUAL, Units, symbols
-from warp_peri.statics.direct import smallest_eigenvalue
+from warp_peri.solvers.direct import smallest_eigenvalue
 
 RANK_TOLERANCE = 1e-9
 """Eigenvalues of ΦΓ⁻¹Φᵗ below this fraction of the largest count as zero."""

@@ -37,8 +37,8 @@ from warp_peri.points.unit_names import (
     shown_moduli,
     symbols,
 )
-from warp_peri.statics.linear import Linear
-from warp_peri.statics.solution import Krylov, Solution, Solver, refuse_solver
+from warp_peri.solvers.linear import Linear
+from warp_peri.solvers.solution import Krylov, Solution, Solver, refuse_solver
 
 
 class TensorOperator(OnPoints):

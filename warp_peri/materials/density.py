@@ -25,9 +25,9 @@ from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same
-from warp_peri.statics.equilibria import SOLVES, equilibria_of, probed
-from warp_peri.statics.linear import Inverse, Linear
-from warp_peri.statics.solution import Solution, Solver
+from warp_peri.solvers.equilibria import SOLVES, equilibria_of, probed
+from warp_peri.solvers.linear import Inverse, Linear
+from warp_peri.solvers.solution import Solution, Solver
 
 Energy = Callable[..., torch.Tensor]
 """Energy per volume [stress] of Green strains E [..., d, d] and of parameters by name, [...]."""

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from warp_peri.core.tensors import differentiable_once, refuse_tangents
+from warp_peri.core.torch_bridge import differentiable_once, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.kernels.bonds import stay
 from warp_peri.kernels.lps.plain import plain

@@ -36,9 +36,9 @@ from warp_peri.points.families import families_of
 from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.statics.conjugate_gradients import SolveRecord
-from warp_peri.statics.direct import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
-from warp_peri.statics.linear import (
+from warp_peri.solvers.conjugate_gradients import SolveRecord
+from warp_peri.solvers.direct import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
+from warp_peri.solvers.linear import (
     DIRECT,
     STIFF,
     Inverse,
@@ -47,7 +47,7 @@ from warp_peri.statics.linear import (
     cheapest_method,
     smallest_ratio,
 )
-from warp_peri.statics.solution import (
+from warp_peri.solvers.solution import (
     TOLERANCE,
     Direct,
     Krylov,

@@ -33,9 +33,9 @@ from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PointsLike, axis_of, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, check_same, shown_moduli, symbols
-from warp_peri.statics.equilibria import SOLVES, equilibria_of, figures_of
-from warp_peri.statics.linear import Inverse, bonds_within
-from warp_peri.statics.solution import Solution, Solver
+from warp_peri.solvers.equilibria import SOLVES, equilibria_of, figures_of
+from warp_peri.solvers.linear import Inverse, bonds_within
+from warp_peri.solvers.solution import Solution, Solver
 
 FORMS = ("filtered", "energy")
 CUBIC = ("t3", "tq2", "q3")

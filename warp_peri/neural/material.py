@@ -16,7 +16,7 @@ import torch
 
 from warp_peri.core import record
 from warp_peri.core.record import Length, Positive
-from warp_peri.core.tensors import differentiable_once
+from warp_peri.core.torch_bridge import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.neural.placed import AtRest

@@ -13,14 +13,14 @@ from numpy.typing import ArrayLike
 from tqdm import tqdm
 
 from warp_peri.contract import OnPoints
-from warp_peri.core.tensors import on_fields, refuse_tangents
+from warp_peri.core.torch_bridge import on_fields, refuse_tangents
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
 from warp_peri.points.arrays import checked_fields, plain
 from warp_peri.points.samples import Samples
-from warp_peri.statics.equilibria import Equilibria, probed
-from warp_peri.statics.linear import Inverse, Linear
-from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
+from warp_peri.solvers.equilibria import Equilibria, probed
+from warp_peri.solvers.linear import Inverse, Linear
+from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
 
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator

@@ -23,12 +23,12 @@ from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.halo import Halo
 from warp_peri.ranks.multigrid import LONG, Between, Convolution, cycle, inverse_filter
 from warp_peri.ranks.processes import build, in_turn, inner
-from warp_peri.statics.conjugate_gradients import Inner, SolveRecord, definite
-from warp_peri.statics.multigrid import coarser
+from warp_peri.solvers.conjugate_gradients import Inner, SolveRecord, definite
+from warp_peri.solvers.multigrid import coarser
 
 if TYPE_CHECKING:
     from warp_peri.ranks.subdomain import Subdomain
-    from warp_peri.statics.linear import Inverse
+    from warp_peri.solvers.linear import Inverse
 
 
 MOST = 32

@@ -16,7 +16,7 @@ from warp_peri.core.sweeps import component, torus_symbol
 from warp_peri.launch import threads
 from warp_peri.ranks.halo import Halo, Tiles
 from warp_peri.ranks.processes import Comm
-from warp_peri.statics.multigrid import (
+from warp_peri.solvers.multigrid import (
     SHIFT,
     VCycle,
     coarser,

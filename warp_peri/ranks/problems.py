@@ -15,8 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.contract import MATERIAL, offered, taken
-from warp_peri.dynamics.motion import Motion
-from warp_peri.dynamics.verlet import march
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import RunFile, agreed, fingerprint, same
 from warp_peri.fracture.body import lattice_body
@@ -32,8 +30,10 @@ from warp_peri.points.unit_names import check_same
 from warp_peri.ranks.halo import NodeHalo
 from warp_peri.ranks.linear import RowOperator, tensors_at
 from warp_peri.ranks.processes import build
-from warp_peri.statics.conjugate_gradients import SolveRecord, norm
-from warp_peri.statics.solution import TOLERANCE, Krylov, Solution, Solver, refuse_solver
+from warp_peri.solvers.conjugate_gradients import SolveRecord, norm
+from warp_peri.solvers.motion import Motion
+from warp_peri.solvers.solution import TOLERANCE, Krylov, Solution, Solver, refuse_solver
+from warp_peri.solvers.verlet import march
 
 if TYPE_CHECKING:
     from warp_peri.ranks.subdomain import Subdomain

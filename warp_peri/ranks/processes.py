@@ -23,7 +23,7 @@ from warp_peri import errors
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed
 from warp_peri.launch import DEVICE, ranks_started, set_threads, shared_by, threads
-from warp_peri.statics.conjugate_gradients import Inner
+from warp_peri.solvers.conjugate_gradients import Inner
 
 Comm: TypeAlias = Any
 """A communicator of mpi4py."""

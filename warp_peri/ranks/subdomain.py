@@ -18,7 +18,7 @@ from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.ranks import problems
 from warp_peri.ranks.halo import Tiles, cut, strain_on_ranks
 from warp_peri.ranks.processes import Comm, fingerprint, inner, total, world
-from warp_peri.statics.conjugate_gradients import Inner
+from warp_peri.solvers.conjugate_gradients import Inner
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
 """Slabs of rows that a box is cut to at least, where they have between so many rows each."""

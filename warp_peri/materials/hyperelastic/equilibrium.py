@@ -16,8 +16,8 @@ from warp_peri.errors import InputError, warn
 from warp_peri.materials.hyperelastic.energies import Term
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
-from warp_peri.statics.direct import lanczos_start, smallest_eigenvalue
-from warp_peri.statics.equilibria import Inner, direction, stable_way
+from warp_peri.solvers.direct import lanczos_start, smallest_eigenvalue
+from warp_peri.solvers.equilibria import Inner, direction, stable_way
 
 DIRECT = 20_000
 """Unknowns up to which the tangent is factorised; beyond, conjugate gradients take its products."""

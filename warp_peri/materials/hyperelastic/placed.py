@@ -21,7 +21,7 @@ from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.samples import PointsLike, Samples, nodes_of, seen_of
 from warp_peri.points.unit_names import check_same
-from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
+from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
 
 BEYOND = 1.1
 """Stretches less one above this many times those of the training data are worth a warning."""

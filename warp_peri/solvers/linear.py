@@ -19,9 +19,9 @@ from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, convolved
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points
-from warp_peri.statics.conjugate_gradients import SolveRecord, definite
-from warp_peri.statics.direct import definite_factors, factorised
-from warp_peri.statics.multigrid import Edge, Filter, block, multigrid, sine, torus_inverse
+from warp_peri.solvers.conjugate_gradients import SolveRecord, definite
+from warp_peri.solvers.direct import definite_factors, factorised
+from warp_peri.solvers.multigrid import Edge, Filter, block, multigrid, sine, torus_inverse
 
 Inverse: TypeAlias = Callable[[np.ndarray, float], np.ndarray]
 """An inverse of the linear part: of a load on the interior [I, d], to a relative residual."""

@@ -11,9 +11,9 @@ import torch
 import warp_peri as wp
 from tests.conformance.test_gradients import OPERATORS, field
 from tests.conformance.test_laws import difference
-from warp_peri.dynamics import adjoint, verlet
-from warp_peri.dynamics.adjoint import BATCH, PIECES
 from warp_peri.proofs import critical_time_step
+from warp_peri.solvers import adjoint, verlet
+from warp_peri.solvers.adjoint import BATCH, PIECES
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 DENSITY = 2000.0

@@ -19,7 +19,7 @@ from warp_peri.core.grid import Grid
 from warp_peri.core.stencil import Stencil, q1_tensors
 from warp_peri.core.sweeps import ByRows, convolved, inverse, torus_shape, torus_symbol
 from warp_peri.launch import threads
-from warp_peri.statics.direct import symmetric_factors
+from warp_peri.solvers.direct import symmetric_factors
 
 
 class Edge:

@@ -31,7 +31,7 @@ import torch
 from scipy.sparse.linalg import splu
 
 from warp_peri.contract import is_tensor, taken
-from warp_peri.core.tensors import (
+from warp_peri.core.torch_bridge import (
     as_tensor,
     by_numbers,
     differentiable_once,
@@ -39,10 +39,10 @@ from warp_peri.core.tensors import (
     refuse_tangents,
     with_numbers,
 )
-from warp_peri.dynamics import verlet
-from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import check_positive, check_whole, checked
+from warp_peri.solvers import verlet
+from warp_peri.solvers.motion import Motion
 
 PIECES, BATCH = 8, 16
 """States kept of a motion, and fields whose derivatives to numbers are taken at once."""

@@ -11,8 +11,8 @@ from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, 
 from tests.support.solving import solve, solve_periodic
 from tests.support.symbols import smallest, symbol
 from warp_peri import Dirichlet, InputError, Model, Periodic, Points
+from warp_peri.solvers.linear import DIRECT, cheapest_method
 from warp_peri.solving import solve as at_rest
-from warp_peri.statics.linear import DIRECT, cheapest_method
 
 SOLVABLE = ("1/r", "steep", "positive", "growing", "sign-changing")
 HORIZON = 3.0  # at which all of them are

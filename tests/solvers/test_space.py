@@ -8,12 +8,12 @@ from tests.support.cubes import cube, field, load, periodic_cube, solid
 from tests.support.problems import fitted_order
 from tests.support.solving import solve
 from warp_peri import Direct, Krylov
-from warp_peri.dynamics.verlet import critical_time_step, inertia
 from warp_peri.errors import InputError
 from warp_peri.fitting.evaluate import without_rigid_part
 from warp_peri.materials.lps import moduli
 from warp_peri.micromodulus import tensors_of
 from warp_peri.points.families import bond_classes
+from warp_peri.solvers.verlet import critical_time_step, inertia
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 LENGTH, RATIO = 2.0, 2.0

@@ -25,10 +25,10 @@ from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.points import Points
-from warp_peri.statics.conjugate_gradients import HERE, definite, newton, norm
-from warp_peri.statics.direct import smallest_eigenvalue
-from warp_peri.statics.linear import DIRECT, Inverse
-from warp_peri.statics.solution import Newton, Solution, Solver, refuse_solver
+from warp_peri.solvers.conjugate_gradients import HERE, definite, newton, norm
+from warp_peri.solvers.direct import smallest_eigenvalue
+from warp_peri.solvers.linear import DIRECT, Inverse
+from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
 
 NOTHING = 1e-12
 """Relative, of tensors that are rounding."""

@@ -10,10 +10,10 @@ from tests.support.problems import ell, fitted_order, kernel, lattice, noise, pe
 from tests.support.solving import velocity_verlet
 from tests.support.symbols import symbol
 from warp_peri import InputError
-from warp_peri.dynamics.verlet import INERTIA, Inert, march, step
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.problems import Dirichlet
 from warp_peri.proofs import critical_time_step
+from warp_peri.solvers.verlet import INERTIA, Inert, march, step
 from warp_peri.solving import move
 
 DENSITY = 2147.0

@@ -18,8 +18,8 @@ from warp_peri import Direct, InputError, Krylov, Model
 from warp_peri.core.stencil import q1_tensors
 from warp_peri.materials.lps_operator import LPSOperator
 from warp_peri.methods import Solid
-from warp_peri.statics.linear import Linear
-from warp_peri.statics.multigrid import VCycle, prolong, restrict
+from warp_peri.solvers.linear import Linear
+from warp_peri.solvers.multigrid import VCycle, prolong, restrict
 
 HORIZON = 3.0
 
@@ -119,7 +119,7 @@ def test_near_incompressibility_takes_few_iterations(shape, side):
 
 @pytest.mark.filterwarnings("ignore:spacing")
 def test_the_method_follows_size_and_shape(monkeypatch):
-    module = importlib.import_module("warp_peri.statics.linear")
+    module = importlib.import_module("warp_peri.solvers.linear")
     monkeypatch.setattr(module, "DIRECT", 30)
     monkeypatch.setattr(
         importlib.import_module("warp_peri.materials.lps_operator"), "LARGEST_LU", 30

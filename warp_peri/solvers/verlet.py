@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from warp_peri.contract import offered, stencil_of
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.proof import largest
-from warp_peri.dynamics.motion import Motion
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
@@ -27,6 +26,7 @@ from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice
 from warp_peri.points.unit_names import USUAL, Units, factors
+from warp_peri.solvers.motion import Motion
 
 if TYPE_CHECKING:
     from warp_peri.materials.lps_operator import LPSOperator

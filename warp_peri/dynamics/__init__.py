@@ -1,1 +1,0 @@
-"""Bodies in motion: velocity Verlet and the steps it may take."""

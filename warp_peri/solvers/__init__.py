@@ -1,0 +1,1 @@
+"""Equilibrium and motion: linear and nonlinear solves, time steps, their gradients."""

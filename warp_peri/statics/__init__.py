@@ -1,1 +1,0 @@
-"""Bodies at rest: solves, and equilibrium as a differentiable function."""
