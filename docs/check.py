@@ -70,6 +70,19 @@ def links(text: str) -> list[str]:
     return [target for target in every if not re.match(r"[a-z]+:|/", target)]
 
 
+def cited() -> set[str]:
+    """Equations that pages and docstrings name after a link to the theory or after "theory, "."""
+    tag, found = r"(?:[A-Z][A-Za-z]?)?\d+[a-z]?", set()
+    several = rf"\(?{tag}(?:(?:, |–| to | and ){tag})*(?!\w)"
+    after = re.compile(rf"theory(?:/\w+)?(?:\.md[^),]*)?\)?,(?: equations)? ({several})")
+    tops = ("warp_peri", "kernels", "tools", "tests")
+    code = [path for top in tops for path in (DOCS.parent / top).rglob("*.py")]
+    for path in (*code, *DOCS.rglob("*.md"), DOCS.parent / "README.md"):
+        text = " ".join(path.read_text(encoding="utf-8").split())
+        found |= {one for some in after.findall(text) for one in re.findall(tag, some)}
+    return found
+
+
 def faults() -> list[str]:
     """What breaks a rule, a line each."""
     texts, shown, lost, numbers = pages(), set(), [], []
@@ -95,6 +108,7 @@ def faults() -> list[str]:
             lost.append(f"{name}: a table of more than {ROWS} rows")
     pictures = [p for kind in ("png", "svg") for p in DOCS.rglob(f"*.{kind}")]
     lost += [f"{p.relative_to(DOCS)}: on no page" for p in pictures if p.resolve() not in shown]
+    lost += [f"{tag}: no equation has this number" for tag in cited() - {*numbers}]
     lost += [f"{tag}: an equation twice" for tag in {t for t in numbers if numbers.count(t) > 1}]
     return lost + [f"{name}: page or menu alone" for name in menu() ^ {*texts}]
 

@@ -1,132 +1,178 @@
-"""Code of the pages runs in turn, imports what the API lists, and prints what stands below it.
-
-Pages run as they are, from their top.
-"""
+"""Code and commands of the pages run as they are printed, and print what stands below them."""
 
 import ast
-import builtins
 import contextlib
+import importlib.util
 import io
+import itertools
 import re
+import shlex
+from glob import glob
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
+from warp_peri.cli.main import main
 
 ROOT = Path(__file__).parent.parent.parent
-DOCS = ROOT / "docs"
-TEXT = {"README": (ROOT / "README.md").read_text(encoding="utf-8")} | {
-    page.relative_to(DOCS).as_posix().removesuffix(".md"): page.read_text(encoding="utf-8")
-    for page in sorted(DOCS.rglob("*.md"))
-}
+spec = importlib.util.spec_from_file_location("check", ROOT / "docs" / "check.py")
+check = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(check)
+TEXT = {name.removesuffix(".md"): text for name, text in check.pages().items()}
 """Each page by its path below docs/, without suffix, as "how-to/cracks"."""
-BLOCK = re.compile(r"^```python\n(.*?)^```\n(?:\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
-BLOCKS = {name: found for name, text in TEXT.items() if (found := BLOCK.findall(text))}
-"""The code of each page, and what stands below it as printed, or nothing."""
+TEXT["README"] = (ROOT / "README.md").read_text("utf-8")
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```$(?:\n\n```text\n(.*?)^```$)?", re.DOTALL | re.MULTILINE)
+"""A block with its language, none for commands, and what stands below it as printed."""
+NOT_HERE = (
+    r"(make|pip|source|python3 -m venv|\.venv/bin/pip|mpiexec|ase|tail) "
+    r"|(\.venv/bin/)?python (examples/|-m pytest)"
+)
+"""What sets up an environment, is of others, or has a test of its own."""
 ELSEWHERE = ("README", "tutorials/graphene")
-"""Run by tests/examples/test_examples.py and test_docs.py, which look at what comes out."""
-PUBLIC = {
-    name
-    for page, text in TEXT.items()
-    if page.startswith(("api", "reference/api/"))
-    for name in re.findall(r"^::: (warp_peri\S*)", text, re.MULTILINE)
-}
-HORIZON, WIDEST = 12.5, 25.0
-"""Of the model that the data are made with, and of the laws that pages learn from them [Å]."""
-
-
-@pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    """A folder with small data in the place of graphene's, and a model."""
-    folder = tmp_path_factory.mktemp("pages")
-    model = kernel("1/r", HORIZON, spacing=5.0)
-    sets = {
-        name: manufactured(model, lattice(8, WIDEST, 5.0), count, seed, wave_number=0.2)
-        for seed, (name, count) in enumerate({"train": 8, "val": 2, "test": 2}.items())
-    }
-    sets = {
-        name: wp.Samples(s.points, 0.1 * s.u, 0.1 * s.loads, s.arrays) for name, s in sets.items()
-    }
-    wp.save(folder / "data" / "graphene_0K.h5", wp.Dataset(sets, thickness=3.35, density=2200.0))
-    wp.save(folder / "runs" / "first" / "model.json", model)
-    (folder / "examples").symlink_to(ROOT / "examples")
-    return folder
-
-
+"""Run by tests/examples, on graphene's own data."""
 SLOW = (
-    "how-to/arrays", "how-to/crystals", "how-to/error_bars", "how-to/flow",
-    "how-to/free_edges",
+    "how-to/arrays", "how-to/crystals", "how-to/error_bars", "how-to/flow", "how-to/free_edges",
     "how-to/heterogeneous", "how-to/horizon", "how-to/large", "how-to/lattices", "how-to/neural",
-    "how-to/strains", "how-to/tissue", "tutorials/crystal", "tutorials/torch",
+    "how-to/strains", "how-to/tissue", "tutorials/crystal", "tutorials/dic", "tutorials/dumps",
+    "tutorials/torch",
 )  # fmt: skip
 """Pages that take more than some 2 s."""
 
 
-def undefined(blocks):
-    """Names that the blocks of a page read and nobody has defined before, in turn."""
-    known, missing = {*dir(builtins)}, []
-    for block in blocks:
-        tree = ast.parse(block)
-        bound = {
-            node.id
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)
-        }
-        for node in ast.walk(tree):
-            if isinstance(node, (ast.Import, ast.ImportFrom)):
-                bound |= {(alias.asname or alias.name).split(".")[0] for alias in node.names}
-            elif isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-                bound.add(node.name)
-            elif isinstance(node, ast.arg):
-                bound.add(node.arg)
-            elif isinstance(node, ast.ExceptHandler) and node.name:
-                bound.add(node.name)
-        read = {
-            node.id
-            for node in ast.walk(tree)
-            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load)
-        }
-        missing += sorted(read - bound - known)
-        known |= bound | read
-    return missing
+def commands(block):
+    """What a shell block types, a line each, comments taken off."""
+    lines = re.sub(r"\\\n\s*", "", block).splitlines()
+    return [typed for line in lines if (typed := re.sub(r"(^|\s+)#.*", "", line).strip())]
 
 
-@pytest.mark.parametrize("name", BLOCKS)
-def test_imports_are_of_what_the_api_lists(name):
-    for block, _ in BLOCKS[name]:
-        for node in ast.walk(ast.parse(block)):
-            modules = [node.module] if isinstance(node, ast.ImportFrom) else []
-            if isinstance(node, ast.Import):
-                modules = [alias.name for alias in node.names]
-            for module in modules:
-                assert not str(module).startswith("warp_peri") or module in PUBLIC, module
+def typed(name):
+    return [line for language, block, _ in FENCED.findall(TEXT[name]) if not language
+            for line in commands(block)]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.slow) if name in SLOW else name
-        for name in BLOCKS
-        if name not in ELSEWHERE
-    ],
-)
+def code(name):
+    """The Python blocks of a page, each with what it shows as printed."""
+    return [found[1:] for found in FENCED.findall(TEXT[name]) if found[0] == "python"]
+
+
+def pages(names):
+    return [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in names]
+
+
+CODE = [name for name in TEXT if name not in ELSEWHERE and code(name)]
+TYPED = {name: lines for name in TEXT if (lines := typed(name)) and not name.startswith("papers/")}
+COMMANDS = [
+    name
+    for name, lines in TYPED.items()
+    if name not in (*ELSEWHERE, "how-to/free_edges") and "warp-peri " in " ".join(lines)
+]
+
+
 @pytest.mark.filterwarnings("ignore")
-def test_the_blocks_of_a_page_run_in_turn(name, tmp_path, monkeypatch):
-    """Each in the names of those before; what it prints is what the page shows below it."""
+@pytest.mark.parametrize("name", pages(CODE))
+def test_the_code_of_a_page_runs_in_turn(name, tmp_path, monkeypatch):
+    """Each block in the names of those before; what it prints is what the page shows below it."""
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     monkeypatch.chdir(tmp_path)
-    assert undefined([block for block, _ in BLOCKS[name]]) == []
     names = {}
-    for block, shown in BLOCKS[name]:
+    for block, shown in code(name):
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             exec(compile(block, f"{name}.md", "exec"), names)
-        assert not shown or printed.getvalue() == shown, f"{name}: it printed {printed.getvalue()}"
+        assert not shown or printed.getvalue() == shown
 
 
-def test_pages_that_say_how_show_what_comes_out():
-    for name in BLOCKS:
-        if name.startswith(("tutorials/", "how-to/")):
-            assert any(shown for _, shown in BLOCKS[name]), name
+def test_pages_import_what_the_api_lists_and_name_what_is_there():
+    shown = re.findall(r"^::: (warp_peri\S*)", "\n".join(TEXT.values()), re.MULTILINE)
+    for page, text in TEXT.items():
+        for node in ast.walk(ast.parse("".join(block for block, _ in code(page)))):
+            if isinstance(node, ast.Import | ast.ImportFrom):
+                modules = [getattr(node, "module", None) or node.names[0].name]
+                assert [m for m in modules if m.startswith("warp_peri") and m not in shown] == []
+        for name in re.findall(r"`wp\.([\w.]+)\b(?!\.\w)[`(]", text):
+            owner = wp
+            for part in name.split("."):
+                known = hasattr(owner, part) or part in getattr(owner, "__dataclass_fields__", ())
+                assert known, f"{page}: {name}"
+                owner = getattr(owner, part, None)
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """A folder with small data in the place of graphene's, a model, and files of crystals."""
+    import ase.build
+    import ase.io
+
+    folder, model = tmp_path_factory.mktemp("pages"), kernel("1/r", 12.5, spacing=5.0)
+    sets = {}
+    for seed, (name, count) in enumerate({"train": 8, "val": 2, "test": 2}.items()):
+        s = manufactured(model, lattice(8, 25.0, 5.0), count, seed, wave_number=0.2)
+        sets[name] = wp.Samples(s.points, 0.1 * s.u, 0.1 * s.loads, s.arrays)
+    data = wp.Dataset(sets, thickness=3.35, density=2200.0)
+    for place in ("data/graphene_0K.h5", "DATA.h5", "mine.h5"):
+        wp.save(folder / place, data)
+    for place in ("runs/first/model.json", "runs/graphene_0K/model.json", "MODEL.json"):
+        wp.save(folder / place, model)
+    ase.io.write(folder / "Al.cif", ase.build.bulk("Al", cubic=True))
+    ase.io.write(folder / "MoS2.cif", ase.build.mx2(a=3.16, vacuum=10))
+    r = np.linspace(0.5, 25.0, 50)
+    np.savetxt(folder / "K.csv", np.stack([r, np.exp(-r / 9)], 1), delimiter=",", header="r,K",
+               comments="")  # fmt: skip
+    (folder / "examples").symlink_to(ROOT / "examples")
+    return folder
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("name", pages(COMMANDS))
+def test_the_commands_of_a_page_run_in_turn(name, home, monkeypatch, capsys):
+    """A tutorial shows lines that they print, in their order."""
+    monkeypatch.chdir(home)
+    if name == "tutorials/dumps":
+        from examples import own_material
+
+        own_material.make_dumps(home / "runs" / "boron_nitride" / "dumps")
+    for language, block, shown in FENCED.findall(TEXT[name]):
+        printed = ""
+        for line in [] if language else commands(block):
+            if line.startswith("warp-peri "):
+                words = [sorted(glob(word)) or [word] for word in shlex.split(line)]  # as a shell
+                words += [["--jobs", "1"]] if words[1] == ["sweep"] else []  # in this process
+                status = main([word for found in words for word in found][1:])
+                out, error = capsys.readouterr()
+                assert status == 0, f"{line}: {error}"
+                printed += out
+        if name.startswith("tutorials/") and printed:
+            lines = iter(printed.splitlines())
+            for expected in shown.splitlines():
+                assert expected.strip() == "…" or expected in lines, expected
+
+
+def test_what_is_typed_runs_here_or_is_there():
+    for line in itertools.chain(*TYPED.values()):
+        assert line.startswith("warp-peri ") or re.match(NOT_HERE, line), line
+        if script := re.match(r"(?:\.venv/bin/)?python (examples/\S+)(.*)", line):
+            source = (ROOT / script[1]).read_text("utf-8")
+            assert all(f'"{option}"' in source for option in re.findall(r"--[a-z-]+", script[2]))
+
+
+def test_pages_keep_the_rules_and_their_size():
+    """Links, sentences, tables, pictures, equations, and the menu."""
+    assert check.faults() == []
+    assert sum(len(text.split()) for text in check.pages().values()) <= 28_000
+    assert len(TEXT["README"].split()) <= 600
+    assert (ROOT / "CHANGELOG.md").stat().st_size <= 6_000
+
+
+def test_sentences_links_and_anchors_are_found_as_a_reader_finds_them():
+    text = (
+        "# One `two`: three\n\nOne [a](b.md#c) two. Two, with $x = 1.5$ in it!\n\n- An item\n"
+        "- Another ![p](q.png)\n\n| a | b |\n|---|---|\n| c | d |\n\n## By name {#named}\n\n"
+        '<img src="r.png">\n\n$$x \\tag{N1}$$\n\n```\n# no heading\n[no](no.md)\n```\n'
+    )
+    assert check.sentences(text)[:3] == ["One a two.", "Two, with X in it!", "An item"]
+    assert check.tables(text) == [1]
+    assert check.links(text) == ["b.md#c", "q.png", "r.png"]
+    assert check.anchors(text) == {"one-two-three", "named", "eq-N1"}

@@ -1,138 +1,192 @@
-"""The public face."""
+"""The public face: its names, what is said of them, and what an import loads."""
 
 import ast
+import doctest
+import inspect
 import os
 import pickle
+import re
 import subprocess
 import sys
+from graphlib import TopologicalSorter
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
-import warp_peri
+import warp_peri as wp
+from warp_peri.errors import InputError, exit_status
 
 ROOT = Path(__file__).parent.parent.parent
-FACE = ast.parse((ROOT / "warp_peri/__init__.py").read_text())
+PACKAGE, API = ROOT / "warp_peri", ROOT / "docs" / "reference" / "api"
+PARSED = {path: ast.parse(path.read_bytes()) for path in sorted(PACKAGE.rglob("*.py"))}
+SAYS_NO_ERROR = {"InputError", "Motion"}
+"""The error itself, and a result that only has fields."""
 
 
-def fresh(code, *options, **environment):
-    """What a new interpreter prints for some code."""
-    process = subprocess.run(
-        [sys.executable, *options, "-c", code],
-        cwd=ROOT,
-        env=os.environ | {"PYTHONPATH": str(ROOT)} | environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert process.returncode == 0, process.stderr
-    return process.stdout.strip()
+def run(*words, status=0):
+    """What a new interpreter prints, on either stream."""
+    done = subprocess.run(
+        [sys.executable, *map(str, words)], cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)},
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == status, done.stdout
+    return done.stdout.strip()
 
 
-def test_every_public_name_is_there_and_documented():
-    for name in warp_peri.__all__:
-        assert getattr(warp_peri, name).__doc__, name
-    assert sorted(warp_peri.__all__) == warp_peri.__all__
-    assert len(warp_peri.__all__) <= 32
-    assert {*warp_peri.__all__, *warp_peri._MODULES, "__version__"} == set(dir(warp_peri))
-
-
-def test_every_public_name_is_what_type_checkers_see():
+def test_names_are_those_that_type_checkers_see():
     """Types are read from the imports under TYPE_CHECKING, the objects from another table."""
-    imports = [
-        (node.module, alias.name)
-        for node in ast.walk(FACE)
-        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("warp_peri.")
-        for alias in node.names
-    ]
-    assert sorted(name for _, name in imports) == warp_peri.__all__
-    for module, name in imports:
-        value = getattr(warp_peri, name)
-        assert value is getattr(sys.modules[module], name)
-        assert value.__module__ == module
-        assert pickle.loads(pickle.dumps(value)) is value
-
-
-def test_every_public_module_is_what_type_checkers_see():
     seen = [
-        alias.name
-        for node in ast.walk(FACE)
-        if isinstance(node, ast.ImportFrom) and node.module == "warp_peri"
+        (node.module, alias.name)
+        for node in ast.walk(PARSED[PACKAGE / "__init__.py"])
+        if isinstance(node, ast.ImportFrom) and str(node.module).startswith("warp_peri")
         for alias in node.names
     ]
-    assert tuple(seen) == warp_peri._MODULES
-    for name in seen:
-        module = getattr(warp_peri, name)
-        assert module is sys.modules[f"warp_peri.{name}"]
-        assert module.__doc__, name
-        for public in getattr(module, "__all__", ()):
-            assert getattr(module, public).__doc__, f"{name}.{public}"
+    assert {name for _, name in seen} == {*wp.__all__, *wp._MODULES}
+    assert {*wp.__all__, *wp._MODULES, "__version__"} == {*dir(wp)}
+    assert (sorted(wp.__all__), len(wp.__all__) <= 32) == (wp.__all__, True)
+    for module, name in seen:
+        value = getattr(wp, name)
+        assert value is getattr(sys.modules[module], name)
+        assert inspect.ismodule(value) or pickle.loads(pickle.dumps(value)) is value
 
 
-def test_the_package_alone_loads_neither_torch_nor_warp():
-    code = (
-        "import sys, warp_peri; before = set(sys.modules); warp_peri.load; "
-        "print(*({'torch', 'warp', 'numpy'} & before), *({'torch', 'warp'} & set(sys.modules)))"
+def test_the_api_lists_every_public_name_and_each_has_a_docstring():
+    """Each `:::` of the pages with its members; a public module without members has its __all__."""
+    shown = set()
+    for block in "\n".join(page.read_text("utf-8") for page in API.glob("*.md")).split("\n::: ")[
+        1:
+    ]:
+        path, options = block.split("\n\n")[0].split("\n", 1)
+        members, module = re.search(r"members: \[(.*)\]", options), import_module(path)
+        names = members[1].split(", ") if members else getattr(module, "__all__", vars(module))
+        shown |= {id(getattr(module, name)) for name in names}
+    for module in (wp, *(getattr(wp, name) for name in wp._MODULES)):
+        for name in getattr(module, "__all__", ()):
+            assert id(getattr(module, name)) in shown, f"{module.__name__}.{name}"
+            assert getattr(module, name).__doc__, name
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("name", wp.__all__)
+def test_a_docstring_has_arguments_errors_and_an_example_that_runs(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said, known = inspect.getdoc(getattr(wp, name)), {}
+    begin = re.search(r"```python\n(.*?)```", (API / "index.md").read_text("utf-8"), re.DOTALL)[1]
+    exec(begin, known)  # what the page says that examples begin with
+    example = doctest.DocTestParser().get_doctest(said, known, name, None, 0)
+    assert 1 <= len(example.examples) <= 3
+    printed, runner = [], doctest.DocTestRunner(False, False, doctest.IGNORE_EXCEPTION_DETAIL)
+    assert not runner.run(example, out=printed.append).failed, "".join(printed)
+    described = ", ".join(re.findall(r"^    ([\w, ]+): ", said, re.MULTILINE)).split(", ")
+    assert {*inspect.signature(getattr(wp, name)).parameters} <= {*described}
+    assert name in SAYS_NO_ERROR or re.search(r"[Rr]aises? InputError", " ".join(said.split()))
+
+
+LOADED = "print(*({'torch', 'warp'} & {*sys.modules}))"
+QUIET = (
+    "import contextlib, io, sys; from warp_peri.cli.main import main\n"
+    "for words in (['--help'], ['info', '--help'], ['info', 'nowhere.h5']):\n"
+    "    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()),"
+    " contextlib.redirect_stderr(io.StringIO()):\n        main(words)\n"
+)
+MISSING = "import sys; sys.modules['torch'] = None\nimport warp_peri\ntry: warp_peri.fit\n"
+
+
+@pytest.mark.parametrize(
+    ("code", "printed"),
+    [
+        (f"import sys, warp_peri; warp_peri.load; {LOADED}", ""),
+        (QUIET + LOADED, ""),
+        ("import sys, warp_peri.ranks.problems; print({'torch'} & {*sys.modules})", "set()"),
+        (f"{MISSING}except ModuleNotFoundError as error: print(error.name)", "torch"),
+    ],
+)
+def test_what_an_import_loads(code, printed):
+    assert run("-c", code) == printed
+
+
+def test_an_interrupt_while_the_command_is_imported_is_no_traceback():
+    rings = (
+        "import os, runpy, signal, sys\nsignal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "class Rings:\n    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'numpy': os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Rings())\nsys.argv = ['warp-peri', 'certify', 'no such model']\n"
+        "runpy.run_module('warp_peri', run_name='__main__')"
     )
-    assert fresh(code) == ""
+    assert run("-c", rings, status=130) == "interrupted; nothing is kept yet"
 
 
-def test_help_and_info_load_neither_torch_nor_warp():
-    code = (
-        "import contextlib, io, sys; from warp_peri.cli.main import main\n"
-        "for words in (['--help'], ['info', '--help'], ['info', 'nowhere.h5']):\n"
-        "    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()):\n"
-        "        main(words)\n"
-        "    print(*({'torch', 'warp'} & set(sys.modules)))"
-    )
-    assert fresh(code) == ""
+@pytest.mark.parametrize(
+    ("error", "status", "words"),
+    [
+        (KeyboardInterrupt(), 130, "interrupted; all is kept\n"),
+        (
+            InputError("x: expected 1\n2\x1b[1m" + 9000 * "x"),
+            2,
+            "tool: error: x: expected 1 2\\x1b",
+        ),
+        (OSError("disk\n  full"), 1, "tool: error: disk full\n"),
+    ],
+)
+def test_an_error_is_one_printable_line_and_a_status(error, status, words, capsys):
+    def fails():
+        raise error
 
-
-def test_linear_bodies_and_cracks_on_ranks_load_no_torch():
-    """Each rank would hold another 185 MB."""
-    code = "import sys, warp_peri.ranks.problems; print(*({'torch'} & set(sys.modules)))"
-    assert fresh(code) == ""
-
-
-def test_an_unknown_name_is_an_attribute_error():
-    with pytest.raises(AttributeError, match="module 'warp_peri' has no attribute 'slove'"):
-        _ = warp_peri.slove
-    with pytest.raises(ImportError, match="cannot import name 'slove' from 'warp_peri'"):
-        from warp_peri import slove  # noqa: F401
-
-
-def test_a_missing_dependency_is_no_attribute_error():
-    code = (
-        "import sys; sys.modules['torch'] = None\n"
-        "import warp_peri\n"
-        "try: warp_peri.fit\n"
-        "except ModuleNotFoundError as error: print(error.name)"
-    )
-    assert fresh(code) == "torch"
-
-
-def test_input_errors_are_value_errors():
-    assert issubclass(warp_peri.InputError, ValueError)
-
-
-@pytest.mark.parametrize("name", ["kernels", "kernels.lps"])
-def test_kernels_refuse_to_be_imported_under_another_name(name):
-    command = [sys.executable, "-c", f"import sys; sys.path.insert(0, '.'); import {name}"]
-    process = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert process.returncode == 1
-    assert "ImportError: import warp_peri.kernels, not kernels" in process.stderr
+    assert exit_status(fails, "all is kept", name="tool") == status
+    said = capsys.readouterr().err
+    assert said.startswith(words)
+    assert said[:-1].isprintable()
+    assert len(said) < 2100
+    assert isinstance(InputError(""), ValueError)
 
 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: warp_peri.fit(None, 20.0), "fit: expected a model: LPS"),
-        (lambda: warp_peri.fit(None, horizon=20.0), "fit: expected a model: LPS"),
-        (lambda: warp_peri.solve(None, 3), "expected a problem: Dirichlet"),
-        (lambda: warp_peri.move(None, 3), "expected a problem that moves"),
-        (lambda: warp_peri.save("x.json", 3), "expected a data set or a material, got int"),
+        (lambda: wp.slove, "module 'warp_peri' has no attribute 'slove'"),
+        (lambda: wp.fit(None, 20.0), "fit: expected a model: LPS"),
+        (lambda: wp.solve(None, 3), "expected a problem: Dirichlet"),
+        (lambda: wp.move(None, 3), "expected a problem that moves"),
+        (lambda: wp.save("x.json", 3), "expected a data set or a material, got int"),
     ],
 )
 def test_a_call_of_something_else_says_what_is_expected(call, message):
-    with pytest.raises(warp_peri.InputError, match=message):
+    with pytest.raises((AttributeError, wp.InputError), match=message):
         call()
+
+
+ABOVE = ("on", "learn", "save")
+"""Methods of a model that name what stands above its numbers: operator, learning and file."""
+
+
+def imported(node):
+    """What a tree imports of the package, but for type checkers and in the methods ABOVE."""
+    for child in ast.iter_child_nodes(node):
+        above = isinstance(child, ast.FunctionDef) and child.name in ABOVE
+        if above or (isinstance(child, ast.If) and ast.unparse(child.test) == "TYPE_CHECKING"):
+            continue
+        if isinstance(child, ast.ImportFrom) and str(child.module).startswith("warp_peri"):
+            yield from (f"{child.module}.{alias.name}".split(".")[1:] for alias in child.names)
+        yield from imported(child)
+
+
+def test_imports_have_one_direction_among_folders_and_inside_each():
+    links = {}
+    for path, tree in PARSED.items():
+        room, *inner = path.relative_to(PACKAGE).with_suffix("").parts
+        if path.stem in ("__init__", "__main__"):
+            continue
+        for other, *names in imported(tree):
+            assert room != "kernels" or other == "kernels"
+            if other != room:
+                links.setdefault(room, set()).add(other)
+            elif (PACKAGE / room / f"{names[0]}.py").exists() and names[0] != inner[0]:
+                links.setdefault((room, inner[0]), set()).add((room, names[0]))
+    TopologicalSorter(links).prepare()  # raises CycleError naming the circle
+
+
+def test_the_typed_script_uses_every_public_name():
+    """`make lint` has mypy check it, with the types that it asserts."""
+    script = Path(__file__).with_name("typed_use.py").read_text("utf-8")
+    assert {*wp.__all__} <= {*re.findall(r"\bwarp_peri\.(\w+)", script)}

@@ -1,0 +1,170 @@
+"""Jobs beside one another: locks, kills, threads and forks; and the package as it is installed."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.problems import kernel, lattice, manufactured, noise
+from warp_peri import LPS, Bernstein, InputError, fit, methods
+from warp_peri.files.atomic import PART, locked, write_text
+from warp_peri.launch import at_once, set_threads, threads
+
+ROOT = Path(__file__).parent.parent.parent
+HOLD = """
+import sys
+from warp_peri.files.atomic import locked, whole_file
+with locked(sys.argv[1]), whole_file(sys.argv[2]) as part:
+    part.write_text("half")
+    print(part, flush=True)
+    sys.stdin.readline()
+"""
+
+
+def started(code, *words):
+    return subprocess.Popen([sys.executable, "-c", code, *map(str, words)], cwd=ROOT, text=True,
+                            stdin=subprocess.PIPE, stdout=subprocess.PIPE)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["m.json", "a[b]*.h5", f"a{PART}1"])
+def test_a_second_job_is_refused_and_a_killed_one_holds_and_leaves_nothing(name, tmp_path):
+    """Of half-written files those of killed jobs go, and none of a living one or of the user."""
+    target, out = tmp_path / name, tmp_path / "out"
+    jobs = [started(HOLD, tmp_path / f"out{n}", target) for n in range(2)]
+    parts = [Path(job.stdout.readline().strip()) for job in jobs]
+    jobs[0].kill()
+    jobs[0].communicate()
+    mine = [tmp_path / f".{name}x{PART}abc", tmp_path / f".my{PART}1.txt", tmp_path / ".hidden"]
+    for path in mine:
+        path.write_text("mine")
+    (tmp_path / "link").symlink_to(tmp_path / "out1")
+    for held in ("out1", "link"):
+        with (
+            pytest.raises(InputError, match="another job is writing here"),
+            locked(tmp_path / held),
+        ):
+            pass
+    with locked(tmp_path / "out0"), locked(out):
+        write_text(target, "mine")
+    assert [part.exists() for part in parts] == [False, True]
+    jobs[1].communicate("\n")
+    assert (target.read_text(), {path.read_text() for path in mine}) == ("half", {"mine"})
+    assert sorted(tmp_path.iterdir()) == sorted([*mine, target, tmp_path / "link"])
+    (tmp_path / ".out.lock").write_text("mine")
+    with pytest.raises(InputError, match=r"\.out\.lock: expected no file, or an empty one"):
+        locked(out).__enter__()
+
+
+def work(folder):
+    """Six fits and the choice, and Algorithm 1 with a checkpoint."""
+    samples = [manufactured(kernel("positive", 2.5, lam=-0.2), lattice(5, 3.0), 5, seed=n)
+               for n in (0, 1)]  # fmt: skip
+    cases = {"horizons": (2.0, 2.5), "degrees": (0, 1, 2), "jobs": 1}
+    methods.sweep(*samples, folder / "fits", **cases)
+    lengths = {"epochs": 100, "inner_epochs": 50, "outer_iterations": 12}
+    stages = methods.TwoStage(seed=3, checkpoint=folder / "state.npz", **lengths)
+    fit(samples[0], LPS(2.5, Bernstein(4), method=stages)).material.save(folder / "model.json")
+
+
+WORK = (
+    "import sys, pathlib; from tests.package.test_jobs import work; work(pathlib.Path(sys.argv[1]))"
+)
+
+
+def contents(folder):
+    return {p.relative_to(folder): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+@pytest.mark.slow
+def test_a_job_that_is_killed_again_and_again_ends_with_the_same_bits(tmp_path):
+    """Each time once it has begun to write its n-th file."""
+    whole, broken = tmp_path / "whole", tmp_path / "broken"
+    for folder in (whole, broken):
+        folder.mkdir()
+    assert started(WORK, whole).wait() == 0
+    for count in range(1, 12):
+        job, seen = started(WORK, broken), set()
+        while job.poll() is None and len(seen) < count:
+            seen |= {path.name for path in broken.rglob(f".*{PART}*")}
+        job.send_signal(signal.SIGKILL)
+        job.communicate()
+    assert started(WORK, broken).wait() == 0
+    assert contents(broken) == contents(whole)
+
+
+@pytest.fixture
+def operator(monkeypatch):
+    """On more threads than one, however few nodes there are."""
+    before = threads()
+    monkeypatch.setattr("warp_peri.launch.SLICE", 10)
+    set_threads(3)
+    yield kernel("positive", 2.5).on(lattice(20, 2.5))
+    set_threads(before)
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_threads_share_helpers_and_a_fork_has_its_own(operator):
+    fields = [noise(operator.points, seed=n) for n in range(3)]
+    expected, wrong = [operator(u) for u in fields], []
+
+    def sweeps(n):
+        for _ in range(100):
+            if not np.array_equal(operator(fields[n]), expected[n]):
+                wrong.append(n)
+            at_once([list, list])  # helpers leave and come again
+
+    at_once([lambda n=n: sweeps(n) for n in range(3)])
+    users = [threading.Thread(target=sweeps, args=(n,)) for n in range(3)]
+    for user in users:
+        user.start()
+    for user in users:
+        user.join()
+    assert not wrong
+    if (child := os.fork()) == 0:  # an alarm ends it where it waits for threads that are not there
+        signal.alarm(20)
+        os._exit(int(not np.array_equal(operator(fields[0]), expected[0])))
+    assert os.waitpid(child, 0)[1] == 0
+
+
+def test_every_job_is_done_once_and_a_failure_of_a_helper_is_told(operator):
+    done, main = [], threading.get_ident()
+    at_once([lambda: at_once([lambda: done.append(0)] * 4)] * 4)  # a helper may ask others
+    assert len(done) == 16
+    gate = threading.Event()
+
+    def fails_elsewhere():
+        if threading.get_ident() == main:
+            gate.wait(20)
+        else:
+            gate.set()
+            raise KeyError("of a helper")
+
+    with pytest.raises(KeyError, match="of a helper"):
+        at_once([fails_elsewhere] * 30)
+
+
+@pytest.mark.slow
+def test_the_wheel_holds_the_package_and_works_alone(tmp_path):
+    source, out, home = tmp_path / "source", tmp_path / "out", tmp_path / "home"
+    skipped = shutil.ignore_patterns("__pycache__", ".*", "data", "runs", "site", "*.egg-info")
+    shutil.copytree(ROOT, source, symlinks=True, ignore=skipped)
+    out.mkdir()
+    code = f"from setuptools import build_meta; build_meta.build_wheel({str(out)!r})"
+    subprocess.run([sys.executable, "-c", code], cwd=source, check=True, capture_output=True)
+    with zipfile.ZipFile(*out.iterdir()) as wheel:
+        wheel.extractall(home)
+    walked = [Path(f) / n for f, _, names in os.walk(ROOT / "warp_peri", followlinks=True)
+              for n in names if n.endswith((".py", "py.typed"))]  # fmt: skip
+    assert {path.relative_to(ROOT): path.read_bytes() for path in walked} == {
+        path.relative_to(home): path.read_bytes() for path in (home / "warp_peri").rglob("*.py*")
+    }
+    script = shutil.copy(ROOT / "tests/package/typed_use.py", tmp_path)
+    alone = os.environ | {"PYTHONPATH": str(home)}
+    subprocess.run([sys.executable, script, tmp_path], cwd=tmp_path, env=alone, check=True)
