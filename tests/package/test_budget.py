@@ -19,9 +19,9 @@ ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 23_895,
     "tokens": 288_588,
-    "lines of warp_peri": 39_775,
+    "lines of warp_peri": 39_774,
     "lines of kernels": 1_275,
-    "lines of warp_peri, kernels, examples and tools": 53_395,
+    "lines of warp_peri, kernels, examples and tools": 53_394,
     "lines of the longest file": 648,
     "lines of the longest function": 94,
     "parameters of one function": 13,
