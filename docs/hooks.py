@@ -1,6 +1,5 @@
 """What mkdocs does to the pages: tables of docs/record, commands, equations as MathML, figures."""
 
-import argparse
 import html
 import json
 import posixpath
@@ -61,10 +60,9 @@ def _table(found: re.Match) -> str:
 
 def commands() -> str:
     """Every command with its help, as sections."""
-    from warp_peri.cli.main import _parser
+    from warp_peri.cli.options import COMMANDS, parser_of
 
-    (some,) = (a for a in _parser()._actions if isinstance(a, argparse._SubParsersAction))
-    helps = {name: one.format_help() for name, one in some.choices.items()}
+    helps = {name: parser_of(name).format_help() for name in COMMANDS}
     return "".join(f"\n## {name}\n\n```text\n{text}```\n" for name, text in helps.items())
 
 

@@ -1,7 +1,7 @@
 """A material of one's own: boron nitride, from LAMMPS dumps to a certified model.
 
 Makes what a user would bring, LAMMPS dumps and CSV files of forces, then uses the command alone:
-coarse-grain, train, certify. Constants are held to those of lattice statics, displacements under
+coarse-grain, fit, certify. Constants are held to those of lattice statics, displacements under
 patches of load, which no fit sees, to local elasticity.
 """
 
@@ -84,7 +84,7 @@ def run(out: Path) -> tuple[dict[str, dict[str, float]], dict[str, dict[str, flo
     ]
     lines = [
         *grained,
-        ["train", data, "--horizon", 12.5, "--degree", 5, "--out", model],
+        ["fit", data, "--horizon", 12.5, "--degree", 5, "--out", model],
         ["certify", model / "model.json"],
     ]
     for line in lines:

@@ -40,13 +40,13 @@ def graphene(tmp_path_factory):
     """Stretched graphene by the command, from a file: the folder and what it printed as JSON."""
     folder = tmp_path_factory.mktemp("learn")
     ase.io.write(folder / "sheet.cif", ase.build.graphene(a=2.529676 * 1.05, vacuum=10))
-    line = f"learn {folder}/sheet.cif --calculator lammps:tersoff --potential {TERSOFF}"
+    line = f"fit-crystal {folder}/sheet.cif --calculator lammps:tersoff --potential {TERSOFF}"
     assert main([*line.split(), *["--hold", "xx", "--out"], str(folder / "out")]) == 0
     return folder / "out"
 
 
 def test_the_command_leaves_a_law_a_picture_and_its_figures(graphene):
-    figures = json.loads((graphene / "learn.json").read_text())
+    figures = json.loads((graphene / "crystal.json").read_text())
     C = {name: np.array(v) for name, v in figures["elastic_tensor_GPa"].items()}
     np.testing.assert_allclose(C["law"], C["finite strains"], atol=0.005 * C["law"].max())
     assert C["law"][0, 0] < 0.75 * C["law"][1, 1]  # softer along the stretch
@@ -66,11 +66,17 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
     (tmp_path / "a b.dump").write_text("ITEM: TIMESTEP\n0\nITEM: ATOMS id type x y z\n1 1 0 0 0\n")
     (tmp_path / "a b.txt").write_text("nothing of ASE's")
     for name, words in (("a b.dump", "got a dump without"), ("a b.txt", "UnknownFileType")):
-        line = ["learn", str(tmp_path / name), "--calculator", "ase.calculators.emt:EMT", "--out"]
+        line = [
+            "fit-crystal",
+            str(tmp_path / name),
+            "--calculator",
+            "ase.calculators.emt:EMT",
+            "--out",
+        ]
         assert main([*line, str(tmp_path / "out")]) == 2
         assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-    assert main(["learn", str(tmp_path), *line[2:], str(tmp_path / "out")]) == 2
+    assert main(["fit-crystal", str(tmp_path), *line[2:], str(tmp_path / "out")]) == 2
     assert "a folder of phonopy goes without a calculator" in capsys.readouterr().err
     (tmp_path / "file").write_text("")
     assert main([*line, str(tmp_path / "file" / "out")]) == 2
@@ -526,15 +532,15 @@ def test_a_file_of_settings_runs_nothing(installed, capsys, name, what):
     there = {*installed.iterdir()}
     ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
     settings = {"structure": "cu.xyz", "out": "out", "calculator": name}
-    (installed / "evil.toml").write_text(tomli_w.dumps({"learn": settings}))
-    assert main(["learn", "--config", "evil.toml"]) == 2
+    (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
+    assert main(["fit-crystal", "--config", "evil.toml"]) == 2
     error = capsys.readouterr().err
     assert what in error
     assert len(error.splitlines()) == 1
     assert {*installed.iterdir()} - there == {installed / "cu.xyz", installed / "evil.toml"}
     settings["trust"] = True
-    (installed / "evil.toml").write_text(tomli_w.dumps({"learn": settings}))
-    assert main(["learn", "--config", "evil.toml"]) == 2
+    (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
+    assert main(["fit-crystal", "--config", "evil.toml"]) == 2
     assert "no option 'trust'" in capsys.readouterr().err
 
 
@@ -561,8 +567,8 @@ def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monk
     monkeypatch.setattr(wp, "from_atoms", from_atoms)
     ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
     table = {"structure": "cu.xyz", "out": "out", "calculator": "here:Mine(sigma=2.5)"}
-    (installed / "own.toml").write_text(tomli_w.dumps({"learn": table}))
-    line = ["learn", "--config", "own.toml"]
+    (installed / "own.toml").write_text(tomli_w.dumps({"fit-crystal": table}))
+    line = ["fit-crystal", "--config", "own.toml"]
     assert main(line) == 2
     assert "--trust, or the calculator on the line" in capsys.readouterr().err
     assert not seen

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from warp_peri.atoms.dumps import dump_frames
-from warp_peri.cli.learn import read_structure
+from warp_peri.cli.crystals_sheets import read_structure
 from warp_peri.errors import InputError
 
 AS = {

@@ -60,10 +60,10 @@ def test_the_command_keeps_every_fit_and_passes_over_what_fails(folder, tmp_path
         return fit(train, dictionary, **options)
 
     monkeypatch.setattr(model_selection, "fit_displacement", broken)
-    line = ["dic", str(folder), "--even", "--out", str(tmp_path / "out"), "--json"]
+    line = ["fit-sheet", str(folder), "--even", "--out", str(tmp_path / "out"), "--json"]
     assert main([*line, "--stress", "0.3", "--pixel", "0.012"]) == 2  # in which unit?
     assert main([*line, "--stress", "0.3"]) == 0
-    found = json.loads((tmp_path / "out" / "dic.json").read_text())
+    found = json.loads((tmp_path / "out" / "sheet.json").read_text())
     assert found["material"] == "Mooney-Rivlin"
     assert "exactly singular" in found["passed_over"][0]
     assert found["lengths"] == "mm"
@@ -190,8 +190,8 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     energy = plane_stress_hgo(1.0, true)
     table(tmp_path, x, stretched(mesh, energy, mesh.edge, edge.ravel()[mesh.edge], x, levels)[0])
     out = tmp_path / "out"
-    assert main(["dic", str(tmp_path), "--fibres", "4", "--even", "--out", str(out)]) == 0
-    found = json.loads((out / "dic.json").read_text())
+    assert main(["fit-sheet", str(tmp_path), "--fibres", "4", "--even", "--out", str(out)]) == 0
+    found = json.loads((out / "sheet.json").read_text())
     assert found["material"] == "families of fibres"
     material = wp.load(out / "material.json")
     terms = dict(wp.tissue.material_terms(material))
@@ -204,9 +204,9 @@ def test_the_command_finds_families_of_fibres(tmp_path):
     assert (out / "material.feb").read_text().count("fiber-exp-pow-uncoupled") == 2
     assert len(found["tension_with_90_percent_band"]) == 3
     assert len((out / "curves.csv").read_text().splitlines()) > 10
-    again = main(["dic", str(tmp_path), "--fibres", "4", "--even", "--out", str(out)])
+    again = main(["fit-sheet", str(tmp_path), "--fibres", "4", "--even", "--out", str(out)])
     assert again == 0  # from what is kept, exponents and directions of every fit without a frame
-    bands = json.loads((out / "dic.json").read_text())["tension_with_90_percent_band"]
+    bands = json.loads((out / "sheet.json").read_text())["tension_with_90_percent_band"]
     for direction, curve in found["tension_with_90_percent_band"].items():
         for stretch, numbers in curve.items():
             np.testing.assert_allclose(bands[direction][stretch], numbers, rtol=1e-6)
@@ -237,16 +237,24 @@ def test_a_rubber_sheet_with_a_hole_pulls_as_it_should(tmp_path, error):
     stresses *= 1 + error * np.array([0.3, -1.0, 0.6, 0.5])
     for number, told in enumerate((stresses, stresses[-1:])):
         out = tmp_path / f"out{number}"
-        line = ["dic", str(tmp_path), "--even", "--out", str(out), "--stress", *map(str, told)]
+        line = [
+            "fit-sheet",
+            str(tmp_path),
+            "--even",
+            "--out",
+            str(out),
+            "--stress",
+            *map(str, told),
+        ]
         assert main(line) == 0
-        bands = json.loads((out / "dic.json").read_text())["tension_with_90_percent_band"]
+        bands = json.loads((out / "sheet.json").read_text())["tension_with_90_percent_band"]
         for stretch, (middle, low, high) in bands["along 0 deg"].items():
             s = float(stretch.split()[1])
             true = 2 * (s - s**-2) * (make_frames.C1 + make_frames.C2 / s)
             assert middle == pytest.approx(true, rel=0.02)
             assert low < true < high or (number == 1 and error)  # one force has no scatter
     cut = x[(np.abs(x[:, 0]) > 1.2) | (np.abs(x[:, 1]) < 1.7)]  # no line whole in the middle
-    line = ["dic", str(tmp_path / "cut"), "--even", "--out", str(out), "--stress", "1"]
+    line = ["fit-sheet", str(tmp_path / "cut"), "--even", "--out", str(out), "--stress", "1"]
     (tmp_path / "cut").mkdir()
     table(tmp_path / "cut", cut, [0.1 * cut, 0.2 * cut, 0.3 * cut, 0.4 * cut])
     assert main([*line, "--along", "y"]) == 2

@@ -22,8 +22,8 @@ import pytest
 import warp_peri as wp
 from warp_peri import InputError
 from warp_peri.atoms.dumps import dump_frames
-from warp_peri.cli.inputs import atom_forces, shape_of
-from warp_peri.cli.learn import read_structure
+from warp_peri.cli.crystals_sheets import read_structure
+from warp_peri.cli.train import atom_forces
 from warp_peri.files.atomic import read_arrays
 
 MARK = "PWNED"
@@ -65,7 +65,6 @@ PARSERS = [
     *((name, wp.load) for name in (*MESHES, "data.h5", "model.json")),
     *(("fields.mat", wp.atoms.read_fields), ("a.npz", read_arrays)),
     *((name, lambda path: atom_forces(path, 1)) for name in ("force.npz", "force.csv")),
-    ("K.csv", lambda path: shape_of(str(path), 2.0, 1.0, "Å")),
 ]
 
 

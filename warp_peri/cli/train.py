@@ -5,10 +5,12 @@ What needs torch or Warp is imported where a command runs, so that `--help` does
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import dataclasses
+import io
 import shlex
+from argparse import Namespace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,32 +18,24 @@ import numpy as np
 import warp_peri
 from warp_peri.atoms import dumps
 from warp_peri.atoms.coarse_graining import smoothing_matrix
-from warp_peri.cli.inputs import atom_forces, node_lattice, shape_of
-from warp_peri.cli.settings_file import keep, refuse_used
+from warp_peri.cli.commands import Result, Said, error_table, lines_of, set_summary
+from warp_peri.cli.options import keep, refuse_used
 from warp_peri.errors import InputError, warn
-from warp_peri.files.atomic import locked, write_json
+from warp_peri.files.atomic import locked, read_arrays, write_json
+from warp_peri.files.foreign import content
 from warp_peri.fitting import settings
-from warp_peri.learning import DEGREES, HORIZONS
+from warp_peri.points.arrays import checked
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
-from warp_peri.points.unit_names import LENGTHS, shown_moduli, symbols
+from warp_peri.points.points import Points
+from warp_peri.points.unit_names import LENGTHS, symbols
 
 if TYPE_CHECKING:
     from warp_peri.learning.sweep import Run
-    from warp_peri.points.samples import Samples
-
-Result = dict[str, Any]
 
 HORIZON, DEGREE = 20.0, 10
 """δ [Å] and M of the Bernstein polynomials that are learned where nothing else was asked for."""
-
-ERRORS = {"E_res": "residual of forces, larger for short waves", "E_u": "error of displacement"}
-"""Errors that training prints, and what they are of."""
-
-CUBIC = ("t3", "tq2", "q3")
-"""Third-order constants that a law may have."""
-
 OF_LPS = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",
-          "zeta": None, "loss": "auto", "seed": 0, "degree": None}  # fmt: skip
+          "zeta": None, "loss": "auto", "degree": None}  # fmt: skip
 """Options that mean nothing to other laws, and their defaults."""
 KINDS = {
     "lps": "linear peridynamic solid (LPS)",
@@ -50,12 +44,14 @@ KINDS = {
 }
 HELD_OUT = ("test", "val")
 """Materials by the word of --law; sets that say how good a model is, the first that is there."""
-
 TYPED_BOX = 1e-3
 """Relative difference of a typed period from that of the dump."""
+ONE = "exactly one equilibrium for every load"
+LINE = 72 * "-"
+"""Between what there is, how good it is and what comes next, and the details."""
 
 
-def run_coarse_grain(given: argparse.Namespace) -> Result:
+def run_coarse_grain(given: Namespace) -> Said:
     """Dumps → a set of a data file; sets of other names that the file has stay in it."""
     _take_sheet(given)
     frame = next(dumps.dump_frames(given.reference))
@@ -90,21 +86,15 @@ def run_coarse_grain(given: argparse.Namespace) -> Result:
     )
     with locked(given.out):
         before = _take_sheet(given)  # another job may have written it meanwhile
-        sets = dict(before.sets) if before else {}
-        provenance = dict(before.provenance) if before else {"source": "warp-peri coarse-grain"}
-        sets[given.set] = samples
+        sets = {**(before.sets if before else {}), given.set: samples}
+        provenance = before.provenance if before else {"source": "warp-peri coarse-grain"}
         save_dataset(given.out, Dataset(sets, given.thickness, given.density, provenance))
         keep(given, given.out.with_suffix(f".{given.set}.coarse-grain.toml"))
-    return {
-        "file": str(given.out),
-        "set": given.set,
-        "samples": len(samples),
-        "nodes": len(samples.x),
-        "interior": int(samples.interior.sum()),
-    }
+    result = {"file": str(given.out), "set": given.set, **set_summary(samples)}
+    return result, lines_of(result)
 
 
-def _take_sheet(given: argparse.Namespace) -> Dataset | None:
+def _take_sheet(given: Namespace) -> Dataset | None:
     """Set thickness and density to the data file's; the file, if it is there.
 
     Raises InputError for a given value that is not the file's, and for none where there is no file.
@@ -126,68 +116,113 @@ def _take_sheet(given: argparse.Namespace) -> Dataset | None:
     return before
 
 
-def _dataset(given: argparse.Namespace) -> Dataset:
-    """The data in their own units, or those asked for; the usual horizon in their unit of length.
+def atom_forces(path: Path, atoms: int) -> np.ndarray:
+    """External forces on the atoms [eV/Å], shape [A, 2]: f_x, f_y in the order of the atoms' ids.
 
-    Raises InputError where the units are reduced ones, which have no usual horizon.
+    From the one array of an .npz file (numpy.savez), or from text with commas.
+
+    Raises InputError for a file that cannot be read or of another shape.
     """
-    data = load_dataset(given.data, units=tuple(given.units) if given.units else None)
-    if getattr(given, "horizon", 0.0) is None:
-        if data.units[0] not in LENGTHS:
-            raise InputError(f"horizon: expected one in {data.units[0]}, the data's unit; got none")
-        given.horizon = HORIZON / LENGTHS[data.units[0]]
-    return data
+    try:
+        if path.suffix == ".npz":
+            (force,) = read_arrays(path).values()
+        else:
+            force = np.loadtxt(io.BytesIO(content(path)), delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise InputError(
+            f"{path}: expected one array in .npz (numpy.savez, not compressed), or a .csv file "
+            f"({error})"
+        ) from None
+    if np.shape(force) != (atoms, 2):
+        raise InputError(
+            f"{path}: expected shape [{atoms}, 2], got {list(np.shape(force))}; the columns are "
+            "f_x, f_y [eV/Å] alone, the rows in the order of the atoms' ids"
+        )
+    return checked(f"{path}: force", force)
 
 
-def run_train(given: argparse.Namespace) -> Result:
+def node_lattice(spacing: float, reach: float, interior: float, *, round_body: bool) -> Points:
+    """Nodes of a square lattice within `reach` of its middle [Å], by radius for a round body.
+
+    Raises InputError for lengths that leave no collar.
+    """
+    if not 0 < spacing <= interior < reach:
+        raise InputError(
+            "spacing, interior, reach: expected 0 < spacing ≤ interior < reach, got "
+            f"{spacing:g}, {interior:g}, {reach:g} Å"
+        )
+    count = int(reach / spacing + 1e-9)
+    line = spacing * np.arange(-count, count + 1)
+    x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    size = np.linalg.norm(x, axis=1) if round_body else np.abs(x).max(axis=1)
+    kept = size <= reach * (1 + 1e-9)
+    return Points(x=x[kept], interior=size[kept] <= interior * (1 + 1e-9), spacing=spacing)
+
+
+def _dataset(given: Namespace) -> Dataset:
+    """The data in their own units, or those asked for."""
+    return load_dataset(given.data, units=tuple(given.units) if given.units else None)
+
+
+def run_fit(given: Namespace) -> Said:
     """Data → model.json, metrics.json and the settings, in a folder."""
     from warp_peri.learning.sweep import train
 
-    refuse_used(given, given.out / "model.json", given.out / f"{given.command}.toml")
+    model = given.out / "model.json"
+    refuse_used(given, model, given.out / "fit.toml")
     data = _dataset(given)
-    samples = data[given.set]
-    noise = data[given.noise] if given.noise else None
-    law = _law(given, samples, symbols(data.units)[0])
+    samples, noise = data[given.set], data[given.noise] if given.noise else None
+    if given.horizon is None:
+        if data.units[0] not in LENGTHS:
+            raise InputError(f"horizon: expected one in {data.units[0]}, the data's unit; got none")
+        given.horizon = HORIZON / LENGTHS[data.units[0]]
+    law = _law(given, samples.spacing)
     with locked(given.out):
-        options: dict[str, Any] = {"noise": noise} if noise else {}
+        options: Result = {"noise": noise} if noise else {}
         run = train(law, samples, data.sets, progress=given.progress, **options)
-        metrics = training_metrics(run)
-        if given.law == "lps":
-            metrics |= _told_by_data(run.fit, samples, given.horizon)
+        metrics = _metrics(run)
         with contextlib.suppress(InputError):  # scattered points, too few samples, third order
             found = warp_peri.diagnose(run.fit.material, samples, noise)
             metrics["residual"] = {"why": found.sentence, **found.shares}
             if found.advice:
                 warn(found.advice)
         metrics |= {"thickness": data.thickness, "density": data.density}
+        if given.law == "lps":
+            metrics |= _told_by_data(run.fit, samples, given.horizon)
         provenance = {"data_provenance": data.provenance}
         run.save(given.out, metrics, data=given.data, provenance=provenance)
-        keep(given, given.out / f"{given.command}.toml")
-    given.first = _first(given, metrics, data)
-    return {**metrics, "model": str(given.out / "model.json")}
+        keep(given, given.out / "fit.toml")
+    tables = {name: {"samples": len(data[name])} | one for name, one in run.tables.items()}
+    tables |= {name: {"error": why} for name, why in run.refused.items()}
+    lines = [*_first(given, metrics, data), LINE, *repr(run.fit.material).split("\n")[1:]]
+    if "residual" in metrics:
+        why, *shares = metrics["residual"].items()
+        named = ", ".join(f"{name} {100 * share:.1f}" for name, share in shares)
+        lines += [f"why: {why[1]}", f"shares of the squared residual [%]: {named}"]
+    return {**metrics, "model": str(model)}, [*lines, *error_table(tables, data.units)]
 
 
-def _law(given: argparse.Namespace, samples: Samples, unit: str) -> Any:
+def _law(given: Namespace, spacing: float) -> Any:
     """What is learned, by the options; InputError for those of an LPS with another law."""
     if given.law == "lps":
-        degree = DEGREE if given.degree is None else given.degree
-        kernel: settings.Kernel = settings.Bernstein(degree)
-        if given.influence:
-            if given.degree is not None:
-                raise InputError("degree, influence: expected one of the two")
-            kernel = shape_of(given.influence, given.horizon, samples.spacing, unit)
-        method = settings.named(given.method, seed=given.seed)
+        if given.influence and given.degree is not None:
+            raise InputError("degree, influence: expected one of the two")
+        kernel = (
+            warp_peri.shapes.named(given.influence, given.horizon)
+            if given.influence
+            else settings.Bernstein(DEGREE if given.degree is None else given.degree)
+        )
         conditions = settings.Conditions(given.conditions, given.zeta)
-        return warp_peri.LPS(given.horizon, kernel, method, conditions, given.loss, given.normalise)
-    usual = OF_LPS | ({} if given.law == "tensors" else {"normalise": False})
-    if own := [f"--{name}" for name, value in usual.items() if getattr(given, name) != value]:
+        method = settings.named(given.method)
+        return warp_peri.LPS(given.horizon, kernel, method, conditions, given.loss)
+    if own := [f"--{name}" for name, value in OF_LPS.items() if getattr(given, name) != value]:
         raise InputError(f"{', '.join(own)}: not of --law {given.law}")
-    law = warp_peri.Micromodulus(given.horizon, normalise=given.normalise)
-    smoothing = warp_peri.methods.Smoothing(2 * samples.spacing)
+    law = warp_peri.Micromodulus(given.horizon)
+    smoothing = warp_peri.methods.Smoothing(2 * spacing)
     return law if given.law == "tensors" else warp_peri.ThirdOrder(law, smoothing)
 
 
-def _told_by_data(fit: Any, samples: Samples, horizon: float) -> Result:
+def _told_by_data(fit: Any, samples: Any, horizon: float) -> Result:
     """The moduli of a crystal model of the data, where those of an LPS are off by more than their
     spread, which is warned of."""
     from warp_peri.materials.crystal_fit import long_waves_of_data
@@ -198,7 +233,29 @@ def _told_by_data(fit: Any, samples: Samples, horizon: float) -> Result:
     return {"moduli of a crystal model": best} if best else {}
 
 
-def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[str]:
+def _metrics(run: Run) -> Result:
+    """Constants, certificate and errors of a training run."""
+    fit, material = run.fit, run.fit.material
+    proof = fit.certificate
+    certified = proof is not None and bool(proof.holds)
+    metrics: Result = {"units": list(material.units), "certified": certified}
+    if proof is not None:
+        metrics["statement"] = proof.statement
+    if hasattr(fit, "loss"):
+        metrics["loss"] = f"{fit.loss.name} ({fit.loss.reason})"
+    names = ("mu", "E", "nu", "t3", "tq2", "q3")
+    numbers = {name: name for name in names} | {"lambda": "lam"}
+    metrics |= {
+        key: getattr(material, name) for key, name in numbers.items() if hasattr(material, name)
+    }
+    solid = getattr(material, "linear", material)
+    metrics["moduli"] = fit.moduli[0] if hasattr(fit, "moduli") else solid.moduli()
+    metrics |= {error: run.mean(error) for error in ("E_res", "E_u")}
+    metrics["not_evaluated"] = run.refused
+    return metrics | (material.provenance if getattr(fit, "influence", None) is not None else {})
+
+
+def _first(given: Namespace, metrics: Result, data: Dataset) -> list[str]:
     """What was learned, how good it is in one number, and the next command."""
     path, solved, samples = given.out / "model.json", metrics["E_u"], data[given.set]
     kind = f"{KINDS[given.law]}, horizon {given.horizon:g} {symbols(data.units)[0]}"
@@ -210,7 +267,6 @@ def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[st
     name = next((name for name in (*HELD_OUT, *others) if name in others), given.set)
     seen = "loads that the fit did not see" if name != given.set else "the loads of the fit"
     error = "not known" if solved.get(name) is None else f"{100 * solved[name]:.2g} %"
-    proven = metrics["certified"]
     of = "the linear part has " if given.law == "third-order" else ""
     last = ["evaluate", str(path), str(given.data)]
     if name != given.set:
@@ -218,83 +274,20 @@ def _first(given: argparse.Namespace, metrics: Result, data: Dataset) -> list[st
         last = ["solve", str(path), str(given.data), "--set", name, "--out", out]
     return [
         f"{path}: {kind}, learned from {len(samples)} loads",
-        f"moduli: {sheet_of(data)}",
+        f"moduli: {_sheet_of(data)}",
         f"error of displacement: {error} on set {name!r}, {seen}",
-        f"proven: {of}exactly one equilibrium for every load" if proven else "nothing is proven",
+        f"proven: {of}{ONE}" if metrics["certified"] else "nothing is proven",
         f"next: {shlex.join(['warp-peri', *last])}",
     ]
 
 
-def sheet_of(data: Dataset) -> str:
+def _sheet_of(data: Dataset) -> str:
     """Words on the numbers of a sheet that stresses depend on."""
     size = f"{data.thickness:g} {symbols(data.units)[0]}"
     return f"of a sheet {size} thick, of {data.density:g} kg/m³, as the data file says"
 
 
-def training_metrics(run: Run) -> Result:
-    """Constants, certificate and errors of a training run."""
-    material = run.fit.material
-    solid = getattr(material, "linear", material)
-    proof = run.fit.certificate
-    metrics: Result = {"units": list(material.units), "certified": proof is not None}
-    if proof is not None:
-        metrics |= {"certified": bool(proof.holds), "statement": proof.statement}
-    if hasattr(run.fit, "loss"):
-        metrics["loss"] = f"{run.fit.loss.name} ({run.fit.loss.reason})"
-    numbers = {name: name for name in ("mu", "E", "nu", *CUBIC)} | {"lambda": "lam"}
-    metrics |= {
-        key: getattr(material, name) for key, name in numbers.items() if hasattr(material, name)
-    }
-    metrics["moduli"] = run.fit.moduli[0] if hasattr(run.fit, "moduli") else solid.moduli()
-    metrics |= {"E_res": run.mean("E_res"), "E_u": run.mean("E_u")}
-    metrics["not_evaluated"] = run.refused
-    if getattr(run.fit, "influence", None) is not None:
-        metrics |= material.provenance
-    return metrics
-
-
-FAR = 5.0
-"""Times that E_res is above E_u where a line says why."""
-
-
-def in_percent(metrics: Result) -> Result:
-    """What training prints: errors and shares in %, moduli in GPa; JSON keeps plain numbers."""
-    shown: Result = {}
-    units = tuple(metrics["units"])
-    for key, value in metrics.items():
-        if key == "not_evaluated" and not value:
-            continue
-        if key in ERRORS:
-            shown[f"{ERRORS[key]} [%]"] = {
-                name: "–" if error is None else 100 * error for name, error in value.items()
-            }
-        elif key in ("thickness", "density"):
-            unit = symbols(units)[0] if key == "thickness" else "kg/m³"
-            shown[key] = f"{value:g} {unit}"
-        elif key == "residual":
-            shown["why"] = value["why"]
-            shares = {name: 100 * share for name, share in value.items() if name != "why"}
-            shown["shares of the squared residual [%]"] = shares
-        elif key in ("lambda", "mu", "E", *CUBIC):
-            shown[key] = shown_moduli(units, (value,), digits=6)
-        elif key in ("moduli", "moduli of a crystal model"):
-            shown[key] = {
-                name: shown_moduli(units, (size,), digits=6) if name[0] in "lmCE" else size
-                for name, size in value.items()
-            }
-        else:
-            shown[key] = value
-    solved = metrics["E_u"]
-    small = [n for n, e in metrics["E_res"].items() if e and solved.get(n) and e > FAR * solved[n]]
-    if small:
-        shown["note"] = (
-            f"the loads of {', '.join(small)} are small for their displacement, and the residual "
-            "is relative to them; the error of a solve is that of displacement"
-        )
-    return shown
-
-
-def run_sweep(given: argparse.Namespace) -> Result:
+def run_sweep(given: Namespace) -> Said:
     """Algorithm 2 on a data file: sweep.json and the models, in a folder."""
     data = _dataset(given)
     sweep = warp_peri.methods.sweep(
@@ -303,8 +296,8 @@ def run_sweep(given: argparse.Namespace) -> Result:
         given.out,
         test=data[given.test] if given.test else None,
         noise=data[given.noise] if given.noise else None,
-        horizons=given.horizons or list(HORIZONS),
-        degrees=given.degrees or list(DEGREES),
+        horizons=given.horizons,
+        degrees=given.degrees,
         conditions=given.conditions,
         jobs=given.jobs,
         progress=given.progress,
@@ -314,9 +307,9 @@ def run_sweep(given: argparse.Namespace) -> Result:
         "units": list(data.units),
         "smallest_AvgE": dataclasses.asdict(sweep.printed),
         "cheapest": dataclasses.asdict(sweep.cheapest),
-        "moduli": sheet_of(data),
+        "moduli": _sheet_of(data),
     }
     with locked(given.out):
         write_json(given.out / "sweep.json", result)
-        keep(given, given.out / f"{given.command}.toml")
-    return result
+        keep(given, given.out / "sweep.toml")
+    return result, lines_of(result)

@@ -2,8 +2,6 @@
 
 METHODS = ("constrained", "two-stage", "optimum")
 """Methods of `fit` on the command line."""
-LAWS = ("lps", "tensors", "third-order")
-"""Laws that `train` learns."""
 LOSSES = ("auto", "residual", "corrected", "output")
 """Losses that `fit` may be asked for."""
 HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)

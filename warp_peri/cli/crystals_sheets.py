@@ -1,14 +1,13 @@
-"""`learn` and `dic`: a structure and a calculator, or frames of image correlation, to a law."""
+"""Commands that learn a material from a crystal and a potential, or from frames of a sheet."""
 
 from __future__ import annotations
 
-import argparse
-import io
 import itertools
 import re
 import shlex
 import tempfile
 import time
+from argparse import Namespace
 from pathlib import Path
 from typing import Any
 
@@ -16,85 +15,71 @@ import numpy as np
 
 import warp_peri
 from warp_peri.atoms.dic import frames_of_folder, noise_of
-from warp_peri.cli.settings_file import keep
+from warp_peri.cli.commands import Result, Said, lines_of
+from warp_peri.cli.options import keep
+from warp_peri.cli.train import LINE, ONE
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import finite, locked, parsed, plain, whole_file, write_json, write_text
 from warp_peri.files.foreign import MARKS, check_xml, content, encoding_of
 from warp_peri.points.unit_names import USUAL
-from warp_peri.storage import save
 
-NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
-ONE = "exactly one equilibrium for every load"
-UNSAID = "as in the tables; no unit was said"
 LARGEST_HEADER = 2**16
 """Bytes of a file of atoms by which its kind is told."""
 PACKERS = (".gz", ".bz2", ".xz", ".zst")
 REFUSED = ("castep", "bundle")
 """What names of ASE's formats begin with whose readers run a program or look elsewhere."""
-FITS = "fits"
-"""Of the folder, where a second start goes on from."""
-DASHES = ("-", "--", ":")
-"""Of curves, which may coincide."""
 STEP, PRINTED, ROWS = 0.025, 4, 8
 """Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
 
-def run_learn(given: argparse.Namespace) -> dict[str, Any]:
-    """A structure → model.json, learn.json, report.txt and law.png, in a folder."""
-    begin = time.perf_counter()
+def run_fit_crystal(given: Namespace) -> Said:
+    """A structure → model.json, crystal.json, report.txt and law.png, in a folder."""
+    begin, path = time.perf_counter(), given.out / "model.json"
     units = given.units[0] if len(given.units) == 1 else tuple(given.units)
     nodes = {"spacing": given.spacing, "horizon": given.horizon, "symmetry": given.symmetry}
     with locked(given.out):  # a place that takes no files is told before the calculator works
         if given.calculator is None:
             constants = warp_peri.atoms.from_phonopy(given.structure, thickness=given.thickness)
-            found = warp_peri.atoms.from_force_constants(constants, **nodes, units=units)
+            found: Any = warp_peri.atoms.from_force_constants(constants, **nodes, units=units)
         else:
-            found = _from_structure(given, nodes, units)
-        save(given.out / "model.json", found.material)
-        write_json(given.out / "learn.json", finite(plain(found.content())))
-        given.first, given.told = _first(given, found), "\n".join(repr(found).split("\n")[1:])
-        write_text(given.out / "report.txt", "\n".join([*given.first, "", given.told, ""]))
+            structure = read_structure(given.structure)
+            calculator = warp_peri.atoms.named_calculator(
+                given.calculator,
+                structure.get_chemical_symbols(),
+                given.potential,
+                trusted=given.trust or "calculator" not in getattr(given, "from_file", ()),
+            )
+            found = warp_peri.from_atoms(
+                structure,
+                calculator,
+                thickness=given.thickness,
+                hold=given.hold,
+                supercell=given.supercell,
+                **nodes,
+                units=units,
+            )
+        warp_peri.save(path, found.material)
+        write_json(given.out / "crystal.json", finite(plain(found.content())))
+        group, wave, proof = found.law.symmetry, found.holds_to["law"], found.certificate
+        sheet = found.said.get("thickness")
+        lines = [
+            f"{path}: elastic crystal model of {given.structure.resolve().name}"
+            + (f", point group {group}" if isinstance(group, str) else "")
+            + (f"; moduli of a sheet {sheet} thick" if sheet else ""),
+            "displacement under waves: error of at most 2 % down to "
+            + (f"{wave:.3g} Å" if np.isfinite(wave) else "no wavelength"),
+            f"proven: {ONE}" if proof is not None and proof.holds else "nothing is proven",
+            f"next: {shlex.join(['warp-peri', 'info', str(path)])}, or wp.load and wp.solve in "
+            "Python",
+            LINE,
+            *repr(found).split("\n")[1:],
+        ]
+        write_text(given.out / "report.txt", "\n".join([*lines, ""]))
         _save_figure(found.plot(), given.out / "law.png")
-        keep(given, given.out / "learn.toml")
-    seconds = time.perf_counter() - begin
-    given.told += (
-        f"\n  {seconds:.1f} s; in {given.out}: model.json, learn.json, report.txt, law.png"
-    )
-    return {**found.content(), "model": str(given.out / "model.json")}
-
-
-def _first(given: argparse.Namespace, found: Any) -> list[str]:
-    """What was learned, down to which wave it is good, and the next command."""
-    path, group, wave = given.out / "model.json", found.law.symmetry, found.holds_to["law"]
-    proof = found.certificate
-    return [
-        f"{path}: elastic crystal model of {given.structure.resolve().name}"
-        + (f", point group {group}" if isinstance(group, str) else "")
-        + (f"; moduli of a sheet {sheet} thick" if (sheet := found.said.get("thickness")) else ""),
-        "displacement under waves: error of at most 2 % down to "
-        + (f"{wave:.3g} Å" if np.isfinite(wave) else "no wavelength"),
-        f"proven: {ONE}" if proof is not None and proof.holds else "nothing is proven",
-        f"next: {shlex.join(['warp-peri', 'info', str(path)])}, or wp.load and wp.solve in Python",
-    ]
-
-
-def _from_structure(given: argparse.Namespace, nodes: dict[str, Any], units: Any) -> Any:
-    structure = read_structure(given.structure)
-    calculator = warp_peri.atoms.named_calculator(
-        given.calculator,
-        structure.get_chemical_symbols(),
-        given.potential,
-        trusted=given.trust or "calculator" not in getattr(given, "from_file", ()),
-    )
-    return warp_peri.from_atoms(
-        structure,
-        calculator,
-        thickness=given.thickness,
-        hold=given.hold,
-        supercell=given.supercell,
-        **nodes,
-        units=units,
-    )
+        keep(given, given.out / "fit-crystal.toml")
+    names = "model.json, crystal.json, report.txt, law.png"
+    lines.append(f"  {time.perf_counter() - begin:.1f} s; in {given.out}: {names}")
+    return {**found.content(), "model": str(path)}, lines
 
 
 def read_structure(path: Path) -> Any:
@@ -143,8 +128,8 @@ def read_structure(path: Path) -> Any:
     return found
 
 
-def run_dic(given: argparse.Namespace) -> dict[str, Any]:
-    """Frames → material.json, curves.csv, curves.png and every candidate's file, in a folder."""
+def run_fit_sheet(given: Namespace) -> Said:
+    """Frames → material.json, sheet.json, curves and every candidate's file, in a folder."""
     frames = frames_of_folder(
         given.folder,
         given.count,
@@ -166,27 +151,27 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
         name = candidate.name.replace(", ", "_").replace(" ", "_")
         warp_peri.save(given.out / f"{name}.json", candidate.fit.material)
         if not given.json:
-            print(
-                f"{candidate.name}: error of displacement {100 * candidate.held_out:.3f} %",
-                flush=True,
-            )
+            error = f"{100 * candidate.held_out:.3f} %"
+            print(f"{candidate.name}: error of displacement {error}", flush=True)
 
     with locked(given.out):
         choice = warp_peri.tissue.choose_sheet(
             frames,
             fibres=given.fibres,
             uneven=not given.even,
-            folder=given.out / FITS,
+            folder=given.out / "fits",  # where a second start goes on from
             done=done,
             progress=given.progress,
         )
         material = choice.material
         warp_peri.save(given.out / "material.json", material)
-        scatter = 100 * choice.fit.scatter
-        by_force = (
-            f"are in MPa by --stress; sections and frames scatter by {scatter:.2g} % around it"
+        told = (
+            f"are in MPa by --stress; sections and frames scatter by {100 * choice.fit.scatter:.2g}"
+            " % around it"
+            if given.stress
+            else "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives "
+            "one)"
         )
-        told = by_force if given.stress else NO_FORCE
         words = [*warp_peri.tissue.in_words(material), *_beside(choice.fit)]
         words.append(f"stresses and coefficients {told}")
         try:
@@ -194,49 +179,51 @@ def run_dic(given: argparse.Namespace) -> dict[str, Any]:
             words.append("material.feb carries all but the deviations and the thickness")
         except InputError as error:
             words.append(f"no file for FEBio: {error}")
-        top = max(1.05, material.stretch or 1.2)
-        stretches = np.arange(1.0, top + 1e-9, STEP)[1:]
+        stretches = np.arange(1.0, max(1.05, material.stretch or 1.2) + 1e-9, STEP)[1:]
+        curves: Result = {}
+        shown = f"curves: {given.out / 'curves.png'}, stress over stretch with a 90 % band"
         try:
             curves = {f"{a:g} deg": choice.curves(stretches, np.radians(a)) for a in (0, 45, 90)}
             _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
         except InputError as error:
-            curves = {}
-            words.append(f"no curves: {error}")
+            words.append(shown := f"no curves: {error}")
         each = PRINTED * -(-len(stretches) // (PRINTED * ROWS))
-        result = {
-            "frames": len(frames),
-            "interior": int(frames.interior.sum()),
-            "noise_in_spacings": float(np.median(noise_of(frames)) / frames.spacing),
-            "lengths": frames.points.units[0] if length_known else UNSAID,
-            "stresses": told,
-            "material": choice.best.name,
-            "words": words,
-            "held_out_E_u": {
-                c.name: c.held_out for c in choice.candidates if np.isfinite(c.held_out)
-            },
-            "passed_over": [c.why for c in choice.candidates if c.fit is None],
-            "largest_stretch": float(material.stretch or np.nan),
-            "tension_with_90_percent_band": {
-                f"along {name}": {
-                    f"stretch {stretches[n]:g}": [float(value) for value in np.array(curve)[:, n]]
-                    for n in range(each - 1, len(stretches), each)
-                }
-                for name, curve in curves.items()
-            },
-        }
-        stress = "" if given.stress else "; stresses in MPa need a force: --stress"
-        given.first = [
-            f"{given.out / 'material.json'}: material of a sheet, {choice.best.name}",
-            f"error of displacement: {100 * choice.best.held_out:.2g} % on frames left out",
-            f"curves: {given.out / 'curves.png'}, stress over stretch with a 90 % band"
-            if curves
-            else words[-1],
-            f"next: warp-peri info {shlex.quote(str(given.out / 'material.json'))}{stress}",
-        ]
-        result = dict(finite(result))
-        write_json(given.out / "dic.json", result)
-        keep(given, given.out / "dic.toml")
-    return result
+        candidates = choice.candidates
+        result = finite(
+            {
+                "frames": len(frames),
+                "interior": int(frames.interior.sum()),
+                "noise_in_spacings": float(np.median(noise_of(frames)) / frames.spacing),
+                "lengths": frames.points.units[0]
+                if length_known
+                else "as in the tables; no unit was said",
+                "stresses": told,
+                "material": choice.best.name,
+                "words": words,
+                "held_out_E_u": {
+                    one.name: one.held_out for one in candidates if np.isfinite(one.held_out)
+                },
+                "passed_over": [one.why for one in candidates if one.fit is None],
+                "largest_stretch": float(material.stretch or np.nan),
+                "tension_with_90_percent_band": {
+                    f"along {name}": {
+                        f"stretch {stretches[n]:g}": np.array(curve)[:, n].tolist()
+                        for n in range(each - 1, len(stretches), each)
+                    }
+                    for name, curve in curves.items()
+                },
+            }
+        )
+        write_json(given.out / "sheet.json", result)
+        keep(given, given.out / "fit-sheet.toml")
+    stress = "" if given.stress else "; stresses in MPa need a force: --stress"
+    first = [
+        f"{given.out / 'material.json'}: material of a sheet, {choice.best.name}",
+        f"error of displacement: {100 * choice.best.held_out:.2g} % on frames left out",
+        shown,
+        f"next: warp-peri info {shlex.quote(str(given.out / 'material.json'))}{stress}",
+    ]
+    return result, [*first, LINE, *lines_of(result)]
 
 
 def _beside(fit: Any) -> list[str]:
@@ -257,10 +244,11 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
     figure = Figure(figsize=(5, 3.6), layout="constrained")
     axes = figure.add_subplot()
     columns, names = [stretches], ["stretch"]
-    for (name, (middle, low, high)), style in zip(curves.items(), itertools.cycle(DASHES)):
+    for (name, band), style in zip(curves.items(), itertools.cycle(("-", "--", ":"))):
+        middle, low, high = band  # which may coincide with another's
         (line,) = axes.plot(stretches, middle, linestyle=style, label=name)
         axes.fill_between(stretches, low, high, color=line.get_color(), alpha=0.2, linewidth=0)
-        columns += [middle, low, high]
+        columns += band
         names += [f"P {name}", f"low {name}", f"high {name}"]
     ends = [middle[-1] for middle, _, _ in curves.values()]
     said = f"Directions differ by {100 * (max(ends) / min(ends) - 1):.1f} % in stress"
@@ -273,7 +261,5 @@ def _write_curves(folder: Path, stretches: np.ndarray, curves: dict[str, Any], u
 
 
 def _save_figure(figure: Any, path: Path) -> None:
-    drawn = io.BytesIO()
-    figure.savefig(drawn, format="png", dpi=110)
-    with whole_file(path) as part:
-        part.write_bytes(drawn.getvalue())
+    with whole_file(path) as part, open(part, "wb") as file:
+        figure.savefig(file, format="png", dpi=110)
