@@ -18,7 +18,7 @@ from warp_peri.cli.commands import solver_of
 from warp_peri.cli.main import main
 from warp_peri.cli.options import parser_of
 from warp_peri.points.dataset import load_dataset
-from warp_peri.statics.solution import PRECONDITIONERS
+from warp_peri.solvers.solution import PRECONDITIONERS
 
 EACH = {name: law.material for name, law in LAWS.items()}
 EACH["brittle"] = lambda: SOLIDS["brittle"](2)

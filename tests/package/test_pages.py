@@ -10,7 +10,6 @@ import shlex
 from glob import glob
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import warp_peri as wp
@@ -118,9 +117,6 @@ def home(tmp_path_factory):
         wp.save(folder / place, model)
     ase.io.write(folder / "Al.cif", ase.build.bulk("Al", cubic=True))
     ase.io.write(folder / "MoS2.cif", ase.build.mx2(a=3.16, vacuum=10))
-    r = np.linspace(0.5, 25.0, 50)
-    np.savetxt(folder / "K.csv", np.stack([r, np.exp(-r / 9)], 1), delimiter=",", header="r,K",
-               comments="")  # fmt: skip
     (folder / "examples").symlink_to(ROOT / "examples")
     return folder
 
