@@ -28,66 +28,40 @@ if TYPE_CHECKING:
     from warp_peri import shapes as shapes
     from warp_peri import tissue as tissue
     from warp_peri import transfers as transfers
-    from warp_peri.atoms.crystal_fit import from_atoms
-    from warp_peri.core.torch_bridge import Module
-    from warp_peri.errors import InputError
-    from warp_peri.fitting.diagnose import diagnose
-    from warp_peri.fitting.evaluate import evaluate
-    from warp_peri.fitting.settings import Bernstein
-    from warp_peri.fracture.problems import Cracked
-    from warp_peri.learning.laws import LPS, fit
-    from warp_peri.materials.certificate import certify
-    from warp_peri.materials.crystal_fit import Micromodulus
-    from warp_peri.materials.density import Density, DensityMaterial
-    from warp_peri.materials.lps import Model
-    from warp_peri.materials.third_order_fit import ThirdOrder
-    from warp_peri.points.dataset import Dataset
-    from warp_peri.points.mesh import Mesh
-    from warp_peri.points.points import Points
-    from warp_peri.points.samples import Samples
-    from warp_peri.prediction.predict import predict
-    from warp_peri.problems import Body, Dirichlet, Periodic
-    from warp_peri.solvers.motion import Motion
-    from warp_peri.solvers.solution import Direct, Krylov, Newton, Solution
-    from warp_peri.solving import move, solve
-    from warp_peri.storage import load, save
+    from warp_peri.atoms.crystal_fit import from_atoms as from_atoms
+    from warp_peri.core.torch_bridge import Module as Module
+    from warp_peri.errors import InputError as InputError
+    from warp_peri.fitting.diagnose import diagnose as diagnose
+    from warp_peri.fitting.evaluate import evaluate as evaluate
+    from warp_peri.fitting.settings import Bernstein as Bernstein
+    from warp_peri.fracture.problems import Cracked as Cracked
+    from warp_peri.learning.laws import LPS as LPS
+    from warp_peri.learning.laws import fit as fit
+    from warp_peri.materials.certificate import certify as certify
+    from warp_peri.materials.crystal_fit import Micromodulus as Micromodulus
+    from warp_peri.materials.density import Density as Density
+    from warp_peri.materials.density import DensityMaterial as DensityMaterial
+    from warp_peri.materials.lps import Model as Model
+    from warp_peri.materials.third_order_fit import ThirdOrder as ThirdOrder
+    from warp_peri.points.dataset import Dataset as Dataset
+    from warp_peri.points.mesh import Mesh as Mesh
+    from warp_peri.points.points import Points as Points
+    from warp_peri.points.samples import Samples as Samples
+    from warp_peri.prediction.predict import predict as predict
+    from warp_peri.problems import Body as Body
+    from warp_peri.problems import Dirichlet as Dirichlet
+    from warp_peri.problems import Periodic as Periodic
+    from warp_peri.solvers.motion import Motion as Motion
+    from warp_peri.solvers.solution import Direct as Direct
+    from warp_peri.solvers.solution import Krylov as Krylov
+    from warp_peri.solvers.solution import Newton as Newton
+    from warp_peri.solvers.solution import Solution as Solution
+    from warp_peri.solving import move as move
+    from warp_peri.solving import solve as solve
+    from warp_peri.storage import load as load
+    from warp_peri.storage import save as save
 
 __version__ = "0.2.0"
-
-__all__ = [
-    "Bernstein",
-    "Body",
-    "Cracked",
-    "Dataset",
-    "Density",
-    "DensityMaterial",
-    "Direct",
-    "Dirichlet",
-    "InputError",
-    "Krylov",
-    "LPS",
-    "Mesh",
-    "Micromodulus",
-    "Model",
-    "Module",
-    "Motion",
-    "Newton",
-    "Periodic",
-    "Points",
-    "Samples",
-    "Solution",
-    "ThirdOrder",
-    "certify",
-    "diagnose",
-    "evaluate",
-    "fit",
-    "from_atoms",
-    "load",
-    "move",
-    "predict",
-    "save",
-    "solve",
-]
 
 _NAMES = {
     "core.torch_bridge": ("Module",),
@@ -115,6 +89,7 @@ _NAMES = {
     "atoms.crystal_fit": ("from_atoms",),
 }
 _MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_MODULE_OF)
 _MODULES = (
     "atoms",
     "damage",

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from warp_peri.core.record import HOMES, LEFT, content_hash
+from warp_peri.core.record import HOMES, content_hash
 
 FOLDER = Path(__file__).parent.parent / "frozen"
 FILES = sorted(path.stem for path in FOLDER.glob("*.json") if path.stem != "record")
@@ -38,14 +38,6 @@ def material(request, tmp_path):
 def test_every_format_is_among_them():
     formats = {json.loads((FOLDER / f"{name}.json").read_text())["format"] for name in FILES}
     assert formats == {*HOMES} - {"warp_peri.density"}  # whose function is in no file
-
-
-@pytest.mark.parametrize("name", LEFT)
-def test_what_left_the_library_is_refused_by_name_and_last_commit(name, tmp_path):
-    head = {"format": name} if "." in name else {"format": "warp_peri.model", "kind": name}
-    (tmp_path / "old.json").write_text(json.dumps(head))
-    with pytest.raises(wp.InputError, match=f"old.json: {name}: left .* {LEFT[name]} is the last"):
-        wp.load(tmp_path / "old.json")
 
 
 def places(content, path=()):
@@ -178,7 +170,6 @@ def test_what_is_no_value_is_one_error(material):
 @pytest.mark.parametrize("value", HOSTILE, ids=repr)
 def test_a_format_is_a_name(value, tmp_path):
     refused(tmp_path / "m.json", {"format": value})
-    refused(tmp_path / "m.json", {"format": "warp_peri.model", "version": 1, "kind": value or [1]})
 
 
 def test_other_units_there_and_back_are_the_same(material):

@@ -138,13 +138,10 @@ def test_a_brittle_solid_of_a_wrong_file_is_refused(tmp_path):
     path = tmp_path / "solid.json"
     brittle(("m", "Pa"), toughness=1.0).save(path)
     new = json.loads(path.read_text())
-    for version in (1, 4):
+    for version in (2, 4):
         path.write_text(json.dumps({**new, "version": version}))
         with pytest.raises(InputError, match=f"version: expected 3, got {version}"):
             BrittleSolid.load(path)
-    before = {key: value for key, value in new.items() if key != "sha256"}
-    path.write_text(json.dumps(before | {"version": 2, "density": 0.3}))
-    assert BrittleSolid.load(path).inertia == pytest.approx(0.3)  # times stay
     path.write_text(json.dumps({**new, "tension_only": "no"}))
     with pytest.raises(InputError, match="tension_only: expected true or false, got 'no'"):
         BrittleSolid.load(path)

@@ -87,11 +87,7 @@ BAD_FILES = {
     "mu": ("mu", -0.8, "expected μ > 0"),
     "degree": ("degree", 3, "degree: expected 4, got 3"),
     "D short": ("D", [1.0], "degree: expected 0, got 4"),
-    "another function of the dilatation": (
-        "D_dilatation",
-        [1.0, 0.0, 0.0, 0.0, 0.0],
-        "D_dilatation: expected that of D, got .*commit 60f8a38d is the last that reads it",
-    ),
+    "another function": ("D_dilatation", [1.0], "unknown keys: D_dilatation"),
     "D nested": ("D", [[1.0], [1.0, 2.0]], "D: expected an array"),
     "quadrature": ("quadrature", {"degree": 3, "singularity": 3}, "quadrature: expected"),
     "spacings": ("certified_on", 5.0, "certified_on: expected a list, got 5.0"),
@@ -124,14 +120,6 @@ def test_what_is_no_json_is_refused(path, text):
             Model.load(path)
     finally:
         sys.setrecursionlimit(limit)
-
-
-def test_a_file_of_before_may_name_one_function_twice(path):
-    content = json.loads(path.read_text())
-    assert "D_dilatation" not in content
-    del content["sha256"]
-    path.write_text(json.dumps(content | {"D_dilatation": content["D"]}))
-    assert np.array_equal(Model.load(path).D, MODEL.D)
 
 
 def test_what_is_no_model_is_refused(tmp_path):

@@ -373,17 +373,6 @@ def test_a_linear_answer_goes_on_until_nothing_improves(family):
     assert far(best.u, exact, points) < best.parts["left"]
 
 
-def test_files_of_before_have_a_member_on_every_second_node(family, tmp_path):
-    path = tmp_path / "family.json"
-    wp.save(path, family)
-    content = json.loads(path.read_text())
-    content["coarse"] = content["rich"]
-    content["factors"] |= {"short": 1.3, "stretch": 0.8}
-    del content["sha256"]
-    path.write_text(json.dumps(content))
-    assert wp.load(path).content() == family.content()
-
-
 def test_without_a_tolerance_the_best_that_was_computed_comes_back(family):
     for seed, level in enumerate((0.1, 0.15, 0.2)):  # beyond what corrections converge for
         one = held_in(family.rich, level, 1, seed, wave_number=0.3)

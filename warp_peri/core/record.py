@@ -45,9 +45,9 @@ from warp_peri.shown import Shown
 LARGEST_FILE = 2**26
 """Bytes of a file that are read at most."""
 UNITS = ("length_unit", "stress_unit")
-HEAD = ("format", "version", "kind", *UNITS, "sha256")
-KINDS: dict[tuple[str, str | None], Callable[[Any, Path | None], Any]] = {}
-"""Readers of a content by the format and the kind that it names."""
+HEAD = ("format", "version", *UNITS, "sha256")
+FORMATS: dict[str, type[Record]] = {}
+"""Kinds of materials by the format that their files name."""
 PROVEN: set[tuple[type, str]] = set()
 """Contents whose proofs this process has gone through, by kind and hash."""
 HOMES = {
@@ -63,16 +63,7 @@ HOMES = {
     "warp_peri.coupled_solid": "diffusion.coupled",
     "warp_peri.family": "prediction.placed",
 }
-"""Modules below warp_peri that a format's reader is in; those of others are loaded already."""
-LEFT = {
-    "warp_peri.brittle_crystal": "60f8a38d",
-    "warp_peri.crystal_bonds": "60f8a38d",
-    "warp_peri.dressed": "60f8a38d",
-    "warp_peri.dressed_finite": "60f8a38d",
-    "nonlinear": "60f8a38d",
-    "warp_peri.flow_law": "60f8a38d",
-}
-"""Last commit that reads a format, or a kind of models, which left the library."""
+"""Modules below warp_peri that a format's kind is in; those of others are loaded already."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +76,6 @@ class Entry:
         positive: whether a number is to be above zero.
         key: in the file, where that is not the field's name.
         omit: whether a file leaves it out where it has its default.
-        later: whether files of before may lack it.
         flat: whether the fields of its value stand in the file in its place.
         kept: whether it is in the file at all.
         spread: whether a number may be one of each node instead, an array.
@@ -97,12 +87,13 @@ class Entry:
     positive: bool = False
     key: str = ""
     omit: bool = False
-    later: bool = False
     flat: bool = False
     kept: bool = True
     spread: bool = False
 
 
+PLAIN = Entry()
+"""Of a field that says nothing."""
 Positive: TypeAlias = Annotated[float, Entry(positive=True)]
 Length: TypeAlias = Annotated[float, Entry(length=1, positive=True)]
 Stress: TypeAlias = Annotated[float, Entry(stress=1)]
@@ -128,8 +119,9 @@ def fields_of(value: Any) -> tuple[Field, ...]:
 def _fields_of(kind: Any) -> tuple[Field, ...]:
     hints, found = get_type_hints(kind, include_extras=True), []
     for each in fields(kind):
-        hint = hints[each.name]
-        says = get_args(hint)[1] if get_origin(hint) is Annotated else Entry()
+        hint, says = hints[each.name], PLAIN
+        if get_origin(hint) is Annotated:
+            hint, says = get_args(hint)[:2]
         default = each.default if each.default_factory is MISSING else each.default_factory
         found.append(Field(each.name, says.key or each.name, hint, says, default))
     return tuple(each for each in found if each.name != "units")
@@ -138,15 +130,12 @@ def _fields_of(kind: Any) -> tuple[Field, ...]:
 class Record(Shown):
     """What a material can do as a value; its class adds its own checks and its physics.
 
-    A class names its `format`, and its `version` and `kind` where it has them. `ORDER` are the keys
-    of its file, where they are not its fields in their order. In `__post_init__` it calls that of
-    here first, which turns what is given into the types of the fields.
+    A class names its `format`, and its `version` where that is not the first. In `__post_init__` it
+    calls that of here first, which turns what is given into the types of the fields.
     """
 
     FORMAT: ClassVar[str]
     VERSION: ClassVar[int]
-    KIND: ClassVar[str | None]
-    ORDER: ClassVar[tuple[str, ...]] = ()
     if TYPE_CHECKING:
 
         @property
@@ -154,19 +143,16 @@ class Record(Shown):
         @property
         def dimension(self) -> int: ...
 
-    def __init_subclass__(cls, format: str = "", version: int = 1, kind: str | None = None) -> None:
+    def __init_subclass__(cls, format: str = "", version: int = 1) -> None:
         if "__repr__" not in vars(cls):  # a dataclass would write one with all of its arrays
             cls.__repr__ = Record.__repr__  # type: ignore[method-assign]
-        if not format:  # what several formats share, or one with tables that no file has
-            return
-        cls.FORMAT, cls.VERSION, cls.KIND = format, version, kind
-        KINDS[format, kind] = lambda content, path: cls.of_content(
-            content, f"{path}: " if path else ""
-        )._read_from(path)
+        if format:  # not of what several formats share, or one with tables that no file has
+            cls.FORMAT, cls.VERSION = format, version
+            FORMATS[format] = cls
 
     def __post_init__(self) -> None:
         for each in fields_of(self):
-            value = taken(each.name, each.hint, getattr(self, each.name))
+            value = taken(each.name, each.hint, getattr(self, each.name), each.says)
             object.__setattr__(self, each.name, value)
         if _has_units(self):
             object.__setattr__(self, "units", check_units(self.units))
@@ -178,17 +164,9 @@ class Record(Shown):
     def content(self) -> dict[str, Any]:
         """What a file holds, plain values; the last is a hash of the others."""
         found: dict[str, Any] = {"format": self.FORMAT, "version": self.VERSION}
-        found |= {"kind": self.KIND} if self.KIND else {}
-        units = dict(zip(UNITS, self.units)) if _has_units(self) else {}
-        found |= {} if UNITS[0] in self.ORDER else units
-        own = _entries(self) | self.derived() | units
-        found |= {key: own[key] for key in self.ORDER or own if key in own}
+        found |= dict(zip(UNITS, self.units)) if _has_units(self) else {}
+        found |= _entries(self) | self.derived()
         return found | {"sha256": content_hash(found)}
-
-    @classmethod
-    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
-        """The content of a file of before in the keys of now."""
-        return content
 
     @classmethod
     def of_content(cls, content: Any, where: str = "") -> Self:
@@ -199,26 +177,24 @@ class Record(Shown):
         """
         if not isinstance(content, dict):
             raise InputError(f"expected a JSON object, got {type(content).__name__}")
-        written, content = content, cls.today(dict(content))
-        head = {"format": cls.FORMAT, "version": cls.VERSION, "kind": cls.KIND}
-        for key, expected in head.items():
+        for key, expected in (("format", cls.FORMAT), ("version", cls.VERSION)):
             if content.get(key) != expected:
                 raise InputError(f"{key}: expected {expected!r}, got {content.get(key)!r:.60}")
-        own, values = {k: v for k, v in content.items() if k not in HEAD}, {}
+        own, units = {k: v for k, v in content.items() if k not in HEAD}, {}
         if _has_units(cls):
-            if not set(UNITS) & set(content):
+            named = [content[key] for key in UNITS if key in content]
+            if not named:
                 warn(f"{where}it names no units: taken as Å and TPa")
-                content |= dict(zip(UNITS, USUAL))
-            if missing := [key for key in UNITS if key not in content]:
-                raise InputError(f"missing keys: {', '.join(missing)}")
-            values["units"] = check_units([content[key] for key in UNITS])
-        values |= _values(cls, own, tuple(key for key in cls.ORDER if key not in HEAD))
-        made = cls(**values)
+            elif len(named) == 1:
+                raise InputError(f"missing keys: {', '.join({*UNITS} - {*content})}")
+            units = {"units": check_units(named or USUAL)}
+        made = cls(**units, **_values(cls, own))
         for key, value in made.derived().items():
-            if key in own and own[key] != plain(value):
-                raise InputError(f"{key}: expected {plain(value)!r:.60}, got {own[key]!r:.60}")
-        hashed = content_hash(written)
-        if "sha256" in written and written["sha256"] != hashed:
+            if (said := own.pop(key, None)) != plain(value):
+                raise InputError(f"{key}: expected {plain(value)!r:.60}, got {said!r:.60}")
+        _refuse_unknown(own)
+        hashed = content_hash(content)
+        if content.get("sha256", hashed) != hashed:
             raise InputError(
                 "sha256: the contents are not what was written; remove this key to accept them"
             )
@@ -238,6 +214,7 @@ class Record(Shown):
                 proof.check_of(self.stencil, self.group)  # type: ignore[attr-defined]
 
     def _read_from(self, path: Path | None) -> Self:
+        """With what lies beside its file."""
         return self
 
     @classmethod
@@ -266,31 +243,27 @@ class Record(Shown):
         by = factors(self.units, units)
         if self.units == (units := check_units(units)):
             return self
-        moved = {e.name: self._scaled(e.hint, getattr(self, e.name), by, units)
-                 for e in fields_of(self)}  # fmt: skip
-        if _has_units(self):
-            moved["units"] = units
+        moved = self._moved(self, by, units) | ({"units": units} if _has_units(self) else {})
         return replace(self, **moved | self.elsewhere(*by))  # type: ignore[type-var]
 
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
         """Fields in other units that their types do not tell, given the factors."""
         return {}
 
-    def _scaled(self, hint: Any, value: Any, by: Any, units: Any, says: Any = None) -> Any:
+    def _moved(self, part: Any, by: tuple[float, float], units: Units) -> dict[str, Any]:
+        """The fields of a part in other units."""
+        return {e.name: self._scaled(getattr(part, e.name), e.says, by, units)
+                for e in fields_of(part)}  # fmt: skip
+
+    def _scaled(self, value: Any, says: Entry, by: tuple[float, float], units: Units) -> Any:
         """A value in other units."""
-        if get_origin(hint) is Annotated:
-            hint, says = get_args(hint)[:2]
         if isinstance(value, Record):
             return value.in_units(units)
         if hasattr(value, "__dataclass_fields__"):
-            parts = (
-                self._scaled(e.hint, getattr(value, e.name), by, units) for e in fields_of(value)
-            )
-            return replace(value, **dict(zip((e.name for e in fields_of(value)), parts)))
+            return replace(value, **self._moved(value, by, units))
         if isinstance(value, tuple):
-            inner = next(iter(_members(hint)), Any)
-            return tuple(self._scaled(inner, one, by, units, says) for one in value)
-        if value is None or says is None or not isinstance(value, (float, np.ndarray)):
+            return tuple(self._scaled(one, says, by, units) for one in value)
+        if says is PLAIN or not isinstance(value, (float, np.ndarray)):
             return value
         power = says.length + says.volume * self.dimension if says.volume else says.length
         size, stress = by[0] ** abs(power), by[1] ** says.stress
@@ -345,27 +318,17 @@ def _has_units(kind: Any) -> bool:
     return "units" in kind.__dataclass_fields__
 
 
-def _members(hint: Any) -> list[Any]:
-    """Of `tuple[…]`, or of the alternative to None that is one."""
-    if get_origin(hint) in (Union, UnionType):
-        hint = next(each for each in get_args(hint) if each is not NoneType)
-    return [each for each in get_args(hint) if each is not Ellipsis]
-
-
 def _entries(value: Any) -> dict[str, Any]:
     """Entries of a file for the fields of a record, or of a part of one."""
     found: dict[str, Any] = {}
     for each in fields_of(value):
         one = getattr(value, each.name)
+        same = one is each.default or (isinstance(one, (int, float, str)) and one == each.default)
         if each.says.flat:
             found |= _entries(one)
-        elif each.says.kept and not (each.says.omit and _same(one, each.default)):
+        elif each.says.kept and not (each.says.omit and same):
             found[each.key] = _plain(one)
     return found
-
-
-def _same(value: Any, default: Any) -> bool:
-    return value is default or (isinstance(value, (int, float, str)) and value == default)
 
 
 def _plain(value: Any) -> Any:
@@ -378,67 +341,66 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and np.isinf(value) else plain(value)
 
 
-def _values(kind: Any, content: dict[str, Any], order: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Values of the fields of a dataclass from what a file holds, of which no key is left over.
-
-    Args:
-        kind: the dataclass.
-        content: entries.
-        order: keys of its file, of which those that are no fields' are there too.
-    """
-    given, found, missing = dict(content), {}, set(order)
+def _values(kind: Any, entries: dict[str, Any]) -> dict[str, Any]:
+    """Values of the fields of a dataclass, taken out of the entries of a file."""
+    found: dict[str, Any] = {}
+    missing = []
     for each in fields_of(kind):
         if each.says.flat:
-            part = get_args(each.hint)[0]
-            mine = {one.key: given.pop(one.key) for one in fields_of(part) if one.key in given}
-            found[each.name] = part(**_values(part, mine))
-            continue
-        missing.discard(each.key)
-        if not each.says.kept:
-            continue
-        if each.key in given:
-            value = given.pop(each.key)
+            found[each.name] = each.hint(**_values(each.hint, entries))
+        elif each.says.kept and each.key in entries:
+            value = entries.pop(each.key)
             endless = value is None and isinstance(each.default, float) and np.isinf(each.default)
-            found[each.name] = np.inf if endless else taken(each.key, each.hint, value, read=True)
-        elif not (each.says.omit or each.says.later):
-            missing.add(each.key)
-    if missing := missing - set(given):
+            found[each.name] = (
+                np.inf if endless else taken(each.key, each.hint, value, each.says, read=True)
+            )
+        elif each.says.kept and not each.says.omit:
+            missing.append(each.key)
+    if missing:
         raise InputError(f"missing keys: {', '.join(sorted(missing))}")
-    if unknown := set(given) - set(order):
-        raise InputError(f"unknown keys: {', '.join(sorted(unknown))}")
     return found
 
 
-def taken(key: str, hint: Any, value: Any, read: bool = False, says: Any = None) -> Any:
+def _refuse_unknown(left: dict[str, Any]) -> None:
+    if left:
+        raise InputError(f"unknown keys: {', '.join(sorted(left))}")
+
+
+def _part(kind: Any, entries: dict[str, Any]) -> Any:
+    """A dataclass of the entries that it has in a file."""
+    made = kind(**_values(kind, entries))
+    _refuse_unknown(entries)
+    return made
+
+
+def taken(key: str, hint: Any, value: Any, says: Entry = PLAIN, *, read: bool = False) -> Any:
     """A value as its field has it; InputError naming the key for what is none.
 
     Args:
         key: for errors.
         hint: type of the field.
         value: as it is given, or as JSON has it.
-        read: whether it is from a file: parts are made of what it holds.
         says: of the field.
+        read: whether it is from a file: parts are made of what it holds.
     """
-    if get_origin(hint) is Annotated:
-        hint, says = get_args(hint)[:2]
-    origin, parts = get_origin(hint), get_args(hint)
-    if origin in (Union, UnionType):
+    parts = get_args(hint)
+    if get_origin(hint) in (Union, UnionType):
         if (value is None and NoneType in parts) or (isinstance(value, str) and str in parts):
             return value
         hint = next(each for each in parts if each not in (NoneType, str))
-        return taken(key, hint, value, read, says)
-    if origin is tuple:
+        return taken(key, hint, value, says, read=read)
+    hint = get_origin(hint) or hint
+    if hint is tuple:
         if not isinstance(value, (list, tuple, np.ndarray)):
             raise InputError(f"{key}: expected a list, got {value!r:.50}")
         kinds = parts if parts[-1] is not Ellipsis else parts[:1] * len(value)
         if len(kinds) != len(value):
             raise InputError(f"{key}: expected {len(kinds)} of them, got {len(value)}")
-        return tuple(taken(key, kind, one, read, says) for kind, one in zip(kinds, value))
-    hint = origin or hint
-    if says and says.spread and (isinstance(value, (list, tuple)) or np.ndim(value)):
+        return tuple(taken(key, kind, one, says, read=read) for kind, one in zip(kinds, value))
+    if says.spread and (isinstance(value, (list, tuple)) or np.ndim(value)):
         hint = np.ndarray
     if hint is float:
-        return _number(key, value, bool(says and says.positive))
+        return _number(key, value, says.positive)
     if hint is np.ndarray:
         if not isinstance(value, (list, tuple)) and np.ndim(value) == 0:
             raise InputError(f"{key}: expected a list, got {value!r:.50}")
@@ -450,11 +412,11 @@ def taken(key: str, hint: Any, value: Any, read: bool = False, says: Any = None)
             raise InputError(f"{key}: expected {WORDS[hint]}, got {value!r:.50}")
         return value
     if hint is Any and read and isinstance(value, dict) and "format" in value:
-        return _within(key, lambda: read_content(value))
+        return _within(key, read_content, value)
     if read and "__dataclass_fields__" in vars(hint):
         if issubclass(hint, Record):
-            return _within(key, lambda: hint.of_content(value))
-        return _within(key, lambda: hint(**_values(hint, taken(key, dict, value))))
+            return _within(key, hint.of_content, value)
+        return _within(key, _part, hint, dict(taken(key, dict, value)))
     if hint is not Any and not isinstance(value, hint):
         raise InputError(f"{key}: expected {hint.__name__}(…), got {value!r:.50}")
     return value
@@ -481,9 +443,9 @@ def _holds_bool(value: Any) -> bool:
     return any(map(_holds_bool, value)) if isinstance(value, list) else isinstance(value, bool)
 
 
-def _within(key: str, made: Callable[[], Any]) -> Any:
+def _within(key: str, make: Callable[..., Any], *of: Any) -> Any:
     try:
-        return made()
+        return make(*of)
     except InputError as error:
         raise InputError(f"{key}: {error}") from None
 
@@ -514,24 +476,14 @@ def read_content(content: Any, path: Path | None = None) -> Any:
     """A material of what a file holds, of any format."""
     if not isinstance(content, dict):
         raise InputError(f"expected a JSON object, got {type(content).__name__}")
-    kind = content.get("format"), content.get("kind")
-    if isinstance(kind[0], str) and kind[0] in HOMES:
-        import_module(f"warp_peri.{HOMES[kind[0]]}")
-    for key, value in zip(("format", "kind"), kind):
-        if not isinstance(value, (str, NoneType)):
-            raise InputError(f"{key}: expected a name, got {value!r:.50}")
-    if kind not in KINDS:
-        for each in kind:
-            if each in LEFT:
-                raise InputError(
-                    f"{each}: left the library; commit {LEFT[each]} is the last that reads it"
-                )
-        known = sorted({*HOMES, *(name for name, _ in KINDS)})
-        names = known, [str(each) for name, each in KINDS if name == kind[0]]
-        n = int(kind[0] in known)
-        what = f"{('format', 'kind')[n]}: expected one of {', '.join(names[n])}"
-        raise InputError(f"{what}, got {kind[n]!r:.50}")
-    return KINDS[kind](content, path)
+    name = content.get("format")
+    if isinstance(name, str) and name in HOMES:
+        import_module(f"warp_peri.{HOMES[name]}")
+    if not isinstance(name, str) or name not in FORMATS:
+        known = ", ".join(sorted({*HOMES, *FORMATS}))
+        raise InputError(f"format: expected one of {known}, got {name!r:.50}")
+    where = f"{path}: " if path else ""
+    return FORMATS[name].of_content(content, where)._read_from(path)
 
 
 def load(path: str | os.PathLike[str]) -> Any:

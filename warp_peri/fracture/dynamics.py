@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import ArrayLike
 
-from warp_peri.core.record import UNITS, Entry, OnLinear, Positive
+from warp_peri.core.record import Entry, OnLinear, Positive
 from warp_peri.errors import InputError
 from warp_peri.fracture.body import LatticeBody, cracked
 from warp_peri.fracture.bonds import (
@@ -29,9 +29,9 @@ from warp_peri.fracture.statics import by_component, check_no_fail
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.launch import floats, launch_slices, zeros
 from warp_peri.materials.lps import Model
-from warp_peri.points.arrays import checked, is_number
+from warp_peri.points.arrays import checked
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import REDUCED, USUAL, Units, check_units
+from warp_peri.points.unit_names import REDUCED, Units
 from warp_peri.solvers.verlet import inertia
 
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
@@ -73,16 +73,6 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
     def linear(self) -> Model:
         """The solid before anything breaks."""
         return self.model
-
-    @classmethod
-    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
-        """Version 2 had ρ in stress · time² over length², whose times are read as ps."""
-        model: Any = content.get("model")
-        density: Any = content.get("density")
-        if content.get("version") == 2 and isinstance(model, dict) and is_number(density):
-            units = check_units([model.get(key, usual) for key, usual in zip(UNITS, USUAL)])
-            content |= {"version": 3, "density": density / inertia_in(units, 1.0)}
-        return content
 
     @property
     def inertia(self) -> float:

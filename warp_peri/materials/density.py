@@ -86,7 +86,7 @@ class DensityMaterial(Record, format="warp_peri.density"):
     units: Units = USUAL
     provenance: dict[str, Any] = field(default_factory=dict)
     energy: Annotated[Any, Entry(kept=False)] = None
-    scale: Annotated[float, Entry(stress=1, positive=True, later=True, omit=True)] = 1.0
+    scale: Annotated[float, Entry(stress=1, positive=True, omit=True)] = 1.0
 
     @classmethod
     def of(

@@ -159,9 +159,6 @@ class Model(Record, format="warp_peri.model"):
     units: Units = USUAL
     dimension: Annotated[int, Entry(omit=True)] = 2
     nodes: Annotated[np.ndarray | None, Entry(length=1, omit=True)] = None
-    ORDER = ("lambda", "mu", "alpha", "horizon", "degree", "D", "quadrature", "trained_on",
-             "certified_on", "certificate", "errors", "provenance", "versions", "trained_strain",
-             "largest_wave_number", "dimension", "nodes")  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -359,16 +356,6 @@ class Model(Record, format="warp_peri.model"):
             },
             "provenance": {**self.provenance, "units_before": list(self.units)},
         }
-
-    @classmethod
-    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
-        """Without the dilatation's own coefficients of before; InputError where they differ."""
-        if content.pop("D_dilatation", D := content.get("D")) != D:
-            raise InputError(
-                "D_dilatation: expected that of D, got an influence function of its own, which "
-                "left the library; commit 60f8a38d is the last that reads it"
-            )
-        return content
 
     def derived(self) -> dict[str, Any]:
         """Degree and quadrature, which a file names."""

@@ -343,7 +343,6 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
     reach: Length
     proven: dict[str, Any] = field(default_factory=dict)
     provenance: dict[str, Any] = field(default_factory=dict)
-    ORDER = ("linear", *CUBIC, "form", "reach", "proven", "provenance", "smoothing")
 
     def __post_init__(self) -> None:
         super().__post_init__()

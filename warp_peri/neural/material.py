@@ -313,8 +313,6 @@ class NeuralFile(record.Record, format="warp_peri.neural", version=2):
     precision: str
     weights: dict[str, str]
     units: Units
-    ORDER = ("horizon", "influence", "state", "anisotropic", "proportional", "strain", "scale",
-             *record.UNITS, "provenance", "precision", "weights")  # fmt: skip
 
     def _read_from(self, path: Path | None) -> NeuralOperator:  # type: ignore[override]
         material = NeuralOperator(

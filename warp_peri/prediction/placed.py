@@ -470,23 +470,12 @@ class Members(OnLinear, format="warp_peri.family", version=2):
     quadratic: Annotated[tuple[float, ...], Entry(stress=1, omit=True)] = ()
     axis_off: Annotated[float, Entry(omit=True)] = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
-    ORDER = ("rich", "second", "halves", "record", "factors", "strain", "temperature",
-             "quadratic", "axis_off", "provenance")  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()
         for one in (self.rich, self.second, *self.halves):
             if not hasattr(one, "on"):
                 raise InputError(f"member: expected a material, got {one!r:.40}")
-
-    @classmethod
-    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
-        """Files of before have a member on every second node, which only answers began at, its
-        factor, and one for the strain of linear members that told too little."""
-        content.pop("coarse", None)
-        if isinstance(factors := content.get("factors"), dict):
-            content["factors"] = {k: factors[k] for k in factors if k not in ("short", "stretch")}
-        return content
 
     @property
     def horizon(self) -> float:

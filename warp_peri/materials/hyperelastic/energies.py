@@ -320,20 +320,6 @@ class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
                 f"got shape {list(self.coefficients.shape)}"
             )
 
-    @classmethod
-    def today(cls, content: dict[str, Any]) -> dict[str, Any]:
-        """Of files that say of each term whether it acts on ripples or steps, without that.
-
-        Raises InputError for one that does.
-        """
-        terms = content.get("terms")
-        if not (isinstance(terms, list) and all(isinstance(term, dict) for term in terms)):
-            return content
-        if any(term.get("ripple") or term.get("across") for term in terms):
-            raise InputError("terms: expected none of ripples or steps across bonds, which left")
-        kept = [{k: v for k, v in t.items() if k not in ("ripple", "across")} for t in terms]
-        return content | {"terms": kept}
-
     @property
     def sparse(self) -> HyperelasticSolid:
         """The same solid without the strain energies whose coefficient is zero."""
