@@ -182,10 +182,6 @@ class OnPoints(Remade):
         """Which components of fields a solve is given, of a shape that broadcasts to [N, d]."""
         return np.asarray(~self.points.interior.reshape(-1, *[1] * (len(self.shape) - 1)))
 
-    def load_transpose(self, w: Any) -> np.ndarray:
-        """`load` transposed, of w on the interior [..., I, d], on all nodes [..., N, d]."""
-        return self.on_all(w)
-
     def check(self, u: Any, real: bool = True) -> None:
         """Raise InputError for what is no real fields on the nodes."""
         one, given = self.shape, tuple(u.shape)

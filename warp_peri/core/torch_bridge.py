@@ -140,6 +140,38 @@ def refuse_tangents(*inputs: Any) -> None:
             )
 
 
+class _Once(torch.autograd.Function):
+    """Arrays that `there` makes of arrays, and what `back` makes of arrays upstream: derivatives to
+    each, given which are asked for; None, or one number for all of an array, are zero there."""
+
+    @staticmethod
+    def forward(ctx: Any, there: Any, back: Any, *of: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        ctx.back = back
+        ctx.save_for_backward(*of)
+        return tuple(map(torch.tensor, there(*(one.detach().numpy() for one in of))))
+
+    @staticmethod
+    @differentiable_once
+    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        asked, whole = ctx.needs_input_grad[2:], torch.contiguous_format
+        by = ctx.back(asked, *(one.detach().clone(memory_format=whole).numpy() for one in upstream))
+        each = zip(by, ctx.saved_tensors, asked)
+        slopes = (
+            _like(one, number) if wanted and one is not None else None
+            for one, number, wanted in each
+        )
+        return None, None, *slopes
+
+
+def _like(slope: Any, number: torch.Tensor) -> torch.Tensor:
+    """A derivative in the shape of what it is a derivative to."""
+    slope = torch.as_tensor(slope, dtype=torch.float64)
+    return (slope if slope.dim() else slope.expand(number.shape)).reshape_as(number).to(number)
+
+
+once: Callable[..., tuple[torch.Tensor, ...]] = _Once.apply
+
+
 def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:
     """The force of an operator on the interior nodes, [..., I, d], differentiable in u [..., N, d].
 
@@ -201,20 +233,23 @@ def pair_of(operator: Any, b: Any, u: Any) -> tuple[torch.Tensor, torch.Tensor]:
     return b, u
 
 
-def with_numbers(operator: Any, numbers: dict[str, np.ndarray]) -> Any:
-    """The operator with some of its `learnable` numbers changed, itself where they are its own.
-    Raises InputError for others, and as its `at`."""
+def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[str, torch.Tensor]]:
+    """The operator with some of its `learnable` numbers changed, itself where they are its own, and
+    these as tensors of float64. Raises InputError for others, and as its `at`."""
     known = getattr(operator, "learnable", {}) if hasattr(operator, "at") else {}
     names = ", ".join(f"{name} {list(np.shape(own))}" for name, own in known.items()) or "none"
-    for name, value in numbers.items():
+    refuse_tangents(*numbers.values())
+    given = {name: real(name, value) for name, value in numbers.items()}
+    values = {name: value.detach().numpy() for name, value in given.items()}
+    for name, value in values.items():
         own = known.get(name, ())
         fits = value.shape == np.shape(own) or value.size == np.size(own) == 1  # a number, as [1]
-        if not fits or value.dtype.kind not in "fiu" or not np.isfinite(value).all():
+        if name not in known or not fits or not np.isfinite(value).all():
             got = f"{name} {list(value.shape)}"
             raise InputError(f"parameters: expected finite numbers of shape {names}, got {got}")
-    numbers = {name: value.reshape(np.shape(known[name])) for name, value in numbers.items()}
-    same = all(np.array_equal(value, known[name]) for name, value in numbers.items())
-    return operator if same else operator.at(known | numbers)
+    values = {name: value.reshape(np.shape(known[name])) for name, value in values.items()}
+    same = all(np.array_equal(value, known[name]) for name, value in values.items())
+    return operator if same else operator.at(known | values), given
 
 
 def force_with(operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]) -> torch.Tensor:
@@ -225,7 +260,7 @@ def force_with(operator: Any, u: torch.Tensor, numbers: Mapping[str, Any]) -> to
         key = b"".join(np.asarray(value).tobytes() for value in values)
         if key not in made:
             made.clear()
-            made[key] = with_numbers(operator, dict(zip(names, values)))
+            made[key] = with_numbers(operator, dict(zip(names, values)))[0]
         return made[key]
 
     def back(name: str) -> Callable[..., np.ndarray]:
@@ -271,65 +306,35 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     forward mode of a number, or of what is not linear.
     """
     b, u = pair_of(operator, b, u)
-    named = {n: real(n, v) for n, v in (parameters or {}).items()}
-    refuse_tangents(*named.values())
-    operator = with_numbers(operator, {n: v.detach().numpy() for n, v in named.items()})
+    operator, named = with_numbers(operator, parameters or {})
     fields, numbers = [b.cpu().double(), u.cpu().double()], [*named.values(), *operator.networks]
     found: list[Any] = []
 
-    def there(both: np.ndarray) -> np.ndarray:
-        found.append(_rest(operator, both[0], both[1], solver))
-        return np.asarray(found[-1].u)
+    def there(b: np.ndarray, u: np.ndarray, *_: np.ndarray) -> tuple[np.ndarray]:
+        found.append(_rest(operator, b, u, solver))
+        return (found[-1].u,)
 
-    def back(g: np.ndarray) -> np.ndarray:
-        return np.stack(_pulled(operator, g, g, solver)[1:])
-
-    if operator.is_linear and not any(one.requires_grad for one in numbers):
-        answer = linear(torch.stack(fields), there, back)
-    else:
-        refuse_tangents(*fields, *operator.networks)
-        answer = _at_rest(operator, there, solver, list(named), *fields, *numbers)
-    return replace(found[0], u=answer.to(u if u.is_floating_point() else answer))
-
-
-class _AtRest(torch.autograd.Function):
-    """Load, collar [..., N, d] and numbers to the displacement at rest, differentiated once."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, operator: Any, there: Any, solver: Any, names: list[str], *of: torch.Tensor
-    ) -> torch.Tensor:
-        answer = _called(there, torch.stack(of[:2]))
-        ctx.operator, ctx.solver, ctx.names = operator, solver, names
-        ctx.save_for_backward(answer.clone(), *of)
-        return answer
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        operator, asked = ctx.operator, ctx.needs_input_grad[6:]
-        answer, _, _, *numbers = ctx.saved_tensors
-        u, g = (one.detach().numpy() for one in (answer, upstream[0].contiguous()))
-        w, *by = _pulled(operator, u, g, ctx.solver)
+    def back(asked: tuple[bool, ...], g: np.ndarray) -> list[Any]:
+        u = found[0].u
+        w, *by = _pulled(operator, u, g, solver)
         u = u.reshape(-1, *operator.shape)
         w = -w.reshape(len(u), *w.shape[-len(operator.shape) :])  # of a rank it may be empty
-        found = by_numbers(operator, [n for n, one in zip(ctx.names, asked) if one], u, w)
+        slopes = by_numbers(operator, [n for n, one in zip(named, asked[2:]) if one], u, w)
         held = [one for one in operator.networks if one.requires_grad]
         if held:
             with torch.enable_grad():
                 force = operator(torch.from_numpy(u))
-            learned = torch.autograd.grad(force, held, torch.from_numpy(w), allow_unused=True)
-        each = iter([*found.values(), *(learned if held else ())])
-        slopes = (
-            None
-            if not one
-            else torch.as_tensor(next(each), dtype=torch.float64).reshape_as(number).to(number)
-            for one, number in zip(asked, numbers)
-        )
-        return None, None, None, None, *map(torch.from_numpy, by), *slopes
+            held = [*torch.autograd.grad(force, held, torch.from_numpy(w), allow_unused=True)]
+        learned = (held.pop(0) if one.requires_grad else None for one in operator.networks)
+        return [*by, *(slopes.get(name) for name in named), *learned]
 
-
-_at_rest: Callable[..., torch.Tensor] = _AtRest.apply
+    if operator.is_linear and not any(one.requires_grad for one in numbers):
+        pulled = lambda g: np.stack(_pulled(operator, g, g, solver)[1:])  # noqa: E731
+        answer = linear(torch.stack(fields), lambda both: there(*both)[0], pulled)
+    else:
+        refuse_tangents(*fields, *operator.networks)
+        (answer,) = once(there, back, *fields, *numbers)
+    return replace(found[0], u=answer.to(u if u.is_floating_point() else answer))
 
 
 def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:
@@ -353,7 +358,7 @@ def _pulled(operator: Any, u: np.ndarray, g: np.ndarray, solver: Any) -> tuple[n
             inner = np.compress(inside, g, axis)
             w = _transposed(operator, u.reshape(-1, *one), inner).reshape(inner.shape)
     pushed = (g - operator.product_transpose(u, w)) * operator.held
-    return w, operator.load_transpose(w), pushed
+    return w, operator.on_all(w), pushed
 
 
 def _transposed(operator: Any, fields: np.ndarray, g: np.ndarray) -> np.ndarray:

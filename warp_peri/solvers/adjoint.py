@@ -34,7 +34,7 @@ from warp_peri.contract import is_tensor, taken
 from warp_peri.core.torch_bridge import (
     as_tensor,
     by_numbers,
-    differentiable_once,
+    once,
     real,
     refuse_tangents,
     with_numbers,
@@ -77,17 +77,18 @@ def moved(
     """
     if files := sizes.keys() - {"density", "step", "steps", "every"}:
         raise InputError(f"move: expected no {', '.join(sorted(files))} of tensors")
-    numbers, zero, sizes = dict(parameters or {}), 0 * as_tensor("u", u), {"every": 1} | sizes
+    operator, numbers = with_numbers(operator, parameters or {})
+    zero, sizes = 0 * as_tensor("u", u), {"every": 1} | sizes
     pulse = np.ones(max(int(sizes["steps"]), 0) + 1) if signal is None else signal
-    fields = [zero if field is None else field for field in (u, v, b)]
-    given = [*fields, pulse, *numbers.values()]
+    given = [*(zero if field is None else field for field in (u, v, b)), pulse]
     refuse_tangents(*given)
-    names = "u", "v", "b", "signal", *numbers
-    given = [real(*pair) for pair in zip(names, given)]
-    values = {name: value.detach().numpy() for name, value in zip(numbers, given[4:])}
-    seen = verlet.recorded_nodes(record, len(operator.points.x))
-    waves = _Waves(with_numbers(operator, values), list(numbers), seen, sizes)
-    end, v, *records = _Moved.apply(waves, *given)  # type: ignore[no-untyped-call]
+    given = [*map(real, ("u", "v", "b", "signal"), given), *numbers.values()]
+    waves = _Waves(
+        operator, list(numbers), verlet.recorded_nodes(record, len(operator.points.x)), sizes
+    )
+    asked = given[4:] if getattr(operator, "is_linear", False) else given
+    waves.keeps = torch.is_grad_enabled() and any(one.requires_grad for one in asked)
+    end, v, *records = once(waves.there, waves.back, *given)
     history = waves.motion.history | dict(zip("u", records))
     return replace(waves.motion, u=end, v=v, history=history)
 
@@ -104,18 +105,23 @@ def in_motion(operator: Any, b: Any, u: Any, options: dict[str, Any]) -> Motion:
 class _Waves:
     """One motion of an operator, there and back; `options` are those of verlet.started."""
 
+    keeps = False
+    """Whether states are kept, from which displacements are come back to."""
+
     def __init__(self, operator: Any, names: list[str], record: Any, options: Any) -> None:
         self.operator, self.names, self.record, self.options = operator, names, record, options
         self.dt, self.steps, self.every = (options[name] for name in ("step", "steps", "every"))
         self.kept: dict[int, verlet.State] = {}
 
-    def there(self, fields: dict[str, Any], signal: np.ndarray, *, keep: bool) -> list[Any]:
-        """u and v [N, d] at the end, and the records [R, n, d] where there are some."""
-        _, self.body, state = verlet.started(self.operator, fields, signal, **self.options)
+    def there(self, *given: np.ndarray) -> list[Any]:
+        """u and v [N, d] at the end, and the records [R, n, d] where there are some; of u, v, b, a
+        signal and numbers."""
+        fields = dict(zip(("u", "v", "b"), given))
+        _, self.body, state = verlet.started(self.operator, fields, given[3], **self.options)
         stretch = -(-self.steps // PIECES)
 
         def passed(number: int, state: verlet.State) -> None:
-            if keep and number % stretch == 0:
+            if self.keeps and number % stretch == 0:
                 self.kept[number] = state
 
         sizes = self.dt, self.steps, self.every
@@ -123,11 +129,12 @@ class _Waves:
         ends = [self.motion.u, self.motion.v]
         return ends if self.record is None else [*ends, self.motion["u"]]
 
-    def back(self, wanted: list[str], p: Any, v: Any, seen: Any = None) -> list[Any]:
-        """Derivatives to u, v and b [N, d], to the signal, and to the numbers wanted, by name.
+    def back(self, asked: tuple[bool, ...], p: Any, v: Any, seen: Any = None) -> list[Any]:
+        """Derivatives to u, v and b [N, d], to the signal, and to the numbers that are asked for.
 
         p, v, seen: what is upstream of u and v at the end, and of the records; p is overwritten.
         """
+        wanted = [name for name, one in zip(self.names, asked[4:]) if one]
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
         felt = _Felt(self.operator) if wanted and getattr(self.operator, "gathers", False) else None
@@ -156,7 +163,8 @@ class _Waves:
                 found = by_numbers(self.operator, wanted, *map(np.stack, zip(*batch)))
                 totals = {name: totals[name] - value for name, value in found.items()}
                 batch.clear()
-        return [p, self.body.on_all(q), self.body.on_all(load), by_signal, totals]
+        own = (totals.get(name) for name in self.names)
+        return [p, self.body.on_all(q), self.body.on_all(load), by_signal, *own]
 
     def _undone(self) -> Iterator[tuple[int, Any]]:
         """Numbers of steps from the last to none, with the displacement then, or None where
@@ -192,27 +200,6 @@ class _Felt:
         return np.asarray(force)
 
 
-class _Moved(torch.autograd.Function):
-    """Displacement, velocity, load [N, d], signal and numbers to u, v [N, d], records [R, n, d]."""
-
-    @staticmethod
-    def forward(ctx: Any, waves: _Waves, *given: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        ctx.waves, asked = waves, ctx.needs_input_grad[1:]
-        ctx.save_for_backward(*given)
-        *arrays, signal = (one.detach().numpy() for one in given[:4])
-        keep = any(asked if not getattr(waves.operator, "is_linear", False) else asked[4:])
-        found = waves.there(dict(zip(("u", "v", "b"), arrays)), signal, keep=keep)
-        return tuple(map(torch.tensor, found))
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        numbers = dict(zip(ctx.waves.names, ctx.saved_tensors[4:]))
-        wanted = [name for name, asked in zip(numbers, ctx.needs_input_grad[5:]) if asked]
-        *by, found = ctx.waves.back(wanted, *(one.detach().clone().numpy() for one in upstream))
-        return None, *map(torch.from_numpy, by), *_shaped(found, numbers)
-
-
 def stepped(
     operator: Any,
     b: Any,
@@ -245,22 +232,20 @@ def stepped(
     """
     check_positive("step", step)
     check_whole("steps", steps, 0)
-    times, numbers, given = step * np.arange(steps + 1), dict(parameters or {}), list[Any]()
+    operator, numbers = with_numbers(operator, parameters or {})
+    times, tensors = step * np.arange(steps + 1), [u, *(parameters or {}).values()]
     start = real("u", u)
+    fields = [start]
     for name, field in (("b", 0 * start.detach() if b is None else b), ("collar", collar or u)):
         each = list(map(field, times[1:])) if callable(field) else [field]
-        given += each
+        tensors += each
         each = [real(name, one) for one in each or [start]]
-        numbers[name] = torch.stack(each).expand(steps, *each[0].shape)
-    loads, held = (numbers.pop(name) for name in ("b", "collar"))
-    given += [u, *numbers.values()]
-    refuse_tangents(*given)
-    values = [real(*pair) for pair in numbers.items()]
-    own = with_numbers(operator, {n: v.detach().numpy() for n, v in zip(numbers, values)})
-    flow = Implicit(own, step, list(numbers))
-    fields = _Stepped.apply(flow, start, loads, held, *values)  # type: ignore[no-untyped-call]
-    fields = fields if any(map(is_tensor, given)) else fields.numpy()
-    return Motion(times, fields[-1], None, {"u": fields})
+        fields.append(torch.stack(each).expand(steps, *each[0].shape))
+    refuse_tangents(*tensors)
+    flow = Implicit(operator, step, list(numbers))
+    (found,) = once(flow.there, flow.back, *fields, *numbers.values())
+    found = found if any(map(is_tensor, tensors)) else found.numpy()
+    return Motion(times, found[-1], None, {"u": found})
 
 
 class Implicit:
@@ -309,7 +294,7 @@ class Implicit:
             left = max(left, one)
         return left
 
-    def there(self, start: np.ndarray, loads: np.ndarray, given: np.ndarray) -> np.ndarray:
+    def there(self, start: Any, loads: Any, given: Any, *_: np.ndarray) -> tuple[np.ndarray]:
         """Fields at the start and after each step, of loads and what is given in each."""
         one = self.operator.shape
         fields = [checked("u", start, float, one).ravel()]
@@ -317,13 +302,16 @@ class Implicit:
         given = checked("collar", given, float, (len(given), *one), ~self.inside)
         for load, held in zip(loads, given):
             fields.append(self.after(fields[-1], held.ravel(), load.ravel())[0])
-        return np.reshape(fields, (-1, *one))
+        self.fields = np.reshape(fields, (-1, *one))
+        return (self.fields,)
 
-    def back(self, p: np.ndarray, fields: np.ndarray, wanted: list[str]) -> list[Any]:
-        """Derivatives to the start, to loads and what is given in each step, and to numbers.
+    def back(self, asked: tuple[bool, ...], p: np.ndarray) -> list[Any]:
+        """Derivatives to the start, to loads and what is given in each step, and to the numbers
+        that are asked for.
 
         p: what is upstream of the fields at the start and after each step; overwritten.
         """
+        wanted = [name for name, one in zip(self.names, asked[3:]) if one]
         steps, one = len(p) - 1, p.shape[1:]
         p, w = p.reshape(steps + 1, -1), np.zeros((steps, len(self.inner.indptr) - 1))
         by_load, by_given = np.zeros((2, steps, len(self.free)))
@@ -337,40 +325,11 @@ class Implicit:
         own: Any = getattr(self.operator, "storage_slopes", lambda *_: {})
         if wanted and steps:
             weights = -w.reshape(steps, -1, *one[1:])
-            middle = self.theta * fields[1:] + (1 - self.theta) * fields[:-1]
-            rates = np.diff(fields, axis=0) / self.step
+            middle = self.theta * self.fields[1:] + (1 - self.theta) * self.fields[:-1]
+            rates = np.diff(self.fields, axis=0) / self.step
             for found in (
                 by_numbers(self.operator, wanted, middle, weights),
                 own(wanted, rates, weights),
             ):
                 totals |= {name: totals[name] + np.asarray(slope) for name, slope in found.items()}
-        return [*by, totals]
-
-
-class _Stepped(torch.autograd.Function):
-    """Start [N, …], loads and what is given in each step, numbers to fields [steps + 1, N, …]."""
-
-    @staticmethod
-    def forward(ctx: Any, flow: Implicit, *given: torch.Tensor) -> torch.Tensor:
-        fields = torch.from_numpy(flow.there(*(one.detach().numpy() for one in given[:3])))
-        ctx.flow = flow
-        ctx.save_for_backward(fields, *given)
-        return fields
-
-    @staticmethod
-    @differentiable_once
-    def backward(ctx: Any, *upstream: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        fields, *given = ctx.saved_tensors
-        numbers = dict(zip(ctx.flow.names, given[3:]))
-        wanted = [name for name, asked in zip(numbers, ctx.needs_input_grad[4:]) if asked]
-        p = upstream[0].clone(memory_format=torch.contiguous_format).numpy()
-        *by, found = ctx.flow.back(p, fields.detach().numpy(), wanted)
-        return None, *map(torch.from_numpy, by), *_shaped(found, numbers)
-
-
-def _shaped(found: Mapping[str, Any], numbers: Mapping[str, torch.Tensor]) -> Iterator[Any]:
-    """Derivatives to numbers in their shapes, None for those not found."""
-    for name, number in numbers.items():
-        slope = torch.as_tensor(found.get(name, 0.0), dtype=torch.float64)
-        whole = number.shape if slope.dim() == 0 else slope.shape
-        yield slope.expand(whole).reshape_as(number) if name in found else None
+        return [*by, *(totals.get(name) for name in self.names)]
