@@ -17,11 +17,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 23_574,
-    "tokens": 287_356,
-    "lines of warp_peri": 39_366,
+    "code lines": 23_428,
+    "tokens": 285_866,
+    "lines of warp_peri": 39_202,
     "lines of kernels": 1_275,
-    "lines of warp_peri, kernels, examples and tools": 52_986,
+    "lines of warp_peri, kernels, examples and tools": 52_822,
     "lines of the longest file": 648,
     "lines of the longest function": 96,
     "parameters of one function": 13,
@@ -34,20 +34,20 @@ BUDGET = {
 ROOMS = {
     "atoms": 2927,
     "cli": 871,
-    "core": 1746,
+    "core": 1706,
     "diffusion": 339,
-    "face": 969,
+    "face": 934,
     "fe_coupling": 830,
     "files": 570,
     "fitting": 1326,
-    "fracture": 1682,
+    "fracture": 1674,
     "learning": 925,
-    "materials": 5358,
-    "neural": 911,
+    "materials": 5337,
+    "neural": 909,
     "points": 1712,
-    "prediction": 886,
+    "prediction": 878,
     "ranks": 912,
-    "solvers": 1610,
+    "solvers": 1578,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

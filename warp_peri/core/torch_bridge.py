@@ -163,13 +163,13 @@ class _Once(torch.autograd.Function):
         return None, None, *slopes
 
 
-def _like(slope: Any, number: torch.Tensor) -> torch.Tensor:
+def _like(slope: Any, number: torch.Tensor) -> Any:
     """A derivative in the shape of what it is a derivative to."""
     slope = torch.as_tensor(slope, dtype=torch.float64)
     return (slope if slope.dim() else slope.expand(number.shape)).reshape_as(number).to(number)
 
 
-once: Callable[..., tuple[torch.Tensor, ...]] = _Once.apply
+once: Callable[..., Any] = _Once.apply
 
 
 def force_of(operator: Any, u: torch.Tensor) -> torch.Tensor:

@@ -80,7 +80,7 @@ def moved(
     operator, numbers = with_numbers(operator, parameters or {})
     zero, sizes = 0 * as_tensor("u", u), {"every": 1} | sizes
     pulse = np.ones(max(int(sizes["steps"]), 0) + 1) if signal is None else signal
-    given = [*(zero if field is None else field for field in (u, v, b)), pulse]
+    given: list[Any] = [*(zero if field is None else field for field in (u, v, b)), pulse]
     refuse_tangents(*given)
     given = [*map(real, ("u", "v", "b", "signal"), given), *numbers.values()]
     waves = _Waves(
