@@ -1,172 +1,264 @@
-"""Families on a lattice: bonds, classes, and what a point set must offer."""
+"""Families on a lattice and on any points: bonds, classes, what a body must offer, its strain."""
 
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
 
 from tests.support import reference
-from tests.support.problems import ell, lattice, periodic
-from warp_peri import InputError, Points
-from warp_peri.points.families import bond_classes, families_of
+from tests.support.clouds import cloud, periodic_cloud, plain
+from tests.support.cubes import cube, periodic_cube
+from tests.support.problems import ell, kernel, lattice, manufactured, noise, periodic
+from tests.support.solving import solve
+from warp_peri import LPS, Bernstein, InputError, Model, Points, fit
+from warp_peri.points.families import HORIZON_TOLERANCE, bond_classes, families_of
+from warp_peri.points.lattice import largest_strain, lattice_steps
+from warp_peri.points.quadrature import quadrature_weights
+from warp_peri.points.samples import axis_of
+from warp_peri.points.scattered import neighbours, reverse_bonds
+from warp_peri.proofs import solvability
 
-HORIZONS = (2.0, 2.3, 2.5, 3.0)
 DISK = np.hypot(*np.mgrid[-4:5, -4:5]) <= 4
 
 
-def bonds_of(families, i):
-    some = slice(families.row[i], families.row[i + 1])
-    return families.neighbour[some], families.pattern
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.4, -1.1])
-@pytest.mark.parametrize("horizon", HORIZONS)
-def test_families_are_those_of_brute_force(horizon, angle):
-    points = lattice(ell(), 1.7 * horizon, spacing=1.7, angle=angle, origin=(3.0, -80.0))
-    points = replace(points, x=points.x[::-1], interior=points.interior[::-1])
+@pytest.mark.parametrize(
+    ("horizon", "angle", "box"), [(2.0, 0.0, None), (3.0, 0.4, None), (3.0, 0.0, (9, 7))]
+)
+def test_families_are_those_of_brute_force(horizon, angle, box):
+    if box:
+        points, box = periodic(box, spacing=1.7)
+    else:
+        points = lattice(ell(), 1.7 * horizon, spacing=1.7, angle=angle, origin=(3.0, -80.0))
+        points = replace(points, x=points.x[::-1], interior=points.interior[::-1])
     families = families_of(points, 1.7 * horizon)
-    needed = set(np.flatnonzero(points.interior))
+    needed = {*np.flatnonzero(points.interior)}
     for i in range(len(points.x)):
-        near, xi = reference.family(points.x, i, 1.7 * horizon)
-        family, bonds = bonds_of(families, i)
+        near, xi = reference.family(points.x, i, 1.7 * horizon, box and np.array(box))
+        family = families.neighbour[families.row[i] : families.row[i + 1]]
         there = family >= 0
-        assert sorted(family[there]) == sorted(near)
         order = np.argsort(family[there])
-        np.testing.assert_allclose(bonds[there][order], xi[np.argsort(near)], atol=1e-9)
+        assert np.array_equal(family[there][order], np.sort(near))
+        there_xi = families.pattern[there][order]
+        np.testing.assert_allclose(there_xi, xi[np.argsort(near)], atol=1e-9)
         back = families.neighbour[families.row[family[there]] + families.reverse[there]]
         assert (back == i).all()
-        if points.interior[i]:
-            needed |= set(near)
+        needed |= {*near} if points.interior[i] else set()
     assert np.array_equal(families.whole, sorted(needed))
     assert np.array_equal(families.rows, np.flatnonzero(points.interior))
 
 
-@pytest.mark.parametrize("horizon", HORIZONS)
-def test_periodic_families_wrap_around(horizon):
-    points, box = periodic((9, 7), spacing=0.5)
-    families = families_of(points, 0.5 * horizon)
-    assert len(families.whole) == len(families.rows) == len(points.x)
-    for i in range(len(points.x)):
-        near, xi = reference.family(points.x, i, 0.5 * horizon, np.array(box))
-        family, bonds = bonds_of(families, i)
-        assert sorted(family) == sorted(near)
-        np.testing.assert_allclose(bonds[np.argsort(family)], xi[np.argsort(near)], atol=1e-12)
-
-
 @pytest.mark.parametrize(
-    ("horizon", "bonds", "lengths"), [(2.5, 20, 4), (3, 28, 6), (4, 48, 9), (5, 80, 13)]
+    ("dimension", "horizon", "bonds", "lengths"),
+    [(2, 2.5, 20, 4), (2, 3, 28, 6), (2, 5, 80, 14), (3, 2.0, 32, 4), (3, 3.0, 122, 9)],
 )
-def test_classes_are_symmetry_orbits(horizon, bonds, lengths):
-    classes = bond_classes(2.0, 2.0 * horizon)
-    assert classes.count.sum() == len(classes.steps) == bonds
-    assert len(np.unique(classes.r.round(9))) == lengths
-    orbits = {}
-    for step, number in zip(classes.steps, classes.bond_class):
-        orbits.setdefault(number, set()).add(tuple(sorted(np.abs(step))))
-        assert np.hypot(*step) * 2.0 == pytest.approx(classes.r[number], rel=1e-14)
-    assert [len(orbit) for orbit in orbits.values()] == [1] * len(classes.r)
-    assert len({orbit for (orbit,) in orbits.values()}) == len(classes.r)
+def test_classes_are_orbits_of_the_lattices_symmetry(dimension, horizon, bonds, lengths):
+    """Bonds of equal length and different orbit have their own weights: (5, 0) and (4, 3)."""
+    classes = bond_classes(2.0, 2.0 * horizon, dimension=dimension)
+    assert (len(classes.steps), len(classes.r), classes.count.sum()) == (bonds, lengths, bonds)
+    orbit = np.sort(np.abs(classes.steps), axis=1)
+    assert len(np.unique(orbit, axis=0)) == lengths
+    assert len(np.unique(np.c_[orbit, classes.bond_class], axis=0)) == lengths
+    np.testing.assert_allclose(np.linalg.norm(classes.xi, axis=1), classes.r[classes.bond_class])
+    one_by_one = quadrature_weights(classes.xi, classes.horizon)
+    np.testing.assert_allclose(
+        classes.weight[classes.bond_class], one_by_one, atol=1e-9 * one_by_one.max()
+    )
+    equal = np.flatnonzero(np.isclose(classes.r, 10.0))
+    assert len(equal) < 2 or abs(np.diff(classes.weight[equal])) > 1e-3
 
 
-def test_bonds_of_equal_length_and_different_orbit_have_their_own_weights():
-    classes = bond_classes(1.0, 5.0)
-    equal = np.flatnonzero(np.isclose(classes.r, 5.0))
-    assert sorted(classes.count[equal]) == [4, 8]
-    assert abs(np.diff(classes.weight[equal])) > 1e-3
-
-
-def test_ball_is_closed():
+def test_the_ball_is_closed():
     assert len(bond_classes(0.1, 0.3).steps) == 28  # 3 · 0.1 > 0.3 in floating point
     assert len(bond_classes(1.0, 3.0 * (1 - 1e-5)).steps) < 28
 
 
-@pytest.mark.parametrize(
-    ("interior", "collar"), [(3, 4.9), (3, 5.9), (7, 8.3), (DISK, 6.4), (DISK, 9.9), (ell(), 7.0)]
-)
-def test_error_names_the_largest_horizon_that_fits(interior, collar):
-    h = 2.5
-    points = lattice(interior, collar * h / 2, spacing=h)
+@pytest.mark.parametrize(("interior", "collar"), [(3, 4.9), (7, 8.3), (DISK, 9.9), (ell(), 7.0)])
+def test_the_error_names_the_largest_horizon_that_fits(interior, collar):
+    h, points = 2.5, lattice(interior, collar * 1.25, spacing=2.5)
     with pytest.raises(InputError, match="out to twice the horizon") as caught:
         families_of(points, 8 * h)
-    said = re.search(
-        r"(\d+) of (\d+) have not at horizon 20 Å; the largest that fits is ([\d.]+) Å",
-        str(caught.value),
-    )
-    assert int(said[2]) == points.interior.sum()
-    largest = float(said[3])
+    said = re.search(r"of (\d+) have not at horizon 20 Å; .* fits is ([\d.]+) Å", str(caught.value))
+    largest = float(said[2])
+    assert int(said[1]) == points.interior.sum()
     families_of(points, largest)
     longer = np.unique(h * np.hypot(*np.mgrid[0:12, 0:12]))
-    longer = longer[longer > largest * 1.001][0]
     with pytest.raises(InputError, match="the largest that fits"):
-        families_of(points, longer)
+        families_of(points, longer[longer > largest * 1.001][0])
 
 
-def test_error_counts_the_nodes_that_lack_the_collar():
+def test_the_error_counts_the_nodes_that_lack_the_collar():
     points = lattice(5, 2.0)
-    hole = np.argmin(np.abs(points.x - (-4, -4)).sum(1))  # reached by the lower left corner only
-    keep = np.arange(len(points.x)) != hole
-    whole = Points(points.x[keep], points.interior[keep], 1.0)
-    families_of(whole, 2.0)  # a corner of the square is no family member
-    hole = np.argmin(np.abs(points.x - (-4, 0)).sum(1))
-    keep = np.arange(len(points.x)) != hole
-    with pytest.raises(InputError, match=r"1 of 25 have not at horizon 2 Å; no horizon") as told:
+    keep = np.abs(points.x - (-4, -4)).sum(1) > 0.5  # a corner of the square is no family member
+    families_of(Points(points.x[keep], points.interior[keep], 1.0), 2.0)
+    keep = np.abs(points.x - (-4, 0)).sum(1) > 0.5
+    with pytest.raises(InputError, match=r"1 of 25 .* 2 Å; no horizon .* Free edges and holes"):
         families_of(Points(points.x[keep], points.interior[keep], 1.0), 2.0)
-    assert "Free edges and holes: Body(mesh" in str(told.value)
 
 
-def test_error_says_when_no_horizon_fits():
-    points = lattice(3, 1.0)
-    with pytest.raises(InputError, match="9 of 9 .* no horizon of two spacings or more fits"):
+def test_a_turned_cube_has_the_families_of_the_straight_one():
+    points = cube(2, 2.0)
+    turn = Rotation.from_euler("xyz", [25, -40, 65], degrees=True).as_matrix()
+    turned = Points(points.x @ turn.T + [7.0, 3.0, 1.0], points.interior, 1.0)
+    axes = lattice_steps(turned).axes
+    np.testing.assert_allclose(np.abs(axes.T @ turn).max(axis=0), 1)
+    here, there = families_of(points, 2.0), families_of(turned, 2.0)
+    assert here.weight == pytest.approx(there.weight, rel=1e-14)
+    i = there.rows[0]
+    ends = there.neighbour[there.row[i] : there.row[i + 1]]
+    np.testing.assert_allclose(turned.x[ends] - turned.x[i], there.pattern, atol=1e-12)
+    with pytest.raises(InputError, match="complete families out to twice the horizon.*fits is 2"):
         families_of(points, 3.0)
+    assert (families_of(periodic_cube((5, 6, 7)), 2.0).neighbour >= 0).all()
 
 
-def test_no_horizon_of_two_spacings_or_more_lacks_weights():
-    for horizon in np.unique(np.hypot(*np.mgrid[0:7, 0:7])):
-        if 2 <= horizon <= 6:
-            bond_classes(1.0, horizon)
+RANDOM = np.random.default_rng(3)
+CLOUDS = [
+    (RANDOM.normal(size=(450, 2)) * np.repeat([[0.02], [1], [7]], 150, 0), 0.9, None),
+    (1e5 + RANDOM.uniform(0, 9, (300, 2)), 1.1, None),
+    (np.stack([np.arange(40.0), np.zeros(40)], axis=1), 2.5, None),
+    (RANDOM.uniform(0, 9, (60, 2)), 4.4, (9.0, 13.0)),
+    (RANDOM.uniform(-20, 20, (300, 2)), 1.3, (9.0, 9.0)),
+    (RANDOM.uniform(0, 9, (500, 3)), 1.7, None),
+    (RANDOM.uniform(0, 9, (300, 3)), 2.8, (9.0, 9.0, 7.0)),
+]
 
 
-def moved(points, **change):
-    return replace(points, **change)
+@pytest.mark.parametrize(("x", "horizon", "box"), CLOUDS)
+def test_neighbours_are_those_of_a_tree(x, horizon, box):
+    reach = horizon * (1 + HORIZON_TOLERANCE)
+    row, neighbour, r = neighbours(x, reach, box)
+    tree = cKDTree(x if box is None else x % box, boxsize=box)
+    pairs = tree.query_pairs(reach, output_type="ndarray")
+    start = np.repeat(np.arange(len(x)), np.diff(row))
+    found, expected = np.stack([start, neighbour], axis=1), np.r_[pairs, pairs[:, ::-1]]
+    assert len(found) == len(expected)
+    assert np.array_equal(np.unique(found, axis=0), np.unique(expected, axis=0))
+    bonds = x[neighbour] - x[start]
+    bonds -= 0 if box is None else np.round(bonds / box) * box
+    np.testing.assert_allclose(r, np.linalg.norm(bonds, axis=1), rtol=1e-9)
+    reverse = reverse_bonds(row, neighbour)
+    assert np.array_equal(neighbour[reverse], start)
+    assert np.array_equal(reverse[reverse], np.arange(len(reverse)))
 
 
-POINTS = lattice(3, 2.0)
-SHIFTED = POINTS.x + np.where(np.arange(len(POINTS.x)) == 7, 1e-3, 0)[:, None]
-BAD_POINTS = {
-    "a node off the lattice": (moved(POINTS, x=SHIFTED), "spacing 1.0 Å; off it: 7"),
-    "spacing too small": (moved(POINTS, spacing=0.9), "no two points are that close"),
-    "spacing too large": (moved(POINTS, spacing=2.0), "square lattice of spacing 2.0"),
-    "a rectangular lattice": (moved(POINTS, x=POINTS.x * (1, 1.001)), "square lattice"),
-    "one point": (Points([[0.0, 0.0]], [True], 1.0), "no two points"),
-}
+@pytest.mark.parametrize("degree", [3, 5])
+def test_each_scattered_family_has_its_own_weights(degree, monkeypatch):
+    """Without singular values, which take four times as long as all else, but for a few."""
+    points, families, singular = cloud(6, 3.4), [], np.linalg.svd
+    monkeypatch.setattr(
+        np.linalg, "svd", lambda rows, **how: families.append(len(rows)) or singular(rows, **how)
+    )
+    found = families_of(points, 3.4, degree=degree)
+    monkeypatch.undo()
+    assert sum(families) <= 0.01 * len(points.x)
+    for i in found.whole:
+        bonds = slice(*found.row[i : i + 2])
+        xi = points.x[found.neighbour[bonds]] - points.x[i]
+        expected = quadrature_weights(xi, 3.4, degree=degree)
+        np.testing.assert_allclose(found.weight[bonds], expected, atol=1e-9)
 
 
-@pytest.mark.parametrize(("points", "words"), BAD_POINTS.values(), ids=BAD_POINTS)
-def test_bad_points_are_refused(points, words):
+@pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+@pytest.mark.parametrize("box", [None, (7.0, 7.0)])
+def test_the_operator_on_scattered_points_is_the_reference(box):
+    points = periodic_cloud(7)[0] if box else cloud(4, 3.0)
+    model, u = replace(kernel("sign-changing", 3.0), lam=-0.2), noise(points)
+    wanted = reference.operator(points.x, points.interior, model, u, box and np.array(box))
+    force = model.on(points, allow_uncertified=True)(u)
+    np.testing.assert_allclose(force, wanted, rtol=0, atol=1e-10 * np.abs(wanted).max())
+
+
+@pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+def test_solvability_is_told_by_eigenvalues_and_singular_values():
+    points, model = cloud(8, 3.0), plain(3.0)
+    figures, unknown = solvability(model, points), np.repeat(points.interior, 2)
+    operator, fields = model.on(points, allow_uncertified=True), np.eye(2 * len(points.x))[unknown]
+    A = operator(fields.reshape(-1, *points.x.shape)).reshape(len(fields), -1).T
+    assert figures.symmetric_min == pytest.approx(np.linalg.eigvalsh((A + A.T) / 2)[0])
+    assert figures.singular_min == pytest.approx(np.linalg.svd(A)[1][-1])
+    assert figures.asymmetry == pytest.approx(np.linalg.norm(A - A.T) / np.linalg.norm(A + A.T))
+    assert 0.02 < figures.asymmetry < 0.5  # scattered points are not symmetric
+    assert solvability(model, lattice(8, 3.0)).asymmetry < 1e-12
+
+
+LATTICE, CLOUD, SHEET = lattice(3, 2.0), cloud(4, 3.0), periodic((9, 9))[0]
+OFF = LATTICE.x + np.where(np.arange(len(LATTICE.x)) == 7, 1e-3, 0)[:, None]
+ROUNDED = lattice(4, 2.5, spacing=1.2345678)
+FAR = np.array([[400.0, 0.0]])
+REFUSED = [
+    (replace(LATTICE, x=OFF), 2.0, "spacing 1.0 Å; off it: 7, by up to 0.001"),
+    (replace(ROUNDED, x=ROUNDED.x.round(2)), 2.5, r"by up to 0\.0.* where 1e-06 Å \(1e-06 sp"),
+    (replace(LATTICE, spacing=0.9), 2.0, "no two points are that close"),
+    (replace(LATTICE, spacing=2.0), 4.0, "square lattice of spacing 2.0"),
+    (replace(LATTICE, x=LATTICE.x * (1, 1.001)), 2.0, "square lattice"),
+    (Points([[0.0, 0.0]], [True], 1.0), 2.0, "no two points"),
+    (replace(LATTICE, x=np.r_[LATTICE.x[:-1], 1e5 * FAR]), 2.0, "nodes spread over .* places"),
+    (lattice(3, 1.0), 3.0, "9 of 9 .* no horizon of two spacings or more fits"),
+    (LATTICE, 0.99, "horizon: expected at least one spacing"),
+    (LATTICE, np.nan, "horizon: expected at least one spacing"),
+    (LATTICE, 101.0, "horizon: expected at most 100 spacings"),
+    (replace(SHEET, box=(9.5, 9.0)), 2.0, "box: expected two whole multiples"),
+    (replace(SHEET, box=(4.0, 9.0)), 2.0, "box: expected two whole multiples"),
+    (replace(lattice(9, 2.0, angle=0.3), box=(9.0, 9.0)), 2.0, "box: expected a lattice along the"),
+    (Points(np.r_[CLOUD.x, FAR], [*CLOUD.interior, False], 0.0), 3.0, f"isolated.*{len(CLOUD.x)}"),
+    (CLOUD, 0.1, "horizon: expected at least the spacing"),
+    (CLOUD, np.nan, "horizon: expected a length > 0"),
+    (CLOUD, 1.6, r"no weights are exact for the families of \d+ nodes: \d+, "),
+    (CLOUD, 6.0, r"16 of 16 have not at horizon 6 Å \(nodes \d+, "),
+    (replace(periodic_cloud(7)[0], box=(5.9, 20.0)), 3.0, "box: expected two periods above 6"),
+]
+
+
+@pytest.mark.parametrize(("points", "horizon", "words"), REFUSED)
+def test_points_and_horizons_that_fit_no_families_are_refused(points, horizon, words):
     with pytest.raises(InputError, match=words):
-        families_of(points, 2.0 * max(points.spacing, 1.0))
+        families_of(points, horizon)
 
 
-@pytest.mark.parametrize("horizon", [0.99, 0.0, -1.0, np.nan, np.inf])
-def test_a_horizon_below_one_spacing_is_refused(horizon):
-    with pytest.raises(InputError, match="horizon: expected at least one spacing"):
-        bond_classes(1.0, horizon)
+@pytest.mark.parametrize("spacing", [0.0, 1.0])
+@pytest.mark.parametrize("dimension", [2, 3])
+def test_nodes_that_stand_twice_are_refused_where_points_are_made(spacing, dimension):
+    x = np.argwhere(np.ones((5,) * dimension)).astype(float)
+    for scale in (1e-9, 1.0, 1e9):
+        Points(scale * x, np.ones(len(x), bool), scale * spacing)  # near is not twice
+        more = scale * np.concatenate([x, x[[7, 3]] + 1e-12])
+        with pytest.raises(InputError, match=f"points: 2 duplicates: 3 and {len(x) + 1}, 7 and"):
+            Points(more, np.ones(len(more), bool), scale * spacing)
 
 
-@pytest.mark.parametrize("spacing", [0.0, -1.0, np.nan, np.inf])
-def test_a_spacing_that_is_none_is_refused(spacing):
-    with pytest.raises(InputError, match="spacing: expected a lattice spacing > 0"):
-        bond_classes(spacing, 3.0)
+def test_the_strain_of_known_fields():
+    points = lattice(3, 2.0, spacing=2.5, angle=0.3)
+    turn = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    u = points.x @ (turn @ np.diag([0.02, -0.05]) @ turn.T)
+    shear = (points.x @ turn)[:, 1:] * 0.04 * turn[:, 0]  # of lines: half of it along diagonals
+    far = points.x[:, 0] > points.x[points.interior, 0].max() + 1
+    cut = replace(points, outside=far)
+    for some, field, strain in (
+        (points, u, 0.05), (points, np.stack([0 * u, u]), 0.05), (points, shear, 0.02),
+        (points, 0 * u + 3.0, 0.0), (cloud(3, 2.5), cloud(3, 2.5).x * 0.1, 0.1),
+        (cut, np.where(far[:, None], 1e3, u), 0.05),
+        (Points(np.zeros((1, 2)), np.ones(1, bool), 1.0), np.ones((1, 2)), 0.0),
+    ):  # fmt: skip
+        assert largest_strain(some, field) == pytest.approx(strain)
 
 
-@pytest.mark.parametrize("box", [(9.5, 9.0), (4.0, 9.0)])
-def test_a_box_that_does_not_fit_is_refused(box):
-    points = replace(periodic((9, 9))[0], box=box)
-    with pytest.raises(InputError, match="box: expected"):
-        families_of(points, 2.0)
+def test_a_solution_strained_beyond_the_training_data_warns(tmp_path):
+    points = manufactured(kernel("1/r", 2.5), lattice(4, 2.5), 2)
+    model = fit(points, LPS(2.5, Bernstein(0))).material
+    model.save(tmp_path / "m.json")
+    assert Model.load(tmp_path / "m.json").trained_strain == model.trained_strain
+    assert model.trained_strain == pytest.approx(largest_strain(points, points.u))
+    solve(model, points, points.b, points.u)
+    with pytest.warns(UserWarning, match="strain: the solution reaches .* %, the training data"):
+        solve(model, points, 3 * points.b, 3 * points.u)
 
 
-def test_a_rotated_lattice_is_not_periodic_along_the_axes():
-    with pytest.raises(InputError, match="box: expected a lattice along the axes"):
-        families_of(replace(lattice(9, 2.0, angle=0.3), box=(9.0, 9.0)), 2.0)
+def test_a_direction_that_is_not_stated_is_x_and_said_once_for_the_same_positions():
+    points = replace(lattice(3, 2.0), axis=None)
+    with pytest.warns(UserWarning, match="axis: the model depends on direction"):
+        assert axis_of(points) == 0.0
+    assert axis_of(points) == 0.0  # no second warning
+    assert axis_of(replace(points, axis=30.0)) == pytest.approx(np.pi / 6)
