@@ -10,8 +10,6 @@ from warp_peri.materials.hyperelastic.fibres import (
     rose,
     rose_of,
     with_corners,
-    with_directions,
-    with_families,
 )
 from warp_peri.materials.hyperelastic.from_displacement import (
     DisplacementFit,
@@ -45,6 +43,4 @@ __all__ = [
     "shortest_margin",
     "uniaxial",
     "with_corners",
-    "with_directions",
-    "with_families",
 ]

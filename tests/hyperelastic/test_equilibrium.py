@@ -7,7 +7,7 @@ import pytest
 
 from tests.conformance.test_laws import hyperelastic, tissue
 from tests.support.sheets import hgo_dictionary, square, waves
-from warp_peri import Dirichlet, InputError, Samples, solve
+from warp_peri import Dirichlet, InputError, Points, Samples, solve
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
 from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, Sheet, StaticProblem
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
@@ -15,6 +15,7 @@ from warp_peri.materials.hyperelastic.placed import hyperelastic_errors, largest
 from warp_peri.solvers.equilibria import stable_way
 
 COEFFICIENTS = np.array([0.2] * 4 + [0.07, 0.08, 0.2])
+CORNERED = (Term("neo_hookean", corner=True), Term("volumetric", corner=True))
 
 
 @pytest.fixture(scope="module")
@@ -39,13 +40,6 @@ def test_a_known_equilibrium_is_found(manufactured, direct):
     assert answer.smallest_eigenvalue > 0
 
 
-def test_the_smallest_eigenvalue_is_that_of_the_matrix(manufactured):
-    op, u, _ = manufactured
-    problem = StaticProblem(op)
-    dense = np.linalg.eigvalsh(problem.pattern.matrix(problem.op, u, COEFFICIENTS).toarray())[0]
-    assert problem.smallest_eigenvalue(COEFFICIENTS, u) == pytest.approx(dense, rel=1e-2)
-
-
 @pytest.mark.parametrize("stretch", [0.9, 0.8])
 def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is(stretch):
     """The eigenvalue nearest to zero is positive here: it is not the one to tell."""
@@ -58,6 +52,8 @@ def test_the_smallest_eigenvalue_is_below_zero_where_the_tangent_is(stretch):
     assert values[0] < -100
     assert values[np.abs(values).argmin()] > 0
     assert problem.smallest_eigenvalue(c, u) == pytest.approx(values[0], rel=1e-6)
+    dense = np.linalg.eigvalsh(problem.pattern.matrix(problem.op, 0 * u, c).toarray())[0]
+    assert problem.smallest_eigenvalue(c, 0 * u) == pytest.approx(dense, rel=1e-2)
 
 
 def test_continuation_leads_where_one_step_does(manufactured):
@@ -113,10 +109,8 @@ def test_a_collar_that_is_folded_far_out_does_not_stop_a_solve():
 
 def test_a_folded_corner_of_the_collar_hides_no_residual():
     """Nothing that the interior cannot move belongs to the scale of the forces."""
-    points = square(5)
-    terms = (Term("neo_hookean", corner=True), Term("volumetric", corner=True))
-    op = HyperelasticOperator(Dictionary(3.0, terms=terms), points)
-    c = np.array([0.07, 0.08])
+    points, c = square(5), np.array([0.07, 0.08])
+    op = HyperelasticOperator(Dictionary(3.0, terms=CORNERED), points)
     u = waves(points)
     expected = StaticProblem(op).solve(c, None, u).u[points.interior]
     u[0] = u[1] + points.x[1] - points.x[0]
@@ -128,8 +122,7 @@ def test_a_folded_corner_of_the_collar_hides_no_residual():
 
 def test_a_corner_that_is_turned_over_is_no_equilibrium():
     points = square(3)
-    terms = (Term("neo_hookean", corner=True), Term("volumetric", corner=True))
-    op = HyperelasticOperator(Dictionary(3.0, terms=terms), points)
+    op = HyperelasticOperator(Dictionary(3.0, terms=CORNERED), points)
     u = np.zeros_like(points.x)
     assert op.folded(u) == 0
     u[op.interior[4]] = [-2.4 * points.spacing, 0.0]  # through its neighbour, to the other side
@@ -153,12 +146,11 @@ def test_stretches_beyond_the_training_data_warn(manufactured):
     said = f"stretch: the fields reach {reached:.4g}, the training data 1.02"
     with pytest.warns(UserWarning, match=said):
         solve(less, Dirichlet(op.points, b, u))
-    for solved in (True, False):
-        with pytest.warns(UserWarning, match=said):
-            hyperelastic_errors(less, samples, solve=solved)
+    with pytest.warns(UserWarning, match=said):
+        hyperelastic_errors(less, samples)
 
 
-@pytest.mark.parametrize("size", [1e-5, 1e-8, 1e-11, 1e-30, 1e-200])
+@pytest.mark.parametrize("size", [1e-5, 1e-11, 1e-200])
 def test_very_small_loads_and_collars_have_answers_in_proportion(size):
     """Rounding of forces, which are differences of products near one, ended in no equilibrium."""
     solid, points = hyperelastic(), tissue(9)
@@ -169,3 +161,25 @@ def test_very_small_loads_and_collars_have_answers_in_proportion(size):
         near = 1e-4 * np.abs(known).max()  # of second order in the strain
         np.testing.assert_allclose(found.u / size, known, atol=near, rtol=0)
         assert found.residual < 1e-8
+
+
+def test_lattices_have_a_band_as_wide_as_their_shorter_side_and_rough_factors_half_the_bits():
+    for sides in ((7, 40), (40, 7)):
+        steps = np.argwhere(np.ones(np.add(sides, 12), bool))
+        inside = ((steps >= 6) & (steps < np.add(sides, 6))).all(axis=1)
+        points = Points(steps, inside, 1.0)
+        problem = StaticProblem(HyperelasticOperator(hgo_dictionary(), points))
+        assert problem.pattern.width <= 2 * (6 * 7 + 7)
+        u, c = 0.01 * waves(points), np.ones(7)
+        K = problem.pattern.matrix(problem.op, u, c)
+        factors, stable = problem.factors(c, u)
+        assert stable
+        y = np.random.default_rng(0).normal(size=(K.shape[0], 2))
+        np.testing.assert_allclose(K @ factors.solve(y), y, atol=1e-10)
+        half = factors.rough()
+        np.testing.assert_allclose(half.solve(y), factors.solve(y), rtol=1e-2, atol=1e-3)
+        assert half.band.dtype == np.float32
+    assert problem.factors(-c, u) == problem.factors(c, np.nan * u) == (None, False)
+    shifted, stable = problem.factors(-c, u, shifts=True)
+    assert not stable
+    assert (y[:, 0] @ shifted.solve(y[:, 0])) > 0

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.clouds import cloud
 from tests.support.nonlinear import FORMS, psi, rotation, solid, tangent
-from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, periodic, smooth
-from warp_peri import InputError
+from tests.support.problems import AXIS, ROUNDING, difference, lattice, noise, smooth
 from warp_peri.materials.third_order import PlacedThirdOrder
 
 HORIZON = 3.0
@@ -34,24 +32,7 @@ def test_the_linear_solid_is_the_tangent_at_zero(form):
     assert np.abs(product - linear.ravel()).max() <= ROUNDING * np.abs(linear).max()
 
 
-def test_the_force_is_the_gradient_of_the_energy():
-    points, _ = periodic((7, 8))
-    model = solid("energy")
-    op, linear = PlacedThirdOrder(model, points), model.linear.on(points)
-    u = strained(points)
-    directions = noise(points, 5, seed=2)
-
-    def energy(amounts):
-        field = u + np.tensordot(amounts, directions, axes=1)
-        H, _ = op.gradients(field)
-        return psi(H, model).sum() + (field * linear(field)).sum() / 2
-
-    work = (directions * op(u)).sum(axis=(1, 2))
-    slope = difference(energy, np.zeros(5), 2e-3)
-    assert np.abs(slope - work).max() <= 1e-9 * np.abs(work).max()
-
-
-@pytest.mark.parametrize("degrees", [5.0, 17.0, 30.0, 45.0, 90.0])
+@pytest.mark.parametrize("degrees", [17.0, 90.0])
 @pytest.mark.parametrize("form", FORMS)
 def test_a_crystal_turned_on_the_same_nodes_has_the_turned_stress(form, degrees):
     """Of affine fields, at any angle, and the same energy: only short waves can differ."""
@@ -80,17 +61,11 @@ def test_tangent(form):
     op = PlacedThirdOrder(solid(form), points)
     u, toward = strained(points), noise(points, seed=3)
 
-    def force(amount):
-        return op(u + amount[0] * toward)
-
-    slope = difference(force, np.zeros(1), 1e-2)[0]
+    slope = difference(lambda amount: op(u + amount[0] * toward), np.zeros(1), 1e-2)[0]
     square = tangent(op, u)
     predicted = (square @ toward.ravel()).reshape(-1, 2)
     assert np.abs(slope - predicted).max() <= DIFFERENCES * np.abs(slope).max()
     assert np.abs(op.product(u, toward) - predicted).max() <= 1e-12 * np.abs(slope).max()
-    w = noise(points, seed=4)[points.interior]
-    back = (square.T @ w.ravel()).reshape(-1, 2)
-    assert np.abs(op.product_transpose(u, w) - back).max() <= 1e-12 * np.abs(back).max()
     inside = square[:, np.repeat(points.interior, 2)].toarray()
     asymmetry = np.abs(inside - inside.T).max() / np.abs(inside).max()
     assert asymmetry <= 1e-14 if form == "energy" else asymmetry > 1e-5
@@ -138,16 +113,3 @@ def test_clipping_projects_the_gradient():
     v = np.where(points.interior[:, None], noise(points, seed=3), 0.0)
     work = (gap * op.gradients(v)[0]).sum()  # the weights of both sides are the same
     assert (moved * v[points.interior]).sum() == pytest.approx(work, rel=1e-5)
-
-
-def test_what_is_refused():
-    model = solid("energy")
-    with pytest.raises(InputError, match="a third-order crystal is for lattices"):
-        PlacedThirdOrder(model, cloud(2, HORIZON))
-    with pytest.raises(InputError, match="for 1, the points have 2, and transfer=False"):
-        PlacedThirdOrder(model, lattice(2, HORIZON, spacing=2.0), transfer=False)
-    points = lattice(2, HORIZON)
-    placed = PlacedThirdOrder(model, points)
-    for u in (points.x[:-1], points.x[None, :0], np.zeros((0, *points.x.shape))):
-        with pytest.raises(InputError, match=r"u: expected float64 of shape \[S, 196, 2\]"):
-            placed(u)

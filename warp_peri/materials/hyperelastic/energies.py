@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import numpy as np
@@ -13,6 +13,7 @@ import torch
 
 from warp_peri.contract import taken
 from warp_peri.core.record import Entry, Length, Record
+from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.points.unit_names import USUAL, Units, shown_moduli, symbols
 
@@ -21,6 +22,10 @@ if TYPE_CHECKING:  # the operator stands above its numbers
     from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
     from warp_peri.materials.hyperelastic.placed import PlacedSheet
     from warp_peri.points.samples import PointsLike, Samples
+
+
+half_family = cache(partial(half_ball, dimension=2))
+"""One bond of each pair ±ξ in lattice steps, by length, of a reach in spacings, shape [C, 2]."""
 
 
 class Strain:
@@ -360,21 +365,6 @@ class HyperelasticSolid(Record, format="warp_peri.hyperelastic"):
     def horizon(self) -> float:
         """δ on the lattice it was learned on [length]."""
         return self.dictionary.reach * self.spacing
-
-
-@cache
-def half_family(reach: float) -> np.ndarray:
-    """One bond of each pair ±ξ in lattice steps, by length, shape [C, 2]; read only."""
-    size = int(np.floor(reach + 1e-9))
-    a, b = np.meshgrid(*2 * [np.arange(-size, size + 1)], indexing="ij")
-    steps = np.stack([a.ravel(), b.ravel()], axis=1)
-    square = (steps**2).sum(axis=1)
-    upper = (steps[:, 0] > 0) | ((steps[:, 0] == 0) & (steps[:, 1] > 0))
-    kept = steps[upper & (square <= reach**2 + 1e-9)]
-    order = np.lexsort((kept[:, 1], kept[:, 0], (kept**2).sum(axis=1)))
-    family: np.ndarray = kept[order]
-    family.flags.writeable = False
-    return family
 
 
 def strain_weights(reach: float, order: int, *, locality: float = 16.0) -> np.ndarray:

@@ -2,131 +2,80 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import lsq_linear, nnls
+from scipy.optimize import lsq_linear
 
+from warp_peri.core.stencil import laplacian
 from warp_peri.errors import InputError
 from warp_peri.fitting.regression import least_squares_above
+from warp_peri.fitting.rows import compressed, load_sizes
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid
 from warp_peri.materials.hyperelastic.operator import HyperelasticOperator
 from warp_peri.materials.hyperelastic.placed import largest_stretch
+from warp_peri.points.arrays import checked
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples
 
 WAVES = 8
 """Wave numbers along each half axis of the zone."""
-STEP = 1e-6
-"""Of the differences that make the stencil [spacing]."""
-AT_REST = 1 - 1e-5
-"""Stretch that stands for rest: fibres are just slack there, which is the softer side."""
-
-
-@dataclass(frozen=True, eq=False)
-class UniformTangents:
-    """Stencils of every energy in some uniform strains.
-
-    Attributes:
-        stencils: force on every offset, by direction, when the centre moves along another, for
-            every energy with coefficient one [1/length²], shape [F, R, 2, 2, K].
-        waves: cosines of every wave at every offset over the Laplacian's symbol, shape [Q, R].
-    """
-
-    stencils: np.ndarray
-    waves: np.ndarray
-
-    @classmethod
-    def of(cls, dictionary: Dictionary, spacing: float, strains: np.ndarray) -> UniformTangents:
-        """Stencils in strains, given as deformation gradients of shape [F, 2, 2].
-
-        Raises InputError for arrays of another shape or without strains, gradients that are not
-        finite or of no positive determinant, and strains in which an energy is no number.
-        """
-        if np.ndim(strains) != 3 or np.shape(strains)[1:] != (2, 2) or not len(strains):
-            raise InputError(
-                f"strains: expected shape [F, 2, 2] with F > 0, got {list(np.shape(strains))}"
-            )
-        if not np.isfinite(strains).all():
-            raise InputError("strains: expected finite numbers")
-        if not (np.linalg.det(strains) > 0).all():
-            raise InputError("strains: expected determinants > 0")
-        reach = int(dictionary.reach)
-        inner = max(2 * reach, 5)  # two bonds, or three short ones of which one may be of two steps
-        side = np.arange(-inner - 2 * reach, inner + 2 * reach + 1)
-        steps = np.stack(np.meshgrid(side, side, indexing="ij"), axis=-1).reshape(-1, 2)
-        inside: np.ndarray = np.abs(steps).max(axis=1) <= inner
-        op = HyperelasticOperator(dictionary, Points(spacing * steps, inside, spacing))
-        centre = np.flatnonzero((steps == 0).all(axis=1))[0]
-        size = STEP * spacing
-        u = op.points.x @ (np.asarray(strains) - np.eye(2)).swapaxes(1, 2)
-        u = np.tile(u[:, None, None], (1, 2, 2, 1, 1))  # along an axis, ahead and back
-        for axis, end in np.ndindex(2, 2):
-            u[:, axis, end, centre, axis] += (1 - 2 * end) * size
-        forces = op.features(u.reshape(-1, *op.points.x.shape))
-        forces = forces.reshape(len(strains), 2, 2, *forces.shape[1:])
-        stencils = ((forces[:, :, 0] - forces[:, :, 1]) / (2 * size)).transpose(0, 2, 3, 1, 4)
-        for F, stencil in zip(strains, stencils):
-            if not np.isfinite(stencil).all():
-                raise InputError(f"strains: expected energies that are numbers at F = {F.tolist()}")
-        k = zone(WAVES)
-        laplace = (4 * np.sin(k / 2) ** 2).sum(axis=1) / spacing**2
-        return cls(stencils, np.cos(k @ steps[inside].T) / laplace[:, None])
-
-    def lowest(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Smaller eigenvalue of the symbol over the Laplacian's, and its direction.
-
-        Returns:
-            Ratios [stress], shape [F, Q], and unit vectors, shape [F, Q, 2].
-        """
-        tangent = np.einsum("frabk,k->frab", self.stencils, c)
-        symbol = np.einsum("qr,frab->fqab", self.waves, tangent, optimize=True)
-        values, vectors = np.linalg.eigh((symbol + symbol.swapaxes(2, 3)) / 2)
-        least: np.ndarray = values[..., 0]
-        return least, vectors[..., 0]
-
-    def row(self, strain: int, wave: int, direction: np.ndarray) -> np.ndarray:
-        """The ratio of one wave for every energy with coefficient one, shape [K]."""
-        whole: np.ndarray = np.einsum(
-            "r,rabk,a,b->k", self.waves[wave], self.stencils[strain], direction, direction
-        )
-        return whole
+STRAINS = 60
+"""Uniform strains in which a fit may be asked to be stable."""
+ROUNDS, WORST = 60, 3
+"""Of cuts, and waves of a strain that join in one."""
+ROUNDING = 1e-7
+"""Of the largest scaled coefficient: what is nearer to a bound is put on it."""
+SLACK = 0.02
+"""Part of the margin that may be missing at the end."""
+RIDGE = 1e-9
+"""Of the squared length of the scaled coefficients, relative to the data."""
+NONE = np.zeros((0, 1))
 
 
 def zone(count: int) -> np.ndarray:
     """Wave vectors of half a Brillouin zone, without zero, times the spacing, shape [Q, 2]."""
-    line = np.linspace(-np.pi, np.pi, 2 * count + 1)
-    k = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    half: np.ndarray = (k[:, 0] > 1e-9) | ((np.abs(k[:, 0]) <= 1e-9) & (k[:, 1] > 1e-9))
-    vectors: np.ndarray = k[half]
-    return vectors
+    steps = np.argwhere(np.ones((2 * count + 1, 2 * count + 1))) - count  # ξ, 0, −ξ in order
+    return np.asarray(steps[len(steps) // 2 + 1 :] * np.pi / count)
 
 
-def strains_of(op: HyperelasticOperator, samples: Samples, count: int) -> np.ndarray:
-    """Strains that the samples hold, as far apart as `count` can be, and rest.
+def wave_ratios(dictionary: Dictionary, spacing: float, strains: np.ndarray) -> np.ndarray:
+    """Symbols of every energy's tangent in uniform strains, over the Laplacian's (H20).
 
-    Logarithmic strains of all nodes with a whole family; each is the one furthest from those
-    before it, beginning at rest. For rest stands a stretch of AT_REST: at the kink of a fibre's
-    energy a tangent by differences is half as stiff as a taut fibre's, and a slack one has none.
+    Args:
+        dictionary: of the energies.
+        spacing: of the lattice [length].
+        strains: deformation gradients, shape [F, 2, 2].
 
     Returns:
-        Stretch tensors U, F = R U, shape [count + 1, 2, 2]; fewer where fewer nodes have a strain.
+        Of the waves of `zone`, with coefficient one, shape [F, Q, 2, 2, K].
+
+    Raises InputError for arrays of another shape or without strains, gradients that are not finite
+    or of no positive determinant, and strains in which an energy is no number.
     """
-    E = op.strain(samples.u)[:, op.sites().pair[0]].reshape(-1, 3)
-    C = np.stack([1 + 2 * E[:, 0], E[:, 2], E[:, 2], 1 + 2 * E[:, 1]], axis=1).reshape(-1, 2, 2)
-    squares, axes = np.linalg.eigh(C)
-    kept = squares[:, 0] > 0
-    squares, axes = squares[kept], axes[kept]
-    logs = np.einsum("nij,nj,nkj->nik", axes, 0.5 * np.log(squares), axes).reshape(-1, 4)
-    far = (logs**2).sum(axis=1)
-    chosen = []
-    for _ in range(min(count, len(far))):
-        chosen.append(int(np.argmax(far)))
-        far = np.minimum(far, ((logs - logs[chosen[-1]]) ** 2).sum(axis=1))
-    U = np.einsum("nij,nj,nkj->nik", axes[chosen], np.sqrt(squares[chosen]), axes[chosen])
-    return np.concatenate([AT_REST * np.eye(2)[None], U])
+    strains = checked("strains", strains, float, ("F > 0", 2, 2))
+    if not (len(strains) and (np.linalg.det(strains) > 0).all()):
+        raise InputError("strains: expected F > 0 of them, with determinants > 0")
+    reach = int(dictionary.reach)
+    inner = max(2 * reach, 5)  # two bonds, or three short ones of which one may be of two steps
+    outer = inner + 2 * reach
+    steps = np.argwhere(np.ones((2 * outer + 1, 2 * outer + 1))) - outer
+    inside = np.abs(steps).max(axis=1) <= inner
+    op = HyperelasticOperator(dictionary, Points(spacing * steps, inside, spacing))
+    u = np.repeat(op.points.x @ (strains - np.eye(2)).swapaxes(1, 2), 2, axis=0)
+    v = np.zeros_like(u)
+    v.reshape(-1, 2, *steps.shape)[:, :, len(steps) // 2] = np.eye(2)
+    pulls = [op.product(u, c, v)[:, inside] for c in np.eye(len(dictionary))]
+    stencils = np.stack(pulls, axis=-1).reshape(len(strains), 2, inside.sum(), 2, -1)
+    if not np.isfinite(stencils).all():
+        F = strains[np.argwhere(~np.isfinite(stencils))[0, 0]]
+        raise InputError(f"strains: expected energies that are numbers at F = {F.tolist()}")
+    k = zone(WAVES)
+    waves = np.cos(k @ steps[inside].T) * (spacing**2 / laplacian(k))[:, None]
+    symbols = np.einsum("qr,fbrak->fqabk", waves, stencils, optimize=True)
+    return np.asarray((symbols + symbols.swapaxes(2, 3)) / 2)
 
 
 def shortest_margin(solid: HyperelasticSolid, strains: np.ndarray) -> np.ndarray:
@@ -138,113 +87,84 @@ def shortest_margin(solid: HyperelasticSolid, strains: np.ndarray) -> np.ndarray
         solid: of the lattice it was learned on.
         strains: deformation gradients, shape [F, 2, 2].
 
-    Raises InputError as UniformTangents.of.
+    Raises InputError as wave_ratios.
     """
-    tangents = UniformTangents.of(solid.dictionary, solid.spacing, strains)
-    least: np.ndarray = tangents.lowest(solid.coefficients)[0].min(axis=1)
-    return least
+    ratios = wave_ratios(solid.dictionary, solid.spacing, strains) @ solid.coefficients
+    return np.asarray(np.linalg.eigvalsh(ratios)[..., 0].min(axis=1))
 
 
-ROUNDS = 60
-"""Of cuts."""
-WORST = 3
-"""Waves of a strain that join in one round."""
-ROUNDING = 1e-7
-"""Of the largest scaled coefficient: what is nearer to a bound is put on it."""
-SLACK = 0.02
-"""Part of the margin that may be missing at the end."""
+def strains_of(op: HyperelasticOperator, samples: Samples, count: int) -> np.ndarray:
+    """Strains that the samples hold, as far apart as `count` can be, and rest.
+
+    Logarithmic strains of all nodes with a whole family; each is the one furthest from those
+    before it, beginning at rest.
+
+    Returns:
+        Stretch tensors U, F = R U, shape [count + 1, 2, 2]; fewer where fewer nodes have a strain.
+    """
+    x, y, shear = op.strain(samples.u)[:, op.patch().pair[0]].reshape(-1, 3).T
+    C = np.stack([1 + 2 * x, shear, shear, 1 + 2 * y], axis=1).reshape(-1, 2, 2)
+    squares, axes = np.linalg.eigh(C)
+    squares, axes = squares[squares[:, 0] > 0], axes[squares[:, 0] > 0]
+    logs = np.einsum("nij,nj,nkj->nik", axes, 0.5 * np.log(squares), axes)
+    far, chosen = (logs**2).sum(axis=(1, 2)), list[int]()
+    for _ in range(min(count, len(far))):
+        chosen.append(int(np.argmax(far)))
+        far = np.minimum(far, ((logs - logs[chosen[-1]]) ** 2).sum(axis=(1, 2)))
+    U = np.einsum("nij,nj,nkj->nik", axes[chosen], np.sqrt(squares[chosen]), axes[chosen])
+    return np.concatenate([np.eye(2)[None], U])
 
 
 def stable_coefficients(
-    A: np.ndarray,
+    R: np.ndarray,
     y: np.ndarray,
-    tangents: UniformTangents,
+    ratios: np.ndarray,
     margin: float,
     *,
-    scale: np.ndarray,
-    lower: np.ndarray | None = None,
+    lower: np.ndarray,
+    ridge: float = RIDGE,
 ) -> tuple[np.ndarray, float]:
-    """The c of least |A c − y| that is stable on the sampled strains and waves, with c ≥ lower.
+    """The c of least |R c − y| that is stable on the sampled strains and waves, with c ≥ lower.
 
     Args:
-        A: of full column rank, in coefficients times `scale`, shape [M, K].
+        R: shape [M, K].
         y: shape [M].
-        tangents: of the strains.
-        margin: least eigenvalue of the symbol of a wave over the Laplacian's, > 0 [stress].
-        scale: of the coefficients, shape [K].
+        ratios: of strains and waves, shape [F, Q, 2, 2, K].
+        margin: least eigenvalue of a wave's ratio, > 0 [stress].
         lower: bounds, −∞ where there is none, shape [K].
+        ridge: as of fit_energy.
 
     Returns:
-        The coefficients, and the least ratio that they leave, at least 1 − SLACK of the margin.
+        The coefficients, and the least eigenvalue that they leave, at least 1 − SLACK of the
+        margin.
 
     Raises InputError for a margin that is not positive and finite, or that no coefficients reach.
     """
     if not 0 < margin < np.inf:
         raise InputError(f"stable: expected a finite margin > 0, got {margin}")
-    K = A.shape[1]
-    if not np.diag(np.asarray(np.linalg.qr(A, mode="r"))).all():
-        raise InputError("stable: expected equations of full rank, or a ridge > 0")
-    least = np.full(K, -np.inf) if lower is None else lower
-    bounded = np.flatnonzero(np.isfinite(least))
-    G, h = np.eye(K)[bounded], (least * scale)[bounded]
+    scale, K = lengths(R), R.shape[1]
+    A = np.concatenate([R / scale, np.sqrt(ridge) * np.eye(K)])
+    bounded = np.isfinite(lower)
+    G, h = np.eye(K)[bounded], (lower * scale)[bounded]
     for _ in range(ROUNDS):
         try:
-            c = least_squares_above(A, y, G, h) / scale
+            c = least_squares_above(A, np.append(y, np.zeros(K)), G, h) / scale
         except InputError:
-            raise InputError(f"stable: no coefficients reach the margin {margin:g}") from None
-        near = (c - least) * scale < ROUNDING * np.abs(c * scale).max()
-        c = np.where(near, least, c)
-        ratios, directions = tangents.lowest(c)
-        if ratios.min() >= (1 - SLACK) * margin:
-            return c, float(ratios.min())
-        cuts = [
-            tangents.row(n, q, directions[n, q])
-            for n, of_waves in enumerate(ratios)
-            for q in np.argsort(of_waves)[:WORST]
-            if of_waves[q] < (1 - SLACK / 2) * margin
-        ]
-        G = np.concatenate([G, np.array(cuts) / scale])
-        h = np.concatenate([h, np.full(len(cuts), margin)])
+            why = f"no coefficients reach the margin {margin:g}, or the equations lack full rank"
+            raise InputError(f"stable: {why}") from None
+        near = (c - lower) * scale < ROUNDING * np.abs(c * scale).max()
+        c = np.where(near, lower, c)
+        values, vectors = np.linalg.eigh(ratios @ c)
+        if (least := values[..., 0]).min() >= (1 - SLACK) * margin:
+            return c, float(least.min())
+        worst = np.argsort(least, axis=1)[:, :WORST].ravel()
+        strain = np.repeat(np.arange(len(least)), min(WORST, least.shape[1]))
+        low = least[strain, worst] < (1 - SLACK / 2) * margin
+        at = strain[low], worst[low]
+        a = vectors[..., 0][at]
+        cuts = np.einsum("nabk,na,nb->nk", ratios[at], a, a) / scale
+        G, h = np.concatenate([G, cuts]), np.append(h, np.full(len(cuts), margin))
     raise InputError(f"stable: no coefficients of margin {margin:g} after {ROUNDS} rounds of cuts")
-
-
-ROWS = 4096
-"""Equations that are factored at once."""
-STRAINS = 60
-"""Uniform strains in which a fit may be asked to be stable."""
-RIDGE = 1e-9
-"""Of the squared length of the scaled coefficients, relative to the data."""
-
-
-@dataclass(frozen=True, eq=False)
-class Equations:
-    """The equations of all samples, each divided by its load, reduced to one triangle (H11).
-
-    Attributes:
-        R: triangular factor of the forces of single energies, shape [K, K].
-        y: the loads on its rows, shape [K].
-        rest: what no coefficients can explain: squared, per sample.
-    """
-
-    R: np.ndarray
-    y: np.ndarray
-    rest: float
-
-    @property
-    def scale(self) -> np.ndarray:
-        """Length of each column; one where it is zero."""
-        length = np.linalg.norm(self.R, axis=0)
-        return np.where(length > 0, length, 1.0)
-
-
-def triangle(blocks: Iterable[np.ndarray]) -> np.ndarray:
-    """Triangular factor of rows that come in blocks, shape [at most K, K]."""
-    stack: Any = None
-    for rows in blocks:
-        stack = rows if stack is None else np.concatenate([stack, rows])
-        if len(stack) > ROWS:
-            stack = np.linalg.qr(stack, mode="r")
-    return np.asarray(np.linalg.qr(stack, mode="r"))
 
 
 def columns(
@@ -263,38 +183,29 @@ def columns(
 
 def equations(
     op: HyperelasticOperator, samples: Samples, moving: Sequence[int] = (), c: Any = None
-) -> Equations:
-    """Forces by the `columns` and loads of all samples, factored as they come.
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and y of the `columns` and loads, each sample over its load, in few rows (H11).
 
-    Raises InputError where there are no samples, or one without load.
+    ‖R c − y‖ is the root of the mean squared relative residual. Raises InputError where there are
+    no samples, or one without load.
     """
-    if len(samples) == 0:
-        raise InputError("samples: expected at least one, got none")
-    K = len(op.dictionary) + 2 * len(moving)
-    loads = samples.loads[:, op.interior].reshape(len(samples), -1, 1)
-    sizes = np.linalg.norm(loads, axis=1)[:, 0]
-    if not sizes.all():
+    sizes = load_sizes(samples) * np.sqrt(len(samples))
+    if not (len(samples) and sizes.all()):
         raise InputError(
-            "samples: expected a load on the interior of each, got one without; "
+            "samples: expected some, and a load on the interior of each, got one without; "
             "without loads learn from displacement alone"
         )
-    factor = triangle(
-        np.concatenate([columns(op, u, moving, c), b], axis=1) / size
-        for u, b, size in zip(samples.u, loads, sizes)
-    ) / np.sqrt(len(samples))
-    wide = np.zeros((K + 1, K + 1))
-    wide[: len(factor)] = factor
-    return Equations(wide[:K, :K], wide[:K, K], float(wide[K, K] ** 2))
+    R, y = np.zeros((0, len(op.dictionary) + 2 * len(moving))), np.zeros(0)
+    for u, b, size in zip(samples.u, samples.loads[:, op.interior], sizes):
+        R = np.concatenate([R, columns(op, u, moving, c) / size])
+        R, y = compressed(R, np.append(y, b / size))
+    return R, y
 
 
-def weighed(system: Equations, ridge: float) -> tuple[np.ndarray, np.ndarray]:
-    """Matrix and right side in coefficients times the scale, with the ridge below."""
-    K = len(system.y)
-    A = np.concatenate([system.R / system.scale, np.sqrt(ridge) * np.eye(K)])
-    return A, np.concatenate([system.y, np.zeros(K)])
-
-
-NONE = np.zeros((0, 1))
+def lengths(R: np.ndarray) -> np.ndarray:
+    """Length of each column; one where it is zero."""
+    length = np.linalg.norm(R, axis=0)
+    return np.where(length > 0, length, 1.0)
 
 
 def between(
@@ -305,36 +216,19 @@ def between(
     Steps from `now` are damped as Levenberg does, but for the products of x with the rows `held`,
     which stay about what they are.
     """
-    length = np.linalg.norm(J, axis=0)
-    length[length == 0] = 1.0
+    length = lengths(J)
     A = np.concatenate([J / length, np.sqrt(damping) * np.eye(len(now)), held / length])
     y = np.concatenate([y, np.sqrt(damping) * length * now, (held * now).sum(axis=1)])
     x = lsq_linear(A, y, [bound * length for bound in bounds], method="bvls").x / length
-    return np.asarray(x)
+    return np.asarray(np.clip(x, *bounds))
 
 
-def least_squares(
-    system: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
+def coefficients(
+    R: np.ndarray, y: np.ndarray, lower: np.ndarray, ridge: float = RIDGE
 ) -> np.ndarray:
-    """Coefficients of any sign, or not below `lower` (−∞ where there is no bound), shape [K]."""
-    if lower is not None:
-        return between(system.R, system.y, 0 * lower, (lower, np.full(len(lower), np.inf)), ridge)
-    A, y = weighed(system, ridge)
-    return np.asarray(np.linalg.lstsq(A, y, rcond=None)[0] / system.scale)
-
-
-def non_negative(
-    system: Equations, *, lower: np.ndarray | None = None, ridge: float = RIDGE
-) -> np.ndarray:
-    """Coefficients not below `lower`, zero where none is given, shape [K] (Lawson and Hanson)."""
-    least = np.zeros(len(system.y)) if lower is None else lower
-    A, y = weighed(replace(system, y=system.y - system.R @ least), ridge)
-    return np.asarray(least + nnls(A, y, maxiter=50 * len(least))[0] / system.scale)
-
-
-def residual(system: Equations, c: np.ndarray) -> float:
-    """Root of the mean squared relative residual over the samples."""
-    return float(np.sqrt(((system.R @ c - system.y) ** 2).sum() + system.rest))
+    """The c ≥ lower (−∞ where there is no bound) of least ‖R c − y‖, shape [K]."""
+    start, most = np.where(np.isfinite(lower), lower, 0.0), np.full(len(lower), np.inf)
+    return between(R, y, start, (lower, most), ridge)
 
 
 @dataclass(frozen=True, eq=False)
@@ -386,41 +280,28 @@ def fit_energy(
     if positive and not dictionary.guaranteed:
         raise InputError("positive: expected energies that are convex and stress-free at rest only")
     op = HyperelasticOperator(dictionary, samples)
-    system = equations(op, samples)
-    lower, margin = (lower_bounds if positive else deviations_only)(dictionary, stiffness), None
-    if stable is not None:
-        tangents = UniformTangents.of(dictionary, samples.spacing, strains_of(op, samples, STRAINS))
-        c, margin = stable_coefficients(
-            *weighed(system, ridge), tangents, stable, scale=system.scale, lower=lower
-        )
+    (R, y), margin = equations(op, samples), None
+    lower = lower_bounds(dictionary, stiffness, 0.0 if positive else -np.inf)
+    if stable is None:
+        c = coefficients(R, y, lower, ridge)
     else:
-        solver = non_negative if positive else least_squares
-        c = solver(system, lower=lower, ridge=ridge)
-    solid = HyperelasticSolid(
-        dictionary, c, samples.spacing, largest_stretch(op, samples.u), units=samples.points.units
-    )
-    return EnergyFit(solid, residual(system, c), positive, margin)
+        ratios = wave_ratios(dictionary, samples.spacing, strains_of(op, samples, STRAINS))
+        c, margin = stable_coefficients(R, y, ratios, stable, lower=lower, ridge=ridge)
+    stretch, units = largest_stretch(op, samples.u), samples.points.units
+    solid = HyperelasticSolid(dictionary, c, samples.spacing, stretch, units=units)
+    return EnergyFit(solid, float(np.linalg.norm(R @ c - y)), positive, margin)
 
 
-def lower_bounds(dictionary: Dictionary, stiffness: float) -> np.ndarray:
-    """Least coefficients: `stiffness` for what keeps hourglasses away, zero for the rest.
+def lower_bounds(dictionary: Dictionary, stiffness: float, others: float = 0.0) -> np.ndarray:
+    """Least coefficients: `stiffness` for what keeps hourglasses away, `others` for the rest.
 
     Shape [K] [stress]. Raises InputError for a stiffness that is negative or not finite.
     """
     if not 0 <= stiffness < np.inf:
         raise InputError(f"stiffness: expected a finite number ≥ 0, got {stiffness}")
-    lower = np.zeros(len(dictionary))
-    first, last = dictionary.first_deviation, dictionary.first_term
-    if last > first:
-        lower[first:last] = stiffness
-    else:
-        lower[: 4 * len(dictionary.bonds) : max(1, len(dictionary.bonds))] = stiffness
+    lower = np.full(len(dictionary), others)
+    first, last, bonds = dictionary.first_deviation, dictionary.first_term, len(dictionary.bonds)
+    lower[first:last] = stiffness or others
+    if last == first and bonds and others == 0:
+        lower[: 4 * bonds : bonds] = stiffness
     return lower
-
-
-def deviations_only(dictionary: Dictionary, stiffness: float) -> np.ndarray | None:
-    """Lower bounds for the deviations alone, shape [K]; None where there is none."""
-    least = lower_bounds(dictionary, stiffness)
-    places = np.arange(len(dictionary))
-    held = (places >= dictionary.first_deviation) & (places < dictionary.first_term) & (least > 0)
-    return np.where(held, least, -np.inf) if held.any() else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,9 +12,9 @@ from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.sparse.linalg import LinearOperator, eigsh, splu
 
 from warp_peri.errors import InputError, warn
-from warp_peri.materials.hyperelastic.energies import Term
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
 from warp_peri.points.arrays import checked_fields
+from warp_peri.points.lattice import neighbour_table
 from warp_peri.solvers.direct import lanczos_start, smallest_eigenvalue
 from warp_peri.solvers.equilibria import Inner, direction, stable_way
 
@@ -41,6 +40,10 @@ class BandFactors:
         x[self.order] = cho_solve_banded((self.band, True), given, check_finite=False)
         return x
 
+    def inverse(self, r: np.ndarray) -> np.ndarray:
+        """The same of a residual [I, 2]."""
+        return self.solve(r.ravel()).reshape(r.shape)
+
     def rough(self) -> BandFactors:
         """The same in half the memory, for fields near by."""
         return BandFactors(self.band.astype(np.float32), self.order)
@@ -52,9 +55,9 @@ class TangentPattern:
     Attributes:
         half: places of the nodes in a row, 0 and one of each ±, by lattice steps.
         row: of every node, the number of interior nodes I for those of the collar, shape [N].
-        taken: places in blocks [half, 2, 2, I] that are entries of the matrix, row by row.
-        columns: their columns.
-        ends: where rows begin among them.
+        taken: places in blocks [half, 2, 2, I] of the entries of half of the matrix.
+        places: their rows and columns.
+        doubled: which of them stand on blocks of the diagonal, where both halves do.
         order: of the unknowns in a band that is narrow, by lines of nodes along the shorter side.
         width: number of its diagonals.
     """
@@ -63,37 +66,30 @@ class TangentPattern:
         bonds, interior, inside = op.bonds, op.interior, len(op.interior)
         family = np.concatenate([0 * bonds.steps[:1], bonds.steps])
         steps = np.unique((family[:, None] + family).reshape(-1, 2), axis=0)
-        middle = len(steps) // 2  # they are in order, ξ before 0 before −ξ
+        steps = steps[len(steps) // 2 :]  # they are in order, ξ before 0 before −ξ
+        self.half = {tuple(step): n for n, step in enumerate(steps.tolist())}
         number = np.full(len(bonds.grid) + 1, inside)  # the last is of no node
         number[interior] = np.arange(inside)
-        far = number[bonds.beside(steps)[:, interior]]
-        which, row = np.nonzero(far < inside)
-        column, turned = far[which, row], (which < middle)[:, None, None]
-        a, b = np.indices((2, 2))
-        block = 4 * np.abs(which - middle)[:, None, None] + np.where(turned, 2 * b + a, 2 * a + b)
-        taken = inside * block + np.where(turned[:, 0, 0], column, row)[:, None, None]
-        rows, columns = ((2 * n[:, None, None] + k).ravel() for n, k in ((row, a), (column, b)))
-        sorting = np.lexsort((columns, rows))
-        self.ends = np.searchsorted(rows[sorting], np.arange(2 * inside + 1)).astype(np.int32)
-        self.taken, self.columns = taken.ravel()[sorting], columns[sorting].astype(np.int32)
-        self.half = {tuple(step): n for n, step in enumerate(steps[middle:].tolist())}
         self.row = number[:-1]
+        far = number[neighbour_table(bonds.grid, steps)[interior]].T
+        which, row = np.nonzero(far < inside)
+        a, b = np.indices((2, 2)).reshape(2, 4, 1)
+        self.taken = inside * (4 * which + 2 * a + b) + row
+        self.places = 2 * row + a, 2 * far[which, row] + b
+        self.doubled = which == 0
         inner = bonds.grid[interior]
         shorter = int(np.argmin(np.ptp(inner, axis=0)))
         nodes = np.lexsort((inner[:, shorter], inner[:, 1 - shorter]))
-        self.order = np.stack([2 * nodes, 2 * nodes + 1], axis=1).ravel()
-        place = np.argsort(self.order).astype(np.int32)
-        across, diagonal = np.repeat(place, np.diff(self.ends)), place[self.columns]
-        diagonal = diagonal - across
-        self._below = np.flatnonzero(diagonal >= 0)
-        self._at = diagonal[self._below], across[self._below]
+        self.order = (2 * nodes[:, None] + [0, 1]).ravel()
+        ends = np.sort(np.argsort(self.order)[np.stack(self.places)], axis=0)
+        self._at = ends[1] - ends[0], ends[0]
         self.width = int(self._at[0].max()) + 1
 
     def matrix(self, op: HyperelasticOperator, u: np.ndarray, c: np.ndarray) -> sp.csc_matrix:
         """K between interior nodes at a field u of shape [N, 2], (H10), shape [2 I, 2 I]."""
-        size = len(self.ends) - 1
-        entries = self._blocks(op, u, c).ravel()[self.taken]  # symmetric: rows stand for columns
-        return sp.csc_matrix((entries, self.columns, self.ends), shape=(size, size))
+        entries = np.where(self.doubled, 0.5, 1.0) * self._blocks(op, u, c).ravel()[self.taken]
+        half = sp.coo_matrix((entries.ravel(), [each.ravel() for each in self.places]))
+        return (half + half.T).tocsc()
 
     def factors(
         self, op: HyperelasticOperator, u: np.ndarray, c: np.ndarray, shifts: bool = False
@@ -103,7 +99,7 @@ class TangentPattern:
         With shifts of it and a multiple of one that is enough, where it is not.
         """
         band = np.zeros((self.width, len(self.order)), order="F")
-        band[self._at] = self._blocks(op, u, c).ravel()[self.taken[self._below]]
+        band[self._at] = self._blocks(op, u, c).ravel()[self.taken]
         diagonal = band[0].copy()
         for shift in (0.0, *SHIFTS) if shifts else (0.0,):
             band[0] = diagonal + shift * np.abs(diagonal).max()
@@ -119,7 +115,7 @@ class TangentPattern:
         K, axis = np.zeros((len(self.half), 2, 2, len(inside))), np.arange(2)
         tension, Y, curved = op.curvatures(u, c)
         K[0, axis, axis] = abs(op.bonds.ends[inside]) @ tension
-        for k, step in enumerate(op.bonds.steps[: op.bonds.classes].tolist()):
+        for k, step in enumerate(op.bonds.steps[: len(op.bonds.steps) // 2].tolist()):
             K[self.half[tuple(step)], axis, axis] = -tension[op.bonds.number[inside, k]]
         for patch, H in curved:
             count = H.shape[-1]
@@ -197,6 +193,12 @@ class StaticProblem:
         lifted[self.op.interior] = self.laplace(-(self._to_collar @ u))
         return lifted
 
+    def of(self, op: HyperelasticOperator) -> StaticProblem:
+        """The same lattice with other energies or thickness; what is built once is shared."""
+        other = copy(self)
+        other.op = op
+        return other
+
     def solve(
         self, c: np.ndarray, b: np.ndarray | None, u: np.ndarray, *, start: np.ndarray | None = None
     ) -> Equilibrium:
@@ -249,26 +251,13 @@ class StaticProblem:
             known = None if start is None else times * start
             larger = self.find(c, None if b is None else times * b, times * u, start=known)
             return larger and replace(larger, u=larger.u / times)
-        inverse = None if near is None else sheet.by(near)
+        inverse = None if near is None else near.inverse
         found, steps, parts, followed = stable_way(sheet, start, inverse, self.tolerance)
         if found is None:
             return None
         left, scale = sheet.left(found)
         residual = float(np.abs(left).max() / scale)
         return Equilibrium(found, residual, np.nan, steps, parts, followed)
-
-    def with_terms(self, terms: Sequence[Term]) -> StaticProblem:
-        """The same lattice with other strain energies; what is built once is shared."""
-        return self._with(self.op.with_terms(terms))
-
-    def with_thickness(self, thickness: np.ndarray | None) -> StaticProblem:
-        """The same lattice with another thickness of every node, shape [N]."""
-        return self._with(self.op.with_thickness(thickness))
-
-    def _with(self, op: HyperelasticOperator) -> StaticProblem:
-        other = copy(self)
-        other.op = op
-        return other
 
     def factors(self, c: np.ndarray, u: np.ndarray, shifts: bool = False) -> Any:
         """As TangentPattern.factors."""
@@ -282,18 +271,21 @@ class StaticProblem:
         Where it is not factorised: its smallest ratio to the Laplacian's quadratic form, times the
         Laplacian's smallest eigenvalue. That has the same sign and, where positive, is not larger.
         """
-        size, shape = 2 * len(self.op.interior), (-1, 2)
+        shape = 2 * (2 * len(self.op.interior),)
         if self.pattern is not None:
             factors = self.factors(c, u)[0]
             if factors is None:  # what is nearest to zero need not be the smallest
                 return smallest_eigenvalue(self.pattern.matrix(self.op, u, c))
-            return _softest(size, factors.solve, 1e-3)
+            return _softest(shape[0], factors.solve, 1e-3)
         sheet = Sheet(self, c, np.zeros((1, 2)), u)
-        product = lambda p: sheet.product(u, p.reshape(shape)).ravel()  # noqa: E731
-        inverse = lambda p: self.laplace(p.reshape(shape)).ravel()  # noqa: E731
-        K, Minv = (LinearOperator((size, size), f, dtype=float) for f in (product, inverse))
-        L, start = sp.kron(self._laplacian, sp.eye(2)).tocsr(), lanczos_start(size)
+
+        def flat(apply: Inner) -> LinearOperator:
+            of_flat = lambda p: apply(p.reshape(-1, 2)).ravel()  # noqa: E731
+            return LinearOperator(shape, of_flat, dtype=float)
+
+        L, start = sp.kron(self._laplacian, sp.eye(2)).tocsr(), lanczos_start(shape[0])
         ends: dict[str, Any] = {"v0": start, "return_eigenvectors": False, "maxiter": 2000}
+        K, Minv = flat(lambda p: sheet.product(u, p)), flat(self.laplace)
         return self.softest * float(eigsh(K, 1, L, which="SA", Minv=Minv, tol=1e-2, **ends)[0])
 
 
@@ -333,8 +325,7 @@ class Sheet:
     def potential(self, u: np.ndarray) -> float:
         """Of all forces, over the area of a node."""
         op = self.problem.op
-        stored = op.energy(u, self.c) / op.bonds.spacing**2
-        return float(stored - (self.load * u[op.interior]).sum())
+        return float(op.nodal_energy(u, self.c).sum() - (self.load * u[op.interior]).sum())
 
     def folds(self, u: np.ndarray) -> float:
         """Corners that are turned over, which their energies, functions of C, do not see; infinite
@@ -346,23 +337,18 @@ class Sheet:
 
     def product(self, u: np.ndarray, p: np.ndarray) -> np.ndarray:
         """The tangent at u along p on the interior."""
-        op, v = self.problem.op, np.zeros_like(u)
-        v[op.interior] = p
-        return op.product(u, self.c, v)[op.interior]
+        op = self.problem.op
+        return op.product(u, self.c, self.moved(0 * u, p))[op.interior]
 
     def inverse(self, u: np.ndarray, shifts: bool) -> tuple[Inner | None, bool]:
         """The inverse of the tangent, or of one that is positive definite, and whether it is."""
         factors, stable = self.problem.factors(self.c, u, shifts)
-        return factors and self.by(factors), stable
+        return factors and factors.inverse, stable
 
     @property
     def rough(self) -> Inner | None:
         """The inverse that stands for those of all tangents, where none is factorised."""
         return None if self.problem.pattern else self.problem.laplace
-
-    def by(self, factors: BandFactors) -> Inner:
-        """The inverse of a residual by some factors."""
-        return lambda r: factors.solve(r.ravel()).reshape(r.shape)
 
     def too_small(self) -> float:
         """Times by which load and collar must grow for strains that rounding leaves; or 1.

@@ -15,8 +15,9 @@ from scipy.ndimage import binary_dilation, binary_erosion
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, warn
+from warp_peri.fitting.rows import compressed
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid, Term
-from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds, triangle
+from warp_peri.materials.hyperelastic.energy_fit import between, columns, lower_bounds
 from warp_peri.materials.hyperelastic.equilibrium import NoEquilibrium, StaticProblem
 from warp_peri.materials.hyperelastic.fibres import fibre_numbers, fibres_of, with_numbers
 from warp_peri.materials.hyperelastic.operator import SMALLEST_AREA, HyperelasticOperator
@@ -72,27 +73,21 @@ class Thickness:
     @property
     def names(self) -> list[str]:
         """Names of the numbers: x, y, x^2, x y, …"""
-        words = []
-        for powers in self._powers:
-            parts = [f"{s}^{p}" if p > 1 else s for s, p in zip("xy", powers) if p]
-            words.append(" ".join(parts))
-        return words
+        words = {0: "", 1: "{} "} | {n: f"{{}}^{n} " for n in range(2, LARGEST_DEGREE + 1)}
+        return [(words[a].format("x") + words[b].format("y")).strip() for a, b in self._powers]
 
     def _terms(self, x: np.ndarray) -> np.ndarray:
-        place = (checked("x", x, shape=("N", 2)) - self.centre) / self.half
-        return np.stack([place[:, 0] ** a * place[:, 1] ** b for a, b in self._powers], axis=1)
+        x, y = ((checked("x", x, shape=("N", 2)) - self.centre) / self.half).T
+        return np.stack([x**a * y**b for a, b in self._powers], axis=1)
 
     def at(self, x: np.ndarray) -> np.ndarray:
         """Thickness at positions [length] of shape [N, 2], over that at the centre, shape [N]."""
-        values: np.ndarray = np.exp(np.clip(self._terms(x) @ self.numbers, -LARGEST, LARGEST))
-        return values
+        return np.asarray(np.exp(np.clip(self._terms(x) @ self.numbers, -LARGEST, LARGEST)))
 
     def slopes(self, x: np.ndarray) -> np.ndarray:
         """Its derivative by the numbers, shape [N, P]."""
-        terms = self._terms(x)
-        inside = np.abs(terms @ self.numbers) <= LARGEST
-        values: np.ndarray = (inside * self.at(x))[:, None] * terms
-        return values
+        inside = np.abs((terms := self._terms(x)) @ self.numbers) <= LARGEST
+        return np.asarray((inside * self.at(x))[:, None] * terms)
 
 
 class Sections:
@@ -149,13 +144,12 @@ class Sections:
 
 SCALE_WEIGHT = 1e3
 """Of the equation that fixes the initial stiffness, before it is met exactly."""
-NEAR = (0.03, 0.1)
-"""Parts of their errors that fields move by at most, by the unknowns and to equilibrium, where the
-slopes stay as they are and equilibria are solved for."""
 DAMPING, MOST_DAMPING = (1e-9, 1e-6, 1e-3), 1e3
 """Of Levenberg: least, that of a step from the optimum, first; that of the last that is tried."""
 TRIES = 4
 """Steps that are tried for each that is asked for, those with more damping included."""
+GAINED = 0.15
+"""Of the tolerance: what the last step gained more by has slopes of its end."""
 NO_ERROR = 1e-8
 """Of fields that no unknowns could fit better."""
 STIFFEN = 30.0
@@ -197,7 +191,7 @@ class Search:
     """Where the search stands: unknowns, fields and what both are to first order.
 
     A step of Gauss and Newton moves unknowns and fields at once, so that it costs a tangent a frame
-    and no equilibrium; these are solved for where fields move little.
+    and no equilibrium; these are solved for at the end, and where a step promised too much.
     """
 
     def __init__(
@@ -210,45 +204,47 @@ class Search:
         *,
         held: bool = False,
     ) -> None:
-        self.x, self.thickness, self.held = frames.x, thickness, held
-        self.problem = StaticProblem(HyperelasticOperator(dictionary, frames))
-        if thickness is not None:
-            self.problem = self.problem.with_thickness(thickness.at(self.x))
+        self.x, self.data, self.thickness, self.held = frames.x, frames.u, thickness, held
+        thick = None if thickness is None else thickness.at(self.x)
+        self.problem = StaticProblem(HyperelasticOperator(dictionary, frames, thickness=thick))
         self.inner = self.problem.op.interior
-        self.data = frames.u
         if not len(self.data):
             raise InputError("frames: expected one or more")
-        self.seen = seen_of(frames)[:, self.inner, None]
-        inside = self.data[:, self.inner] * self.seen
-        self.size = np.linalg.norm(inside.reshape(len(self.data), -1), axis=1)
-        if not self.size.all():
+        seen = np.repeat(seen_of(frames)[:, self.inner], 2, axis=1)
+        size = np.linalg.norm(self._inside(self.data) * seen, axis=1)
+        if not size.all():
             raise InputError(
-                f"frames: expected interiors that move, frame {self.size.argmin()} is at rest"
+                f"frames: expected interiors that move, frame {size.argmin()} is at rest"
             )
+        self.weight = seen / size[:, None]
         pull = np.asarray(frames.arrays.get(PULL, np.full((len(frames), 2), np.nan)), float)
         self.pulled = np.argwhere(np.isfinite(pull))
         self.pull = pull[tuple(self.pulled.T)]
         self.sections = {axis: Sections(frames, dictionary, axis) for axis in {*self.pulled[:, 1]}}
-        self.kept = list(range(len(self.data)))
-        self.left_out: list[int] = []
-        least, greatest = bounds
-        self.lower, self.upper = lower_bounds(dictionary, least), np.full(len(dictionary), np.inf)
-        deviations = slice(dictionary.first_deviation, dictionary.first_term)
-        self.upper[deviations] = max(greatest, least + 1e-9)
+        self.kept, self.left_out = list(range(len(self.data))), list[int]()
+        self.lower, self.upper = (
+            lower_bounds(dictionary, bounds[0]),
+            np.full(len(dictionary), np.inf),
+        )
+        self.own = slice(dictionary.first_deviation, dictionary.first_term)
+        self.upper[self.own] = max(bounds[1], bounds[0] + 1e-9)
         self.measure = dictionary.stiffness
         if not self.measure.any():
             raise InputError("dictionary: expected an energy with stiffness at rest")
         self.moving = fibres_of(dictionary) if moving else []
-        self.fields = self.data.copy()
-        self.c = np.zeros(len(dictionary))
+        self.c, self.growth = np.zeros(len(dictionary)), STIFFEN
         self.linear: dict[int, tuple[np.ndarray, np.ndarray, Any]] = {}
         self.equations_of: dict[int, np.ndarray] = {}
-        self.growth = STIFFEN
+
+    def _inside(self, fields: np.ndarray) -> np.ndarray:
+        """Of fields [..., N, 2] the interior in a row, [..., 2 I]."""
+        inside = fields[..., self.inner, :]
+        return inside.reshape(*inside.shape[:-2], -1)
 
     @property
     def equations(self) -> np.ndarray:
         """Rows whose squared sum is the loss: slopes by the unknowns, and errors as they are."""
-        return np.concatenate([np.zeros((0, len(self.now) + 1)), *self.equations_of.values()])
+        return np.concatenate([*self.equations_of.values()])
 
     def loss(self, change: Any = 0.0) -> float:
         """Sum of squared relative errors in equilibrium after a change of the unknowns, to first
@@ -270,19 +266,31 @@ class Search:
 
     def equation_error(self) -> np.ndarray:
         """Coefficients of least internal force on the measured fields; biased under noise."""
-        J = triangle(
-            columns(self.problem.op, u) * np.repeat(seen, 2, axis=0) / size
-            for u, seen, size in zip(self.data, self.seen, self.size)
-        )
-        J, bounds = J / np.abs(J).max(), (self.lower, self.upper)
-        now = self.scaled(self.measure)
-        return self.scaled(between(J, np.zeros(len(J)), now, bounds, 0.0, self._scale(len(now))))
+        J = np.zeros((0, len(self.c)))
+        for u, weight in zip(self.data, self.weight):
+            J = np.concatenate([J, columns(self.problem.op, u) * weight[:, None]])
+            J, _ = compressed(J, np.zeros(len(J)))
+        now, bounds = self.scaled(self.measure), (self.lower, self.upper)
+        return self._nearest(J / np.abs(J).max(), np.zeros(len(J)), now, bounds, 0.0)
 
-    def _scale(self, count: int) -> np.ndarray:
-        """The row of so many unknowns whose product, the initial stiffness, stays."""
-        row = np.zeros((1, count))
-        row[0, : len(self.c)] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
-        return row
+    def _nearest(
+        self, J: np.ndarray, y: np.ndarray, now: np.ndarray, bounds: Any, damping: float
+    ) -> np.ndarray:
+        """Unknowns between bounds of least |J x − y|, as Levenberg damps them, of the same initial
+        stiffness."""
+        K, held = len(self.c), np.zeros((1, len(now)))
+        held[0, :K] = SCALE_WEIGHT * self.measure / np.abs(self.measure).max()
+        x = between(J, y, now, bounds, damping, held)
+        x[:K] = now[:K] if self.held else self.scaled(np.maximum(x[:K], 0.0))
+        return x
+
+    def step(self, damping: float, equations: np.ndarray | None = None) -> np.ndarray:
+        """The change of the unknowns that meets the equations best, all where none are given."""
+        now, rows = self.now, self.equations if equations is None else equations
+        J, r = rows[:, :-1].copy(), rows[:, -1]
+        J[:, : len(self.c) * self.held] = 0.0
+        there = self._nearest(J, J @ now - r, now, self._bounds(now), damping)
+        return np.asarray(there - now)
 
     def descended(
         self,
@@ -296,41 +304,43 @@ class Search:
         name = progress if isinstance(progress, str) else "Gauss-Newton"
         bar = tqdm(range(TRIES * most_steps), desc=name, disable=not progress, leave=False)
         self.begin(c, known)
-        damping, history, near, balanced = DAMPING[2], [self.rms], False, False
+        damping, history, balanced = DAMPING[2], [self.rms], False
         for _ in bar:
-            before, loss, last = vars(self).copy(), self.loss(), not self.promising(tolerance)
-            near = self.move(self.nearest(self.equations, damping) - self.now) or last
-            found = self.balance() if near else self.linearise()
-            rises = not self.loss() <= (1 + tolerance) * loss and (balanced or not near)
-            if not found or rises:
-                vars(self).update(before)
-                damping, self.growth = max(100 * damping, DAMPING[1]), STIFFEN
-                if last or damping > MOST_DAMPING:
-                    break
-                if not balanced:  # what the equations promise may be what fields lack
-                    balanced = self.balance()
-                    if not (balanced and self.promising(tolerance) and self.linearise()):
-                        break
-                continue
-            damping, balanced = max(damping / 10, DAMPING[0]), near
-            self.growth = STIFFEN
-            history.append(self.rms)
-            bar.set_postfix(error=f"{100 * self.rms:.3f} %")
-            goes_on = self.promising(tolerance) if near else self.loss() < (1 - tolerance) * loss
-            if not goes_on or (near and not self.linearise()):
+            if self.growth > 1 and not self.promising(tolerance):
                 break
-        if not balanced:
+            loss, step = self.loss(), self.step(damping)
+            self.growth = STIFFEN
+            before = vars(self).copy()
+            self.move(step)
+            if self.linearise() and self.loss() <= (1 + tolerance) * loss:
+                damping, balanced = max(damping / 10, DAMPING[0]), False
+                history.append(self.rms)
+                bar.set_postfix(error=f"{100 * self.rms:.3f} %")
+                continue
+            vars(self).update(before)
+            damping = max(100 * damping, DAMPING[1])
+            if damping > MOST_DAMPING:
+                break
+            if not balanced:  # what the equations promise may be what fields lack
+                balanced = self.balance()
+                if not (balanced and self.linearise()):
+                    break
+        loss, before = self.loss(), vars(self).copy()
+        self.move(self.step(damping))
+        if not (self.balance() and self.loss() <= (1 + tolerance) * loss):
+            vars(self).update(before)
             self.balance()
-            history.append(self.rms)
-        stretch = largest_stretch(self.problem.op, self.data)
+        elif self.loss() < (1 - GAINED * tolerance) * loss:  # slopes of there, for frames left out
+            self.linearise()
+        history.append(self.rms)
         each = self.linear if len(self.linear) > 1 else ()
-        fit, *others = [self._fit(left, stretch) for left in ([], *([n] for n in each))]
+        fit, *others = [self._fit(left) for left in ([], *([n] for n in each))]
         return replace(fit, history=history, others=others, fields=self.fields)
 
     def promising(self, tolerance: float) -> bool:
         """Whether the equations promise a step that lowers the loss by more than a fraction."""
-        change = self.nearest(self.equations, DAMPING[0]) - self.now
-        return self.rms > NO_ERROR and self.loss(change) < (1 - tolerance) * self.loss()
+        ahead = self.loss(self.step(DAMPING[0]))
+        return self.rms > NO_ERROR and ahead < (1 - tolerance) * self.loss()
 
     def begin(self, c: np.ndarray, known: DisplacementFit | None = None) -> None:
         """Begin at the measured fields, or those of a known fit where they promise more.
@@ -338,58 +348,65 @@ class Search:
         Where a tangent there is not positive definite, at equilibria of the first coefficients;
         what has none is left out.
         """
-        starts, begun, least = [(c, self.data, 1.0)], vars(self).copy(), np.inf
+        starts, begun, least = [(c, self.data, 1.0)], {}, np.inf
         if known is not None and known.fields is not None:
             starts.append((self.scaled(known.material.coefficients), known.fields, STIFFEN))
         for self.c, self.fields, self.growth in starts:  # stiffer ones would add to noise at first
-            if self.linearise():
-                left = self.loss(self.nearest(self.equations, DAMPING[2]) - self.now)
-                if left < least:
-                    begun, least = vars(self).copy(), left
-        vars(self).update(begun)
-        if least < np.inf:
+            if self.linearise() and (left := self.loss(self.step(DAMPING[2]))) < least:
+                begun, least = vars(self).copy(), left
+        if begun:
+            vars(self).update(begun)
             return
         self.c, self.fields = c, self.data.copy()
-        found = {n: self.problem.find(c, None, u, start=u) for n, u in enumerate(self.data)}
-        there = {n: equilibrium for n, equilibrium in found.items() if equilibrium}
-        self.kept, self.left_out = [*there], [n for n in found if n not in there]
-        for n, equilibrium in there.items():
-            self.fields[n] = equilibrium.u
+        found = [self.problem.find(c, None, u, start=u) for u in self.data]
+        self.kept = [n for n, one in enumerate(found) if one]
+        self.left_out = [n for n, one in enumerate(found) if not one]
+        self.fields[self.kept] = [one.u for one in found if one] or self.fields[:0]
         if not (self.kept and self.linearise()):
             raise NoEquilibrium("no frame has an equilibrium with the first coefficients")
 
-    def _fit(self, left: list[int], stretch: float) -> DisplacementFit:
+    def _fit(self, left: list[int]) -> DisplacementFit:
         """What is here, or one step from here with some frames left out, in the scale of forces."""
-        K, numbers, errors = len(self.c), self.now, np.full(len(self.data), np.inf)
-        for n, rows in self.equations_of.items():
-            errors[n] = np.linalg.norm(rows[:, -1])
+        step, errors = 0 * self.now, np.full(len(self.data), np.inf)
         if left:
             rest = [rows for n, rows in self.equations_of.items() if n not in left]
-            numbers = self.nearest(np.concatenate(rest), DAMPING[1])
-            for n, rows in self.equations_of.items():
-                errors[n] = np.linalg.norm(rows @ np.array([*(numbers - self.now), 1.0]))
+            step = self.step(DAMPING[1], np.concatenate(rest))
+        for n, rows in self.equations_of.items():
+            errors[n] = np.linalg.norm(rows[:, :-1] @ step + rows[:, -1])
+        numbers, K = self.now + step, len(self.c)
         problem, thickness = self._moved(numbers[K:])
-        dictionary, c, points = problem.op.dictionary, numbers[:K], problem.op.points
-        said, scale, scatter = NO_FORCE, 1.0, 0.0
-        if len(self.pull):
-            own = ~np.isin(self.pulled[:, 0], left)
-            own |= not own.any()  # without its only force a fit has the scale of that
-            lines = [
-                self.sections[axis].stress(n, dictionary.terms, c, thickness)
-                for n, axis in self.pulled[own]
-            ]
-            F, T = self.pull[own], np.array([line.mean() for line in lines])
-            if not F @ T > 0:
-                raise InputError(f"{PULL}: expected a pull with the sign of the sheet's stress")
-            said, scale = {}, float(F @ T) / float(T @ T)
-            gaps = np.hypot(scale * np.array([line.std() for line in lines]), scale * T - F)
-            scatter = float(np.linalg.norm(gaps) / np.linalg.norm(F))
+        scale, scatter = self._scale(left, problem.op.dictionary, numbers[:K], thickness)
         solid = HyperelasticSolid(
-            dictionary, scale * c, points.spacing, stretch, said, units=points.units
+            problem.op.dictionary,
+            scale * numbers[:K],
+            problem.op.points.spacing,
+            largest_stretch(problem.op, self.data),
+            {} if len(self.pull) else NO_FORCE,
+            units=problem.op.points.units,
         )
         left = [*self.left_out, *left]
         rms = float(np.sqrt(np.delete(errors**2, left).mean()))
         return DisplacementFit(solid, errors, [rms], left, thickness, scale=scale, scatter=scatter)
+
+    def _scale(
+        self, left: list[int], dictionary: Dictionary, c: np.ndarray, thickness: Thickness | None
+    ) -> tuple[float, float]:
+        """What the pulls of frames that are not left out say that a stress of one is, and the
+        relative scatter of that; one where there is no pull."""
+        if not len(self.pull):
+            return 1.0, 0.0
+        own = ~np.isin(self.pulled[:, 0], left)
+        own |= not own.any()  # without its only force a fit has the scale of that
+        lines = [
+            self.sections[axis].stress(n, dictionary.terms, c, thickness)
+            for n, axis in self.pulled[own]
+        ]
+        F, T = self.pull[own], np.array([line.mean() for line in lines])
+        if not F @ T > 0:
+            raise InputError(f"{PULL}: expected a pull with the sign of the sheet's stress")
+        scale = float(F @ T) / float(T @ T)
+        gaps = np.hypot(scale * np.array([line.std() for line in lines]), scale * T - F)
+        return scale, float(np.linalg.norm(gaps) / np.linalg.norm(F))
 
     def linearise(self) -> bool:
         """Derivatives of the fields by all unknowns in the order of `now`, Newton's step to
@@ -415,47 +432,33 @@ class Search:
         return True
 
     def _reduce(self) -> None:
-        """The equations of the errors of every frame, as triangles."""
+        """The equations of the errors of every frame, as few as tell the same."""
         self.equations_of = {}
         for n, (J, away, _) in self.linear.items():
-            gap = (self.fields[n] - self.data[n])[self.inner].ravel() + away
-            rows = np.column_stack([J, gap]) / self.size[n]
-            self.equations_of[n] = triangle([rows * np.repeat(self.seen[n], 2, axis=0)])
+            gap, weight = self._inside(self.fields[n] - self.data[n]) + away, self.weight[n]
+            rows = compressed(J * weight[:, None], gap * weight)
+            self.equations_of[n] = np.column_stack(rows)
 
-    def move(self, change: np.ndarray) -> bool:
-        """Move unknowns, and fields to first order; whether these move little."""
-        squares, left, self.fields = np.zeros(2), self.loss(change), self.fields.copy()
+    def move(self, change: np.ndarray) -> None:
+        """Move unknowns, and fields to first order."""
+        numbers, K, self.fields = self.now + change, len(self.c), self.fields.copy()
         for n, (J, away, _) in self.linear.items():
-            for k, way in enumerate(((J @ change).reshape(-1, 2), away.reshape(-1, 2))):
-                self.fields[n, self.inner] += way
-                squares[k] += ((way * self.seen[n]) ** 2).sum() / self.size[n] ** 2
-        numbers, K = self.now + change, len(self.c)
+            self.fields[n, self.inner] += (J @ change + away).reshape(-1, 2)
         self.problem, self.thickness = self._moved(numbers[K:])
         self.c = numbers[:K]
-        return bool((squares <= np.square(NEAR) * left + NO_ERROR**2).all())
 
     def balance(self) -> bool:
         """Solve for all equilibria, slopes as they are; False where one is not found."""
-        self.fields = self.fields.copy()
+        self.fields, self.linear = self.fields.copy(), self.linear.copy()
         for n, (J, away, near) in self.linear.items():
-            given = self.c, None, self.data[n]
-            found = self.problem.find(*given, start=self.fields[n], near=near)
-            found = found or self.problem.find(*given, start=self.fields[n])
+            given, start = (self.c, None, self.data[n]), self.fields[n]
+            found = self.problem.find(*given, start=start, near=near)
+            found = found or self.problem.find(*given, start=start)
             if found is None:
                 return False
             self.fields[n], self.linear[n] = found.u, (J, 0 * away, near)
         self._reduce()
         return True
-
-    def nearest(self, equations: np.ndarray, damping: float) -> np.ndarray:
-        """Unknowns between their bounds that meet the equations best, as Levenberg damps them."""
-        K, now = len(self.c), self.now
-        J, r = equations[:, :-1].copy(), equations[:, -1]
-        if self.held:
-            J[:, :K] = 0.0
-        moved = between(J, J @ now - r, now, self._bounds(now), damping, self._scale(len(now)))
-        moved[:K] = now[:K] if self.held else self.scaled(np.maximum(moved[:K], 0.0))
-        return moved
 
     @property
     def now(self) -> np.ndarray:
@@ -466,26 +469,24 @@ class Search:
 
     def _bounds(self, now: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Between what the unknowns may be after a step."""
-        dictionary = self.problem.op.dictionary
-        K, M = len(self.c), 2 * len(self.moving)
-        lower, upper = now - THICKEN, now + THICKEN
-        lower[:K], upper[:K] = self.lower, self.upper
-        lower[K : K + M], upper[K : K + M] = fibre_numbers(dictionary, self.moving)[1]
-        own = slice(dictionary.first_deviation, dictionary.first_term)
+        K, own = len(self.c), self.own
+        numbers = now[K + 2 * len(self.moving) :]
+        low, high = fibre_numbers(self.problem.op.dictionary, self.moving)[1]
+        lower = np.concatenate([self.lower, low, numbers - THICKEN])
+        upper = np.concatenate([self.upper, high, numbers + THICKEN])
         most = np.maximum(self.growth * now[own], now[own] if self.growth == 1 else 1.0)
         upper[own] = np.minimum(upper[own], most)
         return lower, np.maximum(upper, lower + 1e-12)
 
     def _moved(self, numbers: np.ndarray) -> tuple[StaticProblem, Thickness | None]:
         """The problem with other angles, exponents and numbers of the thickness."""
-        problem, thickness, M = self.problem, self.thickness, 2 * len(self.moving)
+        op, thickness, M = self.problem.op, self.thickness, 2 * len(self.moving)
         if M:
-            terms = with_numbers(problem.op.dictionary, self.moving, numbers[:M])
-            problem = problem.with_terms(terms)
+            op = op.with_terms(with_numbers(op.dictionary, self.moving, numbers[:M]))
         if thickness is not None:
             thickness = replace(thickness, numbers=numbers[M:])
-            problem = problem.with_thickness(thickness.at(self.x))
-        return problem, thickness
+            op = op.with_thickness(thickness.at(self.x))
+        return self.problem.of(op), thickness
 
 
 INTERPOLATES = 50.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import dataclass, field
@@ -15,7 +14,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.special import ndtri, stdtrit
-from tqdm import tqdm
 
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import finite, locked, parsed, plain, write_json
@@ -35,41 +33,18 @@ from warp_peri.materials.hyperelastic.placed import hyperelastic_errors
 from warp_peri.points.points import Points
 from warp_peri.points.samples import Samples, part, seen_of
 
-KEPT = ("are there and are taken as they are", "of other frames or settings are left aside")
-RECORD = ".fit.json"
-"""How the name of a fit's record ends."""
 
-
-class KeptFits:
-    """Fits by name and by a hash of frames and settings, as a sweep keeps its own.
-
-    Args:
-        folder: for the files; none keeps nothing.
-        frames: all of them.
-        settings: what else a fit of a name depends on.
-    """
-
-    def __init__(self, folder: Path | None, frames: Samples, settings: object) -> None:
-        self.folder, self.key = folder, fingerprint(settings, frames)[:12]
-
-    def count(self) -> tuple[int, int]:
-        """Fits of these frames and settings, and of others."""
-        there = [path.name for path in self.folder.glob(f"*{RECORD}")] if self.folder else []
-        own = sum(name.endswith(f"_{self.key}{RECORD}") for name in there)
-        return own, len(there) - own
-
-    def fit(self, name: str, compute: Callable[[], DisplacementFit]) -> DisplacementFit:
-        """What is kept under this name; where nothing can be read, compute it and write it."""
-        if self.folder is None:
-            return compute()
-        stem = f"{name.replace(', ', '_').replace(' ', '_')}_{self.key}"
-        record = self.folder / f"{stem}{RECORD}"
-        try:
-            return _read(parsed(record.read_bytes()))
-        except (OSError, ValueError, TypeError, KeyError, InputError):
-            found = compute()
-            write_json(record, finite(plain(_content(found))))
-            return found
+def kept_fit(path: Path | None, compute: Callable[[], DisplacementFit]) -> DisplacementFit:
+    """The fit of a file; where nothing can be read, compute it and write it there, if anywhere."""
+    try:
+        if path is not None:
+            return _read(parsed(path.read_bytes()))
+    except (OSError, ValueError, TypeError, KeyError, InputError):
+        pass
+    found = compute()
+    if path is not None:
+        write_json(path, finite(plain(_content(found))))
+    return found
 
 
 def _content(fit: DisplacementFit) -> dict[str, Any]:
@@ -216,15 +191,14 @@ def choose_sheet(
     train, test = part(frames, pick), part(frames, ~pick)
     tried: list[Candidate] = []
     with locked(folder) if folder is not None else nullcontext():
-        kept = KeptFits(Path(folder) if folder is not None else None, frames, SETTINGS)
-        for count, what in zip(kept.count(), KEPT) if progress else ():
-            if count:
-                tqdm.write(f"{folder}: {count} fits {what}", file=sys.stderr)
+        key = fingerprint(SETTINGS, frames)[:12]
         for name, (terms, degree) in _candidates(fibres, uneven).items():
+            stem = f"{name.replace(', ', '_').replace(' ', '_')}_{key}"
+            path = None if folder is None else Path(folder) / f"{stem}.fit.json"
             dictionary = Dictionary(REACH, (), NEAREST, terms)
             even = [c.fit for c in tried if c.fit and c.fit.material.dictionary == dictionary]
-            start = even[0] if even else None
-            tried.append(_tried(name, train, test, dictionary, degree, kept, progress, start))
+            given = train, dictionary, even[0] if even else None, degree, progress and name
+            tried.append(_tried(name, test, path, *given))
             done(tried[-1])
     least = min(candidate.held_out for candidate in tried)
     alike = least * (1 + 2 / np.sqrt(2 * np.count_nonzero(seen_of(test)[:, test.interior])))
@@ -249,33 +223,31 @@ def _candidates(fibres: int, uneven: bool) -> Candidates:
 
 def _tried(
     name: str,
-    train: Samples,
     test: Samples,
+    path: Path | None,
+    train: Samples,
     dictionary: Dictionary,
-    degree: int,
-    kept: KeptFits,
-    progress: bool,
     start: DisplacementFit | None,
+    degree: int,
+    progress: bool | str,
 ) -> Candidate:
+    """A candidate, whatever becomes of it."""
     numbers = len(dictionary) + (len(Thickness.over(train.x, degree).names) if degree else 0)
-    fit, held_out, why = None, np.inf, ""
     try:
         check_enough(int(np.count_nonzero(train.interior)), "interior nodes", numbers)
-        fit = kept.fit(name, partial(_fit, train, dictionary, start, degree, progress and name))
+        fit = kept_fit(path, partial(_fit, train, dictionary, start, degree, progress))
         found = fit.material.dictionary
         numbers += len(found) - len(dictionary) + 2 * len(fibres_of(found))
         thickness = None if fit.thickness is None else fit.thickness.at(test.x)
         near = train.u if fit.fields is None else fit.fields
         errors: Any = hyperelastic_errors(fit.material, test, thickness=thickness, near=near)
-        if errors["not_solved"]:
-            why = f"{name}: {errors['not_solved']} frames not solved"
-        else:
-            held_out = float(errors["E_u"])
     except OSError:  # a full disk is no fault of the candidate
         raise
     except Exception as error:  # solvers below run into anything; the others go on
-        fit, why = None, f"{name}: {error}"
-    return Candidate(name, fit, held_out, why, numbers)
+        return Candidate(name, None, np.inf, f"{name}: {error}", numbers)
+    if missing := errors["not_solved"]:
+        return Candidate(name, fit, np.inf, f"{name}: {missing} frames not solved", numbers)
+    return Candidate(name, fit, float(errors["E_u"]), "", numbers)
 
 
 def _fit(
@@ -286,18 +258,15 @@ def _fit(
     progress: bool | str,
 ) -> DisplacementFit:
     """A material; of fibres in fixed directions the families that they tell, (H15)."""
-    options: dict[str, Any] = {
-        "stiffness": DEVIATIONS,
-        "thickness": degree,
-        "most_steps": STEPS,
-        "tolerance": TOLERANCE,
-        "progress": progress,
-    }
-    wide = fit_displacement(train, dictionary, start=start, **options)
+    fitted = partial(
+        fit_displacement, train, stiffness=DEVIATIONS, thickness=degree, most_steps=STEPS,
+        tolerance=TOLERANCE, progress=progress,
+    )  # fmt: skip
+    wide = fitted(dictionary, start=start)
     directions = len({term.angle for term in dictionary.terms if term.is_fibre})
     for within in (1.6 * np.pi / directions, 0.0) if directions else ():
         found, c = families(wide.material, within=within)
-        fit = fit_displacement(train, found, moving=True, start=c, **options)
+        fit = fitted(found, moving=True, start=c)
         if fit.history[-1] < WORSE * wide.history[-1]:
             return fit
     return wide
@@ -310,23 +279,16 @@ def uniaxial(solid: HyperelasticSolid, stretches: ArrayLike, angle: float = 0.0)
     """
     h, side = solid.spacing, 4 * int(REACH) + 1
     steps = np.argwhere(np.ones((side, side), bool))
-    inside = (steps == side // 2).all(axis=1)
-    points = Points(h * steps, inside, h, units=solid.units)
+    points = Points(h * steps, (steps == side // 2).all(axis=1), h, units=solid.units)
     op = HyperelasticOperator(solid.dictionary, points)
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s], [s, c]])
 
-    def stress(along: float, across: float) -> np.ndarray:
+    def stress(across: float, along: float, axis: int = 1) -> float:
         gradient = turn @ np.diag([along - 1.0, across - 1.0]) @ turn.T
         P = op.stress(points.x @ gradient.T, solid.coefficients)[op.interior[0]]
-        return np.asarray(turn.T @ P @ turn)
+        return float((turn.T @ P @ turn)[axis, axis])
 
-    found = []
-    for stretch in np.asarray(stretches, dtype=float):
-
-        def beside(across: float, along: float = stretch) -> float:
-            return float(stress(along, across)[1, 1])
-
-        across = brentq(beside, 0.3 / stretch, 1.3)
-        found.append(stress(stretch, across)[0, 0])
-    return np.array(found)
+    given = np.asarray(stretches, dtype=float)
+    free = [brentq(stress, 0.3 / stretch, 1.3, args=(stretch,)) for stretch in given]
+    return np.array([stress(across, along, 0) for across, along in zip(free, given)])

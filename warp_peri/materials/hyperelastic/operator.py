@@ -37,8 +37,6 @@ from warp_peri.points.samples import PointsLike, nodes_of
 
 SHORT_REACH = 2**0.5
 """Horizon of the short strain in spacings, (H4)."""
-SHORT = 4
-"""Bond classes within it, the first of a half family."""
 CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 """Sides of the bonds along both axes that a corner of a cell has, (H19)."""
 AXIS_TOLERANCE = 1e-3
@@ -60,60 +58,27 @@ class LatticeBonds:
         neighbour: far end of every bond, −1 where there is none, shape [N, 2 C].
         spacing: of the lattice [length].
         grid: place of every node in lattice steps, shape [N, 2].
-        axes: of the lattice, which directions of the solid are told from, as columns.
+        pairs: every bond once: its ends i and j and its class.
+        xi: their vectors [length], shape [2, pairs].
+        number: which pair begins at a node, by class, shape [N, C].
+        ends: 1 at a pair's end and −1 at its beginning, shape [N, pairs].
     """
 
     steps: np.ndarray
     neighbour: np.ndarray
     spacing: float
     grid: np.ndarray
-    axes: np.ndarray
-
-    @property
-    def classes(self) -> int:
-        """Number of bond classes C."""
-        return len(self.steps) // 2
-
-    @cached_property
-    def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Every bond once: its ends i and j and its class."""
-        i, c = np.nonzero(self.neighbour[:, : self.classes] >= 0)
-        return i, self.neighbour[i, c], c
-
-    @cached_property
-    def xi(self) -> np.ndarray:
-        """Their vectors [length], shape [2, pairs]."""
-        return np.ascontiguousarray(self.spacing * self.axes @ self.steps[self.pairs[2]].T)
-
-    @cached_property
-    def number(self) -> np.ndarray:
-        """Which pair begins at a node, by class, shape [N, C]."""
-        there = self.neighbour[:, : self.classes] >= 0
-        return np.asarray(np.cumsum(there).reshape(there.shape) - 1)
-
-    @cached_property
-    def ends(self) -> sp.csr_array:
-        """1 at a pair's end and −1 at its beginning, shape [N, pairs]."""
-        i, j, _ = self.pairs
-        number, one = np.arange(len(i)), np.ones(len(i))
-        places = np.concatenate([j, i]), np.concatenate([number, number])
-        shape = len(self.neighbour), len(i)
-        return sp.csr_array((np.concatenate([one, -one]), places), shape=shape)
-
-    def beside(self, offsets: np.ndarray) -> np.ndarray:
-        """The node so many lattice steps from each one, −1 where there is none, [V, N]."""
-        pad = int(np.abs(offsets).max())
-        place = self.grid - self.grid.min(axis=0) + pad
-        number = np.full(place.max(axis=0) + 1 + pad, -1)
-        number[tuple(place.T)] = np.arange(len(place))
-        return np.asarray(number[tuple(np.moveaxis(place + offsets[:, None], -1, 0))])
+    pairs: tuple[np.ndarray, np.ndarray, np.ndarray]
+    xi: np.ndarray
+    number: np.ndarray
+    ends: sp.csr_array
 
 
 def lattice_bonds(points: PointsLike, reach: float) -> LatticeBonds:
     """Families of `reach` spacings on a lattice.
 
-    The axes are those of the lattice: along the points' axis where it is stated, else at most 45°
-    from x.
+    The axes, from which directions of the solid are told, are those of the lattice: along the
+    points' axis where it is stated, else at most 45° from x.
 
     Raises InputError for scattered points, an axis beside those of the lattice, or where no
     interior node keeps 2δ from the edge.
@@ -122,33 +87,30 @@ def lattice_bonds(points: PointsLike, reach: float) -> LatticeBonds:
         raise InputError("points: expected a lattice (spacing > 0), got scattered points")
     if points.box is not None or points.outside is not None:
         raise InputError("points: expected neither a box nor nodes outside of the body")
-    steps, axes = straight_steps(points.x, points.spacing)
-    steps, axes = _along(points.axis, steps, axes)
+    grid, axes = straight_steps(points.x, points.spacing)
+    if points.axis is not None:
+        own = float(np.rad2deg(np.arctan2(axes[1, 0], axes[0, 0])))
+        quarters = round((points.axis - own) / 90)
+        if abs(points.axis - own - 90 * quarters) > AXIS_TOLERANCE:
+            raise InputError(
+                "axis: directions of a hyperelastic solid are told from an axis of the lattice; "
+                f"expected none, or {own:.4g}° and quarter turns from it, got {points.axis:g}°"
+            )
+        turn = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarters % 4)
+        grid, axes = grid @ turn, axes @ turn
     half = half_family(reach)
-    family = np.concatenate([half, -half])
-    neighbour = neighbour_table(steps, family)
-    bonds = LatticeBonds(family, neighbour, points.spacing, steps, axes)
+    steps = np.concatenate([half, -half])
+    neighbour = neighbour_table(grid, steps)
     far = neighbour[points.interior]
     if not ((far >= 0).all() and (neighbour[far] >= 0).all()):
         raise InputError("points: interior nodes need complete families out to twice the horizon")
-    return bonds
-
-
-def _along(
-    axis: float | None, steps: np.ndarray, axes: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Steps and axes of a lattice by quarter turns of its axes to the stated one."""
-    if axis is None:
-        return steps, axes
-    own = float(np.rad2deg(np.arctan2(axes[1, 0], axes[0, 0])))
-    quarters = round((axis - own) / 90)
-    if abs(axis - own - 90 * quarters) > AXIS_TOLERANCE:
-        raise InputError(
-            "axis: directions of a hyperelastic solid are told from an axis of the lattice; "
-            f"expected none, or {own:.4g}° and quarter turns from it, got {axis:g}°"
-        )
-    turn = np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarters % 4)
-    return steps @ turn, axes @ turn
+    there = neighbour[:, : len(half)] >= 0
+    i, c = np.nonzero(there)
+    j, number = neighbour[i, c], np.cumsum(there).reshape(there.shape) - 1
+    places, signs = (np.append(j, i), np.tile(np.arange(len(i)), 2)), np.repeat([1.0, -1.0], len(i))
+    ends = sp.csr_array((signs, places), shape=(len(grid), len(i)))
+    xi = np.ascontiguousarray(points.spacing * axes @ half[c].T)
+    return LatticeBonds(steps, neighbour, points.spacing, grid, (i, j, c), xi, number, ends)
 
 
 class Energy(NamedTuple):
@@ -163,7 +125,7 @@ class Energy(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """Bonds around each of many sites, and what is seen of them.
+    """Bonds around each of the n sites where energies act that see the same.
 
     Attributes:
         nodes: that a site's bonds join, shape [V, n].
@@ -172,6 +134,7 @@ class Patch:
         bonds: numbers of the bonds, shape [L, n].
         weights: W [1/length²], shape [L, Q].
         pair: the site, and the node that shares its energy with it or the site again, [2, n].
+        corner: whether it is one of the four corners at a node, which share an energy.
     """
 
     nodes: np.ndarray
@@ -180,6 +143,7 @@ class Patch:
     bonds: np.ndarray
     weights: np.ndarray
     pair: np.ndarray
+    corner: bool
 
     @cached_property
     def sums(self) -> sp.csr_array:
@@ -188,33 +152,21 @@ class Patch:
         places, one = np.arange(len(bonds) + 1), np.ones(len(bonds))
         return sp.csr_array(sp.csc_array((one, bonds, places)))
 
-
-class Sites:
-    """Where energies act that see the same; `pair` is that of its patches."""
-
-    def __init__(self, patches: list[Patch]) -> None:
-        self.patches = patches
-        self.pair = np.concatenate([patch.pair for patch in patches], axis=1)
-
     def seen(self, e: np.ndarray) -> torch.Tensor:
         """q of bonds [S, pairs], shape [Q, S, n]."""
-        parts = [patch.weights.T @ e[:, patch.bonds] for patch in self.patches]
-        return torch.from_numpy(np.concatenate([part.swapaxes(0, 1) for part in parts], axis=-1))
+        return torch.from_numpy((self.weights.T @ e[:, self.bonds]).swapaxes(0, 1))
 
-    def split(self, values: torch.Tensor) -> Iterator[tuple[Patch, np.ndarray]]:
-        """Patches with what belongs to them of values [..., n]."""
-        sizes = [patch.pair.shape[1] for patch in self.patches]
-        return zip(self.patches, (part.numpy() for part in values.split(sizes, dim=-1)))
+    def along(self, stress: torch.Tensor) -> np.ndarray:
+        """What stresses [Q, S, n] pull at each site's bonds, [S, L, n]."""
+        return np.asarray(self.weights @ stress.numpy().swapaxes(0, 1))
 
     def pull(self, stress: torch.Tensor, tension: np.ndarray) -> None:
         """Add what stresses [Q, S, n] pull at the bonds to their tension [S, pairs]."""
-        for patch, part in self.split(stress):
-            along = patch.weights @ part.swapaxes(0, 1)
-            pulled = patch.sums @ along.reshape(len(along), -1).T
-            tension[:, : len(pulled)] += pulled.T
+        pulled = self.sums @ self.along(stress).reshape(len(tension), -1).T
+        tension[:, : len(pulled)] += pulled.T
 
 
-Active = list[tuple[Sites, list[Energy]]]
+Active = list[tuple[Patch, list[Energy]]]
 """Energies by what they see."""
 
 
@@ -240,7 +192,7 @@ class HyperelasticOperator:
         self.interior = np.flatnonzero(self.points.interior)
         self.thickness = self._thick(thickness)
         self._moved = self._apexes = np.ones(len(self.points.x), bool)
-        self._sites: dict[Any, Sites] = {}
+        self._patches: dict[Any, Patch] = {}
         self.energies = self._energies()
 
     def near_interior(self) -> HyperelasticOperator:
@@ -254,7 +206,7 @@ class HyperelasticOperator:
             far = self.bonds.neighbour[:, near]
             return np.asarray(nodes | (nodes[far] & (far >= 0)).any(axis=1))
 
-        other._moved, other._sites = self.points.interior, {}
+        other._moved, other._patches = self.points.interior, {}
         other._apexes = grown(other._moved, steps.sum(axis=1) == 1)
         for _ in range(FAR):
             other._moved = grown(other._moved, (steps <= 1).all(axis=1))
@@ -289,21 +241,21 @@ class HyperelasticOperator:
         for number, step in enumerate(own.deviations, own.first_deviation):
             found["deviation", *step] = [Energy(number, deviation)]
         for number, term in enumerate(own.terms, own.first_term):
-            sees: Any = ("corner" if term.corner else "strain",)
             energy = Energy(number, KINDS[term.kind], term.angle, term.exponent, term.is_fibre)
-            found.setdefault(sees, []).append(energy)
-        return [(self.sites(*sees), each) for sees, each in found.items()]
+            for of in CORNERS if term.corner else ((),):
+                sees = ("corner" if term.corner else "strain", *of)
+                found.setdefault(sees, []).append(energy)
+        return [(self.patch(*sees), each) for sees, each in found.items()]
 
-    def sites(self, kind: str = "strain", *of: int) -> Sites:
+    def patch(self, kind: str = "strain", *of: int) -> Patch:
         """Where strains, bonds, deviations or corners are, which are built once."""
-        if (kind, *of) not in self._sites:
-            sides = CORNERS if kind == "corner" else (of,)
-            self._sites[kind, *of] = Sites([self._patch(kind, *of) for of in sides])
-        return self._sites[kind, *of]
+        if (kind, *of) not in self._patches:
+            self._patches[kind, *of] = self._patch(kind, *of)
+        return self._patches[kind, *of]
 
     def _patch(self, kind: str, *of: int) -> Patch:
         bonds, far, known = self.bonds, np.zeros(2, int), np.ones(len(self.points.x), bool)
-        C = bonds.classes
+        C = len(bonds.steps) // 2
 
         def strain(w: np.ndarray, at: Any = (0, 0)) -> tuple[np.ndarray, ...]:
             """First nodes and classes of the bonds of a node's strain, and their weights."""
@@ -326,7 +278,7 @@ class HyperelasticOperator:
             parts = [first, bond((0, 1), (0, 1, p * q), (0, min(q, 0))), third]
         else:
             far = np.array(of)
-            known = self._moved & self._moved[bonds.beside(far[None])[0]]
+            known = self._moved & self._moved[neighbour_table(bonds.grid, far[None])[:, 0]]
             x, y = far / np.sqrt(far @ far)
             w = strain_weights(SHORT_REACH, 2)
             along = np.stack([0 * w[:, 0], w @ [x * x, y * y, x * y]], axis=1)
@@ -334,26 +286,28 @@ class HyperelasticOperator:
         low, k, weights = map(np.concatenate, zip(*parts))
         joined = np.concatenate([low, low + bonds.steps[k], [0 * far, far]])
         offsets, place = np.unique(joined, axis=0, return_inverse=True)
-        nodes, (*ends, own, other) = bonds.beside(offsets), place.ravel()
+        nodes = neighbour_table(bonds.grid, offsets).T
+        *ends, own, other = place.ravel()
         nodes = nodes[:, known & (nodes >= 0).all(axis=0)]
         both = np.reshape(ends, (2, len(low)))
         numbers, weights = bonds.number[nodes[both[0]], k[:, None]], weights / bonds.spacing**2
-        return Patch(nodes, offsets, both, numbers, weights, nodes[[own, other]])
+        pair = nodes[[own, other]]
+        return Patch(nodes, offsets, both, numbers, weights, pair, kind == "corner")
 
-    def _stored(self, sites: Sites, each: Sequence[Energy], q: torch.Tensor, c: Any) -> Any:
+    def _stored(self, patch: Patch, each: Sequence[Energy], q: torch.Tensor, c: Any) -> Any:
         """Energy of every site over h², shape [S, n]."""
         seen = read(q)
         total = sum(c[e.number] * e.density(seen, e.angle, e.exponent) for e in each)
-        share = 1 / len(sites.patches)
+        share = 1 / len(CORNERS) if patch.corner else 1.0
         if self.thickness is None:
             return share * total
-        return torch.from_numpy(share * self.thickness[sites.pair].mean(axis=0)) * total
+        return torch.from_numpy(share * self.thickness[patch.pair].mean(axis=0)) * total
 
     def _slope(
-        self, sites: Sites, each: Sequence[Energy], q: torch.Tensor, c: Any, graph: bool = False
+        self, patch: Patch, each: Sequence[Energy], q: torch.Tensor, c: Any, graph: bool = False
     ) -> torch.Tensor:
         """∂U/∂q over h², shape [Q, S, n]; with a graph of q, which becomes a leaf."""
-        stored = self._stored(sites, each, q.requires_grad_(), c).sum()
+        stored = self._stored(patch, each, q.requires_grad_(), c).sum()
         return torch.autograd.grad(stored, q, create_graph=graph)[0]
 
     def _swept(self, sweep: Callable[..., np.ndarray], *fields: ArrayLike) -> np.ndarray:
@@ -364,7 +318,7 @@ class HyperelasticOperator:
                 expected = f"[S, {shape[0]}, 2] or [{shape[0]}, 2]"
                 raise InputError(f"{name}: expected shape {expected}, got {list(one.shape)}")
         flat = [each.reshape(-1, *shape) for each in given]
-        most = max(patch.bonds.size for sites, _ in self.energies for patch in sites.patches)
+        most = max(patch.bonds.size for patch, _ in self.energies)
         step, count = max(1, MOST // most), len(flat[0])
         with torch.enable_grad(), one_thread(3 * len(self.points.x) * min(step, count) < FEW):
             parts = [sweep(*(u[at : at + step] for u in flat)) for at in range(0, count, step)]
@@ -385,17 +339,14 @@ class HyperelasticOperator:
     def _active(self, c: np.ndarray) -> Active:
         """Energies whose coefficient is not zero."""
         checked("c", c, float, (len(self.dictionary),))
-        return [
-            (sites, kept)
-            for sites, each in self.energies
-            if (kept := [energy for energy in each if c[energy.number]])
-        ]
+        active = ((patch, [one for one in each if c[one.number]]) for patch, each in self.energies)
+        return [(patch, each) for patch, each in active if each]
 
     def _tension(self, e: np.ndarray, c: np.ndarray, active: Active) -> np.ndarray:
         """What energies pull at bonds e [S, pairs], over ξ + η."""
         tension = np.zeros_like(e)
-        for sites, each in active:
-            sites.pull(self._slope(sites, each, sites.seen(e), c), tension)
+        for patch, each in active:
+            patch.pull(self._slope(patch, each, patch.seen(e), c), tension)
         return tension
 
     def _at_ends(self, pull: np.ndarray) -> np.ndarray:
@@ -405,11 +356,11 @@ class HyperelasticOperator:
 
     def strain(self, u: np.ndarray) -> np.ndarray:
         """Nodal Green strain E11, E22, 2 E12, (H3), shape [..., N, 3]; zero near the edge."""
-        sites = self.sites()
+        patch = self.patch()
 
         def sweep(u: np.ndarray) -> np.ndarray:
             E = np.zeros((*u.shape[:2], 3))
-            E[:, sites.pair[0]] = sites.seen(self._stretched(u)[1]).movedim(0, -1)
+            E[:, patch.pair[0]] = patch.seen(self._stretched(u)[1]).movedim(0, -1)
             return E
 
         return self._swept(sweep, u)
@@ -417,12 +368,12 @@ class HyperelasticOperator:
     def smallest_area(self, u: np.ndarray) -> float:
         """Smallest det C of the nodal strain, 1 at rest; not positive where a field folds."""
         e = self._stretched(np.reshape(u, (-1, *self.points.x.shape)))[1]
-        return min(1.0, float(read(self.sites().seen(e)).area.min()))
+        return min(1.0, float(read(self.patch().seen(e)).area.min()))
 
     def folded(self, u: np.ndarray) -> int:
         """Number of corners with an interior node that one field turns over, shape of u [N, 2]."""
         (Y,), count = self._stretched(u[None])[0], 0
-        for patch in self.sites("corner").patches:
+        for patch in (self.patch("corner", *of) for of in CORNERS):
             first, second, _ = np.moveaxis(Y[:, patch.bonds], 1, 0)
             over = first[0] * second[1] - first[1] * second[0] <= 0
             count += int((over & self.points.interior[patch.nodes].any(axis=0)).sum())
@@ -438,10 +389,8 @@ class HyperelasticOperator:
 
         def sweep(u: np.ndarray) -> np.ndarray:
             e, total = self._stretched(u)[1], np.zeros(u.shape[:2])
-            for sites, each in active:
-                stored = self._stored(sites, each, sites.seen(e), c)
-                for patch, part in sites.split(stored):
-                    total[:, patch.pair[0]] += part
+            for patch, each in active:
+                total[:, patch.pair[0]] += self._stored(patch, each, patch.seen(e), c).numpy()
             return total
 
         return self._swept(sweep, u)
@@ -467,10 +416,10 @@ class HyperelasticOperator:
         def sweep(u: np.ndarray, v: np.ndarray) -> np.ndarray:
             (Y, e), away = self._stretched(u), self._differences(v)
             along, tension, change = (Y * away).sum(axis=1), np.zeros_like(e), np.zeros_like(e)
-            for sites, each in active:
-                stress = self._slope(sites, each, q := sites.seen(e), c, graph=True)
-                sites.pull(torch.autograd.grad(stress, q, sites.seen(along))[0], change)
-                sites.pull(stress.detach(), tension)
+            for patch, each in active:
+                stress = self._slope(patch, each, q := patch.seen(e), c, graph=True)
+                patch.pull(torch.autograd.grad(stress, q, patch.seen(along))[0], change)
+                patch.pull(stress.detach(), tension)
             return self._at_ends(tension[:, None] * away + change[:, None] * Y)
 
         return self._swept(sweep, u, v)
@@ -482,11 +431,11 @@ class HyperelasticOperator:
         (Y,), e = self._stretched(plain("u", u)[None])
         tension, found = np.zeros_like(e), list[Any]()
         with torch.enable_grad(), one_thread(3 * len(self.points.x) < FEW):
-            for sites, each in self._active(c):
-                stress = self._slope(sites, each, q := sites.seen(e), c, graph=True)
-                sites.pull(stress.detach(), tension)
+            for patch, each in self._active(c):
+                stress = self._slope(patch, each, q := patch.seen(e), c, graph=True)
+                patch.pull(stress.detach(), tension)
                 rows = [torch.autograd.grad(s.sum(), q, retain_graph=True)[0] for s in stress]
-                found += sites.split(torch.stack(rows)[:, :, 0])
+                found.append((patch, torch.stack(rows)[:, :, 0].numpy()))
         return tension[0], Y, found
 
     def features(self, u: np.ndarray, *, by: str = "coefficient") -> np.ndarray:
@@ -501,28 +450,28 @@ class HyperelasticOperator:
         def sweep(u: np.ndarray) -> np.ndarray:
             Y, e = self._stretched(u)
             forces = np.zeros((len(u), len(self.interior), 2, len(self.dictionary)))
-            for sites, number, stress in self._single(e, by):
+            for patch, number, stress in self._single(e, by):
                 tension = np.zeros_like(e)
-                sites.pull(stress, tension)
-                forces[..., number] = self._at_ends(tension[:, None] * Y)[:, self.interior]
+                patch.pull(stress, tension)
+                forces[..., number] += self._at_ends(tension[:, None] * Y)[:, self.interior]
             return forces
 
         return self._swept(sweep, u)
 
-    def _single(self, e: np.ndarray, by: str) -> Iterator[tuple[Sites, int, torch.Tensor]]:
+    def _single(self, e: np.ndarray, by: str) -> Iterator[tuple[Patch, int, torch.Tensor]]:
         """Stress [Q, S, n] of every energy with coefficient one, or its derivative."""
         one = np.ones(len(self.dictionary))
-        for sites, each in self.energies:
-            q = sites.seen(e)
+        for patch, each in self.energies:
+            q = patch.seen(e)
             for energy in each:
                 if by == "coefficient":
-                    yield sites, energy.number, self._slope(sites, [energy], q, one)
+                    yield patch, energy.number, self._slope(patch, [energy], q, one)
                 elif energy.is_fibre:
                     number = torch.tensor(getattr(energy, by), dtype=q.dtype, requires_grad=True)
                     moved: Energy = energy._replace(**{by: number})  # type: ignore[arg-type]
-                    stored = self._stored(sites, [moved], q.requires_grad_(), one).sum()
+                    stored = self._stored(patch, [moved], q.requires_grad_(), one).sum()
                     (slope,) = torch.autograd.grad(stored, number, create_graph=True)
-                    yield sites, energy.number, torch.autograd.grad(slope, q)[0]
+                    yield patch, energy.number, torch.autograd.grad(slope, q)[0]
 
     def by_thickness(self, u: np.ndarray, c: np.ndarray, slopes: np.ndarray) -> np.ndarray:
         """The derivative of the force by what the thickness depends on, shape [..., I, 2, P].
@@ -550,20 +499,19 @@ class HyperelasticOperator:
         the edge it misses what bonds to outside would carry. Of a sheet that is not even it is the
         pull per length of a section, over thickness one. Corners carry theirs at their apex.
         """
-        active, corners = self._active(c), self._sites.get(("corner",))
+        active = self._active(c)
 
         def sweep(u: np.ndarray) -> np.ndarray:
             Y, e = self._stretched(u)
-            others = [(sites, each) for sites, each in active if sites is not corners]
-            carried = np.einsum("sb,sib,jb->bsij", self._tension(e, c, others), Y, self.bonds.xi)
+            nodal = [(patch, each) for patch, each in active if not patch.corner]
+            carried = np.einsum("sb,sib,jb->bsij", self._tension(e, c, nodal), Y, self.bonds.xi)
             P = abs(self.bonds.ends) @ carried.reshape(e.shape[1], -1) / 2
             P = P.reshape(-1, len(u), 2, 2).swapaxes(0, 1)
-            for sites, each in active:
-                if sites is corners:
-                    for patch, part in sites.split(self._slope(sites, each, sites.seen(e), c)):
-                        t, xi = patch.weights @ part.swapaxes(0, 1), self.bonds.xi[:, patch.bonds]
-                        at_apex = np.einsum("sln,siln,jln->snij", t, Y[..., patch.bonds], xi)
-                        P[:, patch.pair[0]] += at_apex
+            for patch, each in active:
+                if patch.corner:
+                    t = patch.along(self._slope(patch, each, patch.seen(e), c))
+                    given = t, Y[..., patch.bonds], self.bonds.xi[:, patch.bonds]
+                    P[:, patch.pair[0]] += np.einsum("sln,siln,jln->snij", *given)
             return np.asarray(P)
 
         return self._swept(sweep, u)

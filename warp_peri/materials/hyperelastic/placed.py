@@ -36,7 +36,7 @@ def largest_stretch(op: HyperelasticOperator, u: np.ndarray) -> float:
 
 def warn_beyond(solid: HyperelasticSolid, op: HyperelasticOperator, u: np.ndarray) -> None:
     """Warn when fields are stretched beyond the data that a solid was learned from."""
-    if solid.stretch is None:
+    if solid.stretch is None or not len(u):
         return
     largest = largest_stretch(op, u)
     if largest - 1 > BEYOND * (solid.stretch - 1):
@@ -50,8 +50,6 @@ def hyperelastic_errors(
     solid: HyperelasticSolid,
     samples: Samples,
     *,
-    truth: np.ndarray | None = None,
-    solve: bool = True,
     thickness: np.ndarray | None = None,
     operator: HyperelasticOperator | None = None,
     near: np.ndarray | None = None,
@@ -61,9 +59,6 @@ def hyperelastic_errors(
     Args:
         solid: a material, of the same spacing or another.
         samples: with loads or, for E_u alone, without.
-        truth: displacement that the solved one is held against, shape [S, N, 2]; that of the
-            samples where none is given. Displacement on the collar is read from the samples.
-        solve: whether E_u is asked for.
         thickness: of every node of the samples, shape [N]; an even sheet where none is given.
         operator: of the solid's dictionary on these samples, where there is one already.
         near: fields of the same points under other loads, shape [M, N, 2]: each search begins at
@@ -76,46 +71,33 @@ def hyperelastic_errors(
 
     Raises InputError for samples in other units than the solid.
 
-    Warns of fields, solved where that is asked for, that are stretched beyond the data that the
-    solid was learned from.
+    Warns of solved fields that are stretched beyond the data that the solid was learned from.
     """
     check_same(solid.units, samples.points.units)
     op = operator or HyperelasticOperator(solid.dictionary, samples, thickness=thickness)
-    inner, errors_of, fields = op.interior, {}, samples.u
-    if samples.b is not None:
-        left = op.force(samples.u, solid.coefficients) - samples.b[:, inner]
-        residuals = _size(left) / _size(samples.b[:, inner])
+    problem, c, loads = StaticProblem(op), solid.coefficients, samples.b
+    errors_of: dict[str, Any] = {}
+    if loads is not None:
+        left = op.force(samples.u, c) - loads[:, op.interior]
+        residuals = _size(left) / _size(loads[:, op.interior])
         errors_of = {"E_res": float(residuals.mean()), "residuals": residuals}
-    if solve:
-        truth = samples.u if truth is None else truth
-        seen = seen_of(samples)[:, inner, None]
-        problem, errors, left_branch = StaticProblem(op), np.full(len(samples), np.nan), 0
-        fields = np.zeros_like(samples.u)
-        for n in range(len(samples)):
-            b = None if samples.b is None else samples.b[n]
-            solved, start = None, None
-            if near is not None:
-                start = _combined(problem, near, samples.u[n])
-                factors = problem.pattern and problem.factors(solid.coefficients, start)[0]
-                solved = factors and problem.find(
-                    solid.coefficients, b, samples.u[n], start=start, near=factors
-                )
-            solved = solved or problem.find(solid.coefficients, b, samples.u[n], start=start)
-            if solved:
-                fields[n] = solved.u
-                gap, size = (f[inner] * seen[n] for f in (solved.u - truth[n], truth[n]))
-                errors[n] = np.linalg.norm(gap) / np.linalg.norm(size)
-                left_branch += not solved.followed
-        missing = int(np.isnan(errors).sum())
-        mean = float(np.nanmean(errors)) if missing < len(errors) else float("nan")
-        errors_of |= {
-            "E_u": mean,
-            "not_solved": missing,
-            "left_branch": left_branch,
-            "displacements": errors,
-        }
-    warn_beyond(solid, op, fields)
-    return errors_of
+    found = []
+    for u, b in zip(samples.u, [None] * len(samples) if loads is None else loads):
+        start, solved = None if near is None else _combined(problem, near, u), None
+        if start is not None and problem.pattern and (factors := problem.factors(c, start)[0]):
+            solved = problem.find(c, b, u, start=start, near=factors)
+        found.append(solved or problem.find(c, b, u, start=start))
+    fields = np.array([one.u if one else np.full_like(op.points.x, np.nan) for one in found])
+    gaps, seen = fields.reshape(samples.u.shape) - samples.u, seen_of(samples)[:, op.interior, None]
+    errors = _size(gaps[:, op.interior] * seen) / _size(samples.u[:, op.interior] * seen)
+    there = [one for one in found if one]
+    warn_beyond(solid, op, np.array([one.u for one in there]))
+    return errors_of | {
+        "E_u": float(np.nanmean(errors)) if there else float("nan"),
+        "not_solved": len(found) - len(there),
+        "left_branch": sum(not one.followed for one in there),
+        "displacements": errors,
+    }
 
 
 def _combined(problem: StaticProblem, near: np.ndarray, u: np.ndarray) -> np.ndarray:
