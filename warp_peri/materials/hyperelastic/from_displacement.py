@@ -553,7 +553,12 @@ def fit_displacement(
             raise InputError(f"start: expected {len(dictionary)} coefficients, got {start!r:.60}")
         c = search.scaled(np.clip(start, search.lower, search.upper))
     fit = search.descended(c, most_steps, tolerance, progress, known)
-    warn_of_interpolation(fit)
+    if (stiffest := stiffest_deviation(fit)) > INTERPOLATES:
+        warn(
+            f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "
+            "interpolate the collar, whatever the material; is the sheet heterogeneous "
+            "(thickness=), or were the frames smoothed?"
+        )
     return fit
 
 
@@ -636,14 +641,3 @@ def stiffest_deviation(fit: DisplacementFit) -> float:
     dictionary, c = fit.material.dictionary, fit.material.coefficients
     own = c[dictionary.first_deviation : dictionary.first_term]
     return float(own.max(initial=0.0)) / fit.scale
-
-
-def warn_of_interpolation(fit: DisplacementFit) -> None:
-    """Warn where the deviations outweigh the sheet at rest by far."""
-    stiffest = stiffest_deviation(fit)
-    if stiffest > INTERPOLATES:
-        warn(
-            f"deviations came out {stiffest:.0f} times as stiff as the sheet at rest: they "
-            "interpolate the collar, whatever the material; is the sheet heterogeneous "
-            "(thickness=), or were the frames smoothed?"
-        )
