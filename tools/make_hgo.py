@@ -10,8 +10,8 @@ import os
 import sys
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 if __name__ == "__main__":
     sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
@@ -20,13 +20,7 @@ import joblib
 import numpy as np
 from tqdm import tqdm
 
-from tools.hyperelastic_elements import (
-    Elements,
-    NotSolved,
-    finite_elements,
-    quadrilaterals,
-    triangles,
-)
+from tools.hyperelastic_elements import Elements, NotSolved, finite_elements, triangles
 from tools.hyperelastic_energies import Family, Matrix, hgo
 from tools.options import Options
 from warp_peri import Dataset, InputError, Points, Samples, save
@@ -80,7 +74,6 @@ SQUARES = {"square": 3, "square_4": 4, "square_5": 5}
 DISK_RADIUS = 0.5
 MESHED_RADIUS = 0.95
 """Disks are cut from a larger one whose edge is held, so that they have a collar."""
-ELEMENTS = ("linear", "quadratic")
 
 
 @dataclass(frozen=True)
@@ -109,7 +102,6 @@ def make_hgo(
     folder: str | os.PathLike[str],
     *,
     material: Material | None = None,
-    element: str = "linear",
     counts: tuple[int, int, int, int] = (200, 25, 25, 10),
     seed: int = 1000,
     square: str = "square",
@@ -124,7 +116,6 @@ def make_hgo(
     Args:
         folder: of finished samples.
         material: of the sheet; that of the published data where none is given.
-        element: "linear", triangles on the nodes themselves, or "quadratic".
         counts: samples in train, val, test and disks.
         seed: of the first load; disks count from seed + 100 000.
         square: one of SQUARES; a larger one is held and loaded farther out, its loads smaller by
@@ -132,11 +123,9 @@ def make_hgo(
         jobs: number of processes, −1 for one per core.
         progress: show a bar on stderr.
 
-    Raises InputError for an unknown element or square, a missing scikit-fem, or another job in the
+    Raises InputError for an unknown square, a missing scikit-fem, or another job in the
     folder.
     """
-    if element not in ELEMENTS:
-        raise InputError(f"element: expected linear or quadratic, got {element!r}")
     if square not in SQUARES:
         raise InputError(f"square: expected one of {', '.join(SQUARES)}, got {square!r}")
     finite_elements()
@@ -144,8 +133,8 @@ def make_hgo(
     folder = Path(folder)
     with locked(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        made = solved(folder, material, element, square, sum(counts[:3]), seed, jobs, progress)
-        disk = solved(folder, material, element, "disk", counts[3], seed + 100_000, jobs, progress)
+        made = solved(folder, material, square, sum(counts[:3]), seed, jobs, progress)
+        disk = solved(folder, material, "disk", counts[3], seed + 100_000, jobs, progress)
     ends = np.cumsum(counts[:3])[:-1]
     points = square_points(square)
     sets = {
@@ -184,27 +173,18 @@ def disk_points() -> Points:
 
 
 def solved(
-    folder: Path,
-    material: Material,
-    element: str,
-    shape: str,
-    count: int,
-    seed: int,
-    jobs: int,
-    progress: bool,
+    folder: Path, material: Material, shape: str, count: int, seed: int, jobs: int, progress: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """The first `count` solvable samples: displacement and load, shapes [S, N, 2]."""
     u: list[np.ndarray] = []
     b: list[np.ndarray] = []
-    label = f"{element} {shape}s"
+    label = f"{shape}s"
     with (
         tqdm(total=count, desc=label, disable=not progress, leave=False) as bar,
         joblib.Parallel(n_jobs=jobs, return_as="generator") as parallel,
     ):
         for batch in batches(count, seed):
-            work = (
-                joblib.delayed(sample)(folder, material, element, shape, number) for number in batch
-            )
+            work = (joblib.delayed(sample)(folder, material, shape, number) for number in batch)
             for pair in parallel(work):
                 if pair is not None and len(u) < count:
                     u.append(pair[0])
@@ -229,10 +209,10 @@ def batches(count: int, seed: int) -> Iterator[range]:
 
 
 def sample(
-    folder: Path, material: Material, element: str, shape: str, seed: int
+    folder: Path, material: Material, shape: str, seed: int
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """One sample from the folder, or solved and put there; None where it has no equilibrium."""
-    settings = {**asdict(material), "element": element, "shape": shape, "seed": seed, "version": 1}
+    settings = {**asdict(material), "element": "linear", "shape": shape, "seed": seed, "version": 1}
     key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:24]
     path = folder / f"{shape}_{key}.npz"
     if path.exists():
@@ -242,11 +222,7 @@ def sample(
         except (KeyError, ValueError):
             pass  # damaged: solved again
     try:
-        u, b = (
-            solve_disk(material, element, seed)
-            if shape == "disk"
-            else solve_square(material, element, shape, seed)
-        )
+        u, b = solve_body(material, shape, seed)
     except NotSolved:
         u, b = np.empty((0, 2)), np.empty((0, 2))
     with whole_file(path) as temporary:
@@ -254,55 +230,30 @@ def sample(
     return (u, b) if len(u) else None
 
 
-def solve_square(
-    material: Material, element: str, square: str, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and load on the nodes of the square."""
-    rng = np.random.default_rng(seed)
-    side = SPACING * (side_of(square) - 1)
-    b = RandomField(rng, rng.uniform(0.2, 1.0) / side, waves=round(12 * side), side=side)
-    mesh = mesh_of(square, element)
-    load = mesh.load(b, nodal=element == "linear")
-    u = mesh.solve(material.energy, load, mesh.edge, np.zeros(len(mesh.edge)))
-    points = square_points(square)
+def solve_body(material: Material, shape: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement and load on the nodes of a square, or of the disk and its collar."""
+    rng, mesh = np.random.default_rng(seed), mesh_of(shape)
+    if shape == "disk":
+        points = disk_points()
+        b = RandomField(rng, rng.uniform(0.2, 0.8), waves=24, side=2.0, first=-1.0)
+    else:
+        points, side = square_points(shape), SPACING * (side_of(shape) - 1)
+        b = RandomField(rng, rng.uniform(0.2, 1.0) / side, waves=round(12 * side), side=side)
+    load, steps = mesh.load(b, nodal=True), 2 if shape == "disk" else 1
+    u = mesh.solve(material.energy, load, mesh.edge, np.zeros(len(mesh.edge)), steps=steps)
     return on_nodes(mesh, u, points.x), b(points.x)
 
 
-def solve_disk(material: Material, element: str, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement and load on the nodes of the disk and its collar."""
-    rng = np.random.default_rng(seed)
-    b = RandomField(rng, rng.uniform(0.2, 0.8), waves=24, side=2.0, first=-1.0)
-    mesh = mesh_of("disk", element)
-    load = mesh.load(b, nodal=element == "linear")
-    u = mesh.solve(material.energy, load, mesh.edge, np.zeros(len(mesh.edge)), steps=2)
-    x = disk_points().x
-    return (on_nodes(mesh, u, x) if element == "linear" else mesh.sample(u, x)), b(x)
-
-
-_meshes: dict[tuple[str, str], Elements] = {}
-
-
-def mesh_of(shape: str, element: str) -> Elements:
-    """The mesh of a body, built once in a process."""
-    key = shape, element
-    if key not in _meshes:
-        skfem: Any = finite_elements()
-        if shape in SQUARES:
-            count = side_of(shape) - 1
-            linear = triangles(count, SPACING * count)
-            quadratic = quadrilaterals(count, SPACING * count)
-            element_of = skfem.ElementQuad2()
-        else:
-            side = triangles(40, 2.0, -1.0)
-            within = (np.linalg.norm(side.p[:, side.t], axis=0) <= MESHED_RADIUS + 1e-3).all(axis=0)
-            linear = side.restrict(np.flatnonzero(within))
-            quadratic = skfem.MeshTri.init_circle(5).scaled(MESHED_RADIUS)
-            element_of = skfem.ElementTriP2()
-        if element == "linear":
-            _meshes[key] = Elements(linear, skfem.ElementTriP1(), order=2)
-        else:
-            _meshes[key] = Elements(quadratic, element_of)
-    return _meshes[key]
+@lru_cache
+def mesh_of(shape: str) -> Elements:
+    """Triangles on the nodes of a body, built once in a process."""
+    if shape in SQUARES:
+        mesh = triangles(side_of(shape) - 1, SPACING * (side_of(shape) - 1))
+    else:
+        mesh = triangles(40, 2.0, -1.0)
+        within = (np.linalg.norm(mesh.p[:, mesh.t], axis=0) <= MESHED_RADIUS + 1e-3).all(axis=0)
+        mesh = mesh.restrict(np.flatnonzero(within))
+    return Elements(mesh, finite_elements().ElementTriP1(), order=2)
 
 
 def on_nodes(mesh: Elements, u: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -316,7 +267,6 @@ def main() -> None:
     """Make the data from a shell."""
     parser = Options(__doc__)
     parser.add("--out", type=Path, default=Path("data/hgo"), help="folder of samples")
-    parser.add("--element", choices=ELEMENTS, default="linear")
     parser.add("--counts", type=int, nargs=4, default=(200, 25, 25, 10))
     parser.add("--seed", type=int, default=1000)
     parser.add("--jobs", type=int, default=-1)
@@ -324,7 +274,7 @@ def main() -> None:
         parser.add(f"--{name}", type=float, default=value)
     given = parser.parse_args()
     material = Material(**{name: getattr(given, name) for name in asdict(Material())})
-    how = {name: getattr(given, name) for name in ("element", "counts", "seed", "jobs")}
+    how = {name: getattr(given, name) for name in ("counts", "seed", "jobs")}
     sets, file = make_hgo(given.out, material=material, **how), given.out.with_suffix(".h5")
     made = vars(given) | {"out": given.out.name}
     save(file, Dataset(sets, thickness=1.0, density=1000.0, provenance=made))

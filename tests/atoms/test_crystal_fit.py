@@ -1,8 +1,6 @@
 """Structures to laws: moduli of finite strains, sheets and solids found, what is refused."""
 
 import json
-import sys
-import warnings
 from dataclasses import replace
 from typing import ClassVar
 
@@ -10,7 +8,6 @@ import ase.build
 import ase.io
 import numpy as np
 import pytest
-import tomli_w
 from ase.calculators.calculator import Calculator
 from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
@@ -19,7 +16,7 @@ from ase.neighborlist import neighbor_list
 from ase.optimize import BFGS
 
 import warp_peri as wp
-from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
+from warp_peri.atoms.calculators import lammps_calculator
 from warp_peri.atoms.phonons import born_charges
 from warp_peri.atoms.relaxed import at_rest
 from warp_peri.cli.main import main
@@ -27,12 +24,6 @@ from warp_peri.core.elastic import voigt
 from warp_peri.core.groups import group_of_structure
 
 TERSOFF = "SiC_1989.tersoff"
-
-
-def off(found):
-    """Largest difference of the law's moduli from finite strains, relative to the largest."""
-    law, true = voigt(found.law.tensor()), voigt(found.strained)
-    return np.abs(law - true).max() / np.abs(true).max()
 
 
 @pytest.fixture(scope="module")
@@ -83,56 +74,12 @@ def test_a_file_without_a_structure_is_told_before_anything_is_done(tmp_path, ca
     assert "cannot be written" in capsys.readouterr().err
 
 
-def test_types_by_number_are_elements_by_their_masses_and_asked_for_without(tmp_path):
-    salt, ends = ase.build.bulk("MgO", "rocksalt", a=4.2), []
-    for own, order in (("1 1 0.1 2.0", "1 2"), ("2 2 0.1 2.0", "2 1")):  # magnesium's
-        first, second = order.split()
-        salt.calc = lammps_calculator(
-            f"lj/cut 6.0; pair_coeff * * 0.2 1.9; pair_coeff {own}; mass {first} 24.305; "
-            f"mass {second} 15.999",
-            ["Mg", "O"],
-        )
-        ends.append(salt.get_potential_energy())
-    assert ends[0] == pytest.approx(ends[1], rel=1e-9)
-    numbers = "lj/cut 6.0; pair_coeff 1 1 0.1 2.0; pair_coeff 2 2 0.2 1.9"
-    for lines in (numbers, "amoeba; pair_coeff * * a.prm", "table linear 9; pair_coeff * * 1.0"):
-        with pytest.raises(wp.InputError, match="expected which of Mg, O each type of its lines"):
-            lammps_calculator(lines, ["Mg", "O"])
-    with pytest.raises(wp.InputError, match="masses, for each .*, Mg, O, once, got O"):
-        lammps_calculator(f"{numbers}; mass 1 15.999; mass 2 40.1", ["Mg", "O"])
-    lammps_calculator("lj/cut 6.0; pair_coeff 1 1 0.1 2.0", ["Mg"])
-    lammps_calculator("lj/cut 6.0; pair_coeff * * 0.1 2.0", ["Mg", "O"])
-
-
-def test_lines_with_charges_have_the_energy_of_madelung():
-    salt = ase.build.bulk("MgO", "rocksalt", a=4.2)
-    salt.calc = lammps_calculator(
-        "coul/long 6.0; pair_coeff * *; kspace_style ewald 1e-5; mass 1 24.305; mass 2 15.999; "
-        "set type 1 charge 1; set type 2 charge -1",
-        ["Mg", "O"],
-    )
-    assert salt.get_potential_energy() == pytest.approx(-1.747565 * 14.39964 / 2.1, rel=1e-4)
-
-
 def test_any_calculator_of_ase_does():
     found = wp.from_atoms(ase.build.bulk("Al"), EMT(), units="si", supercell=(6, 6, 6))
-    assert off(found) < 0.005
+    law, true = voigt(found.law.tensor()), voigt(found.strained)
+    assert np.abs(law - true).max() < 0.005 * np.abs(true).max()
     assert found.material.units == ("m", "Pa")
     assert found.material.moduli()["C11"] == pytest.approx(53.3e9, rel=0.01)
-
-
-class Ions(EMT):
-    """A metal that says it has charges."""
-
-    implemented_properties = (*EMT.implemented_properties, "born_effective_charges")
-    charge = 1.0
-
-    def calculate(self, atoms=None, properties=(), changes=()):
-        super().calculate(atoms, ["energy"], changes)
-        self.results["born_effective_charges"] = self.charge * np.tile(
-            np.eye(3), (len(atoms), 1, 1)
-        )
-        self.results["dielectric_tensor"] = np.eye(3)
 
 
 class Exchange(Calculator):
@@ -169,22 +116,19 @@ def ordered(name):
     return atoms
 
 
-@pytest.mark.parametrize("name", ["initial_magmoms", "initial_charges", "tags"])
+@pytest.mark.parametrize("name", ["initial_magmoms", "tags", "momenta", "own"])
 def test_what_tells_atoms_of_one_element_apart_is_kept_in_the_smallest_cell(name):
-    """Moments, charges and tags by themselves; what else a calculator goes by keeps the cell."""
+    """By any array; those that are no calculator's own are named."""
     calculator, given = Exchange(name), ordered(name)
-    if name == "own":
-        with pytest.warns(UserWarning, match="the cell of 4 atoms is kept: the calculator has"):
+    if name in ("momenta", "own"):
+        with pytest.warns(UserWarning, match=f"one element are told apart by {name}; delete"):
             rest = at_rest(given, calculator)
     else:
         rest = at_rest(given, calculator)
-    assert len(rest.cell) == (4 if name == "own" else 2)
-    assert sorted(rest.cell.arrays[name])[:: len(rest.cell) - 1] == [-1, 1]
-    if name in ("initial_charges", "tags"):  # as moments from here on
+    assert sorted(np.ravel(rest.cell.arrays[name])) == [-1, 1]
+    if name != "initial_magmoms":  # as these from here on
         return
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "structure: the cell of 4 atoms is kept")
-        found = wp.from_atoms(given, calculator, symmetry="-1", supercell=None)
+    found = wp.from_atoms(given, calculator, symmetry="-1")
     C = 1e3 * voigt(found.tensor)
     np.testing.assert_allclose(C, strained_by_hand(given, calculator), atol=0.01 * C[0, 0])
     bare = given.copy()
@@ -210,34 +154,18 @@ def strained_by_hand(given, calculator):
     return np.array(columns) * 160.21766
 
 
-def test_elements_of_a_typed_pair_coeff_are_its_types():
-    alloy = ase.Atoms("AlNi3", scaled_positions=[[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5],
-                      [0.5, 0.5, 0]], cell=[3.57] * 3, pbc=True)  # fmt: skip
-    path = potential_file("NiAlH_jea.eam.alloy")
-    energy = {}
-    for elements in ("Ni Al", "Al Ni", "H Ni Al"):
-        line = f"lammps:eam/alloy; pair_coeff * * {path} {elements}"
-        alloy.calc = wp.atoms.named_calculator(line, ["Al", "Ni"])
-        energy[elements] = alloy.get_potential_energy()
-    alloy.calc = lammps_calculator("eam/alloy", ["Al", "Ni"], path)
-    assert list(energy.values()) == pytest.approx([alloy.get_potential_energy()] * 3, rel=1e-12)
-    for elements in ("Ni", "Ni Ni", "Ni H"):
-        with pytest.raises(
-            wp.InputError, match=f"element of the structure, Al, Ni, once, got {elements}"
-        ):
-            lammps_calculator(f"eam/alloy; pair_coeff * * {path} {elements}", ["Al", "Ni"])
-    lines = "; ".join(f"pair_coeff * * a {e}" for e in ("Ni NULL", "Al Ni"))
-    with pytest.raises(wp.InputError, match="one element for type 1, got Ni and Al"):
-        lammps_calculator(f"hybrid a b; {lines}", ["Al", "Ni"])
+class Ions(EMT):
+    """A metal that says it has charges."""
 
+    implemented_properties = (*EMT.implemented_properties, "born_effective_charges")
+    charge = 1.0
 
-def graphyne():
-    """γ-graphyne: hexagons of carbon on a triangular lattice, joined by C≡C."""
-    turns = np.stack([np.cos(np.arange(6) * np.pi / 3), np.sin(np.arange(6) * np.pi / 3)], axis=1)
-    x = np.pad(np.concatenate([1.43 * turns, 2.84 * turns]), ((0, 0), (0, 1)))
-    a = 2 * 2.84 + 1.22
-    cell = [[a, 0, 0], [-a / 2, a * 0.75**0.5, 0], [0, 0, 20]]
-    return ase.Atoms("C12", positions=x, cell=cell, pbc=[True, True, False])
+    def calculate(self, atoms=None, properties=(), changes=()):
+        super().calculate(atoms, ["energy"], changes)
+        self.results["born_effective_charges"] = self.charge * np.tile(
+            np.eye(3), (len(atoms), 1, 1)
+        )
+        self.results["dielectric_tensor"] = np.eye(3)
 
 
 def test_born_charges_of_a_calculator_are_asked_for():
@@ -256,26 +184,20 @@ def test_born_charges_of_a_calculator_are_asked_for():
     assert born_charges(solid, EMT()) is None
 
 
-def test_an_unstable_structure_is_refused_with_its_worst_wave():
+def test_what_no_force_holds_is_refused():
+    """A structure with an imaginary phonon, a sheet that would buckle, an atom out of reach."""
     square = ase.build.bulk("Cu", "sc", a=2.4)
     with pytest.raises(wp.InputError, match=r"imaginary phonon, the worst of .*i THz at k = \["):
         wp.from_atoms(square, EMT(), supercell=(4, 4, 4))
-
-
-def test_a_flat_sheet_that_would_buckle_is_refused():
     silicene = ase.build.graphene(a=3.8, vacuum=10)
     silicene.numbers[:] = 14
     with pytest.raises(wp.InputError, match="imaginary phonon"):
         wp.from_atoms(silicene, lammps_calculator("sw", ["Si"], "Si.sw"))
-
-
-@pytest.mark.parametrize("first", [True, False])
-def test_an_atom_out_of_reach_of_a_sheet_is_named(first):
     sheet = ase.build.graphene(vacuum=10)
     one = ase.Atoms("C", [[0, 0, 16.0]], cell=sheet.cell, pbc=True)
-    both = one + sheet if first else sheet + one
-    with pytest.raises(wp.InputError, match="parts of it feel no force from the rest"):
-        wp.from_atoms(both, lammps_calculator("tersoff", ["C"], TERSOFF))
+    for both in (one + sheet, sheet + one):
+        with pytest.raises(wp.InputError, match="parts of it feel no force from the rest"):
+            wp.from_atoms(both, lammps_calculator("tersoff", ["C"], TERSOFF))
 
 
 @pytest.mark.parametrize("flat", [True, False])
@@ -306,13 +228,10 @@ def shared_site(occupancy):
         (ase.build.molecule("H2O"), "free cluster"),
         (ase.build.molecule("N2", vacuum=10, pbc=True), "along 3 edges"),
         (shared_site({"Cu": 0.7, "Ni": 0.3}), "got one of Cu 0.7, Ni 0.3"),
-        (shared_site({"Cu": 0.9}), "sites that one element fills"),
         (ase.Atoms("Al2", [[0, 0, 0], [0.1, 0, 0]], cell=[4, 4, 4], pbc=True), "is a site there"),
-        (ase.Atoms("Al", cell=[0.25] * 3, pbc=True), "lengths not in Å"),
         (ase.Atoms("Al", [[np.nan, 0, 0]], cell=[4, 4, 4], pbc=True), "at finite places"),
         (ase.Atoms(cell=[4, 4, 4], pbc=True), "one atom or more"),
         (ase.Atoms("Al", cell=[[4, 0, 0], [8, 0, 0], [0, 0, 4]], pbc=True), "some in a plane"),
-        (ase.Atoms("Al", cell=[[4, 0, 0], [0, 0, 0], [0, 0, 4]], pbc=True), "some in a plane"),
     ],
 )
 def test_what_is_no_crystal_is_refused(atoms, what):
@@ -320,16 +239,13 @@ def test_what_is_no_crystal_is_refused(atoms, what):
         at_rest(atoms, LennardJones())
 
 
-@pytest.mark.parametrize(
-    ("element", "what"), [("Fe", "no forces for Fe .*No EMT-potential"), ("Al", None)]
-)
-def test_what_a_calculator_lacks_and_how_far_a_cell_went_are_said(element, what):
-    far = ase.build.bulk(element, "fcc", a=5.0)
-    if what:
-        with pytest.raises(wp.InputError, match=what):
-            at_rest(far, EMT())
-    else:
-        assert at_rest(far, EMT()).said["relaxed"].endswith("strains of -20.1% to -20.1%")
+def test_what_a_calculator_lacks_and_how_far_a_cell_went_are_said():
+    with pytest.raises(wp.InputError, match=r"no forces for Fe .*No EMT-potential"):
+        at_rest(ase.build.bulk("Fe", "fcc", a=5.0), EMT())
+    far = at_rest(ase.build.bulk("Al", "fcc", a=5.0), EMT())
+    assert far.said["relaxed"].endswith("strains of -20.1% to -20.1%")
+    with pytest.raises(wp.InputError, match="thickness: expected a length > 0"):
+        at_rest(ase.build.graphene(vacuum=10), EMT(), thickness=0.0)
 
 
 class Stressed(EMT):
@@ -342,7 +258,7 @@ class Stressed(EMT):
         self.results["stress"] = self.factor * np.asarray(self.results["stress"])
 
 
-@pytest.mark.parametrize("factor", [0.0, -1.0, 160.2, np.nan])
+@pytest.mark.parametrize("factor", [-1.0, np.nan])
 def test_a_stress_that_is_none_of_the_energy_is_named(factor):
     calculator = Stressed()
     calculator.factor = factor
@@ -355,11 +271,6 @@ def test_a_skewed_cell_is_made_short_before_it_is_repeated():
     cell.set_cell(np.array([[1, 0, 0], [5, 1, 0], [3, -4, 1]]) @ np.array(cell.cell))
     cell.wrap()
     assert at_rest(cell, EMT()).cell.cell.lengths() == pytest.approx(3 * [2.5384], rel=1e-4)
-
-
-def test_a_thickness_that_is_no_length_is_refused():
-    with pytest.raises(wp.InputError, match="thickness: expected a length > 0"):
-        at_rest(ase.build.graphene(vacuum=10), EMT(), thickness=0.0)
 
 
 def test_a_sheet_across_a_face_is_put_together_and_a_wide_cell_made_small():
@@ -405,174 +316,3 @@ def test_turned_axes_are_said_and_a_strain_of_a_sheet_across_x_is_refused():
     with pytest.raises(wp.InputError, match="hold: expected a sheet across z"):
         at_rest(across, made, hold=["xx"])
     assert "axes" not in at_rest(ase.build.graphene(vacuum=10), made).said
-
-
-def test_a_file_of_one_element_is_read_by_the_style_eam():
-    palladium = ase.build.bulk("Pd", cubic=True)
-    palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")
-    assert palladium.get_potential_energy() == pytest.approx(4 * -3.91, abs=0.01)
-    with pytest.raises(wp.InputError, match="one element, got Cu, Pd"):
-        lammps_calculator("eam", ["Pd", "Cu"], "Pd_u3.eam")
-
-
-def test_a_potential_that_is_not_there_is_told_its_neighbours():
-    with pytest.raises(wp.InputError, match=r"got 'Sii.sw'; LAMMPS came with Si.sw"):
-        lammps_calculator("sw", ["Si"], "Sii.sw")
-    with pytest.raises(wp.InputError, match="got 'mine/Si.sw'"):  # not another file of this name
-        lammps_calculator("sw", ["Si"], "mine/Si.sw")
-
-
-def test_what_lammps_refuses_is_said_in_its_words():
-    wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
-    with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
-        at_rest(ase.build.bulk("Cu"), wrong)
-
-
-@pytest.mark.parametrize(
-    ("name", "what"),
-    [
-        ("nowhere:EMT", "No module"),
-        ("ase.calculators.emt:None", "no ASE calculator|expected lammps"),
-        ("lammps:tersoff", "--potential FILE"),
-        ("lammps:", "--potential FILE"),
-        ("ase.calculators.emt:EMT(open('x'))", "malformed"),
-        ("ase.calculators.emt:EMT()()", "name of a class"),
-        ("ase.calculators.emt:EMT.__init__", "name of a class"),
-        ("ase.calculators.emt:EMT.calculate", "no class of an ASE calculator"),
-        ("os:system('touch ran')", "Python itself"),
-        ("subprocess:check_output(['touch', 'ran'])", "Python itself"),
-        ("subprocess:Popen(['touch', 'ran'])", "Python itself"),
-        ('builtins:eval(\'open("ran", "w")\')', "Python itself"),
-        ("functools:partial", "Python itself"),
-        ("ase.calculators.calculator:os.system('touch ran')", "os is a module"),
-        ("ase.calculators.genericfileio:read_stdout(['touch', 'ran'])", "nor a function"),
-        ("numpy:savetxt('ran', [1])", "nor a function"),
-        ("lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
-        ("lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; log ran", "log ran"),
-        ("lammps:shell touch ran; pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3", "no such pair"),
-        ("lammps:dump d all atom 1 ran; pair_coeff * * 0.4 2.3", "no such pair style"),
-        ("lammps:pair_style; pair_coeff * * 0.4 2.3", "no such pair style"),
-        ("lammps:pair_style lj/cut 5.0\nshell touch ran; pair_coeff * * 0.4 2.3", "line break"),
-        ("lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3", "could run code"),
-        ("lammps:python 5.0; pair_coeff * * ran.Law lj", "could run code"),
-        ("lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3", "could run code"),
-        ("lammps:mliap unified ran.pt; pair_coeff * * Cu", "could run code"),
-        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; plugin load ran.so", "plugin load"),
-        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; include ran", "include ran"),
-        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; variable x getenv HOME", "variable x"),
-        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f", "fix"),
-    ],
-)
-def test_calculators_that_are_none_are_named(tmp_path, monkeypatch, name, what):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(wp.InputError, match=what):
-        wp.atoms.named_calculator(name, ["Cu"])
-    assert not list(tmp_path.iterdir())  # nothing ran
-
-
-OWN = """
-from ase.calculators.lj import LennardJones
-
-class Mine(LennardJones):
-    pass
-
-def says(sigma) -> LennardJones:
-    return Mine(sigma=sigma)
-"""
-
-
-def test_own_classes_and_functions_that_return_calculators_are_taken_from_the_line(
-    tmp_path, monkeypatch
-):
-    (tmp_path / "own_laws.py").write_text(OWN)
-    monkeypatch.syspath_prepend(tmp_path)
-    for call in ("Mine(sigma=2.5)", "says(2.5)"):
-        parameters = wp.atoms.named_calculator(f"own_laws:{call}", ["Cu"]).parameters
-        assert parameters["sigma"] == 2.5
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "Si.tersoff").write_text(TERSOFF_OF_SILICON)
-    name = "ase.calculators.tersoff:Tersoff.from_lammps('Si.tersoff')"
-    assert wp.atoms.named_calculator(name, ["Si"]).parameters
-
-
-TERSOFF_OF_SILICON = """Si Si Si 3.0 1.0 1.3258 4.8381 2.0417 0.0000 22.956
-0.33675 1.3258 95.373 3.0 0.2 3.2394 3264.7
-"""
-
-
-@pytest.fixture
-def installed(tmp_path, monkeypatch):
-    """A folder with a calculator of one's own, whose import leaves a file."""
-    monkeypatch.delitem(sys.modules, "here", raising=False)
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "here.py").write_text(OWN + "open('ran', 'w')\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    return tmp_path
-
-
-RUNS = "could run a program or load code"
-
-
-@pytest.mark.parametrize(
-    ("name", "what"),
-    [
-        ("here:Mine(sigma=2.5)", RUNS),
-        ("ase.calculators.calculator:FileIOCalculator(command='touch ran')", RUNS),
-        ("ase.calculators.lammpsrun:LAMMPS(command='touch ran')", RUNS),
-        ("ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])", RUNS),
-        ("ase.calculators.subprocesscalculator:PythonSubProcessCalculator(1, ['sh'])", RUNS),
-        ("ase:Atoms('Cu')", RUNS),
-        ("ase.calculators.emt:os.system('touch ran')", "no attribute"),
-        ("ase.calculators.lj:full_3x3_to_voigt_6_stress(1)", "no class"),
-        ("os:system('touch ran')", "Python itself"),
-        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
-    ],
-)
-def test_a_file_of_settings_runs_nothing(installed, capsys, name, what):
-    there = {*installed.iterdir()}
-    ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
-    settings = {"structure": "cu.xyz", "out": "out", "calculator": name}
-    (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
-    assert main(["fit-crystal", "--config", "evil.toml"]) == 2
-    error = capsys.readouterr().err
-    assert what in error
-    assert len(error.splitlines()) == 1
-    assert {*installed.iterdir()} - there == {installed / "cu.xyz", installed / "evil.toml"}
-    settings["trust"] = True
-    (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
-    assert main(["fit-crystal", "--config", "evil.toml"]) == 2
-    assert "no option 'trust'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        "ase.calculators.lj:LennardJones(sigma=2.5, epsilon=0.4, rc=7.0)",
-        "ase.calculators.emt:EMT",
-        "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; pair_modify shift yes",
-        "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all qeq/shielded 1 8 1e-4 9 param.qeq",
-    ],
-)
-def test_what_computes_by_itself_may_stand_in_a_file(installed, name):
-    assert wp.atoms.named_calculator(name, ["Cu"], trusted=False) is not None
-
-
-def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monkeypatch, capsys):
-    seen = []
-
-    def from_atoms(structure, calculator, **_):
-        seen.append(calculator)
-        raise wp.InputError("enough")
-
-    monkeypatch.setattr(wp, "from_atoms", from_atoms)
-    ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
-    table = {"structure": "cu.xyz", "out": "out", "calculator": "here:Mine(sigma=2.5)"}
-    (installed / "own.toml").write_text(tomli_w.dumps({"fit-crystal": table}))
-    line = ["fit-crystal", "--config", "own.toml"]
-    assert main(line) == 2
-    assert "--trust, or the calculator on the line" in capsys.readouterr().err
-    assert not seen
-    main([*line, "--trust"])
-    main([*line, "--calculator", "here:Mine(sigma=1.5)"])
-    main([*line, "--calc", "here:Mine(sigma=0.5)"])
-    assert [law.parameters["sigma"] for law in seen] == [2.5, 1.5, 0.5]

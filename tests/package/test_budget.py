@@ -17,11 +17,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 23_207,
-    "tokens": 283_664,
-    "lines of warp_peri": 38_898,
+    "code lines": 22_954,
+    "tokens": 280_814,
+    "lines of warp_peri": 38_583,
     "lines of kernels": 1_275,
-    "lines of warp_peri, kernels, examples and tools": 52_518,
+    "lines of warp_peri, kernels, examples and tools": 52_037,
     "lines of the longest file": 643,
     "lines of the longest function": 96,
     "parameters of one function": 13,
@@ -32,9 +32,9 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2927,
+    "atoms": 2714,
     "cli": 871,
-    "core": 1706,
+    "core": 1694,
     "diffusion": 339,
     "face": 932,
     "fe_coupling": 830,
@@ -42,7 +42,7 @@ ROOMS = {
     "fitting": 1326,
     "fracture": 1674,
     "learning": 925,
-    "materials": 5118,
+    "materials": 5090,
     "neural": 909,
     "points": 1712,
     "prediction": 878,

@@ -79,14 +79,14 @@ def test_a_load_without_equilibrium_is_refused():
 def test_data_are_the_same_after_an_interruption(tmp_path):
     counts = (2, 1, 0, 0)
     first = make_hgo(tmp_path / "a", counts=counts, jobs=1, progress=False)
-    sample(tmp_path / "b", Material(), "linear", "square", 1001)  # was solved before it stopped
+    sample(tmp_path / "b", Material(), "square", 1001)  # was solved before it stopped
     again = make_hgo(tmp_path / "b", counts=counts, jobs=1, progress=False)
     for name in ("train", "val"):
         assert np.array_equal(first[name].u, again[name].u)
     assert first["train"].u.shape == (2, 441, 2)
     assert np.abs(first["train"].u[:, ~inside()]).max() == 0
-    with pytest.raises(InputError, match="element"):
-        make_hgo(tmp_path / "c", element="cubic")
+    with pytest.raises(InputError, match="square: expected one of"):
+        make_hgo(tmp_path / "c", square="cube")
 
 
 def inside():

@@ -20,6 +20,7 @@ from warp_peri.atoms.force_constants import (
     balanced,
     every_pair,
     field_of_ions,
+    forces_of,
     relaxing,
 )
 from warp_peri.core.elastic import PAIRS, stress_brackets, voigt
@@ -119,44 +120,38 @@ def measured(cell: ase.Atoms, calculator: Any, flat: bool) -> Noise:
     many = cell.repeat((count, count, 1 if flat else count))
     u = _directions(rng, len(many), SHAKEN)
     axis = np.array([0, 0, 1.0]) if flat else np.array([1, 2, 3]) / 14**0.5
-    seen: dict[int, list[tuple[np.ndarray, Any]]] = {1: [], -1: []}
-    for sign, angle in ((s, a) for s in seen for a in ANGLES):
-        one = many.copy()
+
+    def told(sign: int, angle: float) -> tuple[np.ndarray, np.ndarray] | None:
+        one, turn = many.copy(), Rotation.from_rotvec(angle * axis, degrees=True).as_matrix()
         one.positions += sign * u + rng.uniform(0, 3, 3) * [1, 1, not flat]
-        turn = Rotation.from_rotvec(angle * axis, degrees=True).as_matrix()
-        one.set_cell(np.array(one.cell) @ turn.T)
-        one.positions[:] = np.array(one.positions) @ turn.T
+        one.rotate(angle, axis, rotate_cell=True)
         one.calc = calculator
         try:
-            force, stress = np.array(one.get_forces(apply_constraint=False)) @ turn, None
+            force = np.array(one.get_forces(apply_constraint=False)) @ turn
         except Exception:  # a calculator may go by axes of its own
             if not angle:
                 raise
-            continue
+            return None
+        stress = np.full((3, 3), np.nan)
         with suppress(Exception):  # calculators without stress raise whatever they do
             stress = voigt_6_to_full_3x3_stress(one.get_stress(apply_constraint=False))
-            stress = turn.T @ stress @ turn
-        seen[sign].append((force, stress))
+        return force, turn.T @ stress @ turn
 
-    def scatter(place: int) -> float:
-        sides = [np.array([one[place] for one in seen[sign]]) for sign in seen]
-        return float(np.sqrt(np.mean([np.var(side, axis=0, ddof=1).mean() for side in sides])))
+    sides = [[one for a in ANGLES if (one := told(sign, a)) is not None] for sign in (1, -1)]
+    force, stress = (np.array([[one[n] for one in side] for side in sides]) for n in (0, 1))
 
-    known = all(stress is not None for _, stress in seen[1] + seen[-1])
-    tight = scatter(1) * np.sqrt(len(many) / len(cell)) * EV_IN_TPA if known else 0.0
-    ends = [np.mean([force for force, _ in seen[sign]], axis=0) for sign in seen]
-    odd = (ends[0] - ends[1]) / 2
+    def scatter(values: np.ndarray) -> float:
+        return float(np.sqrt(values.var(axis=1, ddof=1).mean()))
+
+    known = bool(np.isfinite(stress).all())
+    tight = scatter(stress) * np.sqrt(len(many) / len(cell)) * EV_IN_TPA if known else 0.0
+    odd = np.subtract(*force.mean(axis=1)) / 2
     stiffness = float(np.sqrt(np.mean(odd**2) / np.mean(u**2)))
-    found = Noise(scatter(0), float(tight), stiffness)
+    found = Noise(scatter(force), float(tight), stiffness)
     if found.rounding:
         return found
-    short = []
-    for sign in seen:
-        many.positions += sign * u / 2
-        many.calc = calculator
-        short.append(np.array(many.get_forces(apply_constraint=False)))
-        many.positions -= sign * u / 2
-    bent = float(np.sqrt(np.mean((short[0] - short[1] - odd) ** 2)))
+    at, x = forces_of(many, calculator), np.array(many.positions)
+    bent = float(np.sqrt(np.mean((at(x + u / 2) - at(x - u / 2) - odd) ** 2)))
     if bent <= max(ROUGH * found.linear, 2 * TIMES * found.force):
         share = bent_by_strain(cell, calculator, flat, found.stress) if known else 0.0
         bent = share * found.linear if share > BENDING else 0.0
@@ -239,14 +234,10 @@ class Symmetric:
             spacegroup_operations={name: group[name][some] for name in OPERATIONS},
             symprec=ON_SITES,
         ).run()
-        self.translations, own = found.translation_permutations, found.p2s_map
-        rows = found.compact_compression_matrix.toarray() * len(self.translations) ** 0.5
-        basis = rows.T.reshape(-1, len(own), count, 3, 3)
-        self.basis = np.empty((len(basis), len(cell), count, 3, 3))
-        for place, atom in enumerate(displaced):  # symfc has the first of all that are images
-            shift, first = np.argwhere(self.translations[:, own] == atom)[0]
-            self.basis[:, place, self.translations[shift]] = basis[:, first]
-        self.basis *= (len(own) / len(cell)) ** 0.5
+        self.translations = found.translation_permutations
+        rows = 9 * count * np.array(displaced)[:, None] + np.arange(9 * count)
+        basis = found.compression_matrix.tocsr()[rows.ravel()].toarray().T
+        self.basis = (count / len(cell)) ** 0.5 * basis.reshape(-1, len(cell), count, 3, 3)
 
     def values(self, phi: np.ndarray) -> np.ndarray:
         """What pairs have of Φ [..., n, N, 3, 3], shape [..., P, 3, 3]."""
@@ -348,19 +339,14 @@ def rattled(
         phi = np.concatenate([phi, field[None]])
     known, free = every.rules()
     pairs = max(TIMES, int(np.ceil(TIMES * free.shape[1] / (3 * len(many)))))
-    x, rows, forces = np.array(many.positions), [], []
-    moving = many.copy()
-    moving.calc = calculator
+    at, x, rows, forces = forces_of(many, calculator), np.array(many.positions), [], []
     small, few = (h / ROUGHER, pairs) if noise.rough else (h / 2, 1)
     for size in [h] * pairs + [small] * few:
         u = _directions(rng, len(many), size)
-        ends = []
-        for sign in (1, -1):
-            moving.positions[:] = x + sign * u
-            ends.append(np.array(moving.get_forces(apply_constraint=False)).ravel())
+        odd = (at(x + u) - at(x - u)).ravel() / 2
         own, ions = np.split(every.forces(phi, u), [len(known)], axis=1)
         rows.append(own @ free)
-        forces.append((ends[0] - ends[1]) / 2 - own @ known - ions.sum(axis=1))
+        forces.append(odd - own @ known - ions.sum(axis=1))
     (X, y), (short, less) = (
         [np.concatenate(one[part]) for one in (rows, forces)]
         for part in (slice(pairs), slice(pairs, None))
@@ -384,8 +370,7 @@ def rattled(
     edge, _ = at_edge(made.vectors, values[0], np.array(many.cell), thickness is not None)
     values, doubt, spread = np.split(values, [1, scatter.shape[1] + 2])
     found = replace(made, values=values[0], doubt=doubt, edge=edge)
-    if noise.rough:
-        found = replace(found, spread=spread)
+    found = replace(found, spread=spread) if noise.rough else found
     said = {
         "noise": f"{noise.force:.1e} eV/Å; {error:.1e} eV/Å between forces and force constants",
         "displacements": f"{h:.3g} Å of all atoms, {pairs} pairs; at {small:.3g} Å forces are "
@@ -449,10 +434,9 @@ def by_strains(
     few = [slice(k, k + 1) for k in range(SMALLER)] if rough else [slice(0, 2)]
     short, _, wider = zip(*(_slope((S[0] - S[1])[k] / 2, e[k], rough) for k in few))
     onto = np.linalg.pinv(voigt(allowed).reshape(len(allowed), -1).T)
-    U, sizes, _ = np.linalg.svd(onto, full_matrices=False)
     C, *off = (np.tensordot(onto @ one.ravel(), allowed, 1) for one in (slope, *(slope - short)))
-    errors = [*np.tensordot((U * sizes * error).T, allowed, 1)]
-    seen = TIMES * error * wider[0] / gain * np.sum(sizes)
+    errors = [*np.tensordot(error * onto.T, allowed, 1)]
+    seen = TIMES * error * wider[0] / gain * np.linalg.norm(onto, "nuc")
     if not rough and np.linalg.norm(onto @ (slope - short[0]).ravel()) > seen:
         errors.append(off[0])
     # a stress that is left strains the crystal; how stiffness goes with strain is in even parts
@@ -505,10 +489,8 @@ def _relaxed(
     size = EV_IN_TPA / atoms.volume
     onto = np.linalg.pinv(allowed.reshape(len(allowed), -1).T)
     taken = onto @ np.einsum("Iab,Icd->abcd", push, moved).ravel() * size
-    each = np.einsum("mabcd,Icd->mIab", onto.reshape(allowed.shape), moved)
-    U, sizes, _ = np.linalg.svd(each.reshape(len(allowed), -1), full_matrices=False)
-    errors = np.tensordot((U * sizes * (2 * size * error)).T, allowed, 1)
-    return np.tensordot(taken, allowed, 1), errors
+    each = np.einsum("mabcd,Icd->Iabm", onto.reshape(allowed.shape), moved).reshape(-1, len(onto))
+    return np.tensordot(taken, allowed, 1), np.tensordot(2 * size * error * each, allowed, 1)
 
 
 def joined(

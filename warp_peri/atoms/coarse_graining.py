@@ -9,6 +9,7 @@ import math
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
@@ -49,7 +50,6 @@ def smoothing_matrix(
     shape: str = "cone",
     box: tuple[float, float] | None = None,
     spacing: float | None = None,
-    density: bool = False,
 ) -> sp.csr_array:
     """Smoothing functions ω(x_i, X_ε) of every node and atom (You et al. 2021, equation 6.1).
 
@@ -67,11 +67,9 @@ def smoothing_matrix(
             over in the denominator; None sums over the given nodes, so that atoms outside their
             reach or at the edge of the node set are shared out among fewer nodes. Nodes that reach
             beyond a box need it: some are images of others, among which no atom may be shared.
-        density: divide τ by its integral instead, ∫ω dx = 1 (2.1): for scattered nodes, which
-            stand for no fixed area; coarse_grain then takes node_area = 1. Not with a spacing.
 
     Returns:
-        Sparse ω, shape [N, A], dimensionless; [Å⁻²] with `density`.
+        Sparse ω, shape [N, A], dimensionless.
 
     Raises InputError for an unknown shape, a radius that no node of the lattice can meet, a box
     without two periods, nodes that are not on a lattice of the given spacing, or reach beyond a box
@@ -85,11 +83,11 @@ def smoothing_matrix(
     if box is not None and not (np.shape(box) == (2,) and np.isfinite(box).all() and min(box) > 0):
         raise InputError(f"box: expected two periods > 0, got {box}")
     if spacing is not None:
-        _check_spacing(nodes, radius, spacing, density=density)
-    elif box is not None and not density and (np.ptp(nodes, axis=0) > np.multiply(box, FULL)).any():
+        _check_spacing(nodes, radius, spacing)
+    elif box is not None and (np.ptp(nodes, axis=0) > np.multiply(box, FULL)).any():
         raise InputError(
             "nodes: some are periodic images of others, among which no force may be shared; "
-            "expected their spacing on a square lattice, nodes within one period, or density"
+            "expected their spacing on a square lattice, or nodes within one period"
         )
     images, owner = _images(atoms, nodes, radius, box)
     if len(images) == 0:
@@ -97,9 +95,6 @@ def smoothing_matrix(
     tau = _tau(nodes, images, radius, shape)
     if spacing is not None:
         total = _tau(_reached(nodes[0], images, radius, spacing), images, radius, shape).sum(axis=0)
-    elif density:
-        volume = np.pi * radius**3 / 3 if shape == "cone" else np.pi * radius**4 / 2
-        total = np.full(len(images), volume)
     else:
         total = np.asarray(tau.sum(axis=0))
         if box is not None:
@@ -111,10 +106,8 @@ def smoothing_matrix(
     return sp.csr_array(tau @ sp.diags_array(scale) @ to_owner)
 
 
-def _check_spacing(nodes: np.ndarray, radius: float, spacing: float, *, density: bool) -> None:
+def _check_spacing(nodes: np.ndarray, radius: float, spacing: float) -> None:
     """Raise InputError for nodes of another lattice, or so wide that atoms belong to none."""
-    if density:
-        raise InputError("density: expected no spacing with it, each normalises in its own way")
     if spacing <= 0:
         raise InputError(f"spacing: expected a length > 0, got {spacing}")
     if not radius > spacing / np.sqrt(2):
@@ -168,8 +161,7 @@ def coarse_grain(
     mass = checked("mass", mass, shape=(atoms,) if np.ndim(mass) else ())
     for name, size in (("mass", mass), ("node_area", node_area), ("thickness", thickness)):
         if not (np.isfinite(size).all() and np.all(np.greater(size, 0))):
-            what = "values" if name == "mass" else "a number"
-            raise InputError(f"{name}: expected {what} > 0, got {size}")
+            raise InputError(f"{name}: expected values > 0, got {size}")
     weighted = omega @ sp.diags_array(np.broadcast_to(mass, (atoms,)))
     density = np.asarray(weighted.sum(axis=1))
     if not (density > 0).all():
@@ -245,9 +237,7 @@ def _mass_matrix(mesh: Mesh) -> sp.csc_array:
 
 
 def _apply(matrix: sp.csr_array, values: np.ndarray) -> np.ndarray:
-    samples, atoms, _ = values.shape
-    flat = matrix @ values.transpose(1, 0, 2).reshape(atoms, 2 * samples)
-    return np.ascontiguousarray(flat.reshape(-1, samples, 2).transpose(1, 0, 2))
+    return np.array([matrix @ one for one in values])
 
 
 def _images(
@@ -343,12 +333,13 @@ def read_fields(
 
 def _variables(path: Path, names: Sequence[str]) -> dict[str, np.ndarray]:
     """Arrays of numbers of a .mat file by name; HDF5, of version 7.3, has their axes reversed."""
+    held: dict[str, Any] = {}
     try:
         if h5py.is_hdf5(path):
             with h5py.File(path) as file:
                 check_hdf5(file, path.stat().st_size)
-                there, sets = [*file], {name: file.get(name) for name in names}
-                held = {n: s[()].T for n, s in sets.items() if getattr(s, "shape", ())}
+                there = [*file]
+                held = {n: file[n][()].T for n in names if getattr(file.get(n), "shape", ())}
         else:
             arrays = {name: (math.prod(s), kind) for name, s, kind in scipy.io.whosmat(path)}
             there, read = [*arrays], [n for n in names if arrays.get(n, (0, ""))[1] in NUMBERS]

@@ -7,6 +7,7 @@ import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import ase.io
 import numpy as np
@@ -21,10 +22,9 @@ from warp_peri.files.foreign import encoding_of, unpacked
 from warp_peri.points.arrays import checked
 from warp_peri.points.samples import PointsLike, Samples, nodes_of
 
-FRAME = "ITEM: TIMESTEP"
 EXPECTED = "a LAMMPS dump (text, packed or not), .extxyz, .xyz or .traj"
-BEFORE_FRAME = ("ITEM: UNITS", "ITEM: TIME")
-"""What `dump_modify units yes` and `time yes` write ahead of a frame."""
+BEGIN = ("ITEM: TIMESTEP", "ITEM: UNITS", "ITEM: TIME")
+"""Lines that a frame begins with; the others are of `dump_modify units yes` and `time yes`."""
 ANGSTROM_UNITS = ("metal", "real")
 """Units of LAMMPS whose lengths are in Å."""
 POSITIONS = ("x", "xs", "xu", "xsu")
@@ -123,65 +123,58 @@ def _frames_of(path: str | os.PathLike[str]) -> Iterator[Frame]:
         yield from _by_ase(path)
     else:
         with io.TextIOWrapper(unpacked(path, head), encoding=encoding_of(head)) as lines:
-            yield from map(_of_text, _texts(lines))
+            yield from _of_lammps(lines)
 
 
-# ------------------------------------------------------------------ LAMMPS
-
-
-def _texts(file: io.TextIOWrapper) -> Iterator[str]:
-    """The text of one frame after the other, with what stands before its time step."""
-    lines: list[str] = []
-    begun, size = False, 0
+def _of_lammps(file: io.TextIOWrapper) -> Iterator[Frame]:
+    """Frames of text, which end with the last atom that they announce."""
+    items: dict[str, list[str]] = {}
+    title, size, announced = "", 0, -1
     for line in iter(lambda: file.readline(LARGEST_FRAME), ""):
         size += len(line)
         if size > LARGEST_FRAME:
             raise ValueError(f"expected frames of at most {LARGEST_FRAME} characters")
-        if line.startswith("ITEM:"):
-            starts = line.startswith((FRAME, *BEFORE_FRAME))
-            if starts and begun:
-                yield "".join(lines)
-                lines, begun, size = [], False, len(line)
-            begun = begun or line.startswith(FRAME)
-            if not (starts or begun):
-                raise ValueError(f"expected '{FRAME}', got {line.strip()[:60]!r}")
-        if lines or line.startswith("ITEM:"):
-            lines.append(line)
-        elif line.strip():
-            raise ValueError(f"expected '{FRAME}', got {line.strip()[:60]!r}")
-    if lines:
-        yield "".join(lines)
+        if not items and line.strip() and not line.startswith(BEGIN):
+            raise ValueError(f"expected '{BEGIN[0]}', got {line.strip()[:60]!r}")
+        if line.startswith("ITEM: ") and announced < 0:
+            title = line[6:].strip()
+            items[title] = []
+            if title.startswith("ATOMS "):
+                announced = int(items["NUMBER OF ATOMS"][0])
+        elif items:
+            items[title].append(line)
+        if items and len(items[title]) == announced:
+            yield _of_items(items, title.split()[1:], items[title])
+            items, size, announced = {}, 0, -1
+    if items:
+        raise ValueError(f"{announced} atoms announced, {len(items[title])} there")
 
 
-def _of_text(text: str) -> Frame:
-    """A frame from its text. Raises ValueError, or what parsing runs into."""
-    head, _, rest = text.partition("ITEM: ATOMS ")
-    header, _, rows = rest.partition("\n")
-    items: dict[str, list[str]] = {}
-    for part in head.split("ITEM: ")[1:]:
-        title, *lines = part.rstrip("\n").split("\n")
-        items[title] = lines
+def _of_items(items: dict[str, list[str]], columns: list[str], rows: list[str]) -> Frame:
+    """A frame of its lines by title. Raises ValueError, or what parsing runs into."""
     if (units := items.get("UNITS", ["metal"])[0].strip()) not in ANGSTROM_UNITS:
         raise ValueError(f"expected units {' or '.join(ANGSTROM_UNITS)}, got {units}")
     (bounds,) = (title for title in items if title.startswith("BOX BOUNDS"))
     if "abc" in bounds:
         raise ValueError("a box of general edges (triclinic/general yes) is not read")
+    if "id" not in columns:
+        raise ValueError(f"expected the column id, got {' '.join(columns)}")
+    used = next((name for name in POSITIONS if name in columns), "x")
+    heights = (used.replace("x", "z"), "z", "zu", "zs", "zsu")  # a sheet's: nobody looks at it
+    wanted = ["id", used, used.replace("x", "y"), next((h for h in heights if h in columns), "z")]
+    if missing := [name for name in wanted if name not in columns]:
+        shown = " ".join(columns)
+        raise ValueError(f"expected x, y and z of one kind, as xu yu zu, got {shown}: {missing}")
+    wanted += [name for name in ("type", *IMAGES) if name in columns]
+    table = np.loadtxt(rows, usecols=[columns.index(name) for name in wanted], ndmin=2)
+    values = dict(zip(wanted, table.T))
     limits = np.array([[float(word) for word in line.split()] for line in items[bounds]])
-    announced, columns = int(items["NUMBER OF ATOMS"][0]), tuple(header.split())
-    wanted = _wanted(columns)
-    places = [columns.index(name) for name in wanted]
-    table = np.loadtxt(io.StringIO(rows), usecols=places, ndmin=2) if rows.strip() else None
-    if table is None or len(table) != announced:
-        raise ValueError(f"{announced} atoms announced, {0 if table is None else len(table)} there")
-    values, used = dict(zip(wanted, table.T)), wanted[1]
     xy, xz, yz = tilt = limits[:, 2] if limits.shape[1] == 3 else np.zeros(3)
     low = limits[:, 0] - [min(0.0, xy, xz, xy + xz), min(0.0, yz), 0.0]
     high = limits[:, 1] - [max(0.0, xy, xz, xy + xz), max(0.0, yz), 0.0]
     cell = np.diag(high - low)
     cell[1, 0], cell[2, 0], cell[2, 1] = tilt
-    positions = table[:, 1:4]
-    if used in ("xs", "xsu"):
-        positions = low + positions @ cell
+    positions = low + table[:, 1:4] @ cell if used in ("xs", "xsu") else table[:, 1:4]
     images = None
     if used in ("x", "xs") and set(IMAGES) <= set(values):
         images = np.stack([values[name] for name in IMAGES], axis=1)
@@ -191,23 +184,7 @@ def _of_text(text: str) -> Frame:
             "images ix, iy, iz"
         )
     types = values["type"].astype(np.int64) if "type" in values else None
-    return _ordered(values["id"].astype(np.int64), positions, types, cell, columns, images)
-
-
-def _wanted(columns: Sequence[str]) -> list[str]:
-    """The columns that a frame is made of. Raises ValueError for those that are not there."""
-    shown = " ".join(columns)
-    if "id" not in columns:
-        raise ValueError(f"expected the column id, got {shown}")
-    used = next((name for name in POSITIONS if name in columns), None)
-    if used is None or used.replace("x", "y") not in columns:
-        raise ValueError(f"expected x and y of one kind, as xu yu, got {shown}")
-    heights = (used.replace("x", "z"), "z", "zu", "zs", "zsu")  # a sheet's: nobody looks at it
-    height = next((name for name in heights if name in columns), None)
-    if height is None:
-        raise ValueError(f"expected z beside x and y, got {shown}")
-    wanted = ["id", used, used.replace("x", "y"), height]
-    return wanted + [name for name in ("type", *IMAGES) if name in columns]
+    return _ordered(values["id"].astype(np.int64), positions, types, cell, tuple(columns), images)
 
 
 def _ordered(
@@ -241,9 +218,6 @@ def _ordered(
     )
 
 
-# ------------------------------------------------------------------ other formats
-
-
 def _by_ase(path: str | os.PathLike[str]) -> Iterator[Frame]:
     """Types are 1, 2, … in the order of atomic numbers; ids a column id, or the file's order."""
     form = "traj" if str(path).endswith(".traj") else "extxyz"  # never by what it looks like
@@ -272,16 +246,15 @@ def dump_masses(path: str | os.PathLike[str], masses: Sequence[float]) -> np.nda
     Raises InputError for a dump without the column, or a type without a mass.
     """
     frame = next(dump_frames(path))
-    kind = frame.types
-    if kind is None:
+    if frame.types is None:
         columns = " ".join(frame.columns)
         raise InputError(f"{path}: expected the columns id and type, got {columns}")
-    if kind.min() < 1 or kind.max() > len(masses):
+    low, high = frame.types.min(), frame.types.max()
+    if low < 1 or high > len(masses):
         raise InputError(
-            f"mass: expected one for each of the types {kind.min()} to {kind.max()} of {path}, "
-            f"got {len(masses)}"
+            f"mass: expected one for each of the types {low} to {high} of {path}, got {len(masses)}"
         )
-    return np.asarray(np.take(masses, kind - 1), dtype=float)
+    return np.asarray(np.take(masses, frame.types - 1), dtype=float)
 
 
 def dump_displacement(
@@ -423,20 +396,13 @@ def coarse_grain_dumps(
     if len(unloaded) not in (0, 1, len(dumps)):
         raise InputError(f"unloaded: expected 0, 1 or {len(dumps)} dumps, got {len(unloaded)}")
     force = checked("force", force, shape=(len(dumps), "A", 2))
-    ids = atoms.ids
     _warn_of_shares(force, np.broadcast_to(np.asarray(atoms.mass, float), force.shape[1]))
-    if ids is None and len(dumps):
-        ids = next(dump_frames(dumps[0])).ids
-
-    def displacement(path: str | os.PathLike[str]) -> np.ndarray:
-        return dump_displacement(
-            path, atoms.reference, ids=ids, box=atoms.box, skip=average.skip, iota=average.iota
-        )
-
-    bar = tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress)
-    averages = [displacement(path) for path in bar]
-    for path, moved in zip((*unloaded, *dumps), averages):
-        _warn_of_torn(Path(path), np.asarray(atoms.reference, dtype=float), moved, atoms.box)
+    ids = next(dump_frames(dumps[0])).ids if atoms.ids is None else atoms.ids
+    how: Any = {"ids": ids, "box": atoms.box, "skip": average.skip, "iota": average.iota}
+    averages = []
+    for path in tqdm([*unloaded, *dumps], desc="dumps", unit="dump", disable=not progress):
+        averages.append(dump_displacement(path, atoms.reference, **how))
+        _warn_of_torn(Path(path), np.asarray(atoms.reference, float), averages[-1], atoms.box)
     fields, at_rest = np.stack(averages[len(unloaded) :]), averages[: len(unloaded)]
     u, b = coarse_grain(
         omega,

@@ -26,7 +26,14 @@ from scipy.linalg import sqrtm
 from warp_peri.atoms.calculator_noise import EV_IN_TPA, ON_SITES, TIMES, Noise, measured, projected
 from warp_peri.atoms.calculators import LammpsError
 from warp_peri.atoms.force_constants import ForceConstants, Polar
-from warp_peri.core.groups import by_spglib, group_of_structure, kinds_of, primitive_cell
+from warp_peri.core.groups import (
+    COUNTED,
+    KNOWN,
+    by_spglib,
+    group_of_structure,
+    kinds_of,
+    primitive_cell,
+)
 from warp_peri.errors import InputError, optional, warn
 from warp_peri.files.foreign import check_hdf5, check_yaml, content
 
@@ -42,8 +49,8 @@ FLAT = 1e-3
 """Smallest singular value of the directions of a cell's edges."""
 ALMOST = 1e-3
 """Of a turn's matrix, off whole numbers that it is meant to have."""
-SAME, ROUNDING = 1e-4, 1e-6
-"""Energies of an atom in two cells that are one crystal's: apart by less [eV], and relative."""
+ROUNDING = 1e-6
+"""Relative, of lengths."""
 USUAL_RADIUS = 2.0
 """Van der Waals radius [Å] of elements that have none in ASE's table."""
 QUIET, STEPS, NOISY_STEPS = 1e-5, 1000, 200
@@ -209,12 +216,9 @@ def exact_cell(atoms: ase.Atoms) -> ase.Atoms:
     return exact
 
 
-def smallest(atoms: ase.Atoms, flat: bool, calculator: Any) -> ase.Atoms:
-    """The primitive cell in the same axes; a sheet's third edge stays.
-
-    Its atoms keep their moments, charges and tags. Where the calculator has another energy of an
-    atom in it, by whatever else it goes, the cell stays as it is, with a warning.
-    """
+def smallest(atoms: ase.Atoms, flat: bool) -> ase.Atoms:
+    """The primitive cell in the same axes, its atoms with all their arrays; a sheet's third edge
+    stays."""
     kinds, first = kinds_of(atoms)
     small = primitive_cell((np.array(atoms.cell), atoms.get_scaled_positions(), kinds), ON_SITES)
     if small is None or len(small[2]) >= len(atoms):
@@ -230,24 +234,18 @@ def smallest(atoms: ase.Atoms, flat: bool, calculator: Any) -> ase.Atoms:
     one: ase.Atoms = atoms[first[small[2]]]
     one.set_cell(edges)
     one.positions[:] = x
-    try:
-        whole, part = (_energy(cell, calculator) for cell in (atoms, one))
-    except Exception:  # without energies; forces that are not there are told where they are asked
-        return one
-    if abs(whole - part) > min(SAME, ROUNDING * max(abs(whole), abs(part))):
-        warn(
-            f"structure: the cell of {len(atoms)} atoms is kept: the calculator has {whole:.6g} eV "
-            f"an atom in it and {part:.6g} eV in the smallest, of {len(one)}"
-        )
-        return atoms
     return one
 
 
-def _energy(cell: ase.Atoms, calculator: Any) -> float:
-    """Of an atom [eV]."""
-    cell = cell.copy()
-    cell.calc = calculator
-    return float(cell.get_potential_energy()) / len(cell)
+def _told_apart(atoms: ase.Atoms) -> None:
+    """Say which arrays beside those that calculators go by tell atoms of one element apart."""
+    kinds = len(kinds_of(atoms, KNOWN)[1])
+    names = [n for n in atoms.arrays if len(kinds_of(atoms, (*KNOWN, n))[1]) > kinds]
+    if names := [name for name in names if name not in COUNTED]:
+        warn(
+            f"structure: atoms of one element are told apart by {', '.join(names)}; delete from "
+            "atoms.arrays what is no property of the crystal"
+        )
 
 
 def at_rest(
@@ -274,7 +272,8 @@ def at_rest(
     turned = np.abs(np.array(cell.cell)[0] - np.array(atoms.cell)).max(axis=1).min() > FLAT
     if not flat and thickness is not None:
         raise InputError("thickness: the structure is a solid, periodic in space; expected none")
-    cell = smallest(cell, flat, calculator)
+    _told_apart(cell)
+    cell = smallest(cell, flat)
     short = minkowski_reduce(np.array(cell.cell), [True, True, not flat])[0]
     if np.linalg.norm(short) < (1 - ROUNDING) * np.linalg.norm(cell.cell):
         cell.set_cell(short)  # a skewed cell's repeats would be many
@@ -284,24 +283,18 @@ def at_rest(
     _check_stress(cell, flat)
     found = measured(cell, calculator, flat)
     noise = None if found.rounding else found
-    if noise is not None:  # exact forces would keep the symmetry that is given
-        cell.set_constraint(FixSymmetry(cell, ON_SITES))
     _relax(cell, flat, held, noise)
-    cell.set_constraint()
     strain = np.linalg.svd(np.linalg.solve(before, np.array(cell.cell)), compute_uv=False) - 1
     if flat:
         strain = np.delete(strain, np.abs(strain).argmin())  # across it nothing is relaxed
-    if noise is not None:
+    if noise is not None:  # it breaks the symmetry, which takes most of it away
         refine_symmetry(cell, noise.sites)
     if not held:  # disorder that has relaxed leaves a smaller cell, its axes a little off
-        cell = exact_cell(smallest(cell if flat else to_shared_axes(cell), flat, calculator))
-        cell.calc = calculator
-    if noise is not None:  # noise breaks the symmetry, which takes most of it away
+        cell = exact_cell(smallest(cell if flat else to_shared_axes(cell), flat))
+    cell.calc = calculator
+    if noise is not None:
         refine_symmetry(cell, noise.sites)
-        cell.calc = calculator
-        cell.set_constraint(FixSymmetry(cell, ON_SITES))
         _relax(cell, flat, held, noise)
-        cell.set_constraint()
         if not held:  # steps under noise turn and shear a cell in its last digits
             cell = exact_cell(cell)
             cell.calc = calculator
@@ -363,8 +356,13 @@ def _check_stress(cell: ase.Atoms, flat: bool) -> None:
 
 
 def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> None:
+    """To rest but for the strains that are held; under noise with the symmetry that is given.
+
+    Raises InputError for a force that is left, or no stress where strains are free.
+    """
     quiet, left, steps = QUIET, RESIDUAL_FORCE, STEPS
     if noise is not None:  # a force, or a stress on the cell, that is told from none
+        cell.set_constraint(FixSymmetry(cell, ON_SITES))  # exact forces keep it by themselves
         scatter = max(noise.force, noise.stress / EV_IN_TPA * cell.get_volume())
         quiet, steps = max(QUIET, 2 * scatter), NOISY_STEPS
         left = max(RESIDUAL_FORCE, TIMES * quiet)
@@ -376,19 +374,12 @@ def _relax(cell: ase.Atoms, flat: bool, held: set[str], noise: Noise | None) -> 
         raise InputError(
             f"calculator: it gives no stress ({error}); relax the cell elsewhere and hold all"
         ) from None
-    force = float(np.abs(cell.get_forces(apply_constraint=False)).max())
+    cell.set_constraint()
+    force = float(np.abs(cell.get_forces()).max())
     if not done and force > left:
         raise InputError(
             f"structure: after {steps} steps of relaxation a force of {force:.2g} eV/Å is left"
         )
-
-
-def stress_of(cell: ase.Atoms, thickness: float | None) -> np.ndarray:
-    """Cauchy stress [TPa] of a structure with its calculator, [3, 3]; a sheet's over its own."""
-    stress = voigt_6_to_full_3x3_stress(cell.get_stress(apply_constraint=False))
-    if thickness is not None:
-        stress = stress * (cell.cell[2, 2] / thickness)
-    return np.asarray(stress * EV_IN_TPA)
 
 
 def _stress_left(
@@ -400,10 +391,11 @@ def _stress_left(
     """
     d = 2 if flat else 3
     try:
-        stress = stress_of(cell, thickness)[:d, :d]
+        stress = voigt_6_to_full_3x3_stress(cell.get_stress(apply_constraint=False))[:d, :d]
     except NotImplementedError:
         warn("calculator: it gives no stress; the crystal is taken to be at rest")
         return None
+    stress = stress * EV_IN_TPA * (cell.cell[2, 2] / thickness if flat else 1.0)
     none = RESIDUAL_STRESS if noise is None else max(RESIDUAL_STRESS, 2 * TIMES * noise.stress)
     for name, (i, j) in zip(VOIGT, PLACES):
         if max(i, j) < d and name not in held and abs(stress[i, j]) > none:
@@ -572,13 +564,10 @@ def _force_constants(found: Any, told: Any, beside: dict[str, Path]) -> Any:
 
 def _yaml(path: Path) -> Path:
     """phonopy's file, of a folder the first of YAML that is there."""
-    there = [path, *(path / name for name in YAML)]
-    for one in there:
-        if one.is_file():
-            return one
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder")
-    raise InputError(
-        f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
-        "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
-    )
+    there = [one for one in (path, *(path / name for name in YAML)) if one.is_file()]
+    if not there:
+        raise InputError(
+            f"{path}: expected a file of phonopy or a folder with {' or '.join(YAML)}; "
+            "`phonopy-init --dim …` (once `phonopy -d`) writes the last beside a code's unit cell"
+        )
+    return there[0]

@@ -173,31 +173,6 @@ def extremes(tensor: np.ndarray) -> tuple[list[float], list[float]]:
     return [float(1 / long.max()), float(1 / long.min())], [float(nu.min()), float(nu.max())]
 
 
-def averages(tensor: np.ndarray) -> tuple[float, float, float, float]:
-    """Bulk and shear moduli of Voigt and of Reuss: K_V, K_R, G_V, G_R."""
-    d = tensor.shape[0]
-    found = []
-    for T in (tensor, compliance(tensor)):
-        found.append((np.einsum("iijj", T), np.einsum("ijij", T)))
-    (trace, full), (trace_s, full_s) = found
-    modes = (d * (d + 1) - 2) / 2  # shears
-    K_V, K_R = trace / d**2, 1 / trace_s
-    G_V = (full - trace / d) / (2 * modes)
-    G_R = modes / (2 * (full_s - trace_s / d))
-    return float(K_V), float(K_R), float(G_V), float(G_R)
-
-
-def universal_anisotropy(tensor: np.ndarray) -> float:
-    """5 G_V/G_R + K_V/K_R − 6 (Ranganathan and Ostoja-Starzewski, 2008); 0 where isotropic.
-
-    In the plane √((K_V/K_R − 1)² + 2 (G_V/G_R − 1)²) (Li and others, 2020).
-    """
-    K_V, K_R, G_V, G_R = averages(tensor)
-    if tensor.shape[0] == 3:
-        return 5 * G_V / G_R + K_V / K_R - 6
-    return float(np.hypot(K_V / K_R - 1, np.sqrt(2) * (G_V / G_R - 1)))
-
-
 def named_symmetry(tensor: np.ndarray) -> str:
     """What an elastic tensor looks like in the axes it is given in.
 

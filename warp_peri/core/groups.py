@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import itertools
 import warnings
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, TypeAlias
 
@@ -47,8 +48,9 @@ CANDIDATES = {
 }
 """Groups that a fit to fields tries, from the largest."""
 
-TELLING = ("numbers", "initial_magmoms", "initial_charges", "tags", "mmcharges", "type")
-"""Arrays of an ase.Atoms that a calculator may go by."""
+KNOWN = ("numbers", "initial_magmoms", "initial_charges", "tags", "mmcharges", "type")
+COUNTED = ("positions", "id", "spacegroup_kinds")
+"""Arrays of an ase.Atoms that calculators go by, and those that number all atoms of a file."""
 LATTICE_GROUP = {2: "4mm", 3: "m-3m"}
 """Of a square and of a cubic lattice of nodes."""
 
@@ -171,14 +173,18 @@ def checked_orientation(orientation: Any, dimension: int) -> np.ndarray:
     return given
 
 
-def kinds_of(atoms: Any) -> tuple[np.ndarray, np.ndarray]:
+def kinds_of(atoms: Any, names: Sequence[str] | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Numbers that tell the atoms of an ase.Atoms apart, shape [n], and a first atom of each kind.
 
-    Atoms of one element are two kinds where their magnetic moments, charges, tags or types differ.
+    Atoms are of one kind where all their arrays agree but those of COUNTED, or those that are
+    named; numbers to three decimals.
     """
-    told = [atoms.arrays[name] for name in TELLING if name in atoms.arrays]
-    rows = np.column_stack([np.reshape(one, (len(atoms), -1)) for one in told]).astype(float)
-    _, first, kinds = np.unique(np.round(rows, 3), axis=0, return_index=True, return_inverse=True)
+    told = []
+    for name, values in atoms.arrays.items():
+        if name not in COUNTED if names is None else name in names:
+            values = np.round(values, 3) if values.dtype.kind == "f" else values
+            told.append(np.unique(values, axis=0, return_inverse=True)[1].reshape(-1))
+    _, first, kinds = np.unique(np.transpose(told), axis=0, return_index=True, return_inverse=True)
     return kinds.reshape(-1), first
 
 

