@@ -216,6 +216,29 @@ def test_a_load_without_an_equilibrium_is_left_out_and_named():
         soft.pull(unit, loads=[1.24], line=line)
 
 
+def test_a_gradient_through_an_unstable_body_is_warned_of():
+    """Beyond the peak a slow tail has no single path: differences there have nothing in common."""
+    soft, unit = torn_plate(BondLaw(4.0, 0.03, 0.2))
+    how = {"line": [(-30, 0.0), (30, 0.0)], "stop": 0.3}
+    given = torch.tensor(unit, requires_grad=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        soft.pull(unit, loads=[0.8, 0.96, 1.04], **how)
+        before = soft.pull(given, loads=[0.8, 0.92], **how)["force"][-1]
+    (gradient,) = torch.autograd.grad(before, given)
+    way = torch.from_numpy(np.random.default_rng(0).normal(size=unit.shape) * soft.held)
+    assert float((gradient * way).sum()) == pytest.approx(
+        difference(
+            lambda t: soft.pull(unit + t * way.numpy(), loads=[0.8, 0.92], **how)["force"][-1],
+            [0.0],
+            1e-6,
+        )[0],
+        rel=1e-5,
+    )
+    with pytest.warns(UserWarning, match=r"loads 0.96 and 1.04: the body stays unstable"):
+        soft.pull(given, loads=[0.8, 0.96, 1.04], **how)
+
+
 def test_a_body_that_has_come_apart_along_the_line_carries_nothing():
     soft, unit = strip(BondLaw(0.0, 0.01), False)
     rest = soft.rest
@@ -246,6 +269,9 @@ def test_what_cannot_be_pulled_is_refused():
         with pytest.raises(InputError, match=words):
             SoftBody(model, body, law, **options)
     soft, u, line = SoftBody(model, body, law, ends), body.x * (0, 1), [(-7, 0.1), (7, 0.1)]
+    for stop in (np.nan, 1.5, "half", True):
+        with pytest.raises(InputError, match="stop: expected a share"):
+            soft.pull(u, loads=[0.1], line=line, stop=stop)
     for given, loads, across, words in (
         (u, [], line, "one factor or more"),
         (u, [0.2, 0.1], line, "factors that rise"),

@@ -20,9 +20,15 @@ from warp_peri.errors import InputError, warn
 from warp_peri.fracture.body import LatticeBody, cracked, section
 from warp_peri.fracture.bonds import bonds_of, check_breakable, stretch_matrix, stretch_rows
 from warp_peri.fracture.softening import BondLaw, pull_of, share_of
-from warp_peri.fracture.statics import check_no_fail, check_pieces, strain_of, symmetric_factors
+from warp_peri.fracture.statics import (
+    check_definite,
+    check_no_fail,
+    check_pieces,
+    strain_of,
+    symmetric_factors,
+)
 from warp_peri.materials.lps import Model, bernstein_basis
-from warp_peri.points.arrays import checked
+from warp_peri.points.arrays import checked, is_number
 from warp_peri.solvers.adjoint import in_motion as in_motion
 from warp_peri.solvers.motion import Motion
 
@@ -189,6 +195,7 @@ class SoftBody:
         right angles to the line [stress · length], and broken: bonds by then. With parameters, or
         where u is a tensor, force and the u at the end are tensors, differentiable once along the
         path that was taken: which bonds failed when is felt, how often a load was settled is not.
+        Two loads in turn at which failing bonds leave no positive definite tangent are warned of.
 
         A body that has come apart along the line has the force 0; where no equilibrium is found
         while bonds still cross it, the curve ends before, with a warning.
@@ -203,6 +210,10 @@ class SoftBody:
                 "loads: expected one factor or more, factors that rise from ≥ 0, got "
                 f"{loads.tolist()}"
             )
+        if not (is_number(stop) and 0 <= stop < 1):
+            raise InputError(
+                f"stop: expected a share of the largest force from 0 to 1, got {stop!r}"
+            )
         levers = torch.from_numpy(self.levers(line))
         asked = parameters is not None or is_tensor(u)
         soft, given, *law = self._learned(u, dict(parameters or {}), asked)
@@ -211,6 +222,7 @@ class SoftBody:
         share, worst = torch.ones(len(levers)).double(), torch.zeros(len(levers)).double()
         breakable = torch.from_numpy(self.breakable)
         field, before, rows, forces = given, 0.0, list[tuple[float, int]](), list[Any]()
+        stable, warned = True, False
         for load in tqdm(loads.tolist(), disable=not progress, unit="load"):
             at = field.detach().numpy() * (load / before) if before else load * start
             at, change = np.where(self.free, at, load * given.detach().numpy()), 1.0
@@ -222,6 +234,16 @@ class SoftBody:
                     worst = torch.maximum(worst, s).where(breakable, 0.0)
                     lasting = torch.minimum(share_of(worst, law[0], law[1], law[2], torch), share)
                     change, share = float((share - lasting).max().detach()), lasting
+                if asked and not warned:
+                    stable, was = soft._stable(s.detach(), worst, share.detach()), stable
+                    if not (stable or was):
+                        warned = True
+                        warn(
+                            f"loads {before:g} and {load:g}: the body stays unstable (its tangent "
+                            "with failing bonds has a negative eigenvalue), so that small changes "
+                            "may tear it another way; derivatives from here on are those of this "
+                            "path, and may be larger by orders. End the loads before"
+                        )
                 forces.append((levers * share * pull_of(s, law[0], torch)).sum())
             except InputError as error:
                 if share[levers > 0].any():
@@ -265,6 +287,23 @@ class SoftBody:
     def _stretch(self, u: torch.Tensor) -> torch.Tensor:
         """As `stretch`, of a tensor."""
         return linear(u, self.rows.dot, self.rows.T.dot) / torch.from_numpy(self.square)
+
+    def _stable(self, s: torch.Tensor, worst: torch.Tensor, share: torch.Tensor) -> bool:
+        """Hill's test: the tangent is positive definite in which bonds that fail go on failing.
+
+        Bonds at their worst stretch beyond `stretch` fall by the slope of the tail; the others keep
+        what is left of them.
+        """
+        beta, fails = self.law.softness, ((s == worst) & (worst > self.law.stretch)).numpy()
+        own = (share * torch.exp(-beta * s.clip(0)) * torch.where(s > 0, 1 - beta * s, 1)).numpy()
+        fall = -float(pull_of(self.law.stretch, beta, np)) / self.law.tail
+        slope = self.stiffness * np.where(fails & (own > 0), fall, own)
+        K = sp.csr_array(self.rows.T @ (sp.diags_array(slope) @ self.rows))
+        try:
+            check_definite(symmetric_factors(sp.csc_array(K[self.free][:, self.free])))
+        except InputError:
+            return False
+        return True
 
     def _at_rest(
         self, u: np.ndarray, share: torch.Tensor, softness: torch.Tensor, given: torch.Tensor
