@@ -267,3 +267,19 @@ def test_an_edge_of_two_parts_has_one_displacement():
     held = {"left": (0.0, 0.0), "same": (0.1, 0.1)}
     with pytest.raises(wp.InputError, match="expected one displacement where both are"):
         wp.solve(material, wp.Body(mesh, held, coupling=Coupling(spacing=1.0)))
+
+
+def test_a_data_set_is_checked_when_it_is_made():
+    x = np.argwhere(np.ones((4, 4))).astype(float)
+    points = wp.Points(x, np.ones(16, bool), 1.0)
+    with pytest.raises(wp.InputError, match="u: expected an array"):
+        wp.Samples(points, torch.zeros(1, 16, 2, device="meta"))
+    sets = {"train": wp.Samples(points, np.zeros((1, 16, 2)))}
+    for kind, words in (
+        ({"provenance": {"rate": np.nan}}, "provenance: expected plain JSON"),
+        ({"provenance": {"rate": object()}}, "provenance: expected plain JSON"),
+        ({"density": 1e300}, "density: expected at most 1e"),
+        ({"thickness": 1e300}, "thickness: expected at most 1e"),
+    ):
+        with pytest.raises(wp.InputError, match=words):
+            wp.Dataset(sets, **{"thickness": 1.0, "density": 1.0} | kind)

@@ -24,9 +24,9 @@ def as_array(name: str, value: Any) -> np.ma.MaskedArray[Any, Any]:
     """An array of what a user gave, masked where its parts are; InputError for what makes none."""
     try:
         return np.ma.array(np.ma.asanyarray(value), copy=False)
-    except RuntimeError:  # of torch, which would have the gradient thrown away
-        raise InputError(f"{name}: {GRADIENT}") from None
-    except (TypeError, ValueError) as error:
+    except (RuntimeError, TypeError, ValueError) as error:
+        if getattr(value, "requires_grad", False):
+            raise InputError(f"{name}: {GRADIENT}") from None
         raise InputError(f"{name}: expected an array ({error})") from None
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import parsed, plain, whole_file
 from warp_peri.files.foreign import check_hdf5
-from warp_peri.points.arrays import check_mapping, check_positive, is_name, is_number
+from warp_peri.points.arrays import LARGEST, check_mapping, check_positive, is_name, is_number
 from warp_peri.points.points import Points
 from warp_peri.points.samples import FIELDS, Samples
 from warp_peri.points.unit_names import USUAL, Units, check_units, factors, symbols
@@ -33,7 +33,8 @@ class Dataset(Shown):
         density: mass per volume [kg/m³].
         provenance: how the data came to be; plain JSON values.
 
-    Raises InputError for a data set without point sets, or a thickness or density not > 0.
+    Raises InputError for a data set without point sets, a thickness or density not > 0, and a
+    provenance that is not JSON.
 
     >>> list(wp.Dataset({"train": samples}, thickness=3.35, density=2200.0).sets)
     ['train']
@@ -47,6 +48,9 @@ class Dataset(Shown):
     def __post_init__(self) -> None:
         for name in ("thickness", "density"):
             check_positive(name, getattr(self, name))
+            if getattr(self, name) > LARGEST:
+                raise InputError(f"{name}: expected at most {LARGEST:g}, got {getattr(self, name)}")
+        _written(self.provenance)
         check_mapping("sets", self.sets)
         if not self.sets:
             raise InputError("expected at least one point set, got none")
@@ -163,6 +167,14 @@ _NEEDED = ("x", "u", "interior")
 LAYOUT = ("v110", "v110")
 
 
+def _written(provenance: Any) -> str:
+    """A provenance as JSON; InputError where it is none."""
+    try:
+        return json.dumps(plain(provenance), allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(f"provenance: expected plain JSON values ({error})") from None
+
+
 def save_dataset(
     path: str | os.PathLike[str], dataset: Dataset, *, units: Units | None = None
 ) -> None:
@@ -174,16 +186,13 @@ def save_dataset(
     In a layout whose structure is checksummed (HDF5 1.10) and with strings of fixed length, since
     the HDF5 library can hang on a damaged heap of strings; the contents are hashed.
 
-    Raises InputError for a provenance that is not JSON, or units that are not known.
+    Raises InputError for units that are not known.
     """
     if units is not None:
         sets = {name: in_units_of(dataset[name], units) for name in dataset}
         dataset = dataclasses.replace(dataset, sets=sets)
     length, stress = dataset.units
-    try:
-        provenance = json.dumps(plain(dataset.provenance), allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"provenance: expected plain JSON values ({error})") from None
+    provenance = _written(dataset.provenance)
     with (
         whole_file(path) as temporary,
         h5py.File(temporary, "w", libver=LAYOUT, locking=False) as file,
