@@ -65,10 +65,10 @@ class Dirichlet:
     def moved(self, material: Any, options: dict[str, Any]) -> Motion:
         """The material in motion, from the displacement u.
 
-        `options` are those of the law's own motion, or of dynamics.verlet.march: `v`, `density`,
+        `options` are those of the law's own motion, or of solvers.verlet.march: `v`, `density`,
         `step`, `steps`, `every`, `record`, `signal`; and `transfer`, `allow_uncertified`. Of
-        tensors, or with `parameters`, it is that of dynamics.adjoint.moved. What flows, as heat,
-        has the options of dynamics.adjoint.stepped.
+        tensors, or with `parameters`, it is that of solvers.adjoint.moved. What flows, as heat,
+        has the options of solvers.adjoint.stepped.
         """
         on = {"transfer", "allow_uncertified"} & options.keys()
         how = {name: options.pop(name) for name in on}

@@ -54,7 +54,7 @@ def move(material: Any, problem: Any, **options: Any) -> Motion:
 
     Returns:
         The motion: times, histories by name, the fields at the end. Waves, heat and coupled fields
-        of torch tensors are differentiable, in `parameters` too: see dynamics.adjoint.
+        of torch tensors are differentiable, in `parameters` too: see solvers.adjoint.
 
     Raises InputError for what does not fit, and for a step that is not proven stable.
 

@@ -202,25 +202,6 @@ def test_options_of_a_body_that_breaks(option):
         wp.move(solid(), Cracked(points, u=u), step=1e-4, steps=2, allow_unstable="no")
 
 
-def test_what_points_samples_and_data_sets_are_made_of():
-    x = np.indices((3, 3)).reshape(2, -1).T * 1.0
-    inside = np.ones(len(x), bool)
-    boxes = ("a", 3.0, (1.0,), (0, 0), (-1.0, 2.0), (np.nan, 1.0), ("a", "b"), (True, True), 1j)
-    for bad in boxes:
-        with pytest.raises(wp.InputError, match="^box: expected"):
-            wp.Points(x, inside, 1.0, box=bad)
-    for bad in ("a", [1, [2]], {"a": 1}, [[1, 2], [3]], True):
-        with pytest.raises(wp.InputError, match="^axis: expected"):
-            wp.Points(x, inside, 1.0, axis=bad)
-    points, u = wp.Points(x, inside, 1.0), 1e-3 * x[None]
-    for bad in (3, "x", {3: [1.0]}, {"a/b": [1.0]}, {"a": [[1], [2, 3]]}, {"a": object()}):
-        with pytest.raises(wp.InputError, match="^(arrays|a): "):
-            wp.Samples(points, u, u, bad)
-    for bad in (3, "x", {3: wp.Samples(points, u, u)}, {"a": u}, {"a": None}):
-        with pytest.raises(wp.InputError, match="^(sets|a): expected"):
-            wp.Dataset(bad, thickness=1.0, density=1.0)
-
-
 def test_a_list_of_masked_rows_is_masked():
     name = next(name for name in LAWS if name.startswith("LPS"))
     points, material = LAWS[name].points(5), LAWS[name].material()
@@ -235,13 +216,6 @@ def test_positions_are_not_taken_for_points(name):
     for call in (lambda: material.on(x), lambda: wp.solve(material, wp.Dirichlet(x, None, 0 * x))):
         with pytest.raises(wp.InputError, match="^points: expected Points"):
             call()
-
-
-def test_names_of_sets_are_read_again():
-    points, u, _ = cracked(3.0)
-    for name in ("a\0b", "a/b", ".", ""):
-        with pytest.raises(wp.InputError, match="cannot be the name of a set"):
-            wp.Dataset({name: wp.Samples(points, u[None])}, 3.35, 2200.0)
 
 
 @pytest.mark.parametrize("option", ["transfer", "allow_uncertified"])

@@ -7,10 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.conformance.test_laws import LAWS
-from tests.support.bodies import solid
 from tests.support.problems import lattice
-from warp_peri.damage import Cracked, box
-from warp_peri.diffusion import Conductor
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.outlines import box as outline
 from warp_peri.points.outlines import mesh_outline
@@ -100,32 +97,6 @@ def test_what_is_not_read_may_be_anything():
         assert len(checked_fields(points, fields, fields)[0]) == samples
     with pytest.raises(wp.InputError, match="u: expected shape"):
         checked_fields(points, None, np.zeros((1, 1, *points.x.shape)))
-
-
-def test_scalar_fields_conductivities_and_cracked_bodies_too():
-    points = lattice(5, 3.0)
-    zero, law = np.zeros(len(points.x)), Conductor(3.0)
-    for bad, words in wrong(zero, points.interior)[3:]:
-        with pytest.raises(wp.InputError, match=f"b: .*{words}"):
-            wp.solve(law, wp.Dirichlet(points, bad, zero))
-        with pytest.raises(wp.InputError, match="conductivity: expected"):
-            law.on(points, kappa=bad)
-    with pytest.raises(wp.InputError, match=r"conductivity: expected one a position, .* got \[3\]"):
-        law.on(points, kappa=lambda x: np.ones(3))
-    x = box((13, 13), 1.0)
-    cut = wp.Points(x, (np.abs(x) < 5).all(axis=1), 1.0)
-    for bad, words in wrong(0 * x, cut.interior):
-        for name in ("b", "u"):
-            with pytest.raises(wp.InputError, match=f"{name}: .*{words}"):
-                wp.solve(solid().model, Cracked(cut, **{name: bad}))
-    for bad, words in (({"steps": 1.5}, "steps: expected a whole"), ({"watch": [3]}, "watch: ")):
-        with pytest.raises(wp.InputError, match=words):
-            wp.move(solid(), Cracked(cut, u=1e-4 * x), **{"steps": 1, "step": 0.01} | bad)
-    with pytest.raises(wp.InputError, match="cracks: expected a list"):
-        wp.solve(solid().model, Cracked(cut, cracks=5))
-    for events in (1.5, 0, "a", np.nan):
-        with pytest.raises(wp.InputError, match="events: expected a whole number ≥ 1"):
-            wp.move(solid(), Cracked(cut, u=0.01 * x), events=events)
 
 
 PLATE = mesh_outline(outline(60, 60), size=6)

@@ -12,10 +12,10 @@ import warp
 from torch.autograd import forward_ad, functional, gradgradcheck
 
 import warp_peri as wp
-from tests.conformance.test_laws import LAWS, difference, network
+from tests.conformance.test_laws import LAWS, network
 from tests.points.test_interpolation import cloud
 from tests.support import cubes
-from tests.support.problems import kernel, lattice, noise
+from tests.support.problems import kernel, lattice
 from warp_peri.damage import lattice_body
 from warp_peri.files.checkpoint import ALONE
 from warp_peri.fracture.statics import CutSolid
@@ -153,14 +153,6 @@ def test_a_gradient_beside_a_tape_of_the_user(made):
         assert torch.equal(torch.autograd.grad(op(u).sum(), u)[0], expected)
 
 
-def test_a_hessian_is_the_square_of_the_operator():
-    op = OPERATORS["conductor"]()
-    u = torch.from_numpy(field(op))
-    L = op.matrix().toarray()
-    found = functional.hessian(lambda u: (op(u) ** 2).sum() / 2, u)
-    assert np.allclose(found, L.T @ L, rtol=0, atol=1e-12 * np.abs(L.T @ L).max())
-
-
 @pytest.mark.parametrize("name", ["crystal", "third order, energy"])
 def test_torch_func_maps_over_fields(name, made):
     op = made(name)
@@ -260,14 +252,11 @@ def test_batches_and_precisions(name, made):
     force = op(u)
     assert force.shape[:2] == (2, 3)
     (by_u,) = torch.autograd.grad(force.square().sum(), u)
-    size = force.detach().abs().max()
-    for k in range(2):
-        for n in range(3):
-            one = u[k, n].detach().requires_grad_()
-            alone = op(one)
-            assert torch.allclose(alone, force[k, n], rtol=0, atol=1e-13 * size)
-            (by_one,) = torch.autograd.grad(alone.square().sum(), one)
-            assert torch.allclose(by_one, by_u[k, n], rtol=0, atol=1e-12 * by_u.abs().max())
+    size, one = force.detach().abs().max(), u[1, 2].detach().requires_grad_()
+    alone = op(one)
+    assert torch.allclose(alone, force[1, 2], rtol=0, atol=1e-13 * size)
+    (by_one,) = torch.autograd.grad(alone.square().sum(), one)
+    assert torch.allclose(by_one, by_u[1, 2], rtol=0, atol=1e-12 * by_u.abs().max())
     assert np.allclose(op(u[0].detach().numpy()), force[0].detach(), rtol=0, atol=1e-13 * size)
     single = u.detach().float().requires_grad_()
     lower = op(single)
@@ -401,18 +390,6 @@ def test_a_module_learns_the_numbers_of_its_material(name, made):
     leaves = [u, *module.parameters()]
     gradients = torch.autograd.grad(loss(module, u), leaves)
     assert torch.allclose(gradients[0], torch.autograd.grad(loss(op, u), u)[0], rtol=1e-10)
-    for leaf, gradient in zip(leaves[1:], gradients[1:]):
-        start = leaf.detach().clone()
-
-        def value(flat, leaf=leaf):
-            with torch.no_grad():
-                leaf.copy_(torch.from_numpy(flat).reshape(leaf.shape))
-                return float(loss(module, u))
-
-        slope = difference(value, start.numpy().ravel(), 1e-3)
-        value(start.numpy().ravel())
-        scale = max(np.abs(slope).max(), 1e-3 * float(loss(module, u)))
-        assert np.abs(gradient.numpy().ravel() - slope).max() <= 1e-6 * scale
 
 
 @pytest.mark.parametrize("name", [*MODULES, "neural operator"])
@@ -430,27 +407,6 @@ def test_a_module_is_saved_and_copied(name, made, tmp_path):
     for one in (other, copy.deepcopy(module), again):
         assert torch.equal(one(u), module(u))
     assert torch.equal(torch.as_tensor(module(u.numpy())), module(u))
-
-
-@pytest.mark.parametrize("name", ["LPS", "LPS, bond-based", "third order, energy"])
-def test_adam_finds_the_numbers_again(name, made):
-    op = made(name)
-    u = torch.from_numpy(field(op, 2) * (1 if name.startswith("LPS") else 5))
-    truth, module = op(u), wp.Module(op, op.points)
-    with torch.no_grad():
-        for number in module.parameters():
-            number.mul_(1.05)
-    adam = torch.optim.Adam(module.parameters(), lr=2e-3 if name.startswith("LPS") else 3e-2)
-
-    def wrong():
-        return (module(u) - truth).square().mean() / truth.square().mean()
-
-    first = float(wrong())
-    for _ in range(60):
-        adam.zero_grad()
-        wrong().backward()
-        adam.step()
-    assert float(wrong()) < 0.2 * first
 
 
 def test_a_module_refuses_other_points(made):
@@ -509,61 +465,10 @@ def test_a_tangent_of_a_number_is_not_lost(name, made):
         )
 
 
-@pytest.mark.parametrize("name", ["LPS", "crystal"])
-def test_a_period_has_the_gradient_of_differences(name):
-    points = LAWS[name].sheet()
-    op = LAWS[name].material().on(points)
-    b = torch.from_numpy(field(op)).requires_grad_()
-    own = getattr(op, "learnable", {})
-    numbers = {n: torch.tensor(1.001 * np.asarray(v)) for n, v in own.items()}
-    seed = torch.from_numpy(np.random.default_rng(2).normal(size=b.shape))
-
-    def value(b, numbers=numbers):
-        how = {"parameters": numbers} if numbers else {}
-        return (seed * wp.solve(op, wp.Periodic(points, b), **how).u).sum()
-
-    (gradient,) = torch.autograd.grad(value(b), b)
-    way = torch.from_numpy(field(op, seed=5))
-    slope = difference(lambda t: float(value(b.detach() + t[0] * way)), [0.0], 1.0)[0]
-    assert float((gradient * way).sum()) == pytest.approx(slope, rel=1e-8)
-    for key, number in numbers.items():
-        leaf = number.clone().requires_grad_()
-        (slope_of,) = torch.autograd.grad(value(b.detach(), numbers | {key: leaf}), leaf)
-        moved = difference(
-            lambda t, key=key: float(value(b.detach(), numbers | {key: numbers[key] * (1 + t[0])})),
-            [0.0], 1e-2,
-        )[0]  # fmt: skip
-        told = float((slope_of * number).sum())
-        assert abs(told - moved) <= 1e-6 * float(slope_of.norm() * number.norm())
-
-
-@pytest.mark.parametrize("pressure", [None, np.diag([0.01, 0.3])], ids=["free", "pressed"])
-def test_a_cracked_body_has_the_gradient_of_differences(pressure):
-    """At rest, to its load, what is held and numbers; the rest is refused."""
+def test_a_cracked_body_refuses_numbers_of_others_and_gradients_of_its_motion():
     points, model = lattice(6, 3.0), kernel("1/r", 3.0)
-    fields = [torch.from_numpy(field(model.on(points), seed=n)) for n in (0, 1)]
-    crack, seed = [[(-2.0, 0.1), (1.0, 0.1)]], torch.from_numpy(noise(points))
-    numbers = {n: torch.tensor(1.001 * np.asarray(v)) for n, v in model.learnable.items()}
-    start = dict(zip("bu", fields)) | numbers
-
-    def value(given):
-        problem = wp.Cracked(points, b=given["b"], u=given["u"], cracks=crack, pressure=pressure)
-        own = {name: given[name] for name in numbers}
-        return (seed * wp.solve(model, problem, parameters=own).u).sum()
-
-    leaves = {name: one.clone().requires_grad_() for name, one in start.items()}
-    gradients = torch.autograd.grad(value(leaves), list(leaves.values()))
-    for (name, one), gradient in zip(start.items(), gradients):
-        way = torch.from_numpy(np.random.default_rng(9).normal(size=one.shape))
-        step = 0.1 if name in "bu" else 1e-3
-
-        def along(t, name=name, way=way):
-            return float(value(start | {name: start[name] + t[0] * way}))
-
-        told, size = float((gradient * way).sum()), float(gradient.norm() * way.norm())
-        within = (1e-8 if name in "bu" else 1e-6) * max(size, abs(float(value(start))))
-        assert abs(told - difference(along, [0.0], step)[0]) <= within, name
-    problem = wp.Cracked(points, u=leaves["u"], cracks=crack)
+    u = torch.zeros(points.x.shape, dtype=torch.float64, requires_grad=True)
+    problem = wp.Cracked(points, u=u, cracks=[[(-2.0, 0.1), (1.0, 0.1)]])
     with pytest.raises(wp.InputError, match=r"parameters: expected .* shape lam .*, got kappa"):
         wp.solve(model, problem, parameters={"kappa": 1.0})
     with pytest.raises(wp.InputError, match="move: expected tensors without a gradient"):

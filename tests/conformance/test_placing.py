@@ -7,7 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.conformance.test_laws import LAWS, TURN, near, placed, rotation, uneven
-from tests.support.problems import kernel, lattice, noise
+from tests.support.problems import lattice, noise
 from warp_peri.damage import Cracked, rectangle
 from warp_peri.diffusion import Conductor, CoupledSolid
 from warp_peri.neural.material import NeuralOperator
@@ -90,14 +90,3 @@ def test_no_crack_is_solved_by_a_part_of_a_material(name):
     problem = Cracked(wp.Points(x, ~rim, 1.0), u=0 * x, cracks=[[(-3.0, 0.02), (2.2, 0.02)]])
     with pytest.raises(wp.InputError, match=r"Cracked"):
         wp.solve(LAWS[name].material(), problem)
-
-
-@pytest.mark.parametrize(
-    "points",
-    [replace(wp.Points.sheet((14, 16), 1.0), box=(14.4, 16.0)), wp.Points.sheet((5, 5), 1.0)],
-    ids=["a box 3 % long", "less than two horizons"],
-)
-def test_a_period_that_does_not_fit_is_refused(points):
-    b = np.random.default_rng(0).normal(size=points.x.shape)
-    with pytest.raises(wp.InputError, match="box: expected"):
-        wp.solve(kernel("positive", 3.0), wp.Periodic(points, b))

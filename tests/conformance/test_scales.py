@@ -2,7 +2,6 @@
 large gives the same strains."""
 
 import dataclasses
-from functools import cache
 
 import numpy as np
 import pytest
@@ -155,50 +154,6 @@ def test_another_lattice(scale):
     found = wp.solve(other, wp.Dirichlet(there, b * stress / length, length * u))
     near(found.u, length * u, 1e-4)
     assert found.proven
-
-
-FITS = {
-    "LPS": wp.LPS(3.0, wp.Bernstein(1)),
-    "tensors": wp.Micromodulus(2.0, "4mm", moduli=None),
-    "third order": wp.ThirdOrder(wp.Micromodulus(2.0), wp.methods.Smoothing(2.0)),
-}
-
-
-@cache
-def bent():
-    """Samples of a third-order solid."""
-    points = dataclasses.replace(lattice(8, 3.0), axis=0.0)
-    op = LAWS["third order, energy"].material().on(points)
-    u = uneven(points, 6)
-    b = np.zeros_like(u)
-    b[:, points.interior] = op(u)
-    return wp.Samples(points, u, b)
-
-
-@cache
-def errors_of(name, length=1.0, stress=1.0):
-    """Of a fit to the same data in another size, and there."""
-    known = bent()
-    b = known.b * stress / length
-    samples = wp.Samples(larger(known.points, length), length * known.u, b)
-    found = wp.evaluate(wp.fit(samples, scaled_law(FITS[name], length)).material, samples)
-    return found["E_res"], found["E_u"]
-
-
-@pytest.mark.parametrize("name", FITS)
-@pytest.mark.parametrize("scale", ["small and stiff"], indirect=True)
-def test_a_fit(name, scale):
-    (here, there), (unit, other) = scale
-    assert errors_of(name)[0] < 0.5
-    near(errors_of(name, *factors((here, unit), (there, other))), errors_of(name), 1e-3)
-
-
-def scaled_law(law, length):
-    if hasattr(law, "linear"):
-        wide = dataclasses.replace(law.smoothing, radius=law.smoothing.radius * length)
-        return dataclasses.replace(law, linear=scaled_law(law.linear, length), smoothing=wide)
-    horizon = {"horizon": law.horizon * length} if hasattr(law, "horizon") else {}
-    return dataclasses.replace(law, **horizon)
 
 
 def test_diffusion(scale):

@@ -17,11 +17,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_985,
-    "tokens": 281_138,
-    "lines of warp_peri": 38_631,
+    "code lines": 22_901,
+    "tokens": 280_098,
+    "lines of warp_peri": 38_511,
     "lines of kernels": 1_275,
-    "lines of warp_peri, kernels, examples and tools": 52_085,
+    "lines of warp_peri, kernels, examples and tools": 51_965,
     "lines of the longest file": 643,
     "lines of the longest function": 96,
     "parameters of one function": 13,
@@ -34,7 +34,7 @@ BUDGET = {
 ROOMS = {
     "atoms": 2714,
     "cli": 871,
-    "core": 1694,
+    "core": 1684,
     "diffusion": 339,
     "face": 932,
     "fe_coupling": 830,
@@ -42,12 +42,12 @@ ROOMS = {
     "fitting": 1326,
     "fracture": 1700,
     "learning": 925,
-    "materials": 5090,
+    "materials": 5080,
     "neural": 909,
     "points": 1717,
     "prediction": 878,
     "ranks": 912,
-    "solvers": 1578,
+    "solvers": 1514,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

@@ -73,10 +73,8 @@ class ByRows:
 def row_pieces(asked: np.ndarray, lanes: int) -> np.ndarray:
     """Runs of asked places, cut to so many lanes, as (first place, count), shape [P, 2]."""
     edge = np.diff(np.concatenate([[0], asked.astype(np.int8), [0]]))
-    begin, length = (
-        np.flatnonzero(edge == 1),
-        np.flatnonzero(edge == -1) - np.flatnonzero(edge == 1),
-    )
+    begin = np.flatnonzero(edge == 1)
+    length = np.flatnonzero(edge == -1) - begin
     parts = -(-length // lanes)
     step = lanes * (np.arange(parts.sum()) - np.repeat(np.cumsum(parts) - parts, parts))
     count = np.minimum(np.repeat(length, parts) - step, lanes)
@@ -129,25 +127,19 @@ def convolved(symbol: np.ndarray, field: np.ndarray, torus: tuple[int, ...]) -> 
     """A symbol's product with one field [d, …] in a corner of the torus, on all of it."""
     axes = tuple(range(1, len(torus) + 1))
     wave = scipy.fft.rfftn(field, s=torus, axes=axes, workers=threads())
-    mixed = times(symbol, wave)
+    mixed, part = np.empty_like(wave), np.empty_like(wave[0])
+    for i, one in enumerate(mixed):
+        component(symbol, wave, i, one, part)
     return np.asarray(
         scipy.fft.irfftn(mixed, s=torus, axes=axes, workers=threads(), overwrite_x=True)
     )
 
 
-def times(symbol: np.ndarray, wave: np.ndarray) -> np.ndarray:
-    """Symmetric matrices [d (d + 1)/2, …] times vectors [d, …]."""
-    out = np.empty_like(wave)
-    part = np.empty_like(wave[0])
-    for i, one in enumerate(out):
-        component(symbol, wave, i, one, part)
-    return out
-
-
 def component(
     symbol: np.ndarray, wave: np.ndarray, i: int, out: np.ndarray, part: np.ndarray
 ) -> None:
-    """One component of that product, to `out`; `part` is room for as much."""
+    """A component of symmetric matrices [d (d + 1)/2, …] times vectors [d, …], to `out`; `part` is
+    room for as much."""
     d = len(wave)
     place = {pair: n for n, pair in enumerate(itertools.combinations_with_replacement(range(d), 2))}
     np.multiply(symbol[place[0, i]], wave[0], out=out)
@@ -159,12 +151,11 @@ def component(
 def inverse(symbol: np.ndarray) -> np.ndarray:
     """D⁻¹ of symmetric matrices [d (d + 1)/2, …]; 0 where that has none (k = 0)."""
     d = {3: 2, 6: 3}[len(symbol)]
-    pairs = list(itertools.combinations_with_replacement(range(d), 2))
+    i, j = np.triu_indices(d)
     answer, largest = np.empty_like(symbol), max(symbol.max(), -symbol.min())
     for row in range(symbol.shape[1]):  # in space all matrices at once are much memory
         full = np.empty((*symbol.shape[2:], d, d), symbol.dtype)
-        for (i, j), part in zip(pairs, symbol[:, row]):
-            full[..., i, j] = full[..., j, i] = part
+        full[..., i, j] = full[..., j, i] = np.moveaxis(symbol[:, row], 0, -1)
         zero = (0,) * (symbol.ndim - 2)
         singular = row == 0 and np.abs(full[zero]).max() <= 1e-12 * largest
         if singular:
@@ -172,6 +163,5 @@ def inverse(symbol: np.ndarray) -> np.ndarray:
         found = np.linalg.inv(full)
         if singular:
             found[zero] = 0
-        for (i, j), part in zip(pairs, answer[:, row]):
-            part[...] = found[..., i, j]
+        answer[:, row] = np.moveaxis(found[..., i, j], -1, 0)
     return answer

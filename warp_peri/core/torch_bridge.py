@@ -224,15 +224,6 @@ def real(name: str, value: Any) -> torch.Tensor:
     return tensor.to("cpu", torch.float64)
 
 
-def pair_of(operator: Any, b: Any, u: Any) -> tuple[torch.Tensor, torch.Tensor]:
-    """Load and displacement on all nodes as tensors; InputError for what does not fit."""
-    b, u = (as_tensor(name, field) for name, field in (("b", b), ("u", u)))
-    operator.check(u, not (u.is_complex() or u.dtype == torch.bool))
-    if b.shape != u.shape or b.is_complex() or b.dtype == torch.bool:
-        raise InputError(f"b: expected shape {list(u.shape)}, got {b.dtype} of {list(b.shape)}")
-    return b, u
-
-
 def with_numbers(operator: Any, numbers: Mapping[str, Any]) -> tuple[Any, dict[str, torch.Tensor]]:
     """The operator with some of its `learnable` numbers changed, itself where they are its own, and
     these as tensors of float64. Raises InputError for others, and as its `at`."""
@@ -305,9 +296,13 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     Raises InputError as `rest`, for what does not fit, where L′ is singular, and for a tangent of
     forward mode of a number, or of what is not linear.
     """
-    b, u = pair_of(operator, b, u)
+    given = as_tensor("u", u)
+    fields = [real("b", b), real("u", given)]
+    operator.check(fields[1])
+    if fields[0].shape != given.shape:
+        raise InputError(f"b: expected shape {list(given.shape)}, got {list(fields[0].shape)}")
     operator, named = with_numbers(operator, parameters or {})
-    fields, numbers = [b.cpu().double(), u.cpu().double()], [*named.values(), *operator.networks]
+    numbers = [*named.values(), *operator.networks]
     found: list[Any] = []
 
     def there(b: np.ndarray, u: np.ndarray, *_: np.ndarray) -> tuple[np.ndarray]:
@@ -334,7 +329,7 @@ def at_rest(operator: Any, b: Any, u: Any, solver: Any = None, parameters: Any =
     else:
         refuse_tangents(*fields, *operator.networks)
         (answer,) = once(there, back, *fields, *numbers)
-    return replace(found[0], u=answer.to(u if u.is_floating_point() else answer))
+    return replace(found[0], u=answer.to(given if given.is_floating_point() else answer))
 
 
 def _rest(operator: Any, b: np.ndarray, u: np.ndarray, solver: Any) -> Any:

@@ -119,7 +119,7 @@ class Cracked:
 
         The options say which:
             density: waves in any positive solid, whose bonds stay; with the options of
-                dynamics.verlet.march, and its tensors.
+                solvers.verlet.march, and its tensors.
             step, steps: motion of a BrittleSolid. Also `progress`; `every`, `regions`, `sections`,
                 `watch`, `checkpoint`, `checkpoint_every`, `series` (CrackRun); `no_fail`, `grip`,
                 `ramp` (BreakingBody); `v`, `count_cracks` (its start). The histories are the

@@ -22,7 +22,6 @@ from warp_peri.launch import DEVICE, known_device, recording
 from warp_peri.materials.lps import Model, Solid, on_nominal_lattice, statements
 from warp_peri.materials.lps_bonds import Bonds, SweepLaw, check_volumes
 from warp_peri.materials.lps_force import (
-    Felt,
     check_bond_based,
     check_field,
     evaluate,
@@ -150,22 +149,6 @@ class LPSOperator(OnPoints):
         w = np.require(plain("w", w), float, ["C", "W"])
         by_u = pulled(self.bonds, self._law, self._fields(w)).by_u.numpy()
         return np.asarray(by_u.reshape(*w.shape[:-2], *self.shape))
-
-    def felt(self, u: np.ndarray) -> tuple[np.ndarray, Felt]:
-        """The force of one field [N, d], and what `pulls` reads of it."""
-        found = evaluate(self.bonds, self._fields(u), self._law)
-        return np.asarray(found.Lu.numpy().reshape(-1, self.bonds.dimension)), found
-
-    def pulls(self, felt: Felt, w: np.ndarray) -> tuple[np.ndarray, dict[str, Any]]:
-        """Lᵗ w on all nodes [N, d] and derivatives of w · force to numbers by name, w [I, d]."""
-        by = dict(vars(gradient(self.bonds, felt, self._fields(w))))
-        by_u = by.pop("u").numpy().reshape(self.shape)
-        return by_u, {name: np.reshape(by[name], np.shape(x)) for name, x in self.learnable.items()}
-
-    @property
-    def gathers(self) -> bool:
-        """Whether `felt` and `pulls` are had: of bonds with dilatations, on the processor."""
-        return not (self.bonds.bond_based or self.bonds.plain)
 
     def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
         """L u of Warp arrays, on the tape that records, if one does.

@@ -199,7 +199,7 @@ class Kept:
 
 def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
     """Motion of a Cracked on ranks: see Cracked.moved; fields are those of this rank's nodes.
-    Of an unbroken body: see dynamics.verlet.march.
+    Of an unbroken body: see solvers.verlet.march.
 
     Raises InputError for anything but steps, and for bonds that break by energy.
     """

@@ -137,9 +137,6 @@ class _Waves:
         wanted = [name for name, one in zip(self.names, asked[4:]) if one]
         free, whole, last = self.body.interior, self.dt / self.body.inertia, self.steps
         q, load, totals = v[free], np.zeros_like(v[free]), dict[str, Any].fromkeys(wanted, 0.0)
-        felt = _Felt(self.operator) if wanted and getattr(self.operator, "gathers", False) else None
-        body: Any = self.body
-        body.operator = felt or self.operator
         by_signal, batch = np.zeros(last + 1), list[tuple[np.ndarray, np.ndarray]]()
         for number, u in self._undone():
             if number < last:
@@ -149,15 +146,10 @@ class _Waves:
                 q = q + self.dt * (p + upstream / 2)[free]
                 p += upstream
             pull = whole * q / (1 + (number in (0, last)))
-            if felt is None:
-                p -= self.operator.product_transpose(u, pull)
-            else:
-                pushed, slopes = self.operator.pulls(felt.last, pull)
-                p -= pushed
-                totals = {name: value - slopes[name] for name, value in totals.items()}
+            p -= self.operator.product_transpose(u, pull)
             load += self.body.share(number) * pull
             by_signal[number] = np.vdot(pull, self.body.load)
-            if wanted and felt is None:
+            if wanted:
                 batch.append((u, pull))
             if len(batch) == BATCH or (batch and number == 0):
                 found = by_numbers(self.operator, wanted, *map(np.stack, zip(*batch)))
@@ -187,17 +179,6 @@ class _Waves:
                     )
                 state = true
             yield state.number, state.u
-
-
-class _Felt:
-    """An operator that remembers its last force, of which `pulls` then needs no second."""
-
-    def __init__(self, operator: Any) -> None:
-        self.operator, self.last = operator, None
-
-    def __call__(self, u: np.ndarray) -> np.ndarray:
-        force, self.last = self.operator.felt(u)
-        return np.asarray(force)
 
 
 def stepped(

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.sparse.linalg import LinearOperator, gmres
 
 from warp_peri.errors import InputError
 
@@ -88,17 +88,41 @@ def definite(
     Raises InputError when a direction has no positive energy, or the search stalls above the
     tolerance.
     """
-    record = SolveRecord()
-    largest = inner.largest(right)
-    u = right - right  # zeros
+    record, largest, u = SolveRecord(), inner.largest(right), right - right
     if largest == 0:
         return u, record
+
+    def descend(r: Any) -> Any:
+        """What the search adds, until the recursive residual meets the goal."""
+        u, p, last = r - r, None, 1.0
+        if begin is None:
+            r = 1 * r
+        else:
+            u = begin(r)
+            r = r - product(u)
+        while inner.norm(r) > 0.9 * tolerance * size and record.iterations < MOST_ITERATIONS:
+            z = precondition(r)
+            rz = inner.dot(r, z)
+            if begin is not None and not rz > 0:
+                break  # rounding of what the start answered, which the next start answers
+            p = 1 * z if p is None else inner.add(z, rz / last, p)
+            q = product(p)
+            energy = inner.dot(p, q)
+            if not (energy > 0 and rz > 0):
+                shown = f"a direction has the energy {energy:.1e}"
+                if energy > 0:
+                    shown = f"the inverse of its waves answers a force with the work {rz:.1e}"
+                raise InputError(f"the operator{where} is indefinite: {shown}")
+            record.iterations += 1
+            step, last = rz / energy, rz
+            inner.add(u, step, p)
+            inner.add(r, -step, q)
+        return u
+
     right = right / largest  # squares of very small and very large loads are no numbers
     size, left = inner.norm(right), right
     for _ in range(1 + RESTARTS):
-        start = None if begin is None else begin(left)
-        goal = 0.9 * tolerance * size
-        u += _descend(product, precondition, left, goal, record, start, inner, where)
+        u += descend(left)
         left = right - product(u)
         record.residual = inner.norm(left) / size
         if record.residual <= tolerance:
@@ -110,42 +134,6 @@ def definite(
         f"{record.iterations} iterations, {tolerance:.1e} was asked for; the operator{where} is "
         f"nearly singular{hint}"
     )
-
-
-def _descend(
-    product: Field,
-    precondition: Field,
-    r: Any,
-    goal: float,
-    record: SolveRecord,
-    start: Any,
-    inner: Inner,
-    where: str,
-) -> Any:
-    """Until the recursive residual meets the goal."""
-    u, r = r - r, 1 * r
-    if start is not None:
-        u = start
-        r -= product(u)
-    p, last = None, 1.0
-    while inner.norm(r) > goal and record.iterations < MOST_ITERATIONS:
-        z = precondition(r)
-        rz = inner.dot(r, z)
-        if start is not None and not rz > 0:
-            break  # rounding of what the start answered, which the next start answers
-        p = 1 * z if p is None else inner.add(z, rz / last, p)
-        q = product(p)
-        energy = inner.dot(p, q)
-        if not (energy > 0 and rz > 0):
-            shown = f"a direction has the energy {energy:.1e}"
-            if energy > 0:
-                shown = f"the inverse of its waves answers a force with the work {rz:.1e}"
-            raise InputError(f"the operator{where} is indefinite: {shown}")
-        record.iterations += 1
-        step, last = rz / energy, rz
-        inner.add(u, step, p)
-        inner.add(r, -step, q)
-    return u
 
 
 FORCED, MOST, VECTORS = 0.03, 40, 30
@@ -171,7 +159,7 @@ def newton(residual: Residual, start: np.ndarray, tolerance: float) -> np.ndarra
     for _ in range(MOST):
         if not tolerance < size < np.inf:
             break
-        step, share = gmres(partial(_slope, residual, v, r), -r), 1.0
+        step, share = _newton_step(residual, v, r), 1.0
         while share >= SHORTEST:
             there = residual(v + share * step)
             new = HERE.norm(there)
@@ -184,27 +172,14 @@ def newton(residual: Residual, start: np.ndarray, tolerance: float) -> np.ndarra
     return v
 
 
-def _slope(residual: Residual, v: np.ndarray, r: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """The derivative along p at v, where the residual is r."""
-    t = APART * (HERE.norm(v) or 1.0) / HERE.norm(p)
-    return np.asarray((residual(v + t * p) - r) / t)
+def _newton_step(residual: Residual, v: np.ndarray, r: np.ndarray) -> np.ndarray:
+    """p with a derivative along p at v of −r, the residual there, to FORCED, by GMRES."""
+    apart = APART * (HERE.norm(v) or 1.0)
 
+    def slope(p: np.ndarray) -> np.ndarray:
+        t = apart / HERE.norm(p)
+        return np.asarray((residual(v + t * p.reshape(v.shape)) - r) / t).ravel()
 
-def gmres(product: Residual, right: np.ndarray) -> np.ndarray:
-    """p with product(p) = right to FORCED (Y. Saad and M. H. Schultz, 1986)."""
-    size = HERE.norm(right)
-    basis, H = [right / size], np.zeros((VECTORS + 1, VECTORS))
-    weights: Any = np.zeros(0)
-    for n in range(VECTORS):
-        w = product(basis[n])
-        for k, q in enumerate(basis):
-            H[k, n] = HERE.dot(q, w)
-            w = w - H[k, n] * q
-        H[n + 1, n] = HERE.norm(w)
-        first = np.append(size, np.zeros(n + 1))
-        weights = np.linalg.lstsq(H[: n + 2, : n + 1], first, rcond=None)[0]
-        left = np.linalg.norm(first - H[: n + 2, : n + 1] @ weights)
-        if left <= FORCED * size or not H[n + 1, n] > 0:
-            break
-        basis.append(w / H[n + 1, n])
-    return np.asarray(sum(a * q for a, q in zip(weights, basis)))
+    J = LinearOperator(2 * (v.size,), matvec=slope, dtype=float)
+    p, _ = gmres(J, -r.ravel(), rtol=FORCED, restart=VECTORS, maxiter=1)
+    return np.asarray(p.reshape(v.shape))

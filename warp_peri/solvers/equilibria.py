@@ -406,39 +406,6 @@ def _mixture(differences: np.ndarray, step: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.lstsq(flat, -step.ravel(), rcond=1e-12)[0])
 
 
-def solve_each(
-    way: Equilibria,
-    loads: np.ndarray,
-    fields: np.ndarray,
-    tolerance: float,
-    proven: float,
-    largest: Callable[[np.ndarray], Any],
-    eigenvalue: Callable[[np.ndarray], float] | None = None,
-) -> tuple[list[NonlinearRecord], str | None]:
-    """Fields solved in place, a record of each, and what is sure of all answers, in one sentence.
-
-    Args:
-        way, tolerance: of the body, and of residuals.
-        loads, fields: on the interior, and with what is given on the collar.
-        proven: |H| up to which answers are the only ones; `largest` is that of a field.
-        eigenvalue: the smallest of the tangent at a field, where it is asked for.
-
-    Raises InputError naming the sample for which no equilibrium was found.
-    """
-    records = []
-    for number, (field, load) in enumerate(zip(fields, loads)):
-        try:
-            field[:], record = way.solve(load, field, tolerance)
-        except InputError as error:
-            raise InputError(f"sample {number}: {error}") from None
-        record.largest_gradient = float(largest(field))
-        record.unique = record.largest_gradient <= proven
-        record.eigenvalue = None if eigenvalue is None else eigenvalue(field)
-        records.append(record)
-    known = proven > 0 and all(record.unique for record in records)
-    return records, f"no other solution has |H| ≤ {proven:.2%}" if known else None
-
-
 def equilibria_of(
     operator: Any, b: ArrayLike, u: ArrayLike, solver: Solver, proven: float | None = None
 ) -> Solution:
@@ -461,11 +428,19 @@ def equilibria_of(
     clipped = partial(partial, operator.force, radius=proven) if proven else None
     way = Equilibria(operator, operator.straight, operator.inverse(len(answers)), inside, clipped)
     few = asked.eigenvalues and np.count_nonzero(inside) <= DIRECT
-    smallest = partial(smallest_of, operator) if few else None
-    loads, largest = load.reshape(answers.shape)[:, inside], operator.largest_gradient
-    records, sure = solve_each(way, loads, answers, asked.tolerance, proven or 0, largest, smallest)
+    records = []
+    for n, (each, right) in enumerate(zip(answers, load.reshape(answers.shape)[:, inside])):
+        try:
+            each[:], record = way.solve(right, each, asked.tolerance)
+        except InputError as error:
+            raise InputError(f"sample {n}: {error}") from None
+        record.largest_gradient = float(operator.largest_gradient(each))
+        record.unique = record.largest_gradient <= (proven or 0)
+        record.eigenvalue = smallest_of(operator, each) if few else None
+        records.append(record)
     if proven is not None:
         warn_beyond(records, proven)
+    sure = proven and all(record.unique for record in records)
     return Solution(
         answers.reshape(field.shape),
         operator.points,
@@ -473,7 +448,7 @@ def equilibria_of(
         operator.load(load),
         records[0].method if len({r.method for r in records}) == 1 else "fixed point, newton",
         tuple(record.solves for record in records),
-        sure,
+        f"no other solution has |H| ≤ {proven:.2%}" if sure else None,
         details=tuple(records),
         measured=max((record.residual for record in records), default=None),
     )

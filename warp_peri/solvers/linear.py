@@ -7,7 +7,6 @@ bounds it from below: above zero, conjugate gradients find the one answer.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -15,6 +14,7 @@ import numpy as np
 
 from warp_peri.core.elastic import elastic_from_brackets
 from warp_peri.core.grid import grid_of
+from warp_peri.core.proof import smallest_eigenvalue
 from warp_peri.core.stencil import Stencil
 from warp_peri.core.sweeps import FFT_BONDS, SCALARS, ByFFT, ByRows, convolved
 from warp_peri.errors import InputError
@@ -51,13 +51,6 @@ ROUNDING = 1e-14
 """Of a load's component, which is its mean where no more is left without that."""
 WAVES = 1 << 17
 """Of a torus, whose eigenvalues are taken at once."""
-
-
-@dataclass
-class Solved(SolveRecord):
-    """What solves took, the worst of all fields, and the method."""
-
-    method: str = ""
 
 
 class Linear:
@@ -236,7 +229,7 @@ class Linear:
 
     def solve(
         self, b: np.ndarray, u: np.ndarray, tolerance: float, method: str | None = None
-    ) -> tuple[np.ndarray, list[Solved]]:
+    ) -> tuple[np.ndarray, list[SolveRecord]]:
         """Displacement with L u = b at the interior nodes and u as given elsewhere.
 
         Args:
@@ -262,7 +255,7 @@ class Linear:
                 right = right - self.pull(self.grid.scatter(field[None]))
             z, took = self._inverted(right[0], method, tolerance)
             field[self.points.interior] = self.grid.gather(z[None])[0]
-            records.append(Solved(took.iterations, took.residual, method))
+            records.append(took)
         return answer, records
 
 
@@ -282,13 +275,9 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
     upper = np.triu_indices(d)
     for first in range(1, len(s), WAVES):  # k = 0 is the first
         part = slice(first, first + WAVES)
-        if d == 2:
-            a, c, b = flat[:, part]
-            low = (a + b) / 2 - np.hypot((a - b) / 2, c)
-        else:
-            D = np.empty((len(s[part]), d, d))
-            D[:, upper[0], upper[1]] = D[:, upper[1], upper[0]] = flat[:, part].T
-            low = np.linalg.eigvalsh(D)[:, 0]
+        D = np.empty((len(s[part]), d, d))
+        D[:, upper[0], upper[1]] = D[:, upper[1], upper[0]] = flat[:, part].T
+        low = smallest_eigenvalue(D)
         smallest = min(smallest, float((low / s[part]).min()))
     return smallest
 

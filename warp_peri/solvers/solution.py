@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from warp_peri.errors import InputError, heard, optional, warn
+from warp_peri.errors import InputError, heard, warn
 from warp_peri.points.arrays import is_number
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
@@ -240,14 +240,6 @@ class Solution(Shown):
         if several > 1:
             ax.set(title=f"load {sample % several} of 0 to {several - 1}")
         return ax
-
-    def to_pyvista(self, sample: int = 0) -> Any:
-        """Nodes and displacement as a pyvista.PolyData; InputError without pyvista."""
-        pyvista = optional("pyvista", "pyvista is not installed: pip install 'warp_peri[view]'")
-        x, u = self._nodes(sample)
-        cloud = pyvista.PolyData(np.pad(x, ((0, 0), (0, 3 - x.shape[1]))))
-        cloud["u"] = u if u.ndim == 1 else np.pad(u, ((0, 0), (0, 3 - u.shape[1])))
-        return cloud
 
     @property
     def _units(self) -> tuple[str, str]:
