@@ -28,6 +28,8 @@ LARGEST_HEADER = 2**16
 PACKERS = (".gz", ".bz2", ".xz", ".zst")
 REFUSED = ("castep", "bundle")
 """What names of ASE's formats begin with whose readers run a program or look elsewhere."""
+NO_FORCE = "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives one)"
+UNSAID = "as in the tables; no unit was said"
 STEP, PRINTED, ROWS = 0.025, 4, 8
 """Of the stretch in curves; every fourth of them is printed, or fewer, for at most so many rows."""
 
@@ -163,67 +165,66 @@ def run_fit_sheet(given: Namespace) -> Said:
             done=done,
             progress=given.progress,
         )
-        material = choice.material
-        warp_peri.save(given.out / "material.json", material)
-        told = (
-            f"are in MPa by --stress; sections and frames scatter by {100 * choice.fit.scatter:.2g}"
-            " % around it"
-            if given.stress
-            else "are scaled: C11 + C22 + C66 without load is 1, no force is known (--stress gives "
-            "one)"
-        )
-        words = [*warp_peri.tissue.in_words(material), *_beside(choice.fit)]
-        words.append(f"stresses and coefficients {told}")
-        try:
-            warp_peri.tissue.save_febio(material, given.out / "material.feb")
-            words.append("material.feb carries all but the deviations and the thickness")
-        except InputError as error:
-            words.append(f"no file for FEBio: {error}")
-        stretches = np.arange(1.0, max(1.05, material.stretch or 1.2) + 1e-9, STEP)[1:]
-        curves: Result = {}
-        shown = f"curves: {given.out / 'curves.png'}, stress over stretch with a 90 % band"
-        try:
-            curves = {f"{a:g} deg": choice.curves(stretches, np.radians(a)) for a in (0, 45, 90)}
-            _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
-        except InputError as error:
-            words.append(shown := f"no curves: {error}")
-        each = PRINTED * -(-len(stretches) // (PRINTED * ROWS))
-        candidates = choice.candidates
-        result = finite(
-            {
-                "frames": len(frames),
-                "interior": int(frames.interior.sum()),
-                "noise_in_spacings": float(np.median(noise_of(frames)) / frames.spacing),
-                "lengths": frames.points.units[0]
-                if length_known
-                else "as in the tables; no unit was said",
-                "stresses": told,
-                "material": choice.best.name,
-                "words": words,
-                "held_out_E_u": {
-                    one.name: one.held_out for one in candidates if np.isfinite(one.held_out)
-                },
-                "passed_over": [one.why for one in candidates if one.fit is None],
-                "largest_stretch": float(material.stretch or np.nan),
-                "tension_with_90_percent_band": {
-                    f"along {name}": {
-                        f"stretch {stretches[n]:g}": np.array(curve)[:, n].tolist()
-                        for n in range(each - 1, len(stretches), each)
-                    }
-                    for name, curve in curves.items()
-                },
-            }
-        )
+        warp_peri.save(given.out / "material.json", choice.material)
+        result, shown = _written(given, choice)
+        told = {
+            "frames": len(frames),
+            "interior": int(frames.interior.sum()),
+            "noise_in_spacings": float(np.median(noise_of(frames)) / frames.spacing),
+            "lengths": frames.points.units[0] if length_known else UNSAID,
+        }
+        result = finite(told | result)
         write_json(given.out / "sheet.json", result)
         keep(given, given.out / "fit-sheet.toml")
-    stress = "" if given.stress else "; stresses in MPa need a force: --stress"
+    path, stress = given.out / "material.json", "; stresses in MPa need a force: --stress"
     first = [
-        f"{given.out / 'material.json'}: material of a sheet, {choice.best.name}",
+        f"{path}: material of a sheet, {choice.best.name}",
         f"error of displacement: {100 * choice.best.held_out:.2g} % on frames left out",
         shown,
-        f"next: warp-peri info {shlex.quote(str(given.out / 'material.json'))}{stress}",
+        f"next: warp-peri info {shlex.quote(str(path))}{'' if given.stress else stress}",
     ]
     return result, [*first, LINE, *lines_of(result)]
+
+
+def _written(given: Namespace, choice: Any) -> tuple[Result, str]:
+    """What a sheet is made of, its curves in files where there are any, and a line on them."""
+    material, candidates = choice.material, choice.candidates
+    told = NO_FORCE
+    if given.stress:
+        scatter = f"{100 * choice.fit.scatter:.2g}"
+        told = f"are in MPa by --stress; sections and frames scatter by {scatter} % around it"
+    words = [*warp_peri.tissue.in_words(material), *_beside(choice.fit)]
+    words.append(f"stresses and coefficients {told}")
+    try:
+        warp_peri.tissue.save_febio(material, given.out / "material.feb")
+        words.append("material.feb carries all but the deviations and the thickness")
+    except InputError as error:
+        words.append(f"no file for FEBio: {error}")
+    stretches = np.arange(1.0, max(1.05, material.stretch or 1.2) + 1e-9, STEP)[1:]
+    curves: Result = {}
+    shown = f"curves: {given.out / 'curves.png'}, stress over stretch with a 90 % band"
+    try:
+        curves = {f"{a:g} deg": choice.curves(stretches, np.radians(a)) for a in (0, 45, 90)}
+        _write_curves(given.out, stretches, curves, "MPa" if given.stress else "scaled")
+    except InputError as error:
+        words.append(shown := f"no curves: {error}")
+    each = PRINTED * -(-len(stretches) // (PRINTED * ROWS))
+    result = {
+        "stresses": told,
+        "material": choice.best.name,
+        "words": words,
+        "held_out_E_u": {one.name: one.held_out for one in candidates if np.isfinite(one.held_out)},
+        "passed_over": [one.why for one in candidates if one.fit is None],
+        "largest_stretch": float(material.stretch or np.nan),
+        "tension_with_90_percent_band": {
+            f"along {name}": {
+                f"stretch {stretches[n]:g}": np.array(curve)[:, n].tolist()
+                for n in range(each - 1, len(stretches), each)
+            }
+            for name, curve in curves.items()
+        },
+    }
+    return result, shown
 
 
 def _beside(fit: Any) -> list[str]:
