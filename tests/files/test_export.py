@@ -1,6 +1,5 @@
 """Files for other tools, read back."""
 
-import json
 import sys
 from dataclasses import replace
 
@@ -12,13 +11,10 @@ from tests.micromodulus import crystals
 from tests.support.clouds import cloud, plain
 from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured
-from tests.support.solving import solve
-from warp_peri import Dataset, InputError, Samples
-from warp_peri.cli.main import main
+from warp_peri import InputError, Samples
 from warp_peri.export import write_fields
 from warp_peri.materials.certificate import certify
 from warp_peri.materials.lps_matrices import node_fields
-from warp_peri.points.dataset import save_dataset
 
 HORIZON = 2.5
 
@@ -98,33 +94,6 @@ def test_fields_in_space(law, tmp_path):
     assert np.abs(expected[[1, 0], [2, 2]]).min() > 0  # YZ and XZ
 
 
-def test_a_crystal_from_the_shell(tmp_path, capsys):
-    law = crystals.learned(2)
-    points = waves_on(law, 3)
-    law.save(tmp_path / "m.json")
-    save_dataset(tmp_path / "d.h5", Dataset({"test": points}, 3.35, 2200.0))
-    m, d = str(tmp_path / "m.json"), str(tmp_path / "d.h5")
-    assert main(["export", m, d, "--out", str(tmp_path / "vtu")]) == 0
-    data = meshio.read(tmp_path / "vtu" / "sample_0000.vtu").point_data
-    np.testing.assert_allclose(data["displacement"][:, :2], points.u[0], atol=1e-7)
-    capsys.readouterr()
-    assert main(["info", m, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["moduli"] == pytest.approx(law.moduli())
-    assert main(["certify", m, "--json"]) == 0
-    (proof,) = json.loads(capsys.readouterr().out).values()
-    assert proof["holds"]
-    assert proof["proven"] == law.certificate.proven
-
-
-def waves_on(law, number):
-    """Two random fields around so many nodes each way, with the loads of a law."""
-    points = crystals.lattice(law.dimension, number, 3)
-    u = 1e-3 * np.random.default_rng(0).normal(size=(2, *points.x.shape))
-    b = np.zeros_like(u)
-    b[:, points.interior] = law.on(points)(u)
-    return Samples(points, u, b)
-
-
 def test_scattered_points_stand_alone(tmp_path):
     points = cloud(3, 3.0)
     u = np.zeros((1, len(points.x), 2))
@@ -147,17 +116,6 @@ def test_on_another_lattice_stress_is_by_the_kernel_that_is_solved_with(tmp_path
     stress = symmetric(found["stress"][points.interior])[:, :2, :2]
     np.testing.assert_allclose(stress, wanted.stress[0], rtol=1e-12, atol=1e-16)
     np.testing.assert_allclose(found["energy"][points.interior], wanted.energy[0], rtol=1e-12)
-
-
-def test_the_command(model, points, tmp_path):
-    model.save(tmp_path / "m.json")
-    save_dataset(tmp_path / "d.h5", Dataset({"test": points}, 3.35, 2200.0))
-    m, d = str(tmp_path / "m.json"), str(tmp_path / "d.h5")
-    assert main(["export", m, d, "--out", str(tmp_path / "vtu")]) == 0
-    mesh = meshio.read(tmp_path / "vtu" / "sample_0001.vtu")
-    u = solve(model, points, points.b, points.u)
-    np.testing.assert_allclose(mesh.point_data["displacement"][:, :2], u[1], atol=1e-12)
-    assert main(["export", "--config", str(tmp_path / "vtu" / "export.toml")]) == 0
 
 
 def test_a_missing_extra_is_named(model, points, tmp_path, monkeypatch):

@@ -14,7 +14,6 @@ from scipy.interpolate import PchipInterpolator
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.micromodulus import tensors_of
 
 
 def samples():
@@ -135,31 +134,6 @@ def test_what_a_function_reads_and_an_object_holds_counts(monkeypatch):
     assert fingerprint(torch.ones(2, requires_grad=True)) == fingerprint(torch.ones(2))
 
 
-def test_a_motion_from_rest_is_of_one_crack_and_of_moduli_of_one_field(tmp_path):
-    x = wp.damage.rectangle(12.0, 12.0, 1.0)
-    points = wp.Points(x, (np.abs(x) < 2).all(axis=1), 1.0)
-    model = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, certified_on=(1.0,))
-    wave = {"density": 2000.0, "step": 0.002, "checkpoint_every": 1}
-
-    def cut(tip, steps, path):
-        problem = wp.Cracked(points, cracks=[[(-6.5, 0.0), (tip, 0.0)]])
-        return wp.move(model, problem, **wave, steps=steps, checkpoint=path)
-
-    cut(0.0, 2, tmp_path / "crack.h5")
-    cut(0.0, 3, tmp_path / "crack.h5")
-    with pytest.raises(wp.InputError, match="expected a checkpoint of this motion"):
-        cut(3.0, 4, tmp_path / "crack.h5")
-    at_rest, path = wp.Dirichlet(points, None, 0 * x), tmp_path / "field.h5"
-    for number, size in enumerate((0.1, 0.1, 0.2)):
-        operator = model.on(points, mu=0.4 + size * np.sin(x[:, 0]) ** 2)
-        how = {**wave, "steps": 2 + number, "checkpoint": path}
-        if size == 0.2:
-            with pytest.raises(wp.InputError, match="expected a checkpoint of this motion"):
-                wp.move(operator, at_rest, **how)
-        else:
-            wp.move(operator, at_rest, **how)
-
-
 def test_the_last_step_is_written_whatever_is_recorded(tmp_path):
     points, path = lattice(6, 2.5), tmp_path / "run.h5"
     how = {"density": 2000.0, "step": 0.003, "checkpoint": path}
@@ -170,8 +144,10 @@ def test_the_last_step_is_written_whatever_is_recorded(tmp_path):
             assert json.loads(file["values"][()].tobytes())["steps"] == steps
 
 
-def materials(points):
-    """Pairs of materials that differ in one number, each with options of its motion."""
+def test_a_motion_from_rest_is_of_one_material_and_one_crack(tmp_path):
+    """A body without displacement or load feels none of its moduli."""
+    x = wp.damage.rectangle(12.0, 12.0, 1.0)
+    points = wp.Points(x, (np.abs(x) < 2).all(axis=1), 1.0)
 
     def own(mu):
         def energy(E, lam):
@@ -179,27 +155,22 @@ def materials(points):
 
         return wp.DensityMaterial.of(energy, points.spacing, {"lam": 0.4})
 
-    linear = kernel("positive", 2.5)
-    crystal = tensors_of(linear, points.spacing)
-    stiffer = replace(crystal, tensors=1.01 * crystal.tensors, certificate=None)
-    wave = {"density": 2000.0, "step": 0.003}
-    yield linear, replace(linear, mu=1.01 * linear.mu), wave
-    yield crystal, stiffer, wave
-    yield own(0.7), own(0.71), wave | {"step": 0.001}  # the function is in no file
-
-
-@pytest.mark.parametrize("number", [0, 1, 2])
-def test_a_motion_from_rest_is_of_one_material(number, tmp_path):
-    """A body without displacement or load feels none of its moduli."""
-    steps = np.argwhere(np.ones((16, 16)))
-    points = wp.Points(1.0 * steps, ((steps > 4) & (steps < 11)).all(axis=1), 1.0)
-    one, other, how = list(materials(points))[number]
-    at_rest = wp.Dirichlet(points, None, np.zeros_like(points.x))
-    kept = {"checkpoint": tmp_path / "run.h5", "checkpoint_every": 1}
-    wp.move(one, at_rest, **how, steps=2, **kept)
-    wp.move(one, at_rest, **how, steps=3, **kept)
-    with pytest.raises(wp.InputError, match="expected a checkpoint of this motion"):
-        wp.move(other, at_rest, **how, steps=4, **kept)
+    linear = wp.Model(0.3, 0.4, 1.0, np.ones(1), horizon=2.0, certified_on=(1.0,))
+    field = [linear.on(points, mu=0.4 + size * np.sin(x[:, 0]) ** 2) for size in (0.1, 0.2)]
+    rest = wp.Dirichlet(points, None, 0 * x)
+    cracks = [wp.Cracked(points, cracks=[[(-6.5, 0.0), (tip, 0.0)]]) for tip in (0.0, 3.0)]
+    for name, pair in {
+        "linear": [(linear, rest), (replace(linear, mu=0.41), rest)],
+        "own": [(own(0.7), rest), (own(0.71), rest)],  # the function is in no file
+        "field": [(field[0], rest), (field[1], rest)],
+        "crack": [(linear, cracks[0]), (linear, cracks[1])],
+    }.items():
+        how = {"density": 2000.0, "step": 0.001, "checkpoint_every": 1}
+        how["checkpoint"] = tmp_path / f"{name}.h5"
+        for steps in (2, 3):
+            wp.move(*pair[0], **how, steps=steps)
+        with pytest.raises(wp.InputError, match="expected a checkpoint of this motion"):
+            wp.move(*pair[1], **how, steps=4)
 
 
 def test_contents_of_a_checkpoint_are_those_that_were_written(tmp_path):

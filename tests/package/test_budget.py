@@ -17,13 +17,13 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_901,
-    "tokens": 280_098,
-    "lines of warp_peri": 38_511,
+    "code lines": 22_899,
+    "tokens": 280_152,
+    "lines of warp_peri": 38_512,
     "lines of kernels": 1_275,
-    "lines of warp_peri, kernels, examples and tools": 51_965,
+    "lines of warp_peri, kernels, examples and tools": 51_966,
     "lines of the longest file": 643,
-    "lines of the longest function": 96,
+    "lines of the longest function": 91,
     "parameters of one function": 13,
     "characters of the longest string": 1_727,
     "class names twice": 0,
@@ -33,7 +33,7 @@ BUDGET = {
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
     "atoms": 2714,
-    "cli": 871,
+    "cli": 869,
     "core": 1684,
     "diffusion": 339,
     "face": 932,
