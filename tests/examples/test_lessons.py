@@ -41,6 +41,15 @@ def test_a_stiff_inclusion_is_found(capsys):
     assert numbers["mean in the inclusion"] == pytest.approx(4, rel=0.2)
 
 
+def test_waves_find_two_maps(capsys):
+    from examples import waves_to_map
+
+    assert waves_to_map.main(["--side", "20", "--iterations", "12", "--json"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    for modulus in ("κ", "μ"):
+        assert numbers[modulus] < 0.6 * numbers[f"{modulus} at start"]
+
+
 def own_law(folder, *on):
     """What the example prints, in a folder that its file is left in."""
     alone = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}

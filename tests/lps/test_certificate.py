@@ -7,46 +7,48 @@ import pytest
 import scipy.sparse as sp
 
 from tests.support import reference
-from tests.support.problems import KERNELS, ell, kernel, lattice, periodic
-from tests.support.symbols import smallest, symbol
+from tests.support.problems import GRADIENT, KERNELS, difference, ell, kernel, lattice, periodic
+from tests.support.symbols import form, smallest, smallest_margins, symbol
 from warp_peri import InputError, Model, certify
+from warp_peri.core.stencil import ratios
+from warp_peri.fitting.settings import CONDITIONS, Conditions, Optimum
+from warp_peri.materials.lps import stiffnesses
+from warp_peri.materials.lps_fit import LPSFound, LPSLaw, class_pairs, product_basis
 from warp_peri.materials.lps_matrices import matrices
+from warp_peri.points.families import bond_classes
 from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
 
 ZONE = np.stack(np.meshgrid(*2 * [np.linspace(-np.pi, np.pi, 161)]), -1).reshape(-1, 2)
 ZONE = ZONE[np.hypot(*ZONE.T) > 1e-9]
-VIOLATING = kernel("sign-changing", 2.5)
+CLASSES = bond_classes(1.0, 3.0)
+every_kernel = pytest.mark.parametrize("name", KERNELS)
+every_kind = pytest.mark.parametrize("kind", CONDITIONS)
 
 
-def smallest_ratio(model):
-    return smallest(symbol(model, ZONE), ZONE).min()
+@pytest.mark.parametrize("horizon", [2.0, 2.5, 3.0])
+@every_kernel
+def test_minimum_and_bound_against_a_fine_grid(name, horizon):
+    model = kernel(name, horizon, lam=-0.2)
+    found, expected = certify(model, spacing=1.0), smallest(symbol(model, ZONE), ZONE).min()
+    assert found.symbol_min <= expected + 1e-12
+    assert found.symbol_min == pytest.approx(expected, abs=1e-3)
+    assert found.symbol_bound <= max(expected, 0)
+    if expected > 0.05:
+        assert found.symbol_bound >= 0.9 * expected
+    assert found.holds == ("exactly one solution" in found.statement)
 
 
-@pytest.mark.parametrize("horizon", [2.0, 3.0, 4.0, 5.0])
-def test_the_plain_kernel_holds(horizon):
-    certificate = certify(kernel("1/r", horizon), spacing=1.0)
-    assert certificate.holds
-    assert 0 < certificate.symbol_bound <= certificate.symbol_min
-    assert "exactly one solution" in certificate.statement
-
-
-def test_a_planted_violation_is_reported():
-    certificate = certify(VIOLATING, spacing=1.0)
-    assert certificate.symbol_min < -0.03
-    assert certificate.symbol_bound == 0
-    assert not certificate.holds
-    assert certificate.statement == "Nothing is proven on the lattice of spacing 1 Å."
-
-
-def test_a_violation_in_the_dilatation_alone_is_reported():
-    """Γ is positive; λ below μ lets the dilatation pull it down."""
-    D = [-0.54, 0.63, -0.08, -0.12, 0.18, -0.12]
-    model = Model(lam=-0.6, mu=0.8, alpha=1.0, D=D, horizon=3.0)
+def test_planted_violations_are_reported():
+    """In all, and in the dilatation alone: Γ is positive, λ below μ lets it pull D down."""
+    found = certify(kernel("sign-changing", 2.5), spacing=1.0)
+    assert found.symbol_min < -0.03
+    assert found.symbol_bound == 0
+    assert found.statement == "Nothing is proven on the lattice of spacing 1 Å."
+    model = Model(-0.6, 0.8, 1.0, [-0.54, 0.63, -0.08, -0.12, 0.18, -0.12], horizon=3.0)
     assert certify(replace(model, lam=0.8), spacing=1.0).holds
-    certificate = certify(model, spacing=1.0, points=lattice(4, 3.0))
-    assert certificate.gamma_min > 0
-    assert certificate.symbol_min < 0
-    assert not certificate.holds
+    found = certify(model, spacing=1.0, points=lattice(4, 3.0))
+    assert found.gamma_min > 0 > found.symbol_min
+    assert not found.holds
 
 
 def test_what_holds_is_what_is_stated():
@@ -55,45 +57,19 @@ def test_what_holds_is_what_is_stated():
     bare, dense = certify(model, spacing=1.0), certify(model, spacing=1.0, points=points)
     assert dense.gamma_minus_2phi_min < -0.04
     assert dense.statement == bare.statement
-    assert "exactly one solution" in dense.statement
-    assert bare.holds
-    assert dense.holds
-    assert dense.paper is False
-    assert bare.paper is None
+    assert (bare.holds, dense.holds, dense.paper, bare.paper) == (True, True, False, None)
     L = matrices(model, points).operator(model.lam, model.mu)[:, np.repeat(points.interior, 2)]
     assert np.linalg.eigvalsh(L.toarray())[0] > 0
 
 
-@pytest.mark.parametrize("horizon", [2.0, 2.5, 3.0])
-@pytest.mark.parametrize("name", KERNELS)
-def test_minimum_and_bound_against_a_fine_grid(name, horizon):
-    model = kernel(name, horizon, lam=-0.2)
-    certificate = certify(model, spacing=1.0)
-    expected = smallest_ratio(model)
-    assert certificate.symbol_min <= expected + 1e-12
-    assert certificate.symbol_min == pytest.approx(expected, abs=1e-3)
-    assert certificate.symbol_bound <= max(expected, 0)
-    if expected > 0.05:
-        assert certificate.symbol_bound >= 0.9 * expected
-
-
-def five_point(interior):
-    """The 5-point Dirichlet Laplacian on given nodes of a unit lattice."""
-    node = np.argwhere(interior)
-    step = np.abs(node[:, None] - node[None]).sum(-1)
-    return 4.0 * (step == 0) - (step == 1)
-
-
-@pytest.mark.parametrize("name", KERNELS)
+@every_kernel
 def test_dense_figures_are_those_of_the_definition(name):
-    model = kernel(name, 3.0)
-    points = lattice(ell(), 3.0)
+    model, points = kernel(name, 3.0), lattice(ell(), 3.0)
     inside = np.flatnonzero(points.interior)
     pulls = np.zeros((2 * len(inside), len(points.x), 2))
     for number, (i, a) in enumerate((i, a) for i in inside for a in (0, 1)):
         pulls[number, i, a] = 1.0
-    equal = replace(model, lam=1.0, mu=1.0)  # L = Γ
-    gamma = equal.on(points)(pulls).reshape(len(pulls), -1).T
+    gamma = replace(model, lam=1.0, mu=1.0).on(points)(pulls).reshape(len(pulls), -1).T  # L = Γ
     phi = np.array(
         [[reference.dilatation(points.x, i, model, pull) for pull in pulls] for i in inside]
     )
@@ -107,12 +83,23 @@ def test_dense_figures_are_those_of_the_definition(name):
     values = values[values > 1e-9 * values[-1]]
     assert figures.inf_sup_min == pytest.approx(values[0], rel=1e-6)
     assert figures.inf_sup_rank == len(values)
+    assert {type(value) for value in figures.figures().values()} <= {float, int, str}
 
 
-def test_figures_are_plain_numbers():
-    figures = certify(kernel("1/r", 2.0), spacing=1.0, points=lattice(3, 2.0)).figures()
-    assert {type(value) for value in figures.values()} <= {float, int, str}
-    assert set(figures) >= {"symbol_min", "symbol_bound", "gamma_min", "inf_sup_min"}
+def test_the_figures_of_a_period_are_those_without_its_translations():
+    model, (points, _) = kernel("positive", 3.0), periodic((12, 12))
+    figures, parts = certify(model, spacing=1.0, points=points), matrices(model, points)
+    gamma, phi = parts.gamma.toarray(), parts.phi.toarray()
+    values, fields = np.linalg.eigh(gamma)
+    assert np.abs(values[:2]).max() < 1e-12 * values[-1]
+    assert figures.gamma_min == pytest.approx(values[2], rel=1e-9)
+    least = np.linalg.eigvalsh(gamma - 2 * phi.T @ phi)
+    assert figures.gamma_minus_2phi_min == pytest.approx(least[2], rel=1e-9)
+    half = phi @ fields[:, 2:] / np.sqrt(values[2:])
+    pencil = np.linalg.eigvalsh(half @ half.T)
+    pencil = pencil[pencil > 1e-9 * pencil[-1]]
+    assert figures.inf_sup_min == pytest.approx(pencil[0], rel=1e-6)
+    assert figures.inf_sup_rank == len(pencil)
 
 
 @pytest.mark.parametrize(
@@ -131,26 +118,76 @@ def test_lattices_that_do_not_fit_are_refused(spacing, points, words):
 
 def test_a_mode_that_changes_sign_across_a_symmetric_body_is_found():
     """Two halves and a bond between them: the lowest mode is antisymmetric."""
-    half = DENSE
-    chain = sp.diags_array(np.append(0.5, np.linspace(1.0, 2.0, half - 1)))
-    body = sp.csc_array(sp.block_array([[chain, sp.eye_array(half)], [sp.eye_array(half), chain]]))
-    assert smallest_eigenvalue(body) == pytest.approx(-0.5, rel=1e-5)
+    chain = sp.diags_array(np.append(0.5, np.linspace(1.0, 2.0, DENSE - 1)))
+    body = sp.block_array([[chain, sp.eye_array(DENSE)], [sp.eye_array(DENSE), chain]])
+    assert smallest_eigenvalue(sp.csc_array(body)) == pytest.approx(-0.5, rel=1e-5)
 
 
-@pytest.mark.parametrize("size", [8, 12, 20])
-def test_the_figures_of_a_period_are_those_without_its_translations(size):
-    model = kernel("positive", 3.0)
-    points, _ = periodic((size, size))
-    figures = certify(model, spacing=1.0, points=points)
-    parts = matrices(model, points)
-    gamma, phi = parts.gamma.toarray(), parts.phi.toarray()
-    values, fields = np.linalg.eigh(gamma)
-    assert np.abs(values[:2]).max() < 1e-12 * values[-1]
-    assert figures.gamma_min == pytest.approx(values[2], rel=1e-9)
-    least = np.linalg.eigvalsh(gamma - 2 * phi.T @ phi)
-    assert figures.gamma_minus_2phi_min == pytest.approx(least[2], rel=1e-9)
-    half = phi @ fields[:, 2:] / np.sqrt(values[2:])
-    pencil = np.linalg.eigvalsh(half @ half.T)
-    pencil = pencil[pencil > 1e-9 * pencil[-1]]
-    assert figures.inf_sup_min == pytest.approx(pencil[0], rel=1e-6)
-    assert figures.inf_sup_rank == len(pencil)
+@pytest.mark.parametrize("seed", range(10))
+def test_smallest_eigenvalue_is_at_least_the_proven_share_of_the_laplacians(seed):
+    """Of kernels that change sign, on squares, disks, an L and frames of random size."""
+    random, found = np.random.default_rng(seed), None
+    while not (found and found.holds and model.influence(np.linspace(1, 3, 20)).min() < 0):  # noqa: F821
+        mu, D = random.uniform(0.3, 1.0), random.normal(0.3, 0.6, size=5)
+        model = Model(random.uniform(-0.9 * mu, 3 * mu), mu, random.uniform(-1, 2.9), D, 3.0)
+        found = certify(model, spacing=1.0)
+    domain = np.ones(random.integers(4, 9, 2), bool)
+    i, j = (int(random.integers(1, n - 1)) for n in domain.shape)
+    a, b = np.indices(domain.shape)
+    shapes = [domain, np.hypot(a - i, b - j) <= 3, (a < i) | (b < j), (a != i) | (b != j)]
+    domain = shapes[seed % 4]
+    points, node = lattice(domain, 3.0), np.argwhere(domain)
+    L = matrices(model, points).operator(model.lam, model.mu)
+    L = L[:, np.repeat(points.interior, 2)].toarray()
+    step = np.abs(node[:, None] - node[None]).sum(-1)
+    laplacian = np.linalg.eigvalsh(4.0 * (step == 0) - (step == 1))[0]
+    assert np.linalg.eigvalsh((L + L.T) / 2)[0] >= found.symbol_bound * laplacian
+    assert found.symbol_bound > 0.9 * found.symbol_min
+
+
+# Conditions of a fit
+
+
+def printed(v, kappa, mu, k):
+    """Of D − 0.02 s, μ Γ − 0.02 s and μ (Γ − 2φφᵗ) the smallest eigenvalue over s, shape [3, K]."""
+    found = [smallest(form(CLASSES, k, v, each), k) for each in (kappa, 0.0, -2 / mu)]
+    return np.array(found) - np.array([[0.02], [0.02], [0.0]])
+
+
+@every_kernel
+@every_kind
+def test_derivatives_of_the_numbers(name, kind):
+    start = LPSFound(kernel(name, 3.0, lam=0.1).solid)
+    method = Optimum("isotropic", smoothness=1e-3)
+    law = LPSLaw([CLASSES], start, Conditions(kind, 0.02), method)
+    y = law.start(start)
+    at = law(y)
+
+    def values(y):
+        there = law(y)
+        forms = [each.p for each in there.forms]
+        return np.concatenate([*there.p, *forms, there.equal, there.margins, there.beside])
+
+    slopes = np.vstack([*at.slopes, *(each.slopes for each in at.forms), at.A, at.M, at.by])
+    expected = difference(values, y, 1e-3).T
+    assert np.abs(slopes - expected).max() <= GRADIENT * np.abs(expected).max()
+
+
+@every_kernel
+@every_kind
+def test_the_conditions_are_the_printed_ones_and_the_search_finds_the_softest(name, kind):
+    model, conditions = kernel(name, 3.0, lam=0.7), Conditions(kind, 0.02)
+    v, kappa = stiffnesses(model, CLASSES)
+    k = np.random.default_rng(2).uniform(-np.pi, np.pi, (7, 2))
+    bonds, (i, j) = product_basis(CLASSES), class_pairs(len(v))
+    for number, (own, level) in enumerate(conditions.forms(kappa, model.mu)):
+        tensors = np.tensordot(np.concatenate([v, own * v[i] * v[j]]), bonds.basis, 1)
+        margins = ratios(bonds.steps, tensors, k)[0] - level
+        expected = printed(v, kappa, model.mu, k)[number]
+        np.testing.assert_allclose(margins, expected, atol=1e-12)
+    margins = smallest_margins(CLASSES, conditions, v, kappa)
+    line = np.linspace(1e-3, np.pi, 301)
+    fine = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
+    expected = printed(v, kappa, model.mu, fine).min(axis=1)[: len(margins)]
+    assert (margins <= expected + 1e-5).all()
+    assert (margins >= expected - 1e-3).all()

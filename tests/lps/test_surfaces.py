@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support import cubes
 from tests.support.clouds import cloud, plain
 from tests.support.problems import ell, fitted_order, kernel, lattice, noise
 from tests.support.solving import solve
@@ -17,112 +18,87 @@ HORIZON = 3.0
 GRADIENT = np.array([[0.3, -0.7], [0.2, 0.9]])
 
 
-def notched(points):
-    """Nodes outside a body with a corner and a curved edge."""
-    x, y = (points.x - points.x[points.interior].mean(axis=0)).T
-    return ((x > 1) & (y > 0.4)) | (np.hypot(x + 5, y) < 4.3)
+def body(points):
+    """Without what is outside of a corner and a curved edge, in space of a face."""
+    a, b, *deep = (points.x - points.x[points.interior].mean(axis=0)).T
+    outside = a > 0.5 if deep else ((a > 1) & (b > 0.4)) | (np.hypot(a + 5, b) < 4.3)
+    return replace(points, interior=points.interior & ~outside, outside=outside)
 
 
-BODIES = {"lattice": lattice(ell(), HORIZON), "cloud": cloud(6, HORIZON)}
+BODIES = {
+    "lattice": (body(lattice(ell(), HORIZON)), kernel("sign-changing", HORIZON)),
+    "cloud": (body(cloud(6, HORIZON)), kernel("sign-changing", HORIZON)),
+    "space": (body(cubes.cube(3, 2.0)), cubes.solid(2.0, alpha=1.2, D=[1.0, -0.3, 0.6])),
+}
+every_body = pytest.mark.parametrize(("points", "model"), BODIES.values(), ids=BODIES)
 
 
-@pytest.mark.parametrize("points", BODIES.values(), ids=BODIES)
-@pytest.mark.parametrize("name", ["1/r", "positive"])
-def test_dilatation_of_an_affine_field_is_exact_on_a_cut_body(points, name):
-    outside = notched(points)
-    body = replace(points, interior=points.interior & ~outside, outside=outside)
-    families = families_of(body, HORIZON)
-    assert len(families.cut) > 5
-    u = points.x @ GRADIENT.T + (0.4, -1.3)
-    u[outside] = np.nan  # nobody looks
-    theta = matrices(kernel(name, HORIZON), body).phi
-    theta = theta @ np.nan_to_num(u, nan=1e3).ravel()
-    np.testing.assert_allclose(theta[families.cut], np.trace(GRADIENT), rtol=0, atol=1e-11)
+@every_body
+def test_dilatation_of_an_affine_field_is_exact_and_matrices_are_the_operator(points, model):
+    d, parts = points.dimension, matrices(model, points)
+    G = np.random.default_rng(6).normal(size=(d, d))
+    u = points.x @ G.T + 0.4
+    u[points.outside] = 1e3  # nobody looks
+    cut = families_of(points, model.horizon).cut
+    assert len(cut) > 5
+    np.testing.assert_allclose((parts.phi @ u.ravel())[cut], np.trace(G), rtol=0, atol=1e-11)
+    u = noise(points)
+    expected = model.on(points, allow_uncertified=True)(u)
+    L = parts.operator(model.lam, model.mu)
+    np.testing.assert_allclose((L @ u.ravel()).reshape(-1, d), expected, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("points", BODIES.values(), ids=BODIES)
-def test_force_of_an_affine_field_vanishes_where_the_ball_of_twice_the_horizon_is_full(points):
-    outside = notched(points)
-    body = replace(points, interior=points.interior & ~outside, outside=outside)
-    operator = plain(HORIZON).on(body, allow_uncertified=True)
-    force = operator(points.x @ GRADIENT.T)
-    gap = np.linalg.norm(body.x[body.interior][:, None] - points.x[outside], axis=2).min(axis=1)
-    full = gap > 2 * HORIZON
-    rough = np.abs(operator(noise(points))).max()
-    assert not full.any() or np.abs(force[full]).max() < 1e-11 * rough
-    near = gap < HORIZON
-    assert np.abs(force[near]).max() > 1e-3 * rough
-
-
-def test_force_is_exact_deep_in_a_body_with_a_far_surface():
+def test_force_of_an_affine_field_vanishes_deep_in_a_body_and_not_at_its_surface():
     points = lattice(14, HORIZON)
     outside = points.x[:, 0] > 12.5
-    body = replace(points, interior=points.interior & ~outside, outside=outside)
-    operator = plain(HORIZON).on(body, allow_uncertified=True)
-    force = operator(points.x @ GRADIENT.T)
-    deep = body.x[body.interior, 0] < 13 - 2 * HORIZON
+    points = replace(points, interior=points.interior & ~outside, outside=outside)
+    force = plain(HORIZON).on(points, allow_uncertified=True)(points.x @ GRADIENT.T)
+    deep = points.x[points.interior, 0] < 13 - 2 * HORIZON
     assert deep.sum() >= 14 * 7
     assert np.abs(force[deep]).max() < 1e-11
     assert np.abs(force[~deep]).max() > 1e-2
 
 
-def test_matrices_are_the_operator_on_a_cut_body():
-    points = BODIES["cloud"]
-    outside = notched(points)
-    body = replace(points, interior=points.interior & ~outside, outside=outside)
-    model = kernel("sign-changing", HORIZON)
-    u = noise(points)
-    expected = model.on(body, allow_uncertified=True)(u)
-    L = matrices(model, body).operator(model.lam, model.mu)
-    np.testing.assert_allclose((L @ u.ravel()).reshape(-1, 2), expected, rtol=0, atol=1e-9)
-
-
-def traction_free(lam, mu, number, points):
+def traction_free(lam, mu, n):
     """Largest error on a unit square whose right edge is free, under no load."""
-    h = 1 / number
-    model = plain(HORIZON * h, lam, mu)
-    outside = points.x[:, 0] > 1
-    body = replace(points, interior=points.interior & ~outside, outside=outside)
-    a, b = points.x.T
+    points = lattice(n, HORIZON / n, 1 / n)
+    points = replace(points, x=points.x + 0.5 / n)
+    outside, (a, b) = points.x[:, 0] > 1, points.x.T
+    points = replace(points, interior=points.interior & ~outside, outside=outside)
     stretch = 3 * lam / (lam + 2 * mu)  # no stress across the edge; 1 where λ = μ, as printed
     exact = np.stack([stretch * a + b, -a - 3 * b], axis=1)
     given = np.where(outside[:, None], 0.0, exact)
-    u = solve(model, body, 0 * exact, given, allow_uncertified=True)
-    return np.abs(u - exact)[body.interior].max()
+    model = plain(HORIZON / n, lam, mu)
+    u = solve(model, points, 0 * exact, given, allow_uncertified=True)
+    return np.abs(u - exact)[points.interior].max()
 
 
-@pytest.mark.parametrize("lam", [0.8, 0.3, -0.2, 2.4], ids=["bond-based", "0.3", "-0.2", "2.4"])
+@pytest.mark.parametrize("lam", [0.8, -0.2, 2.4], ids=["bond-based", "-0.2", "2.4"])
 def test_a_free_edge_is_right_to_the_first_order(lam):
     numbers = np.array([8, 16, 32])
-    errors = []
-    for n in numbers:
-        points = lattice(n, HORIZON / n, 1 / n)
-        errors.append(traction_free(lam, 0.8, n, replace(points, x=points.x + 0.5 / n)))
+    errors = [traction_free(lam, 0.8, n) for n in numbers]
     assert 0.9 <= fitted_order(1 / numbers, errors) <= 1.5
     assert errors[-1] < 0.011
 
 
-@pytest.mark.parametrize(
-    "outside",
-    [np.zeros(3, bool), np.zeros(len(BODIES["lattice"].x)), BODIES["lattice"].interior],
-    ids=["few", "numbers", "interior"],
-)
-def test_an_outside_that_does_not_fit_is_refused(outside):
-    with pytest.raises(InputError, match="outside: expected (shape|bool|true for no interior)"):
-        replace(BODIES["lattice"], outside=outside)
+def test_an_outside_that_does_not_fit_is_refused():
+    points = lattice(ell(), HORIZON)
+    for outside in (np.zeros(3, bool), np.zeros(len(points.x)), points.interior):
+        with pytest.raises(InputError, match="outside: expected (shape|bool|true for no interior)"):
+            replace(points, outside=outside)
 
 
 def test_a_cut_operator_that_is_not_definite_is_refused_or_named():
     points = lattice(8, HORIZON)
     outside = points.x[:, 0] > 5.5
-    body = replace(points, interior=points.interior & ~outside, outside=outside)
+    points = replace(points, interior=points.interior & ~outside, outside=outside)
     fields = 0 * points.x, np.where(outside[:, None], 0, points.x @ GRADIENT.T)
-    solve(kernel("1/r", HORIZON), body, *fields)
-    numbers = {"lam": -0.3, "mu": 0.8, "alpha": 1.0, "D": [-0.5, -0.8, 0.9, 0.1, 0.5]}
-    model = Model(**numbers, horizon=HORIZON, certified_on=(1.0,))
+    solve(kernel("1/r", HORIZON), points, *fields)
+    D = [-0.5, -0.8, 0.9, 0.1, 0.5]
+    model = Model(-0.3, 0.8, 1.0, D, HORIZON, certified_on=(1.0,))
     assert certify(model, spacing=1.0).holds
     message = r"smallest eigenvalue of its symmetric part is -0.068"
     with pytest.raises(InputError, match=message):
-        solve(model, body, *fields)
+        solve(model, points, *fields)
     with pytest.warns(UserWarning, match=message):
-        solve(model, body, *fields, allow_uncertified=True)
+        solve(model, points, *fields, allow_uncertified=True)

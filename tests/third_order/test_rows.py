@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.lps.test_rows import SETS, numbered
+from tests.lps.test_force import SETS, numbered
 from tests.support.nonlinear import far_ends, solid, tangent
 from tests.support.problems import ROUNDING, lattice, noise
 from warp_peri.core import pointwise

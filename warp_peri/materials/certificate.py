@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -14,9 +15,10 @@ from warp_peri.contract import LINEAR, offered, stencil_of
 from warp_peri.core.proof import prove
 from warp_peri.errors import InputError
 from warp_peri.materials.lps import Model, statement_of
+from warp_peri.materials.lps_bonds import listed
 from warp_peri.materials.lps_matrices import matrices
 from warp_peri.points.families import families_of
-from warp_peri.points.samples import PointsLike
+from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import USUAL, Units, symbols
 from warp_peri.solvers.direct import smallest_eigenvalue
 
@@ -76,15 +78,13 @@ class Certificate:
     @property
     def schwarz(self) -> bool | None:
         """Whether Γ − 2ΦᵗΦ ≥ 0 to rounding; asked for by conditions="paper" only."""
-        if self.gamma_minus_2phi_min is None or self.gamma_minus_2phi_max is None:
-            return None
-        return self.gamma_minus_2phi_min >= -SCHWARZ_TOLERANCE * self.gamma_minus_2phi_max
+        least, largest = self.gamma_minus_2phi_min, self.gamma_minus_2phi_max
+        return None if least is None else least >= -SCHWARZ_TOLERANCE * (largest or 0.0)
 
     def figures(self) -> dict[str, Any]:
         """The figures as plain values, in the units of the model they belong to; the statement."""
         figures = asdict(self) | {"statement": self.statement}
-        del figures["units"], figures["dimension"]
-        return figures
+        return {k: v for k, v in figures.items() if k not in ("units", "dimension")}
 
 
 def certify(
@@ -119,11 +119,9 @@ def certify(
         )
     spacing = getattr(model, "nominal_spacing", float)(spacing)
     proof = prove(*stencil_of(model, spacing, "certify"))
-    bare = Certificate(
-        spacing, proof.sampled, proof.proven, units=model.units, dimension=model.dimension
-    )
+    about = model.units, model.dimension
     if points is None:
-        return bare
+        return Certificate(spacing, proof.sampled, proof.proven, *5 * (None,), *about)
     if not isinstance(model, Model):
         raise InputError(f"points: of a Model alone, not of a {type(model).__name__}")
 
@@ -142,14 +140,8 @@ def certify(
         values = eigh(phi.T @ phi, gamma, eigvals_only=True)
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
-    return replace(
-        bare,
-        gamma_min=gamma_min,
-        inf_sup_min=inf_sup,
-        inf_sup_rank=rank,
-        gamma_minus_2phi_min=float(schwarz[0]),
-        gamma_minus_2phi_max=float(schwarz[-1]),
-    )
+    figures = gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
+    return Certificate(spacing, proof.sampled, proof.proven, *figures, *about)
 
 
 @dataclass(frozen=True)
@@ -186,16 +178,11 @@ def solvability(model: Model, points: PointsLike) -> Solvability:
     symmetric = (A + A.T) / 2
     asymmetry = sp.linalg.norm(A - A.T) / (2 * sp.linalg.norm(symmetric))
     families = families_of(points, model.horizon, bond_based=model.bond_based)
-    if families.lattice is not None:
-        weight = families.weight[families.lattice.bond_class]
-    else:
-        of_node = np.repeat(np.arange(len(points.x)), np.diff(families.row))
-        weight = families.weight[points.interior[of_node]]
-    try:
+    owner, _, _, kind = listed(nodes_of(points), families)
+    weight = families.weight[kind[points.interior[owner]]]
+    singular = 0.0
+    with suppress(RuntimeError):  # of a matrix that is exactly singular
         factors = splu(A)
-    except RuntimeError:  # exactly singular
-        singular = 0.0
-    else:
 
         def below(v: np.ndarray) -> np.ndarray:
             """Minus (AᵗA)⁻¹ v."""

@@ -80,7 +80,11 @@ class InfluenceFunction:
             if name not in self.parameters:
                 known = ", ".join(self.parameters) or "none"
                 raise InputError(f"bounds: no parameter {name!r}; there are: {known}")
-            if not _is_interval(ends):
+            try:
+                low, high = map(float, ends)
+            except (TypeError, ValueError):
+                low = high = np.nan
+            if not low < high:
                 raise InputError(f"bounds of {name}: expected (lowest, highest), got {ends!r}")
         lowest, highest = self.ends
         if not ((lowest <= self.vector) & (self.vector <= highest)).all():
@@ -121,21 +125,17 @@ class InfluenceFunction:
         """K at the distances r [Å], of the shape of r."""
         distance = np.asarray(r, dtype=float)
         K = np.array(self.function(distance.copy(), **copy.deepcopy(self.parameters)))
-        if K.dtype.kind not in "iufb":
-            raise InputError(f"influence '{self.name}': expected real K, got {K.dtype}")
-        K = K.astype(float)
-        if K.shape != distance.shape:
+        if K.dtype.kind not in "iufb" or K.shape != distance.shape:
             raise InputError(
-                f"influence '{self.name}': expected K of shape {list(distance.shape)}, "
-                f"the shape of r, got {list(K.shape)}"
+                f"influence '{self.name}': expected real K of shape {list(distance.shape)}, "
+                f"the shape of r, got {K.dtype} of shape {list(K.shape)}"
             )
-        if not np.isfinite(K).all():
-            where = distance[~np.isfinite(K)].flat[0]
+        if (wrong := distance[~np.isfinite(K)]).size:
             raise InputError(
-                f"influence '{self.name}': K is not finite at r = {where:g} with "
+                f"influence '{self.name}': K is not finite at r = {wrong.flat[0]:g} with "
                 f"{dict(self.parameters)}; give `bounds` that keep it so"
             )
-        return K
+        return K.astype(float)
 
     def slopes(self, r: np.ndarray) -> np.ndarray:
         """Derivatives of K to the parameters, shape [R, P], by differences within the bounds."""
@@ -276,9 +276,10 @@ def table(r: ArrayLike, K: ArrayLike, *, learned: bool = False) -> InfluenceFunc
     if not (np.isfinite(given).all() and np.isfinite(knots).all() and (np.diff(knots) > 0).all()):
         raise InputError("table: expected finite K at rising finite r")
 
+    function = functools.partial(tabulated, knots=knots)
     if learned:
-        return InfluenceFunction(functools.partial(tabulated, knots=knots), {"K": given})
-    return InfluenceFunction(functools.partial(tabulated, knots=knots, K=given))
+        return InfluenceFunction(function, {"K": given})
+    return InfluenceFunction(functools.partial(function, K=given))
 
 
 def tabulated(r: np.ndarray, K: np.ndarray, knots: np.ndarray) -> np.ndarray:
@@ -301,11 +302,3 @@ def shapes_of(influence: Any) -> list[InfluenceFunction]:
                 f"{shape!r:.60}; a function f(r, width) is InfluenceFunction(f, {{'width': 8.0}})"
             )
     return shapes
-
-
-def _is_interval(ends: Any) -> bool:
-    try:
-        low, high = map(float, ends)
-    except (TypeError, ValueError):
-        return False
-    return low < high

@@ -207,8 +207,7 @@ class Model(Record, format="warp_peri.model"):
         """Itself, or of fields the solid of their means."""
         if self.nodes is None:
             return self
-        lam, mu = float(np.mean(self.lam)), float(np.mean(self.mu))
-        return replace(self, lam=lam, mu=mu, nodes=None)
+        return replace(self, lam=float(np.mean(self.lam)), mu=float(np.mean(self.mu)), nodes=None)
 
     def having(self, numbers: Mapping[str, Any], nodes: np.ndarray | None = None) -> Model:
         """The same with other `learnable` numbers, of which nothing is proven; of fields those of
@@ -230,27 +229,25 @@ class Model(Record, format="warp_peri.model"):
         Raises InputError for others, and where μ > 0 and λ + 2μ/d > 0 do not hold everywhere.
         """
         x, d = nodes_of(points).x, self.dimension
-        own = self.lam if lam is None else lam, self.mu if mu is None else mu
-        given = list(zip(("lambda", "mu"), own))
-
-        def made(places: np.ndarray) -> Model:
-            at = [checked(n, v(places) if callable(v) else v) for n, v in given]
-            for (name, _), one in zip(given, at):
+        given = {"lam": self.lam if lam is None else lam, "mu": self.mu if mu is None else mu}
+        steps = np.zeros((1, d))
+        if any(map(callable, given.values())):
+            steps = (np.indices((2 * AVERAGED + 1,) * d).reshape(d, -1).T - AVERAGED) / AVERAGED
+            steps = steps[(steps**2).sum(axis=1) <= 1] * self.horizon / 2
+        soft = np.zeros((2, len(x)))
+        for step in steps:
+            at = {n: checked(n, v(x + step) if callable(v) else v) for n, v in given.items()}
+            for name, one in at.items():
                 if one.shape not in ((), (len(x),)):
                     raise InputError(
                         f"{name}: expected a number, a function, or shape [{len(x)}], got "
                         f"{list(one.shape)}"
                     )
-            lam, mu = (np.broadcast_to(one, len(x)) for one in at)
-            return self.having({"lam": lam, "mu": mu}, x)
-
-        solid = made(x)
-        if not any(callable(value) for _, value in given):
-            return solid
-        steps = (np.indices((2 * AVERAGED + 1,) * d).reshape(d, -1).T - AVERAGED) / AVERAGED
-        ball = steps[(steps**2).sum(axis=1) <= 1] * self.horizon / 2
-        around = [made(x + step) for step in ball]
-        soft = np.mean([[1 / one.mu, 1 / (one.lam + 2 * one.mu / d)] for one in around], axis=0)
+            there = {name: np.broadcast_to(one, len(x)) for name, one in at.items()}
+            if len(steps) == 1:
+                return self.having(there, x)
+            solid = self.having(there, x)
+            soft += np.array([1 / solid.mu, 1 / (solid.lam + 2 * solid.mu / d)]) / len(steps)
         shear, bulk = 1 / soft
         return self.having({"lam": bulk - 2 * shear / d, "mu": shear}, x)
 

@@ -438,6 +438,11 @@ class SweepLaw:
         return self.forward if self.bonds.lattice else self._filled(self.table.far)
 
 
+def changes_sign(bonds: Bonds, model: Model) -> bool:
+    """Whether a bond has K W below zero."""
+    return bool((bonds.influence(model.alpha, model.D) < 0).any())
+
+
 def check_volumes(bonds: Bonds, model: Model) -> None:
     """Refuse an influence function whose weighted volume vanishes: the operator divides by it.
 

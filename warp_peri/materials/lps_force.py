@@ -48,23 +48,6 @@ class Felt:
     Lu: wp.array[Any]
 
 
-@dataclass(frozen=True)
-class Gradient:
-    """Derivatives of a scalar; None where they were not asked for.
-
-    Attributes:
-        u: shape [S, d N].
-        lam, mu: numbers, or one a node, shape [N].
-        alpha, D: shape [1] and [M + 1].
-    """
-
-    u: wp.array[Any] | None = None
-    lam: Any = None
-    mu: Any = None
-    alpha: Any = None
-    D: Any = None
-
-
 def sweep(bonds: Bonds, law: SweepLaw, of: Any, pieces: Sequence[str | None], *fields: Any) -> None:
     """Lays out, finds dilatations, then forces, on the pieces of these names, None for none; of
     values by number, planes, dilatations and forces by number."""
@@ -98,6 +81,19 @@ def sweep(bonds: Bonds, law: SweepLaw, of: Any, pieces: Sequence[str | None], *f
     ready.append((shared, ends, of))
 
 
+def _swept(
+    bonds: Bonds, law: SweepLaw, of: Any, laid: str, asked: str | None, correct: Any, *fields: Any
+) -> None:
+    """A sweep in which `correct` changes θ of the nodes that have lost bonds, before forces."""
+    if not len(cut := bonds.families.cut):
+        return sweep(bonds, law, of, (laid, "needed", asked), *fields)
+    sweep(bonds, law, of, (laid, "needed", None), *fields)
+    theta = fields[2].numpy()
+    theta[:, cut] = correct(theta[:, cut])
+    fields[2].assign(theta)
+    sweep(bonds, law, of, (None, None, asked), *fields)
+
+
 def evaluate(bonds: Bonds, u: wp.array[Any], law: SweepLaw, *, kept: bool = True) -> Felt:
     """L u of fields [S, d N]; what its gradient reads is the caller's, unless it is not `kept`."""
     layout, samples, d = bonds.layout, len(u), bonds.dimension
@@ -108,58 +104,36 @@ def evaluate(bonds: Bonds, u: wp.array[Any], law: SweepLaw, *, kept: bool = True
     except IndexError:
         theta = bonds.zeros(samples, layout.places)
         planes = bonds.empty(samples, d * layout.places) if layout.in_rows else u
-    fields = u, planes, theta, Lu
-    if len(cut := bonds.families.cut):
-        sweep(bonds, law, law.forward, ("laid", "needed", None), *fields)
-        _put(theta, cut, (law.table.surface @ u.numpy().T).T)
-        sweep(bonds, law, law.forward, (None, None, "forces"), *fields)
-    else:
-        sweep(bonds, law, law.forward, ("laid", "needed", "forces"), *fields)
+    corrected = lambda _: (law.table.surface @ u.numpy().T).T  # noqa: E731
+    _swept(bonds, law, law.forward, "laid", "forces", corrected, u, planes, theta, Lu)
     if layout.in_rows and planes.size <= KEPT:
         spare.append((planes, theta))
     return Felt(law, planes, theta, Lu)
 
 
-def _put(field: wp.array[Any], nodes: np.ndarray, values: Any) -> None:
-    """Values of some nodes into a field."""
-    changed = field.numpy()
-    changed[:, nodes] = values
-    field.assign(changed)
-
-
-@dataclass(frozen=True)
-class _Pulled:
-    """g as sweeps read it, its dilatation by the transpose, at nodes which have lost bonds apart,
-    and Lᵗ g."""
-
-    seeds: wp.array[Any]
-    tau: wp.array[Any]
-    lost: np.ndarray
-    by_u: wp.array[Any]
-
-
-def pulled(bonds: Bonds, law: SweepLaw, g: wp.array[Any], *, displacement: bool = True) -> _Pulled:
-    """Lᵗ g on all nodes of g on the interior, [S, d I]."""
+def pulled(
+    bonds: Bonds, law: SweepLaw, g: wp.array[Any], *, displacement: bool = True
+) -> tuple[Any, ...]:
+    """Of g on the interior, [S, d I], Lᵗ g on all nodes; g as sweeps read it, its dilatation by the
+    transpose, and that of nodes which have lost bonds apart."""
     layout, samples, d, cut = bonds.layout, len(g), bonds.dimension, bonds.families.cut
-    if layout.in_rows:
-        seeds = bonds.zeros(samples, d * layout.places)
-    else:
-        spread = np.zeros((samples, bonds.nodes, d), g.numpy().dtype)
+    seeds = bonds.zeros(samples, d * layout.places)
+    if not layout.in_rows:
+        spread = seeds.numpy().reshape(samples, -1, d)
         spread[:, bonds.families.rows] = g.numpy().reshape(samples, -1, d)
-        seeds = bonds.floats(spread.reshape(samples, -1))
-    tau, lost = bonds.zeros(samples, layout.places), np.zeros((samples, 0))
+        seeds.assign(spread.reshape(samples, -1))
+    tau, lost = bonds.zeros(samples, layout.places), list[np.ndarray]()
     by_u = bonds.empty(samples, d * bonds.nodes if displacement else 0)
-    fields, asked = (g, seeds, tau, by_u), "nodes" if displacement else None
-    if len(cut):
-        sweep(bonds, law, law.back, ("back", "needed", None), *fields)
-        lost = tau.numpy()[:, cut]
-        _put(tau, cut, 0)
-        sweep(bonds, law, law.back, (None, None, asked), *fields)
-        if displacement:
-            by_u.assign(by_u.numpy() + (law.table.surface.T @ (law.bulk_at(cut) * lost).T).T)
-    else:
-        sweep(bonds, law, law.back, ("back", "needed", asked), *fields)
-    return _Pulled(seeds, tau, lost, by_u)
+    asked = "nodes" if displacement else None
+
+    def apart(tau: np.ndarray) -> float:
+        lost.append(tau)
+        return 0.0
+
+    _swept(bonds, law, law.back, "back", asked, apart, g, seeds, tau, by_u)
+    if lost and displacement:
+        by_u.assign(by_u.numpy() + (law.table.surface.T @ (law.bulk_at(cut) * lost[0]).T).T)
+    return by_u, seeds, tau, *lost
 
 
 def gradient(
@@ -170,17 +144,17 @@ def gradient(
     displacement: bool = True,
     moduli: bool = True,
     influence: bool = True,
-) -> Gradient:
-    """Derivatives of a scalar to u, to λ and μ, to α and D, given its derivative g [S, d I] to L u;
-    those to moduli come with those to the influence function."""
+) -> dict[str, Any]:
+    """Derivatives of a scalar by name, given its derivative g [S, d I] to L u: to u, [S, d N], to λ
+    and μ, numbers or one a node, and to α and D; those to moduli come with the latter."""
     law, layout, cut = felt.law, bonds.layout, bonds.families.cut
-    pull = pulled(bonds, law, g, displacement=displacement)
-    by_u = pull.by_u if displacement else None
+    by_u, seeds, tau, *lost = pulled(bonds, law, g, displacement=displacement)
+    found = {"u": by_u} if displacement else {}
     if not (moduli or influence):
-        return Gradient(by_u)
+        return found
     lam, mu, alpha, D = law.values
     by_mu, by_bulk = bonds.zeros(layout.places), bonds.zeros(layout.places)
-    fields = law.back, felt.planes, felt.theta, pull.seeds, pull.tau
+    fields = law.back, felt.planes, felt.theta, seeds, tau
     if layout.in_rows:
         by_own = bonds.zeros(BLOCKS, len(law.table.kw) * law.kernels.lanes)
     else:
@@ -195,16 +169,14 @@ def gradient(
         slopes = plain(bonds.scalar, bonds.dimension).slopes
         launch(slopes, len(layout.whole), (layout.whole, *fields), outputs)
     bulk, shear = by_bulk.numpy(), by_mu.numpy()
-    if len(cut):
-        bulk[cut] += (felt.theta.numpy()[:, cut] * pull.lost).sum(axis=0)
-    of = [
-        part[layout.home] if one.size > 1 else part.sum(dtype=float)
-        for part, one in ((bulk, lam), (shear - bulk, mu))
-    ]
-    if not influence:
-        return Gradient(by_u, *of)
-    by_kw = _by_class(law, by_own) + (_by_surface(bonds, felt, pull.lost) if len(cut) else 0)
-    return Gradient(by_u, *of, *bonds.influence(alpha, D, by_kw))
+    if lost:
+        bulk[cut] += (felt.theta.numpy()[:, cut] * lost[0]).sum(axis=0)
+    for name, part, one in (("lam", bulk, lam), ("mu", shear - bulk, mu)):
+        found[name] = part[layout.home] if one.size > 1 else part.sum(dtype=float)
+    if influence:
+        by_kw = _by_class(law, by_own) + (_by_surface(bonds, felt, lost[0]) if lost else 0)
+        found |= zip(("alpha", "D"), bonds.influence(alpha, D, by_kw))
+    return found
 
 
 def _by_class(law: SweepLaw, by_own: wp.array[Any]) -> np.ndarray:
@@ -252,12 +224,11 @@ class _Force(torch.autograd.Function):
         asked = {"displacement": by_field, "moduli": any(learns[:2]), "influence": any(learns[2:])}
         by = gradient(ctx.bonds, ctx.felt, g, **asked)
         slopes = (
-            torch.as_tensor(value, dtype=one.dtype, device=one.device).reshape(one.shape)
+            torch.as_tensor(by[name], dtype=one.dtype, device=one.device).reshape(one.shape)
             if wanted else None
-            for value, one, wanted in zip((by.lam, by.mu, by.alpha, by.D), inputs[1:], learns)
+            for name, one, wanted in zip(("lam", "mu", "alpha", "D"), inputs[1:], learns)
         )  # fmt: skip
-        by_u = _shaped(ctx.bonds, by.u) if by_field else None
-        return None, by_u, *slopes
+        return None, _shaped(ctx.bonds, by["u"]) if by_field else None, *slopes
 
 
 def _flat(bonds: Bonds, field: torch.Tensor) -> wp.array[Any]:

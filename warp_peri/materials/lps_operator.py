@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from contextlib import suppress
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
-import scipy.fft
 import scipy.sparse as sp
 import torch
 import warp as wp
@@ -16,11 +15,10 @@ from scipy.sparse.linalg import LinearOperator, gmres, spilu
 
 from warp_peri.contract import OnPoints, is_tensor
 from warp_peri.core.proof import largest
-from warp_peri.core.sweeps import torus_symbol
 from warp_peri.errors import InputError, warn
 from warp_peri.launch import DEVICE, known_device, recording
 from warp_peri.materials.lps import Model, Solid, on_nominal_lattice, statements
-from warp_peri.materials.lps_bonds import Bonds, SweepLaw, check_volumes
+from warp_peri.materials.lps_bonds import Bonds, SweepLaw, changes_sign, check_volumes
 from warp_peri.materials.lps_force import (
     check_bond_based,
     check_field,
@@ -35,17 +33,8 @@ from warp_peri.points.families import families_of
 from warp_peri.points.lattice import largest_strain, lattice_steps
 from warp_peri.points.quadrature import DEGREE
 from warp_peri.points.samples import PointsLike, nodes_of
-from warp_peri.solvers.conjugate_gradients import SolveRecord
 from warp_peri.solvers.direct import RESIDUAL, MatrixProblem, definite_factors, smallest_eigenvalue
-from warp_peri.solvers.linear import (
-    DIRECT,
-    STIFF,
-    Inverse,
-    Linear,
-    bonds_within,
-    cheapest_method,
-    smallest_ratio,
-)
+from warp_peri.solvers.linear import DIRECT, STIFF, Inverse, Linear, bonds_within, cheapest_method
 from warp_peri.solvers.solution import (
     TOLERANCE,
     Direct,
@@ -56,7 +45,6 @@ from warp_peri.solvers.solution import (
     warn_beyond,
 )
 
-T = TypeVar("T")
 SAME = 1e-6
 """Of the horizon, within which nodes are those that fields of moduli are for."""
 LARGEST_LU = 40_000
@@ -121,6 +109,12 @@ class LPSOperator(OnPoints):
                 raise
             bonds = Bonds(self.nodes, self.model.horizon, bond_based=True, **how)
         check_volumes(bonds, self.model)
+        if self.model.nodes is not None and changes_sign(bonds, self.model):
+            warn(
+                "lambda, mu: fields are proven stable for an influence function that is nowhere "
+                "below zero, this one changes sign: its static problems are not proven to have one "
+                "stable answer"
+            )
         return bonds
 
     @property
@@ -147,7 +141,7 @@ class LPSOperator(OnPoints):
     def product_transpose(self, u: Any, w: ArrayLike) -> np.ndarray:
         """Lᵗ w on all nodes, shape [..., N, d], of w on the interior [..., I, d], whatever u."""
         w = np.require(plain("w", w), float, ["C", "W"])
-        by_u = pulled(self.bonds, self._law, self._fields(w)).by_u.numpy()
+        by_u = pulled(self.bonds, self._law, self._fields(w))[0].numpy()
         return np.asarray(by_u.reshape(*w.shape[:-2], *self.shape))
 
     def launch(self, u: Any, out: Any, parameters: Solid | None = None) -> None:
@@ -187,9 +181,8 @@ class LPSOperator(OnPoints):
             learns = any(one.requires_grad for one in numbers)
             asked = {"moduli": learns, "influence": learns}
             by = gradient(bonds, felt, self._fields(out.grad.numpy()), **asked)
-            by_u: Any = by.u
-            of = by_u.numpy().reshape(u.numpy().shape), by.lam, by.mu, by.alpha, by.D
-            for array, part in zip((u, *numbers), of):
+            by["u"] = by["u"].numpy().reshape(u.numpy().shape)
+            for array, part in zip((u, *numbers), by.values()):
                 if array.requires_grad:
                     array.grad.numpy()[:] += part
 
@@ -282,7 +275,7 @@ class LPSOperator(OnPoints):
         bound = float(largest(mean.stencil(self.nodes.spacing), mean.group))
         if model.nodes is None:
             return bound
-        if (self.bonds.influence(model.alpha, model.D) < 0).any():
+        if changes_sign(self.bonds, model):
             raise InputError("move: expected K W ≥ 0 for moduli as fields, got one below zero")
         parts = np.asarray(model.mu), np.asarray(model.lam + 2 * model.mu / model.dimension)
         return bound * max(float(one.max() / one.mean()) for one in parts)
@@ -306,23 +299,9 @@ class LPSOperator(OnPoints):
             named = vars(parameters) if isinstance(parameters, Solid) else parameters
             return self.rest_in_torch(b, u, solver, named)  # type: ignore[no-any-return]
         load, field = checked_fields(self.points, b, u)
-        records: list[SolveRecord] = []
-        nodes = self.nodes
-        flat_load, flat = (f.reshape(-1, *nodes.x.shape) for f in (load, field))
-
-        def solved(method: str) -> np.ndarray:
-            if method in ("lu", "gmres"):
-                return self._factorised(flat_load, flat, method)
-            asked = solver if isinstance(solver, Krylov) else self._unasked()
-            if self.model.nodes is None:
-                self.linear.check_definite()
-            answer, took = self.linear.solve(flat_load, flat, asked.tolerance, method)
-            records.extend(took)
-            return answer
-
-        answer, method = self._chosen(solver, len(flat), solved)
-        flat[:, nodes.interior] = answer[:, nodes.interior]
-        warn_beyond(self.model, lambda: largest_strain(nodes, flat))
+        inside = self.points.interior
+        answer, method, records = self._solved(load, field, solver)
+        field[..., inside, :] = answer.reshape(field.shape)[..., inside, :]
         return self._told(field, self.load(load), method, records)
 
     def rest_periodic(self, b: ArrayLike, solver: Solver = None) -> Solution:
@@ -344,13 +323,9 @@ class LPSOperator(OnPoints):
                 "periodic problem; see Points.sheet"
             )
         load = checked("b", b, float, (..., *nodes.x.shape))
-        if self.model.nodes is None:
-            self.linear.check_definite()
-        flat = load.reshape(-1, *nodes.x.shape)
-        u, records = self.linear.solve(flat, np.zeros(flat.shape), TOLERANCE)
-        warn_beyond(self.model, lambda: largest_strain(nodes, u))
+        u, records = self._iterated(load, np.zeros(load.shape), TOLERANCE)
         load = load - load.mean(axis=-2, keepdims=True)
-        return self._told(u.reshape(load.shape), load, "fft", list(records))
+        return self._told(u.reshape(load.shape), load, "fft", records)
 
     def inverse(self, loads: int) -> Inverse:
         """L⁻¹ of what the operator equals on the interior [I, d], to a relative residual; set up
@@ -363,58 +338,67 @@ class LPSOperator(OnPoints):
             loads, bonds_within(self.model.horizon, self.nodes.spacing)
         )
 
-    def _told(self, u: Any, load: Any, method: str, records: list[SolveRecord]) -> Solution:
-        measured = max((r.residual for r in records), default=None)
+    def _told(self, u: Any, load: Any, method: str, records: list[Any]) -> Solution:
+        warn_beyond(self.model, lambda: largest_strain(self.nodes, u))
+        measured = max((record.residual for record in records), default=None)
         count = tuple(record.iterations for record in records)
         proven, details = self.proven, tuple(records) or None
         return Solution(u, self.points, self, load, method, count, proven, (), details, measured)
 
-    def _chosen(self, solver: Solver, loads: int, solved: Callable[[str], T]) -> tuple[T, str]:
-        """An answer and its method. What iteration refuses, few nodes can be factorised for: the
-        symbol does not prove every definite operator so."""
-        method = self._method(solver, loads)
-        try:
-            return solved(method), method
-        except InputError:
-            few = np.count_nonzero(self.points.interior) <= DIRECT
-            if solver is not None or not few or method == "lu":
-                raise
-        return solved("lu"), "lu"
+    def _iterated(self, load: Any, u: Any, tolerance: float, method: Any = None) -> tuple[Any, Any]:
+        """Fields at rest [S, N, d], by iteration, and its records."""
+        if self.model.nodes is None:
+            self.linear.check_definite()
+        flat = (field.reshape(-1, *self.shape) for field in (load, u))
+        return self.linear.solve(*flat, tolerance, method)
 
-    def _method(self, solver: Solver, loads: int) -> str:
+    def _solved(self, load: Any, u: Any, solver: Solver) -> tuple[np.ndarray, str, list[Any]]:
+        """Fields at rest, the method, and its records. What iteration refuses, few nodes can be
+        factorised for: the symbol does not prove every definite operator so."""
+        fields, unknown = (load, u), int(np.count_nonzero(self.points.interior))
+        method, few = (
+            self._method(solver, load.size // self.points.x.size, unknown),
+            unknown <= DIRECT,
+        )
+        if method not in ("lu", "gmres"):
+            # closer than a factorisation is held to, where one would have been possible
+            tolerance = RESIDUAL / 10 if few else TOLERANCE
+            try:
+                found = self._iterated(*fields, getattr(solver, "tolerance", tolerance), method)
+                return found[0], method, found[1]
+            except InputError:
+                if solver is not None or not few:
+                    raise
+        flat = (field.reshape(-1, *self.shape) for field in fields)
+        by = "gmres" if method == "gmres" else "lu"
+        answer = by_gmres(self._problem, *flat) if by == "gmres" else self._problem.solve(*flat)
+        self._refuse_indefinite()
+        return answer, by, []
+
+    def _method(self, solver: Solver, loads: int, unknown: int) -> str:
         """The name of the method, the cheapest by default; InputError where it does not go with
         the points."""
         nodes, model = self.nodes, self.model.mean
         if isinstance(solver, Direct):
             return solver.method
-        if isinstance(solver, Krylov):
-            if not self._is_plain:
-                raise InputError(
-                    "solver: Krylov(…) is for lattices without a box and without broken bonds, "
-                    "with quadrature of the usual degree; try Direct()"
-                )
-            if solver.preconditioner is not None:
-                return solver.preconditioner
-            loads = 0
-        unknown = int(np.count_nonzero(nodes.interior))
         if not self._is_plain:
-            return "lu" if unknown <= LARGEST_LU else "gmres"
+            if solver is None:
+                return "lu" if unknown <= LARGEST_LU else "gmres"
+            raise InputError(
+                "solver: Krylov(…) is for lattices without a box and without broken bonds, "
+                "with quadrature of the usual degree; try Direct()"
+            )
+        if isinstance(solver, Krylov) and solver.preconditioner is not None:
+            return solver.preconditioner
         inside = lattice_steps(nodes)[0][nodes.interior]
         return cheapest_method(
             unknown,
             box=bool(np.prod(np.ptp(inside, axis=0) + 1) == unknown),
             space=nodes.dimension == 3,
             stiff=model.lam > STIFF * model.mu,
-            loads=loads,
+            loads=0 if solver else loads,
             bonds=bonds_within(model.horizon, nodes.spacing),
         )
-
-    def _factorised(self, load: np.ndarray, u: np.ndarray, method: str) -> np.ndarray:
-        """The solution of the assembled problem."""
-        problem = self._problem
-        answer = problem.solve(load, u) if method == "lu" else by_gmres(problem, load, u)
-        self._refuse_indefinite(problem.stiffness)
-        return answer
 
     @cached_property
     def _problem(self) -> MatrixProblem:
@@ -425,7 +409,7 @@ class LPSOperator(OnPoints):
         """L between interior nodes, sparse [d I, d I]."""
         return self._problem.stiffness
 
-    def _refuse_indefinite(self, stiffness: sp.csc_array) -> None:
+    def _refuse_indefinite(self) -> None:
         """Raise InputError where the symmetric part of L_II is not positive definite, on plain
         lattices and where bonds are broken: a kernel that changes sign seldom bears that (theory,
         B9). Elsewhere nothing is asked."""
@@ -433,11 +417,9 @@ class LPSOperator(OnPoints):
         if not (cut or nodes.is_plain_lattice):
             return
         if self._is_plain and self.model.nodes is None:
-            sides = np.ptp(lattice_steps(nodes)[0], axis=0) + 1
-            torus = tuple(scipy.fft.next_fast_len(int(n), real=True) for n in sides)
-            whole = self.model.stencil(nodes.spacing)
-            if smallest_ratio(torus_symbol(torus, whole.steps, whole.tensors), torus) > 0:
-                return
+            with suppress(InputError):
+                return self.linear.check_definite()
+        stiffness = self._problem.stiffness
         symmetric = sp.csc_array((stiffness + stiffness.T) / 2)
         if definite_factors(symmetric) is not None or smallest_eigenvalue(symmetric) > 0:
             return
@@ -455,12 +437,6 @@ class LPSOperator(OnPoints):
         if not self.allowed:
             raise InputError(message)
         warn(message)
-
-    def _unasked(self) -> Krylov:
-        """Settings of an iteration that nobody asked for: closer than a factorisation is held to,
-        where one would have been possible."""
-        few = np.count_nonzero(self.points.interior) <= DIRECT
-        return Krylov(tolerance=RESIDUAL / 10 if few else TOLERANCE)
 
 
 def by_gmres(problem: MatrixProblem, b: np.ndarray, u: np.ndarray) -> np.ndarray:

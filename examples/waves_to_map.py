@@ -1,0 +1,105 @@
+"""Maps of κ = λ + μ and of μ in a plate from one shot of waves, heard along a ring near its rim.
+
+    python examples/waves_to_map.py [--side 64] [--noise 0.01] [--iterations 60] [--json]
+
+`move` gives the gradient of what is heard to λ and μ at every node. The same model makes the data.
+"""
+
+import argparse
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import torch
+
+import warp_peri as wp
+
+H, HORIZON, DENSITY, LAM, MU = 5.0, 3, 2200.0, 0.3, 0.5  # Å, spacings, kg/m³, TPa, TPa
+DISCS = (((-14, 10), 8, (1.5, 1.4)), ((12, 12), 7, (0.6, 1.3)), ((4, -14), 9, (1.35, 0.6)))
+"""Middle and radius of each inclusion in spacings of 64 nodes, and its κ and μ over the plate's."""
+EDGES, BLUNT = 1e-3, 0.05  # weight of the maps' variation, and where its kink is rounded
+
+
+def plate(side: int) -> tuple[Any, np.ndarray, torch.Tensor]:
+    """The operator, held around side² nodes; places in spacings [N, 2]; maps of κ and μ [2, N]."""
+    pad = 2 * HORIZON
+    x = np.argwhere(np.ones((side + 2 * pad,) * 2)) - pad - (side - 1) / 2
+    points = wp.Points(H * x, np.abs(x).max(axis=1) < side / 2, H)
+    maps = torch.ones(2, len(x), dtype=torch.float64)
+    for middle, radius, inside in DISCS:
+        away = torch.from_numpy(np.linalg.norm(x * 64 / side - middle, axis=-1))
+        more = torch.tensor(inside, dtype=maps.dtype)[:, None] - 1
+        maps += more * torch.sigmoid((radius - away) / 0.75)
+    solid = wp.Model(LAM, MU, 1.0, [1.0], HORIZON * H, certified_on=(H,))
+    even = np.full(len(x), LAM), np.full(len(x), MU)
+    return solid.on(points, lam=even[0], mu=even[1]), x, maps
+
+
+def fields(maps: torch.Tensor) -> dict[str, torch.Tensor]:
+    """λ and μ of each node."""
+    return {"lam": (LAM + MU) * maps[0] - MU * maps[1], "mu": MU * maps[1]}
+
+
+def shot(body: Any, x: np.ndarray, side: int) -> Callable[[torch.Tensor], torch.Tensor]:
+    """What the ring hears of a knock in one corner, of a plate with given maps."""
+    at_rest = wp.Dirichlet(body.points, None, 0 * x)
+    knock = np.exp(-np.square(x - side * np.array([-0.36, -0.28])).sum(axis=1) / 8)
+    longest = 2 * np.sqrt(1e-8 * DENSITY / body.stiffest_wave())
+    options = {
+        "v": (body.points.interior * knock)[:, None] * [1, 0.6],
+        "density": DENSITY,
+        "step": 0.6 * longest,
+        "steps": 4 * side,
+        "record": np.abs(np.abs(x).max(axis=1) - side / 2 + 3.5) < 0.1,
+    }
+    return lambda maps: wp.move(body, at_rest, **options, parameters=fields(maps))["u"]
+
+
+def variation(z: torch.Tensor) -> torch.Tensor:
+    """The mean length of the gradient of both maps."""
+    width = round(z.shape[1] ** 0.5)
+    z = z.reshape(2, width, width)
+    steps = z.diff(dim=1)[:, :, 1:].square() + z.diff(dim=2)[:, 1:].square()
+    return (steps + BLUNT**2).sqrt().mean()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--side", type=int, default=64, help="unknown nodes along a side")
+    parser.add_argument("--noise", type=float, default=0.01, help="over the mean size of the data")
+    parser.add_argument("--iterations", type=int, default=60, help="of L-BFGS, at most")
+    parser.add_argument("--json", action="store_true", help="print one object")
+    given = parser.parse_args(arguments)
+    body, x, true = plate(given.side)
+    heard, inside = shot(body, x, given.side), torch.from_numpy(body.points.interior)
+    with torch.no_grad():
+        data = heard(true)
+    size, random = data.square().mean().sqrt(), np.random.default_rng(0)
+    data += given.noise * size * torch.from_numpy(random.normal(size=data.shape))
+
+    # ln of the maps from an even plate on, until the ring hears the same; few edges are preferred
+    z = torch.zeros_like(true, requires_grad=True)
+    how = {"max_iter": given.iterations, "history_size": 20, "line_search_fn": "strong_wolfe"}
+    search, misfits = torch.optim.LBFGS([z], **how), list[float]()
+
+    def loss() -> torch.Tensor:
+        search.zero_grad()
+        log_of_all = torch.where(inside, z, 0.0)
+        misfit = (heard(log_of_all.exp()) - data).square().mean() / size**2
+        whole = misfit + EDGES * variation(log_of_all)
+        whole.backward()
+        misfits.append(float(misfit.detach().sqrt()))
+        return whole
+
+    search.step(loss)
+    found, true = z.detach().exp()[:, inside], true[:, inside]
+    errors, at_start = ((m - true).norm(dim=1) / true.norm(dim=1) for m in (found, 1))
+    numbers = {"κ": float(errors[0]), "μ": float(errors[1]), "κ at start": float(at_start[0])}
+    numbers |= {"μ at start": float(at_start[1]), "misfit": misfits[-1], "shots": len(misfits)}
+    print(json.dumps(numbers, indent=None if given.json else 1, ensure_ascii=False))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,402 @@
+"""The force and its derivatives: against slow sums, plain sweeps, differences, on any points."""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+import torch
+import warp as wp
+
+from tests.support import cubes, reference
+from tests.support.clouds import cloud, periodic_cloud
+from tests.support.problems import (
+    GRADIENT,
+    KERNELS,
+    LAM,
+    MU,
+    ROUNDING,
+    difference,
+    ell,
+    kernel,
+    lattice,
+    noise,
+    periodic,
+)  # fmt: skip
+from tests.support.symbols import symbol
+from warp_peri import InputError, Points
+from warp_peri.launch import set_threads, threads
+from warp_peri.materials.lps import lps_stencil, moduli
+from warp_peri.materials.lps_bonds import Bonds
+from warp_peri.materials.lps_force import lps_force
+from warp_peri.materials.lps_matrices import matrices
+from warp_peri.methods import Solid
+from warp_peri.points.families import bond_classes, families_of
+
+pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
+HORIZON = 3.0
+STEPS = {"u": (1.0, 2), "lam": (1.0, 2), "mu": (1.0, 2), "alpha": (0.005, 8), "D": (0.002, 8)}
+every_kernel = pytest.mark.parametrize("name", KERNELS)
+
+
+def error(value, expected):
+    return np.abs(value - expected).max() / np.abs(expected).max()
+
+
+def cut(points):
+    """The interior without the half that is cut away."""
+    outside = points.x[:, 0] > points.x[points.interior, 0].mean()
+    return replace(points, interior=points.interior & ~outside, outside=outside)
+
+
+def numbered(points, order):
+    """The same points in another order."""
+    return replace(points, x=points.x[order], interior=points.interior[order])
+
+
+def across(points):
+    """Numbered along the other axis."""
+    return numbered(points, np.lexsort(points.x.T))
+
+
+KINDS = {
+    "lattice": lambda: lattice(2, HORIZON),
+    "periodic lattice": lambda: periodic((7, 8))[0],
+    "cloud": lambda: cloud(2, HORIZON),
+    "periodic cloud": lambda: periodic_cloud(7)[0],
+    "cut lattice": lambda: cut(lattice(2, HORIZON)),
+    "cut cloud": lambda: cut(cloud(2, HORIZON)),
+}
+SETS = {
+    "square": lambda: lattice(20, HORIZON),
+    "L with a hole": lambda: lattice(np.kron(ell(), np.ones((4, 4))) > 0, HORIZON),
+    "rotated": lambda: lattice(9, HORIZON, angle=0.7),
+    "the other axis": lambda: across(lattice(ell(), HORIZON)),
+    "periodic": lambda: periodic((7, 40))[0],
+    "periodic, the other axis": lambda: across(periodic((9, 7))[0]),
+    "periodic, partly interior": lambda: replace(
+        periodic((20, 30))[0], interior=np.arange(600) % 30 < 9
+    ),
+}
+"""Lattices that are laid out in rows."""
+every_kind = pytest.mark.parametrize("kind", KINDS)
+
+
+class Problem:
+    """A scalar of L u, of first and second order, as a function of everything."""
+
+    def __init__(self, name, points, samples=2, precision="float64"):
+        self.bonds = Bonds(points, HORIZON, precision=precision)
+        self.dtype = getattr(torch, precision)
+        self.seed = noise(points, samples, seed=4)[:, points.interior]
+        values = {"u": noise(points, samples), "lam": LAM, "mu": MU, **KERNELS[name]}
+        self.leaves = {part: np.atleast_1d(leaf).astype(float) for part, leaf in values.items()}
+
+    def scalar(self, *leaves):
+        Lu = lps_force(self.bonds, leaves[0], Solid(*leaves[1:]))
+        return (torch.as_tensor(self.seed, dtype=self.dtype) * Lu).sum() + (Lu**2).sum() / 100
+
+    def gathered(self):
+        """Derivatives by name, and the force."""
+        leaves = self.leaves.values()
+        given = [torch.tensor(v, dtype=self.dtype, requires_grad=True) for v in leaves]
+        with torch.no_grad():
+            force = lps_force(self.bonds, given[0], Solid(*given[1:]))
+        gradients = torch.autograd.grad(self.scalar(*given), given)
+        return {p: by.numpy() for p, by in zip(self.leaves, gradients)} | {"force": force.numpy()}
+
+    def value(self, part, leaf):
+        leaves = self.leaves | {part: leaf.reshape(self.leaves[part].shape)}
+        with torch.no_grad():
+            return self.scalar(*map(torch.from_numpy, leaves.values())).item()
+
+
+@every_kernel
+@pytest.mark.parametrize(("horizon", "angle"), [(2.0, 0.0), (3.0, 0.7), (2.5, None)])
+def test_is_the_reference(name, horizon, angle):
+    model, box = kernel(name, horizon, lam=-0.2), None
+    if angle is None:
+        points, box = periodic((6, 7))
+    else:
+        points = lattice(ell(), horizon, angle=angle, origin=(5.0, -2.0))
+    u = noise(points)
+    at = points.x, points.interior, model, u, None if box is None else np.array(box)
+    expected = reference.operator(*at)
+    assert error(model.on(points)(u), expected) < 10 * ROUNDING
+    parts = matrices(model, points)
+    L = parts.operator(model.lam, model.mu)
+    assert error((L @ u.ravel()).reshape(-1, 2), expected) < 10 * ROUNDING
+    theta = parts.phi @ u.ravel()
+    needed = np.unique(parts.psi.indices)
+    dilated = [reference.dilatation(points.x, i, model, u, at[-1]) for i in needed[::20]]
+    assert error(theta[needed[::20]], dilated) < 10 * ROUNDING
+    scaled = replace(model, D=-1e9 * model.D)  # K's scale and sign have no effect
+    assert error(scaled.on(points)(u), expected) < 10 * ROUNDING
+
+
+def space_reference(model, points, u):
+    """(6) and (9) with c1 = 3 and c2 = 30, node by node in NumPy."""
+    families, parts = families_of(points, model.horizon), []
+    for i in range(len(points.x)):
+        e = np.arange(families.row[i], families.row[i + 1])
+        kind = e if families.lattice is None else families.lattice.bond_class[e - families.row[i]]
+        far, r, W = families.neighbour[e], families.r[kind], families.weight[kind]
+        xi = points.x[far] - points.x[i]
+        if points.box is not None:
+            xi -= points.box * np.rint(xi / points.box)
+        parts.append((far, xi, r, model.influence(r) * W, (far >= 0).all()))
+    theta = np.zeros(len(u))
+    for i, (far, xi, r, K, whole) in enumerate(parts):
+        if whole and K.any():
+            theta[i] = 3 / (K @ r**2) * (K @ (xi * (u[far] - u[i])).sum(axis=1))
+    out = []
+    for i in families.rows:
+        far, xi, r, K, _ = parts[i]
+        along = (xi * (u[far] - u[i])).sum(axis=1) / r**2
+        bulk = -3 * (model.lam - model.mu) / (K @ r**2) * K * (theta[i] + theta[far])
+        out.append(xi.T @ (bulk - 30 * model.mu / (K @ r**2) * K * along))
+    return np.array(out)
+
+
+IN_SPACE = {"lattice": (cubes.cube, 2.0), "cloud": (cubes.periodic_cloud, 2.9)}
+
+
+@pytest.mark.parametrize("name", IN_SPACE)
+def test_in_space_it_is_that_of_the_theory_its_matrices_and_differences(name):
+    make, horizon = IN_SPACE[name]
+    points = make(2, horizon) if name == "lattice" else make(6)
+    model = cubes.solid(horizon, alpha=1.2, D=[1.0, -0.3, 0.6])
+    operator, u = model.on(points, allow_uncertified=True), noise(points, 2)
+    Lu = operator(u)
+    assert error(Lu[0], space_reference(model, points, u[0])) < 1e-12
+    L = matrices(model, points).operator(model.lam, model.mu)
+    assert error((L @ u.reshape(2, -1).T).T.reshape(Lu.shape), Lu) < 1e-12
+    assert moduli(cubes.solid(2.5), bond_classes(1.0, 2.5, dimension=3)) == pytest.approx(
+        {"C11": 1.9, "C12": 0.3, "C44": 0.8}, rel=1e-12
+    )
+
+
+@pytest.mark.parametrize("kind", ["cloud", "periodic cloud", "cut cloud"])
+@every_kernel
+def test_on_scattered_points_it_is_that_of_its_matrices(kind, name):
+    points, model = KINDS[kind](), kernel(name, HORIZON)
+    u = noise(points)
+    L = matrices(model, points).operator(model.lam, model.mu)
+    force = model.on(points, allow_uncertified=True)(u)
+    assert error(force, (L @ u.ravel()).reshape(force.shape)) < 10 * ROUNDING
+
+
+@every_kind
+@pytest.mark.parametrize("name", ["sign-changing", "positive"])
+def test_derivatives_are_those_of_plain_sweeps(name, kind, monkeypatch):
+    """As other devices than the processor run them, bond by bond in Warp's own words."""
+    swept = Problem(name, KINDS[kind]())
+    assert swept.bonds.layout.in_rows == (kind in ("lattice", "periodic lattice"))
+    found = swept.gathered()
+    monkeypatch.setattr("warp_peri.materials.lps_bonds.DEVICE", "elsewhere")
+    expected = Problem(name, KINDS[kind]()).gathered()
+    for part, by in found.items():
+        assert error(by, expected[part]) <= 1e-12, part
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [("sign-changing", kind) for kind in KINDS] + [(name, "lattice") for name in KERNELS],
+)
+def test_derivatives_are_those_of_differences(name, kind):
+    problem = Problem(name, KINDS[kind](), samples=1)
+    ways = np.random.default_rng(0).normal(size=(20, problem.leaves["u"].size))
+    found = problem.gathered()
+    for part, leaf in problem.leaves.items():
+        by = found[part]
+        if part == "u":  # along 20 directions, the components being many
+            along = lambda t, leaf=leaf: problem.value("u", leaf.ravel() + t @ ways)
+            expected, by = difference(along, np.zeros(20), *STEPS["u"]), ways @ by.ravel()
+        else:
+            expected = difference(partial(problem.value, part), leaf, *STEPS[part])
+        if part == "D" and leaf.size == 1:  # the scale of K has no effect
+            assert max(np.abs(by), np.abs(expected)) < 1e-9 * abs(problem.value("D", leaf))
+            continue
+        assert error(by, expected) <= 1e-8, part
+        if part == "D" and kind == "lattice" and name == "positive":  # each D_k by itself
+            np.testing.assert_allclose(by, expected, rtol=GRADIENT)
+
+
+@pytest.mark.parametrize("kind", SETS)
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_rows_are_the_lists_of_neighbours(kind, precision, monkeypatch):
+    points = SETS[kind]()
+    for name, samples in (("sign-changing", 1), ("positive", 3)):
+        rows = Problem(name, points, samples, precision)
+        assert rows.bonds.layout.in_rows
+        by_rows = rows.gathered()
+        with monkeypatch.context() as patch:
+            patch.setattr("warp_peri.materials.lps_bonds.rows_of", lambda *_: None)
+            by_lists = Problem(name, points, samples, precision).gathered()
+        for part, ours in by_rows.items():
+            parts = 30 if part in ("u", "force") else 1e3
+            within = parts * np.finfo(precision).eps * np.abs(by_lists[part]).max()
+            np.testing.assert_allclose(ours, by_lists[part], rtol=0, atol=within)
+
+
+def test_single_precision_of_scattered_points_is_double_precision_rounded():
+    points, _ = periodic_cloud(7)
+    double, single = (Problem("sign-changing", points, 2, p) for p in ("float64", "float32"))
+    exact = double.gathered()
+    for part, found in single.gathered().items():
+        assert error(found, exact[part]) < 2e-4, part
+
+
+def test_nodes_in_no_order_or_far_apart_or_beside_a_crack_stay_in_their_lists():
+    points = lattice(8, HORIZON)
+    order = np.random.default_rng(0).permutation(len(points.x))
+    apart = Points(np.concatenate([points.x, points.x + 200.0]), np.tile(points.interior, 2), 1.0)
+    for one in (numbered(points, order), apart, cut(points)):
+        assert not Bonds(one, HORIZON).layout.in_rows
+
+
+@pytest.mark.parametrize("kind", ["periodic lattice", "periodic cloud", "cut lattice"])
+def test_threads_change_no_bit(kind, monkeypatch):
+    monkeypatch.setattr("warp_peri.launch.SLICE", 3)
+    problem, before, results = Problem("sign-changing", KINDS[kind](), samples=3), threads(), []
+    try:
+        for count in (1, 2, 3, 7):
+            set_threads(count)
+            results.append(problem.gathered())
+    finally:
+        set_threads(before)
+    for other in results[1:]:
+        assert all(np.array_equal(results[0][part], other[part]) for part in other)
+    for count in (0, -1, 1.5, True, "2"):
+        with pytest.raises(InputError, match="threads: expected a whole number"):
+            set_threads(count)
+
+
+@pytest.mark.parametrize("make", [lattice, cloud])
+def test_bond_based_forces_need_half_the_collar_and_no_dilatation(make):
+    points = make(3, HORIZON)
+    u, *numbers = (torch.tensor(v) for v in (noise(points), 0.7, 0.7, 1.3, [1.0, 0.5, -0.2]))
+    numbers = [one.double() for one in numbers]
+    given = [one.requires_grad_() for one in (u, *numbers[2:])]
+    both = [Bonds(points, HORIZON, bond_based=True), Bonds(points, HORIZON)]
+    Lu, whole = (lps_force(bonds, u, Solid(*numbers)) for bonds in both)
+    torch.testing.assert_close(Lu, whole, rtol=0, atol=1e-12)
+    pairs = zip(*(torch.autograd.grad((one**3).sum(), given) for one in (Lu, whole)))
+    for gradient, expected in pairs:
+        assert error(gradient.numpy(), expected.numpy()) < 1e-11
+    asked = torch.tensor(0.7, requires_grad=True)
+    for pair in ((asked, 0.7), (0.7, asked), (0.1, 0.7)):
+        with pytest.raises(InputError, match="lambda, mu: expected equal values without a gr"):
+            lps_force(both[0], u.detach(), Solid(*pair, 1.3, [1.0]))
+    near = make(3, HORIZON / (2 if make is lattice else 3))
+    with pytest.raises(InputError, match="out to twice the horizon"):
+        Bonds(near, HORIZON)
+    model = kernel("sign-changing", HORIZON, lam=0.8)
+    operator = model.on(near, allow_uncertified=True)
+    assert operator.bonds.bond_based
+    u = noise(near)
+    assert error(operator.matrix() @ u.ravel(), operator(u).ravel()) < ROUNDING
+
+
+@wp.kernel
+def squared(Lu: wp.array2d[wp.vec2d], seed: wp.array2d[wp.vec2d], loss: wp.array[wp.float64]):
+    s, i = wp.tid()
+    weight = seed[s, i] + Lu[s, i] * wp.float64(0.3)
+    wp.atomic_add(loss, 0, wp.dot(weight, Lu[s, i]))
+
+
+def arrays_of(model, u):
+    given = map(np.atleast_1d, model.solid.values())
+    return wp.array(u, dtype=wp.vec2d, requires_grad=True), [
+        wp.array(value, dtype=wp.float64, requires_grad=True) for value in given
+    ]
+
+
+@pytest.mark.parametrize("name", ["sign-changing", "broken bonds"])
+def test_on_a_tape_of_the_user(name):
+    """Loss and gradients are those of torch; a second pass gives them again."""
+    points, model = lattice(5, HORIZON), kernel(name.replace("broken bonds", "positive"), HORIZON)
+    if name == "broken bonds":
+        points = replace(points, outside=~points.interior & (points.x[:, 0] > 3.5))
+    operator, u = model.on(points), noise(points, 2)
+    assert (len(operator.bonds.families.cut) > 0) == (name == "broken bonds")
+    seed, (field, numbers) = noise(points, 2, seed=1)[:, points.interior], arrays_of(model, u)
+    out = wp.zeros((2, len(seed[0])), dtype=wp.vec2d, requires_grad=True)
+    loss, weight = wp.zeros(1, dtype=wp.float64, requires_grad=True), wp.array(seed, dtype=wp.vec2d)
+    with wp.Tape() as tape:
+        operator.launch(field, out, Solid(*numbers))
+        wp.launch(squared, out.shape, inputs=[out, weight], outputs=[loss])
+    tape.backward(loss)
+    leaves = [torch.tensor(u, requires_grad=True)]
+    leaves += [torch.tensor(one.numpy(), requires_grad=True) for one in numbers]
+    Lu = lps_force(operator.bonds, leaves[0], Solid(*leaves[1:]))
+    value = ((torch.from_numpy(seed) + 0.3 * Lu) * Lu).sum()
+    assert float(loss.numpy()[0]) == pytest.approx(float(value.detach()), rel=1e-14)
+    for array, expected in zip([field, *numbers], torch.autograd.grad(value, leaves)):
+        assert error(array.grad.numpy(), expected.numpy()) <= 1e-14
+    first = field.grad.numpy().copy()
+    tape.zero()
+    tape.backward(loss)
+    assert np.array_equal(field.grad.numpy(), first)
+    operator.launch(field, out)  # no tape: the force alone, of the model's own numbers
+    assert np.array_equal(out.numpy(), operator(u))
+
+
+def test_what_a_launch_refuses():
+    points, model = lattice(5, HORIZON), kernel("positive", HORIZON)
+    operator, (field, numbers) = model.on(points), arrays_of(model, noise(points, 2))
+    out, wide = (wp.zeros((n, 25), dtype=wp.vec2d) for n in (2, 4))
+    for wrong in (out[:, :-1], wide[::2], out.numpy(), wp.zeros((2, 25), dtype=wp.vec2f)):
+        with pytest.raises(InputError, match=r"out: expected a contiguous .* \[2, 25\]"):
+            operator.launch(field, wrong)
+    for wrong in (field[:, :-1], field[:0], field[0], field.numpy()):
+        with pytest.raises(InputError, match="u: expected a contiguous array of Warp of shape"):
+            operator.launch(wrong, out)
+    longer = wp.zeros(len(model.D) + 1, dtype=wp.float64)
+    with pytest.raises(InputError, match="D: expected .* numbers, as the model has"):
+        operator.launch(field, out, Solid(*numbers[:3], longer))
+
+
+def test_no_table_is_stale_and_a_bond_may_have_no_influence():
+    """K vanishes where r = 0 or r = δ, at the last bond."""
+    x = np.round(cloud(5, HORIZON).x * 4) / 4
+    points = replace(cloud(5, HORIZON), x=x)
+    u, before = noise(points), None
+    operator = kernel("positive", HORIZON).on(points, allow_uncertified=True)
+    assert (operator.bonds.families.r == HORIZON).any()
+    for change in ({"lam": -0.1}, {"mu": 0.5}, {"alpha": 0.9}, {"D": [0.0, 1.0]}, {"D": [1.0, 0]}):
+        operator.model = replace(operator.model, **change)
+        assert error(operator(u).ravel(), operator.matrix() @ u.ravel()) < ROUNDING
+        assert before is None or error(operator(u), before) > 1e-3
+        before = operator(u)
+
+
+@every_kernel
+@pytest.mark.parametrize("spacing", [1.0, 2.5])
+def test_plane_waves_have_the_symbol_of_the_stencil_and_of_the_formula(name, spacing):
+    model = kernel(name, 2.5 * spacing, spacing, lam=-0.2)
+    points, box = periodic((8, 7), spacing)
+    operator, a = model.on(points), np.array([0.7 + 0.2j, -0.4 + 1.1j])
+    for way in ((1, 0), (0, 2), (3, 2), (4, 0), (-2, 3)):
+        k = 2 * np.pi * np.array(way) / box
+        wave = np.exp(1j * points.x @ k)[:, None]
+        Lu = operator((wave * a).real) + 1j * operator((wave * a).imag)
+        (D,) = lps_stencil(model, spacing).symbol(spacing * k[None])
+        np.testing.assert_allclose(
+            D, symbol(model, k[None], spacing)[0], atol=1e-13 * np.abs(D).max()
+        )
+        np.testing.assert_allclose(Lu, wave * (D @ a), rtol=0, atol=1e-12 * np.abs(D).max())
+
+
+@every_kernel
+def test_long_waves_feel_the_moduli(name):
+    model, small = kernel(name, 2.5), 1e-4
+    C = moduli(model, bond_classes(1.0, 2.5))
+    stencil, k = lps_stencil(model, 1.0), small * np.array([[1, 0], [1, 1]])
+    straight, diagonal = stencil.symbol(k) / small**2
+    np.testing.assert_allclose(straight, np.diag([C["C11"], C["C44"]]), rtol=0, atol=1e-6)
+    expected = np.full((2, 2), C["C12"] + C["C44"]) + np.eye(2) * (C["C11"] - C["C12"])
+    np.testing.assert_allclose(diagonal, expected, rtol=0, atol=1e-6)
+    for horizon in (2.0, 3.0, 5.0) if name == "1/r" else ():  # the continuum's on every lattice
+        C = moduli(kernel(name, horizon), bond_classes(1.0, horizon))
+        assert C == pytest.approx({"C11": LAM + 2 * MU, "C12": LAM, "C44": MU}, rel=1e-9)

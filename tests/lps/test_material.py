@@ -1,0 +1,324 @@
+"""The solid as a value: numbers, file, spacings; influence functions of any shape; stress."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from tests.support import cubes, reference
+from tests.support.clouds import cloud, periodic_cloud, plain
+from tests.support.problems import (
+    KERNELS,
+    ROUNDING,
+    difference,
+    fitted_order,
+    kernel,
+    lattice,
+    noise,
+    periodic,
+)
+from tests.support.shapes import HORIZON, LENGTHS, SHAPES, every_shape, solid
+from tests.support.solving import solve, solve_periodic
+from warp_peri import InputError, Model, certify, load
+from warp_peri.materials.influence import gaussian, table
+from warp_peri.materials.lps import bernstein_basis, long_wave_moduli, stiffnesses
+from warp_peri.materials.lps_fit import ShapeKernel
+from warp_peri.materials.lps_matrices import matrices, node_fields
+from warp_peri.points.families import bond_classes
+from warp_peri.shapes import InfluenceFunction
+
+MODEL = replace(
+    kernel("sign-changing", 20.0, spacing=5.0),
+    certificate={"5": {"symbol_min": np.float64(0.1)}},
+    provenance={"seed": 1},
+)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_influence_is_the_bernstein_sum(name):
+    model = kernel(name, 3.0)
+    r = np.array([0.1, 1.0, np.sqrt(2), 2.9, 3.0])
+    expected = [reference.influence(value, 3.0, model.alpha, KERNELS[name]["D"]) for value in r]
+    np.testing.assert_allclose(model.influence(r), expected, rtol=1e-13)
+
+
+def test_continuum_constants_are_those_of_plane_stress_and_of_space():
+    model, deep = Model(0.4, 0.8, 1.0, [1.0], 3.0), cubes.solid(2.5)
+    assert model.E / (2 * (1 + model.nu)) == pytest.approx(0.8)  # μ
+    assert model.E * model.nu / (1 - model.nu**2) == pytest.approx(0.4)  # λ in the plane
+    bulk = deep.lam + 2 * deep.mu / 3
+    assert deep.E == pytest.approx(9 * bulk * deep.mu / (3 * bulk + deep.mu))
+    assert deep.nu == pytest.approx(deep.E / (2 * deep.mu) - 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"alpha": 3.0}, "alpha: expected less than 3, got 3.0"),
+        ({"alpha": np.nan}, "alpha: expected a finite number, got nan"),
+        ({"horizon": 0.0}, "horizon: expected a number > 0, got 0.0"),
+        ({"mu": 0.0}, "expected μ > 0 and λ . μ > 0, got 0.3, 0.0"),
+        ({"lam": -0.8}, "expected μ > 0 and λ . μ > 0, got -0.8, 0.8"),
+        ({"lam": -0.6, "dimension": 3}, "μ > 0 and λ . 2μ/3 > 0"),
+        ({"dimension": 4}, "dimension: expected 2 or 3, got 4"),
+        ({"lam": True}, "lam: expected a finite number, got True"),
+        ({"D": []}, r"D: expected at least one coefficient \(degree ≥ 0\), got none"),
+        ({"D": [0.0, 0.0]}, "D: expected a coefficient other than 0"),
+        ({"D": [1.0, np.inf]}, "D: expected finite values, got inf"),
+        ({"D": [[1.0, 2.0]]}, "D: expected a list of numbers, got lists"),
+        ({"certified_on": (5.0, np.nan)}, "certified_on: expected a finite number, got nan"),
+    ],
+)
+def test_numbers_out_of_range_are_refused(change, words):
+    given = {"lam": 0.3, "mu": 0.8, "alpha": 1.0, "D": [1.0], "horizon": 3.0}
+    with pytest.raises(InputError, match=words):
+        Model(**given | change)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("stress_unit", "GPa", "sha256: the contents are not what was written"),
+        ("mu", -0.8, "expected μ > 0"),
+        ("degree", 3, "degree: expected 4, got 3"),
+        ("quadrature", {"degree": 3, "singularity": 3}, "quadrature: expected"),
+        ("certificate", [], r"certificate: expected an object, got \[\]"),
+        ("D_dilatation", [1.0, 0, 0, 0, 0], "D_dilatation: expected that of D, got .*60f8a38d"),
+    ],
+)
+def test_a_wrong_file_is_refused_by_name(tmp_path, key, value, words):
+    MODEL.save(tmp_path / "m.json")
+    content = json.loads((tmp_path / "m.json").read_text())
+    assert (content["format"], content["length_unit"]) == ("warp_peri.model", "angstrom")
+    (tmp_path / "m.json").write_text(json.dumps(content | {key: value}))
+    with pytest.raises(InputError, match=words) as caught:
+        load(tmp_path / "m.json")
+    assert str(caught.value).startswith(f"{tmp_path / 'm.json'}: ")
+
+
+# Spacings
+
+
+@pytest.fixture(scope="module")
+def wild():
+    """A plain kernel at the bond lengths of the lattice, that swings by a million beside them."""
+    r = bond_classes(5.0, 12.5).r
+    unseen = scipy.linalg.null_space(bernstein_basis(r, 12.5, 10))
+    D = np.ones(11) + 1e6 * unseen.sum(axis=1)
+    return Model(0.3, 0.8, 1.0, D, 12.5, certified_on=(5.0,))
+
+
+def points_of(factor):
+    points = lattice(6, 12.5, 5.0)
+    return replace(points, x=factor * points.x, spacing=factor * 5.0)
+
+
+@pytest.mark.parametrize("factor", [1 - 0.99e-6, 1 + 5e-7])
+def test_within_the_tolerance_it_is_the_certified_lattice(wild, factor):
+    there, here = points_of(factor), points_of(1.0)
+    bound = certify(wild, spacing=5.0).symbol_bound
+    L = matrices(wild, there).operator(wild.lam, wild.mu)
+    L = L[:, np.repeat(there.interior, 2)].toarray()
+    inside = there.x[there.interior] / there.spacing
+    near = np.abs(np.linalg.norm(inside[:, None] - inside, axis=-1) - 1) < 0.1
+    laplacian = np.kron((4 * np.eye(len(inside)) - near) / there.spacing**2, np.eye(2))
+    least = scipy.linalg.eigh(L, laplacian, eigvals_only=True)[0]
+    assert least >= bound * (1 - 3e-6) > 0.2
+    assert certify(wild, spacing=5.0 * factor).symbol_bound == bound
+    u = noise(there)
+    force, expected = wild.on(there)(u), wild.on(here)(u)
+    assert force == pytest.approx(expected, rel=0, abs=ROUNDING * np.abs(expected).max())
+    b = np.zeros_like(u)
+    b[there.interior] = force
+    for method in ("lu", "multigrid"):
+        assert np.abs(solve(wild, there, b, u, method=method) - u).max() < 1e-6 * np.abs(u).max()
+    stress = node_fields(wild, there, u).stress
+    assert stress == pytest.approx(node_fields(wild, here, u).stress, rel=1e-9)
+    sheet = noise(here)[:64].reshape(8, 8, 2)
+    flat = [solve_periodic(wild, sheet, spacing=5.0 * one) for one in (factor, 1.0)]
+    assert flat[0] == pytest.approx(flat[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1 - 1.01e-6, 1 + 1.001e-6, 1 + 1e-3])
+def test_beyond_the_tolerance_it_is_another_lattice(wild, factor):
+    points = points_of(factor)
+    for use in (
+        lambda: wild.on(points, transfer=False),
+        lambda: wild.check_spacing(5.0 * factor),
+        lambda: replace(wild, certified_on=(1e-9,)).check_spacing(1e-9 * factor),
+    ):
+        with pytest.raises(InputError, match="the model is certified on"):
+            use()
+    with pytest.warns(UserWarning, match="the model is certified on 5 Å, not on"):
+        wild.check_spacing(5.0 * factor, allow_uncertified=True)
+
+
+@pytest.mark.parametrize("square", [4, 5, 8, 25, 100])
+def test_bonds_are_counted_by_whole_numbers(square):
+    """A bond as long as the horizon belongs to the family on every lattice within the tolerance."""
+    h = np.array([1.0, 1 - 0.99e-6, 1 + 0.99e-6]) / np.sqrt(square)
+    line = np.arange(-10, 11)
+    expected = np.count_nonzero(line[:, None] ** 2 + line**2 <= square) - 1
+    assert {len(bond_classes(each, 1.0).steps) for each in h} == {expected}
+
+
+# Influence functions
+
+
+@every_shape
+def test_the_polynomial_is_the_function_at_every_bond_and_near_it_between(shape):
+    model = solid(shape, 1.0, 0.8)
+    for spacing in (1.0, 0.8):
+        r = bond_classes(spacing, HORIZON).r
+        np.testing.assert_allclose(model.influence(r), shape(r), atol=1e-8 * np.abs(shape(r)).max())
+    model, r = solid(shape, 1.0), np.linspace(LENGTHS[0] / 2, HORIZON, 1001)
+    departure = np.abs(model.influence(r) - shape(r)).max() / np.abs(shape(LENGTHS)).max()
+    if shape is SHAPES["table"]:  # of a function with kinks it is said
+        assert model.provenance["influence"]["departure"] == pytest.approx(departure, rel=0.2)
+    assert (departure > 1e-4) == (shape is SHAPES["table"])
+
+
+@every_shape
+def test_slopes(shape):
+    expected = difference(lambda p: shape.at(p)(LENGTHS), shape.vector, 1e-3).T
+    np.testing.assert_allclose(shape.slopes(LENGTHS), expected, rtol=1e-9, atol=1e-9)
+
+
+def test_slopes_beside_zero_and_at_the_bounds_and_those_of_the_formula():
+    for phase in (1e-12, 0.0, 0.4, 1.0):
+        wave = lambda r, phase: np.cos(r + phase)
+        shape = InfluenceFunction(wave, {"phase": phase}, {"phase": (0.0, 1.0)})
+        expected = -np.sin(LENGTHS + phase)[:, None]
+        np.testing.assert_allclose(shape.slopes(LENGTHS), expected, atol=1e-10)
+    expected = 2 * LENGTHS**2 / 1.9**3 * gaussian(LENGTHS, 1.9)
+    np.testing.assert_allclose(SHAPES["gaussian"].slopes(LENGTHS)[:, 0], expected, rtol=1e-11)
+    power = InfluenceFunction(lambda r, a: r**-a, {"a": 1.0})
+    pair = (solid(power, 1.0, lam=0.3, mu=0.8), kernel("1/r", HORIZON))
+    for one, other in zip(*(stiffnesses(model, bond_classes(1.0, HORIZON)) for model in pair)):
+        np.testing.assert_allclose(one, other, atol=1e-8)
+
+
+def made(function, **parameters):
+    return lambda: InfluenceFunction(function, parameters)(LENGTHS)
+
+
+def bounded(bounds):
+    return lambda: InfluenceFunction(gaussian, {"width": 2.0}, bounds)
+
+
+def vanishing():
+    """Of a weighted volume of zero."""
+    classes = bond_classes(1.0, HORIZON)
+    K = np.array([1, -1, 0, 0, 0, 0]) / (classes.count * classes.r**2 * classes.weight)
+    return ShapeKernel([classes], InfluenceFunction(lambda r: np.interp(r, LENGTHS, K)))
+
+
+def jagged():
+    function = InfluenceFunction(lambda r: 1.0 + (np.round(r * 1e3) % 2))
+    return function.model(lam=0.0, mu=1.0, horizon=20.0, spacings=[5.0, 2.5, 2.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("use", "words"),
+    [
+        (made(gaussian, width=np.nan), "width: expected finite numbers"),
+        (made(gaussian, width="2"), "width: expected finite numbers"),
+        (made(3), "expected a function of r, got 3"),
+        (lambda: InfluenceFunction(gaussian, [8.0]), r"parameters: expected a dict, got \[8.0\]"),
+        (bounded({"width": 5}), r"bounds of width: expected \(lowest, highest\), got 5"),
+        (bounded({"width": (1, None)}), r"bounds of width: expected \(lowest, highest\)"),
+        (bounded({"reach": (0, 1)}), "no parameter 'reach'; there are: width"),
+        (bounded({"width": (3, 1)}), r"bounds of width: expected \(lowest, highest\)"),
+        (bounded({"width": (3, 4)}), "are not within"),
+        (made(lambda r: r[0]), r"K of shape \[6\], the shape of r, got float64 of shape \[\]"),
+        (made(lambda r: np.where(r > 2, np.nan, 1.0)), "K is not finite at r = 2.23607"),
+        (made(lambda r: 1j * r), "expected real K of shape .* got complex128"),
+        (lambda: InfluenceFunction(lambda r: 0 * r).coefficients(LENGTHS, 3.0), "K is zero at"),
+        (jagged, "no polynomial of degree 80 takes its values"),
+        (vanishing, "weighted volume"),
+        (lambda: table([0, 1], [1.0]), "of one shape"),
+        (lambda: table([1, 0], [1.0, 1.0]), "rising"),
+        (lambda: table([0, 1], [1.0, np.inf]), "finite K"),
+    ],
+)
+def test_influence_functions_that_make_no_sense(use, words):
+    with pytest.raises(InputError, match=words):
+        use()
+
+
+def test_a_function_may_change_what_it_gets_and_return_a_list():
+    def careless(r, c):
+        r *= c[0]
+        c[0] = 7.0
+        return list(r)
+
+    shape, before = InfluenceFunction(careless, {"c": [2, 3]}), LENGTHS.copy()
+    for _ in range(2):
+        np.testing.assert_allclose(shape(LENGTHS), 2 * before)
+    np.testing.assert_array_equal(LENGTHS, before)
+
+
+# Stress
+
+
+@pytest.mark.parametrize("points", [lattice(4, HORIZON), cloud(5, HORIZON), cubes.cube(2, 2.0)])
+def test_an_affine_field_has_the_stress_of_hooke(points):
+    d = points.dimension
+    G = np.random.default_rng(2).normal(size=(d, d))
+    model = plain(HORIZON) if d == 2 else cubes.solid(2.0)
+    fields, strain = node_fields(model, points, points.x @ G.T), (G + G.T) / 2
+    stress = model.lam * np.trace(G) * np.eye(d) + 2 * model.mu * strain
+    np.testing.assert_allclose(fields.stress - stress, 0, atol=1e-9)
+    np.testing.assert_allclose(fields.strain - strain, 0, atol=1e-9)
+    if points.spacing:
+        np.testing.assert_allclose(fields.dilatation, np.trace(G), atol=1e-12)
+        np.testing.assert_allclose(fields.energy, (stress * strain).sum() / 2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", KERNELS)
+def test_stress_has_the_moduli_of_the_symbol_and_energies_add_up_to_the_work(name):
+    model, classes, points = kernel(name, 3.0, lam=-0.2), bond_classes(1.0, 3.0), lattice(3, 3.0)
+    C11, C12, C44 = long_wave_moduli(classes, *stiffnesses(model, classes))
+    for gradient, expected in (
+        ([[1, 0], [0, 0]], [[C11, 0], [0, C12]]),
+        ([[0, 1], [0, 0]], [[0, C44], [C44, 0]]),
+    ):
+        fields = node_fields(model, points, points.x @ np.array(gradient, float).T)
+        np.testing.assert_allclose(fields.stress[0, 4], expected, atol=1e-11)
+    points, _ = periodic((12, 13))
+    u = noise(points)
+    work = (u * model.on(points)(u)).sum()
+    assert node_fields(model, points, u).energy.sum() == pytest.approx(work / 2, rel=1e-12)
+
+
+def test_its_divergence_balances_the_force_to_second_order():
+    errors, spacings, k = [], (1.0, 0.5, 0.25), 2 * np.pi / 24
+    for h in spacings:
+        n = round(24 / h)
+        points, model = periodic((n, n), h)[0], kernel("1/r", 3 * h, h)
+        x, y = points.x.T
+        u = np.stack([np.sin(k * x) * np.cos(k * y), np.cos(2 * k * x + k * y)], axis=1)
+        stress = node_fields(model, points, u).stress.reshape(n, n, 2, 2)
+        wave, of = 2j * np.pi * np.fft.fftfreq(n, h), np.fft.fft2(stress, axes=(0, 1))
+        divergence = of[..., 0] * wave[:, None, None] + of[..., 1] * wave[None, :, None]
+        balance = np.fft.ifft2(divergence, axes=(0, 1)).real.reshape(-1, 2)
+        force = model.on(points)(u)
+        errors.append(np.abs(balance + force).max() / np.abs(force).max())
+    assert fitted_order(spacings, errors) > 1.9
+
+
+def test_stress_on_a_period_is_that_of_nearest_images_and_broken_bonds_are_refused():
+    points, box = periodic_cloud(9)
+    moved = replace(points, x=np.mod(points.x + np.array([3.3, 4.7]), box))  # cut elsewhere
+    model, u = kernel("positive", HORIZON), noise(points)
+    here, there = node_fields(model, points, u), node_fields(model, moved, u)
+    for part, expected in vars(here).items():
+        np.testing.assert_allclose(vars(there)[part], expected, rtol=0, atol=1e-9, err_msg=part)
+    points = lattice(4, HORIZON)
+    body = replace(points, outside=~points.interior & (points.x[:, 0] > 5))
+    with pytest.raises(InputError, match="outside: expected none"):
+        node_fields(model, body, points.x)
+    with pytest.raises(InputError, match="u: expected shape"):
+        node_fields(model, points, np.zeros((4, 2)))
