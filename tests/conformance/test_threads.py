@@ -9,7 +9,7 @@ import torch
 
 import warp_peri as wp
 from tests.conformance.test_gradients import OPERATORS, field
-from tests.conformance.test_laws import LAWS
+from tests.conformance.test_laws import LAWS, SPREAD
 from warp_peri.errors import heard, quietly, warn
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
@@ -35,9 +35,15 @@ def assert_as_alone(work):
             np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("name", OPERATORS)
+def with_fields():
+    """An LPS whose moduli differ from node to node."""
+    law = SPREAD["LPS, fields"]
+    return law.on(points := law.points(4)).on(points)
+
+
+@pytest.mark.parametrize("name", [*OPERATORS, "LPS, fields"])
 def test_a_force_and_its_derivatives(name):
-    op = OPERATORS[name]()
+    op = OPERATORS.get(name, with_fields)()
     learnable = getattr(op, "learnable", {})
 
     def work(number):

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.bodies import plate
-from warp_peri import InputError
-from warp_peri.fracture.body import cracked, crossing_bonds, lattice_body, rectangle
+from warp_peri.fracture.body import cracked, crossing_bonds
 
 
 def test_bonds_lead_where_their_vectors_say():
@@ -71,36 +70,6 @@ def test_a_crack_through_nodes_is_moved_with_a_word():
     assert (cut == beside).all()
 
 
-@pytest.mark.parametrize("line", [[(0, 0)], [(0, 0), (0, 0)], [(0, 0, 0), (1, 1, 1)]])
-def test_what_is_no_polyline_is_refused(line):
-    with pytest.raises(InputError, match="crack: expected"):
-        crossing_bonds(plate(), line)
-
-
-@pytest.mark.parametrize(
-    ("corners", "said"),
-    [
-        ([(0, 0, 0), (1, 0, 0)], "corners of shape"),
-        ([(0, 0, 0), (1, 0, 0), (2, 0, 0)], "with an area"),
-        ([(0, 0, 0), (3, 0, 0), (3, 3, 0), (0, 3, 1)], "flat"),
-        ([(0, 0, 0), (3, 0, 0), (1, 1, 0), (0, 3, 0)], "convex"),
-    ],
-)
-def test_what_is_no_polygon_is_refused(corners, said):
-    with pytest.raises(InputError, match=said):
-        crossing_bonds(plate(4, 4, 4), corners)
-
-
-def test_what_is_no_lattice_is_refused():
-    x = rectangle(4, 4, 1.0)
-    with pytest.raises(InputError, match="1 duplicates"):
-        lattice_body([*x, x[0]], 1.0, 2.0)
-    with pytest.raises(InputError, match="square lattice of spacing"):
-        lattice_body([*x, (0.2, 0.0)], 1.0, 2.0)
-    with pytest.raises(InputError, match="sides: expected multiples"):
-        rectangle(4.5, 4, 1.0)
-
-
 def test_a_ring_of_cracks_has_no_tip():
     body = plate(20, 20)
     corner = np.array([-5.2, -5.1])  # midway on the bond from (-6.5, -5.5) to (-3.5, -4.5)
@@ -112,8 +81,3 @@ def test_a_ring_of_cracks_has_no_tip():
     inside = ((body.x > ring.min(axis=0)) & (body.x < ring.max(axis=0))).all(axis=1)
     node, bond = np.nonzero(neighbour >= 0)
     assert (inside[node] == inside[neighbour[node, bond]]).all()
-
-
-def test_corners_that_are_no_numbers_are_refused():
-    with pytest.raises(InputError, match="crack: expected float values"):
-        cracked(plate(), [[("a", 0), (1, 0)]])

@@ -16,7 +16,7 @@ from warp_peri.fracture.bonds import (
     unit_toughness,
 )
 from warp_peri.fracture.dynamics import continuum_stretch
-from warp_peri.launch import floats, set_threads, threads, zeros
+from warp_peri.launch import floats, zeros
 from warp_peri.points.families import bond_classes
 
 DILATATIONAL = 0.32260
@@ -87,27 +87,6 @@ def test_any_order_and_hole_has_the_bits_of_each_node_alone(sides, lam, by_energ
     moved = np.where(operator.kept(links), number[far], -1)[order]
     sorted_force, _ = swept(CutOperator(law.model, tidy), u[order], moved)
     np.testing.assert_array_equal(sorted_force, again[0][order])
-
-
-def test_any_number_of_threads_has_the_same_bits():
-    body, law = plate(200, 160), solid(2.0)
-    u = np.random.default_rng(0).standard_normal(body.x.shape)
-    found, before = [], threads()
-    for count in (1, 3, 2):
-        set_threads(count)
-        try:
-            operator = CutOperator(law.model, body, limits=2.5 * body.r)
-            (force, energy), links = fields(u), operator.links(body.neighbour)
-            given = floats(u, operator.vector)
-            lost = operator.sweep(given, links, force, energy, breaking=True)
-        finally:
-            set_threads(before)
-        assert next(iter(operator._recorded.values()))._turns[1] == count
-        found.append([lost, *(array.numpy() for array in (force, energy, links))])
-    assert len(found[0][0]) > 1000
-    for others in found[1:]:
-        for one, other in zip(found[0], others, strict=True):
-            np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("lam", [1.0, -0.4])

@@ -2,9 +2,7 @@
 
 import numpy as np
 import pytest
-import torch
 
-import warp_peri as wp
 from tests.support.bodies import plate, pulled, solid
 from warp_peri import InputError
 from warp_peri.fracture.dynamics import BreakingBody, step
@@ -69,12 +67,6 @@ def test_compression_breaks_only_where_asked():
         assert (body.damage(state).max() > 0.3) != tension_only
 
 
-def test_cracks_count_as_damage_or_not():
-    body = pulled()
-    assert body.damage(body.start(cracks=CRACK)).max() == 0
-    assert body.damage(body.start(cracks=CRACK, count_cracks=True)).max() > 0.3
-
-
 def test_held_nodes_move_as_told_and_their_work_counts():
     held = np.abs(plate().x[:, 1]) > 5
     grip = np.where(held[:, None], np.sign(plate().x) * (0.0, 1e-3), 0.0)
@@ -122,104 +114,42 @@ def test_killed_and_resumed_gives_the_same_bits(tmp_path):
     assert (tmp_path / "series" / "motion.xdmf").read_text().count("<Time ") == steps
 
 
-def test_a_checkpoint_of_another_watch_is_not_joined(tmp_path):
-    """The same name, another function: the records would be of two things in one column."""
-    body = pulled(**KINDS["bond-based"])
-    dt = 0.4 * body.longest_step
-    options = {"checkpoint": tmp_path / "run.npz", "every": 1, "checkpoint_every": 1}
-
-    def march(function, steps):
-        run = CrackRun(body, step=dt, watch={"damage": function}, **options)
-        run.march(body.start(cracks=CRACK), steps=steps)
-        return run.history["damage"]
-
-    march(lambda phi: phi.max(), 3)
-    assert len(march(lambda phi: phi.max(), 5)) == 5
-    with pytest.raises(InputError, match="what differs: records"):
-        march(lambda phi: phi.mean(), 7)
-
-
-def ramped(ramp):
-    """A body pulled by a load that follows a ramp, and a step."""
-    body = pulled(**KINDS["bond-based"])
-    load = body.load.numpy()[: len(body.body.x)]
-    ramped = BreakingBody(body.solid, body.body, load=load, no_fail=body.no_fail, ramp=ramp)
-    return ramped, 0.4 * ramped.longest_step
-
-
-def test_a_checkpoint_of_another_history_of_loads_is_refused_wherever_it_differs(tmp_path):
-    path = tmp_path / "run.h5"
-    options = {"checkpoint": path, "every": 5, "checkpoint_every": 1}
-    _, dt = ramped(None)
-    slow, jump = lambda t: min(1.0, t / (60 * dt)), lambda t: 0.5 if t > 36.5 * dt else 0.0
-
-    def march(ramp, steps, **more):
-        body, dt = ramped(ramp)
-        run = CrackRun(body, step=dt, **(options | more))
-        return run, run.march(body.start(cracks=CRACK), steps=steps)
-
-    march(slow, 40)
-    for ramp in (lambda t: slow(t) + jump(t), None, lambda t: min(1.0, t / (59.999999 * dt))):
-        with pytest.raises(InputError, match="what differs: load history$"):
-            march(ramp, 60)
-    again, resumed = march(slow, 60)
-    straight, state = march(slow, 60, checkpoint=None)
-    assert state.u.numpy().tobytes() == resumed.u.numpy().tobytes()
-    assert again.history == straight.history
-
-
-def test_a_load_that_changes_only_later_goes_on_as_if_never_stopped(tmp_path):
-    _, dt = ramped(None)
-    ramps = lambda t: 1.0, lambda t: 1.0 if t < 30.5 * dt else 0.2
-    options = {"checkpoint": tmp_path / "run.h5", "every": 5, "checkpoint_every": 1}
-    body, _ = ramped(ramps[0])
-    CrackRun(body, step=dt, **options).march(body.start(cracks=CRACK), steps=20)
-    body, _ = ramped(ramps[1])
-    resumed = CrackRun(body, step=dt, **options).march(body.start(cracks=CRACK), steps=50)
-    straight = CrackRun(body, step=dt, every=5).march(body.start(cracks=CRACK), steps=50)
-    assert resumed.u.numpy().tobytes() == straight.u.numpy().tobytes()
-
-
-def test_fewer_steps_than_are_behind_are_refused(tmp_path):
-    body = pulled(**KINDS["bond-based"])
-    dt, path = 0.4 * body.longest_step, tmp_path / "run.h5"
-    options = {"checkpoint": path, "every": 10, "checkpoint_every": 1}
-    state = CrackRun(body, step=dt, **options).march(body.start(cracks=CRACK), steps=100)
-    start = body.start(cracks=CRACK)
-    with pytest.raises(InputError, match="at least the 100 steps of the checkpoint, got 50"):
-        CrackRun(body, step=dt, **options).march(start, steps=50)
-    assert start.steps == 0
-    assert CrackRun(body, step=dt, every=10).march(start, steps=50).steps == 50
-    with pytest.raises(InputError, match="at least the 100 that the state has taken, got 50"):
-        CrackRun(body, step=dt).march(state, steps=50)
-
-
-def test_a_checkpoint_says_what_differs(tmp_path):
+def test_a_checkpoint_says_what_differs_and_goes_on_under_the_same_history_of_loads(tmp_path):
     options = {"checkpoint": tmp_path / "run.h5", "every": 1, "checkpoint_every": 1}
     body = pulled(**KINDS["bond-based"])
     dt, start = 0.4 * body.longest_step, body.start(cracks=CRACK)
-    run = CrackRun(body, step=dt, **options)
-    run.march(start, steps=2)
-    shift = np.full((len(body.body.x), 2), 1e-4)
-    free = BreakingBody(body.solid, body.body, no_fail=body.no_fail)
-    brittler = pulled(lam=1.0, critical_stretch=0.011)
-    for other, step_, begin, words in (
-        (body, dt / 2, body.start(cracks=CRACK), "step"),
-        (body, dt, body.start(cracks=CRACK, u=shift), "start"),
-        (free, dt, free.start(cracks=CRACK), "load"),
-        (brittler, dt, brittler.start(cracks=CRACK), "solid"),
+    whole = {"load": body.load.numpy()[: len(body.body.x)], "no_fail": body.no_fail}
+
+    def march(ramp=None, law=body.solid, step=dt, steps=4, watch=np.max, begin=None, **more):
+        other = BreakingBody(law, body.body, ramp=ramp, **whole | more)
+        given = options | {"watch": {"phi": watch}}
+        run = CrackRun(other, step=step, **given)
+        return run.march(other.start(cracks=CRACK, **begin or {}), steps=steps)
+
+    slow, later = lambda t: min(1.0, t / (6 * dt)), lambda t: 1.0 if t < 3.5 * dt else 0.5
+    march(slow, steps=3)
+    shift, law = np.full((len(body.body.x), 2), 1e-4), solid(1.0, critical_stretch=0.011)
+    for how, words in (
+        ({"step": dt / 2}, "load history, step"),
+        ({"begin": {"u": shift}}, "start"),
+        ({"load": None}, "load"),
+        ({"law": law}, "solid"),
+        ({"watch": np.mean}, "records"),
     ):
         with pytest.raises(InputError, match=f"what differs: {words}$"):
-            CrackRun(other, step=step_, **options).march(begin, steps=4)
-    with pytest.raises(InputError, match="what differs: records$"):
-        CrackRun(body, step=dt, **options, regions={"all": shift[:, 0] > 0}).march(
-            body.start(cracks=CRACK), steps=4
-        )
-    middle = {"middle": [(-9, 0), (9, 0)]}
-    with pytest.raises(InputError, match="what differs: records$"):
-        CrackRun(body, step=dt, **options, sections=middle).march(body.start(cracks=CRACK), steps=4)
-    with pytest.raises(InputError, match="what differs: start$"):  # by the same run, too
-        run.march(body.start(), steps=4)
+            march(slow, **how)
+    for ramp in (None, lambda t: slow(t) + (t > 2.5 * dt) / 2):
+        with pytest.raises(InputError, match="what differs: load history$"):
+            march(ramp)
+    with pytest.raises(InputError, match="at least the 3 steps of the checkpoint, got 2"):
+        march(slow, steps=2)
+    changed = lambda t: slow(t) * later(t)  # later than the checkpoint
+    resumed, options = march(changed, steps=6), {"every": 1}
+    assert march(changed, steps=6).u.numpy().tobytes() == resumed.u.numpy().tobytes()
+    run = CrackRun(body, step=dt)
+    state = run.march(start, steps=3)
+    with pytest.raises(InputError, match="at least the 3 that the state has taken, got 1"):
+        run.march(state, steps=1)
 
 
 def test_a_body_thrown_without_a_load_keeps_the_energy_it_started_with():
@@ -229,46 +159,3 @@ def test_a_body_thrown_without_a_load_keeps_the_energy_it_started_with():
     found = run.motion(run.march(free.start(v=0.05 * body.x * (1, -0.5)), steps=60))
     assert found["dissipated"][-1] > 0
     assert found.missing < 2e-3
-
-
-def test_runs_that_would_record_nothing_are_refused():
-    body = pulled()
-    dt = 0.4 * body.longest_step
-    for options, words in (
-        ({"every": 0}, "every: expected a whole number ≥ 1"),
-        ({"checkpoint_every": -1}, "checkpoint_every: expected"),
-        ({"regions": {"far": body.body.x[:, 0] > 1e3}}, "region far: expected one node"),
-        ({"regions": {"few": np.ones(3, bool)}}, "region few: expected shape"),
-        ({"sections": {"far": [(-9, 99), (9, 99)]}}, "section far: expected a line"),
-        ({"sections": {"bent": [(-9, 0), (0, 0), (9, 8)]}}, "section: expected two ends"),
-    ):
-        with pytest.raises(InputError, match=words):
-            CrackRun(body, step=dt, **options)
-    with pytest.raises(InputError, match="nothing has been recorded"):
-        print(CrackRun(body, step=dt).motion(body.start()).missing)
-    with pytest.raises(InputError, match="grip: expected held components"):
-        BreakingBody(solid(toughness=1.0), plate(6, 6), grip=np.ones((36, 2)))
-
-
-def test_steps_beyond_the_bound_are_refused():
-    body = pulled()
-    for step_, words in ((1.01 * body.longest_step, "whatever breaks"), (0.0, "a number > 0")):
-        with pytest.raises(InputError, match=f"step: expected .*{words}"):
-            CrackRun(body, step=step_)
-
-
-def test_one_criterion_is_asked_for():
-    with pytest.raises(InputError, match="criterion: expected one of"):
-        solid(toughness=1.0, critical_stretch=0.1)
-
-
-def test_a_motion_that_breaks_has_no_gradient_and_says_so():
-    body = pulled(**KINDS["bond-based"])
-    points = wp.Points(body.body.x, np.ones(len(body.body.x), bool), 1.0, units=body.solid.units)
-    leaf = torch.zeros(body.body.x.shape, dtype=torch.float64, requires_grad=True)
-    sizes = {"step": 0.1, "steps": 2}
-    for load, more in (
-        (leaf, {}), (None, {"parameters": {"mu": 1.0}}), (None, {"grip": leaf}), (None, {"v": leaf})
-    ):  # fmt: skip
-        with pytest.raises(InputError, match="move: expected tensors without a gradient, which on"):
-            wp.move(body.solid, wp.damage.Cracked(points, load), **sizes | more)

@@ -8,7 +8,6 @@ import pytest
 import torch
 from scipy.integrate import quad
 
-from tests.support.bodies import plate as lattice
 from tests.support.bodies import solid
 from tests.support.problems import difference
 from warp_peri import Cracked, InputError, Model, Points, move
@@ -108,8 +107,8 @@ def test_the_energy_spent_is_the_work_of_pulling_a_bond_apart(law):
     assert law.share(np.array([0.0, 0.02])).min() == 1
 
 
-@pytest.mark.parametrize("softness", [1e-300, 1e-8, 1e-6, 1e-4, 0.02, 1.0, 40.0, 1e4])
-@pytest.mark.parametrize("stretch", [1e-6, 0.05, 2.0])
+@pytest.mark.parametrize("softness", [1e-300, 1e-6, 0.02, 1e4])
+@pytest.mark.parametrize("stretch", [1e-6, 2.0])
 def test_the_energy_spent_keeps_its_digits_however_soft(softness, stretch):
     law = BondLaw(softness, stretch)
     end = min(stretch, 60 / softness)
@@ -117,14 +116,8 @@ def test_the_energy_spent_keeps_its_digits_however_soft(softness, stretch):
     assert law.spent() == pytest.approx(work, rel=1e-11)
 
 
-def test_small_stretches_keep_their_digits_at_another_horizon():
-    for softness in (0.0, 5.0, 1e5):
-        law = BondLaw(softness, 1e-10).at_horizon(4.0)
-        assert 4 * law.spent() == pytest.approx(BondLaw(softness, 1e-10).spent(), rel=1e-12)
-
-
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-@pytest.mark.parametrize("times", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("times", [0.5, 4.0])
 def test_another_horizon_keeps_the_toughness_and_if_it_can_the_strength(law, times):
     other = law.at_horizon(times)
     assert other.spent() * times == pytest.approx(law.spent(), rel=1e-9)
@@ -136,7 +129,7 @@ def test_another_horizon_keeps_the_toughness_and_if_it_can_the_strength(law, tim
         assert other.tail > law.tail
 
 
-@pytest.mark.parametrize("law", [BondLaw(0.0, 0.02), BondLaw(3.0, 0.02, 0.2)])
+@pytest.mark.parametrize("law", [BondLaw(3.0, 0.02, 0.2)])
 def test_the_toughness_of_a_lattice_has_the_limit_of_the_theory(law):
     """(C18), of bonds that soften and of those that break at once."""
     errors = []
@@ -148,19 +141,6 @@ def test_the_toughness_of_a_lattice_has_the_limit_of_the_theory(law):
     assert errors[2] < 0.5 * errors[0]
 
 
-def test_dilatation_and_laws_that_are_none_are_refused():
-    with pytest.raises(InputError, match="expected λ = μ"):
-        SoftSolid(solid(0.5).model, BondLaw(1.0))
-    for law in ((-1.0,), (np.inf,), ("soft",), (1.0, 0.0), (1.0, 0.1, -0.1), (1.0, 0.1, np.inf)):
-        with pytest.raises(InputError, match="expected a"):
-            BondLaw(*law)
-    assert (BondLaw(2.0).spent(), BondLaw(0.0).spent()) == (0.25, np.inf)
-    assert BondLaw(2.0, 50.0).spent() == pytest.approx(0.25)
-    for law, times in ((BondLaw(1.0), 2.0), (BondLaw(1.0, 0.1), "2"), (BondLaw(1.0, 0.1), 0.0)):
-        with pytest.raises(InputError, match="at_horizon: expected"):
-            law.at_horizon(times)
-
-
 def strip(law, turned, **options):
     """A strip pulled along its long side, along y or, turned, along x; nodes, displacement."""
     x = rectangle(12.0, 20.0, 1.0)[:, :: -1 if turned else 1]
@@ -170,27 +150,7 @@ def strip(law, turned, **options):
     return soft, x * ((1.0, 0.0) if turned else (0.0, 1.0))
 
 
-def test_the_force_across_a_line_does_not_depend_on_where_x_points():
-    law, loads = BondLaw(5.0, 0.05, 0.02), [0.005, 0.01]
-    up, unit = strip(law, False)
-    along, turned = strip(law, True)
-    across = up.pull(unit, loads=loads, line=[(-9, 0.0), (9, 0.0)])["force"]
-    assert across[1] > 0
-    np.testing.assert_allclose(
-        along.pull(turned, loads=loads, line=[(0.0, -9), (0.0, 9)])["force"], across, rtol=1e-9
-    )
-
-
-def test_other_numbers_of_one_pull_are_not_those_of_the_next():
-    soft, unit = strip(BondLaw(5.0, 0.05, 0.02), False)
-    how = {"loads": [0.005, 0.01], "line": [(-9, 0.0), (9, 0.0)]}
-    first = soft.pull(unit, **how)["force"]
-    other = soft.pull(unit, **how, parameters={"softness": 20.0})["force"].numpy()
-    assert np.abs(other - first).max() > 1e-3 * np.abs(first).max()
-    np.testing.assert_array_equal(soft.pull(unit, **how)["force"], first)
-
-
-@pytest.mark.parametrize("line", [[(-9, -2.2), (9, 3.1)], [(9, 3.1), (-9, -2.2)]])
+@pytest.mark.parametrize("line", [[(9, 3.1), (-9, -2.2)]])
 def test_the_force_across_a_slanted_line_is_what_pulls_one_side_off_the_other(line):
     soft, unit = strip(BondLaw(5.0), False)
     u = soft.rest(0.02 * unit.ravel(), np.ones(len(soft.stiffness)))
@@ -239,51 +199,6 @@ def test_a_gradient_through_an_unstable_body_is_warned_of():
         soft.pull(given, loads=[0.8, 0.96, 1.04], **how)
 
 
-def test_a_body_that_has_come_apart_along_the_line_carries_nothing():
-    soft, unit = strip(BondLaw(0.0, 0.01), False)
-    rest = soft.rest
-
-    def loose(field, share):
-        if not share[soft.levers([(-9, 0.0), (9, 0.0)]) > 0].any():
-            raise InputError("operator: parts of the body hang loose")
-        return rest(field, share)
-
-    soft.rest = loose
-    run = soft.pull(unit, loads=[0.002, 0.5], line=[(-9, 0.0), (9, 0.0)])
-    assert run["force"][0] > 0
-    assert run["force"][1] == 0
-
-
-def test_what_cannot_be_pulled_is_refused():
-    body, model, law = lattice(12, 16), solid(1.0).model, BondLaw(2.0, 0.05, 0.02)
-    ends = np.repeat(np.abs(body.x[:, 1:]) > 5, 2, axis=1)
-    for options, words in (
-        ({"held": ends[:, 0]}, "held: expected shape"),
-        ({"held": ends & False}, "against 0 of its 3 rigid motions"),
-        ({"held": ends, "no_fail": np.ones(3, bool)}, "no_fail: expected shape"),
-        (
-            {"held": ends, "no_fail": np.ones(len(ends), int)},
-            "no_fail: expected bool values, got int",
-        ),
-    ):
-        with pytest.raises(InputError, match=words):
-            SoftBody(model, body, law, **options)
-    soft, u, line = SoftBody(model, body, law, ends), body.x * (0, 1), [(-7, 0.1), (7, 0.1)]
-    for stop in (np.nan, 1.5, "half", True):
-        with pytest.raises(InputError, match="stop: expected a share"):
-            soft.pull(u, loads=[0.1], line=line, stop=stop)
-    for given, loads, across, words in (
-        (u, [], line, "one factor or more"),
-        (u, [0.2, 0.1], line, "factors that rise"),
-        (u[:, 0], [0.1], line, "u: expected shape"),
-        (u * np.nan, [0.1], line, "u: expected finite"),
-        (u, [0.1], [(-7, 40), (7, 40)], "no bond of the body crosses it"),
-        (u, [0.1], [(-7, 0.1), (0, 0.1), (7, 2)], "line: expected two ends, got 3 corners"),
-    ):
-        with pytest.raises(InputError, match=words):
-            soft.pull(given, loads=loads, line=across)
-
-
 @pytest.mark.parametrize("name", ["softness", "stretch", "tail", "u"])
 def test_a_pull_has_the_gradient_of_differences(name, monkeypatch):
     """To the numbers of the bonds and what is held, past the peak, along the path that is taken."""
@@ -313,23 +228,3 @@ def test_a_pull_has_the_gradient_of_differences(name, monkeypatch):
 
     slope = difference(along, [0.0], 1e-6)[0]
     assert float((gradient * way).sum()) == pytest.approx(slope, rel=1e-6)
-
-
-def test_what_a_pull_has_no_gradient_of():
-    problem, rim = plate(20, 5.0, 10.05, True)
-    body = SoftSolid(Model(1.0, 1.0, 1.0, [1.0], 10.05), BondLaw(1.0, 0.05, 0.05))
-    line = [(-30.0, 0.0), (30.0, 0.0)]
-    how = {"loads": rate(20) * np.arange(84.0, 112.0, 4.0), "line": line, "no_fail": rim}
-    tail = torch.tensor(0.05, dtype=torch.float64, requires_grad=True)
-    with pytest.raises(InputError, match="parameters: expected softness, stretch, tail, got mu"):
-        move(body, problem, parameters={"mu": tail}, **how)
-    with pytest.raises(InputError, match="tail: expected > 0 for a gradient"):
-        move(body, problem, parameters={"tail": 0 * tail}, **how)
-    with pytest.raises(InputError, match=r"softness: expected one number, got shape \[2\]"):
-        move(body, problem, parameters={"softness": torch.ones(2)}, **how)
-    with pytest.raises(InputError, match="softness: expected an array of numbers, got str"):
-        move(body, problem, parameters={"softness": "a"}, **how)
-    force = move(body, problem, parameters={"tail": tail}, **how)["force"]
-    (first,) = torch.autograd.grad(force[-1], tail, create_graph=True)
-    with pytest.raises(InputError, match="second derivative"):
-        first.backward()

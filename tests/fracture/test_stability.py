@@ -4,18 +4,14 @@ import numpy as np
 import pytest
 
 from tests.support.bodies import plate, random_breaking, solid
-from tests.support.problems import kernel
-from warp_peri import InputError
 from warp_peri.fracture.bonds import (
     bond_matrix,
     bond_weights,
     bonds_of,
-    check_breakable,
     energy_bounds,
     largest_stiffness,
     stretch_matrix,
 )
-from warp_peri.points.families import bond_classes
 
 
 @pytest.mark.parametrize("sides", [(8, 8), (4, 4, 4)])
@@ -46,17 +42,3 @@ def test_no_body_is_stiffer_than_its_bound(lam, sides):
     for share in (0.0, 0.5):
         L = bond_matrix(body, random_breaking(body, random, share), bonds)
         assert 0 < np.linalg.eigvalsh(L.toarray())[-1] <= bound
-
-
-def test_a_sign_changing_model_refuses_to_break_with_the_figure():
-    model, classes = kernel("sign-changing", 4.0), bond_classes(1.0, 4.0)
-    w = bond_weights(model, classes).min()
-    assert w < 0
-    with pytest.raises(InputError, match=f"changes sign .* from {w:.4g} to"):
-        check_breakable(model, classes)
-
-
-def test_the_step_is_that_of_the_bound():
-    brittle = solid(3.0, density=4.0)
-    bound = largest_stiffness(brittle.model, bond_classes(1.0, 3.0))
-    assert brittle.longest_step(1.0) == pytest.approx(2 * np.sqrt(4.0 / bound))

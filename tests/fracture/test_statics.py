@@ -4,22 +4,19 @@ import numpy as np
 import pytest
 
 from examples.exact import westergaard
-from examples.inclusion import Mixed
 from examples.static_crack import edge_crack, static_crack
 from tests.support.bodies import plate, random_breaking, solid
 from tests.support.problems import fitted_order, kernel
-from warp_peri import InputError, Model, Points, move, solve
+from warp_peri import InputError, Model, Points, move
 from warp_peri.damage import (
     Cracked,
     apparent_toughness,
     box,
-    contour_integral,
     energy_release,
     lattice_body,
     rectangle,
     tip_shift,
 )
-from warp_peri.fracture.growth import grow
 from warp_peri.fracture.release import domain_integral
 from warp_peri.fracture.statics import CutSolid
 
@@ -42,16 +39,6 @@ def test_an_affine_field_stays_affine_in_a_whole_body():
     solved = CutSolid(solid(0.4).model, body, held).solve(None, u)
     np.testing.assert_allclose(solved, u, atol=1e-14)
     assert domain_integral(solid(0.4).model, body, u, (0.0, 0.0), (3.0, 6.0)) == pytest.approx(0)
-
-
-def test_a_crack_that_cuts_a_body_in_two_is_refused():
-    body = plate(10, 8)
-    below = body.x[:, 1] < -3
-    with pytest.raises(InputError, match="40 nodes, node .* is held against 0 of its 3 rigid"):
-        CutSolid(solid().model, body, below, cracks=[[(-9, 0), (9, 0)]])
-    only_x = np.column_stack([np.ones(len(below), bool), below])
-    with pytest.raises(InputError, match="against 2 of its 3"):
-        CutSolid(solid().model, body, only_x, cracks=[[(-9, 0), (9, 0)]])
 
 
 def test_a_sign_changing_model_cracks_only_where_it_stays_definite():
@@ -81,22 +68,7 @@ def test_growth_breaks_the_most_stretched_bonds_and_loses_energy():
     assert np.abs(body.x[node, 1]).max() < 3  # along the crack
 
 
-def test_growth_of_what_cannot_grow_is_refused():
-    body = plate(20, 16)
-    held = np.abs(body.x[:, 1]) > 5
-    with pytest.raises(InputError, match="no_fail: expected bool values, got int"):
-        grow(solid().model, body, held, body.x, events=1, no_fail=held.astype(int))
-    with pytest.raises(InputError, match="against 0 of its 3 rigid motions"):
-        grow(solid().model, body, held & False, body.x, events=1)
-
-
-def test_a_growing_crack_spends_more_than_a_straight_cut():
-    ratio = apparent_toughness(solid().model, 1.0, cells=10, length=2)
-    assert 1.1 < ratio < 1.9
-
-
-@pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2)])
-@pytest.mark.parametrize("torn", [False, True])
+@pytest.mark.parametrize(("axes", "torn"), [((0, 1, 2), False), ((1, 2, 0), True)])
 def test_j_in_space_is_that_of_a_straight_front_along_any_axis(axes, torn):
     """Of plane strain, and of a crack whose faces slide along the front."""
     h, lam, mu, place = 1 / 8, 1.3, 1.0, list(axes)
@@ -125,7 +97,7 @@ def test_a_straight_front_in_space_spends_more_than_a_straight_cut():
     assert 1.2 < apparent_toughness(model, 1.0, cells=6, length=1) < 2.2
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.25, 0.5])
+@pytest.mark.parametrize("shift", [0.0, 0.25])
 def test_j_does_not_mind_where_the_tip_stands_between_nodes(shift):
     h, (lam, mu) = 1 / 16, (1.0, 1.0)
     x = rectangle(2.5, 2.5, h)
@@ -144,8 +116,7 @@ MIRRORS = {
 }
 
 
-@pytest.mark.parametrize("side", MIRRORS)
-@pytest.mark.parametrize("shear", [0.0, 0.3])
+@pytest.mark.parametrize(("side", "shear"), [("right", 0.0), ("below", 0.3), ("above", 0.0)])
 def test_j_is_the_same_from_whichever_side_the_crack_comes(side, shear):
     h, (lam, mu), turn = 1 / 16, (1.0, 1.0), MIRRORS[side]
     x = rectangle(2.5, 2.5, h)
@@ -200,14 +171,6 @@ def test_a_dead_load_releases_what_its_work_leaves_over():
     assert both > 0
 
 
-def test_a_body_that_nothing_pulls_at_is_refused():
-    model, body, held, _, cracks = dead_load(16, 16, 3.0)
-    with pytest.raises(InputError, match="nothing pulls at it"):
-        released(model, body, held, None, None, cracks)
-    with pytest.raises(InputError, match=r"b: expected shape \[256, 2\]"):
-        released(model, body, held, np.ones(256), None, cracks)
-
-
 def test_a_tip_acts_further_than_it_is_cut():
     model = Model(1.0, 1.0, 1.0, np.ones(1), 3.0, units=("sigma", "epsilon/sigma^3"))
     plain, shifted = (edge_crack(model, 10, 0.5, shift) for shift in (0.0, tip_shift(model, 1.0)))
@@ -241,70 +204,3 @@ def test_the_release_of_an_inclined_crack_needs_several_lengths():
     ]
     G = energy_release(model, Cracked(points, u=u), cracks)
     assert G == pytest.approx(np.pi * half / model.E, rel=0.03)
-
-
-def test_contours_and_lengths_that_make_no_sense_are_refused():
-    body, model = plate(20, 20), solid().model
-    points = Points(body.x, (np.abs(body.x) <= 5).all(axis=1), 1.0)
-    problem, u = Cracked(points), np.zeros((400, 2))
-    solution = solve(model, problem)
-    for radii in ((4.0, 4.0), (3.6, 4.4), (4.0, np.nan)):
-        with pytest.raises(InputError, match="smaller < larger by a spacing of 1"):
-            contour_integral(solution, (0.0, 0.0), radii)
-    one = lambda x: np.ones(x.shape[:-1])
-    mixed = solve(Mixed(3.0, lambda x: 2 * one(x), one), problem)
-    with pytest.raises(InputError, match="expected that of a Cracked, of one material"):
-        contour_integral(mixed, (0.0, 0.0), (2.0, 4.0))
-    with pytest.raises(InputError, match="more than from the tip to the edge"):
-        contour_integral(solution, (6.0, 0.0), (2.0, 6.0))
-    with pytest.raises(InputError, match="two lengths or more"):
-        energy_release(model, Cracked(points, u=body.x), [[[(-4, 0), (4, 0)]]])
-    short = CutSolid(model, body, (np.abs(body.x) > 5).any(axis=1))
-    with pytest.raises(InputError, match=r"u: expected shape \[…, 400, 2\]"):
-        short.solve(None, u[:, 0])
-    with pytest.raises(InputError, match="u: expected finite values"):
-        short.solve(None, u + np.nan)
-
-
-def test_a_body_with_cracks_is_solved_as_any_other_problem():
-    x = rectangle(20.0, 16.0, 1.0)
-    points, u, b = Points(x, np.abs(x[:, 1]) <= 5, 1.0), x * (0.0, 0.01), np.full_like(x, 1e-3)
-    problem = Cracked(points, b, u, cracks=[[(-3, 0.2), (3, 0.2)]])
-    brittle = solid(2.0)
-    solution = solve(brittle, problem)
-    cut = CutSolid(
-        brittle.model, lattice_body(x, 1.0, 3.0), ~points.interior, cracks=problem.cracks
-    )
-    np.testing.assert_array_equal(solution.u, cut.solve(b, u))
-    np.testing.assert_allclose(solution.operator(solution.u), solution.load, atol=1e-12)
-    np.testing.assert_array_equal(solution.load, b[points.interior])
-    assert solution.residual < 1e-10
-    assert float(solution.energy()) == cut.energy(solution.u)
-    free = np.column_stack([np.ones(len(x), bool), points.interior])  # ends that slide
-    free[0, 0] = False
-    sliding = solve(brittle, Cracked(points, u=u, free=free)).u
-    np.testing.assert_array_equal(sliding[~free], u[~free])
-    assert np.abs(sliding - u)[free].max() > 1e-3
-
-
-def test_what_is_no_body_with_cracks_is_refused_by_name():
-    x = rectangle(12.0, 12.0, 1.0)
-    points, brittle = Points(x, np.abs(x[:, 1]) <= 4, 1.0), solid()
-    problem = Cracked(points, u=x)
-    for call, words in (
-        (lambda: solve(brittle, problem, transfer=False), "options among none, got transfer"),
-        (lambda: move(brittle, problem, step=1.0), "expected steps too"),
-        (lambda: move(brittle, problem, events=2, every=3), "among events, no_fail, .* got every"),
-        (lambda: move(brittle, problem, loads=[1.0], line=x[:2]), "a SoftSolid for loads"),
-        (lambda: move(brittle.model, problem, step=1.0, steps=1), "a BrittleSolid for steps"),
-        (lambda: move(brittle, Cracked(points, x), events=2), "b: slow growth and pulls"),
-        (lambda: solve(brittle, Cracked(points, free=points.interior)), r"free: expected shape"),
-        (lambda: solve(brittle, Cracked(Points(x, points.interior, 0.0))), "is for lattices"),
-        (
-            lambda: solve(brittle, Cracked(Points(x, points.interior, 1.0, units=("m", "Pa")))),
-            "units: the model is in",
-        ),
-        (lambda: solve(None, problem), "expected a solid with a linear part"),
-    ):
-        with pytest.raises(InputError, match=words):
-            call()

@@ -87,7 +87,7 @@ def test_dense_figures_are_those_of_the_definition(name):
 
 
 def test_the_figures_of_a_period_are_those_without_its_translations():
-    model, (points, _) = kernel("positive", 3.0), periodic((12, 12))
+    model, (points, _) = kernel("positive", 3.0), periodic((8, 8))
     figures, parts = certify(model, spacing=1.0, points=points), matrices(model, points)
     gamma, phi = parts.gamma.toarray(), parts.phi.toarray()
     values, fields = np.linalg.eigh(gamma)

@@ -363,13 +363,9 @@ class CutRows:
         self._operator, self._corrected = CutOperator(model, body), corrected
         count, vector = len(body.x), self._operator.vector
         self._fields = [zeros(count, dtype=one) for one in (vector, vector, wp.float64)]
-        self.cut(neighbour)
-
-    def cut(self, neighbour: np.ndarray) -> None:
-        """Have these bonds broken, and no others."""
         self._neighbour, self._links = neighbour, self._operator.links(neighbour)
-        if self._corrected:
-            self._more = corrections(self._operator.body, neighbour, self._operator.bonded)
+        if corrected:
+            self._more = corrections(body, neighbour, self._operator.bonded)
 
     @property
     def diagonal(self) -> np.ndarray:

@@ -77,14 +77,13 @@ class Solid:
     def __post_init__(self) -> None:
         given = vars(self).items()
         found = {n: checked(n, v.detach().cpu() if is_tensor(v) else v) for n, v in given}
-        D = found.pop("D")
         for name, value in found.items():
-            if value.size != 1:
+            if name != "D" and value.size != 1:
                 raise InputError(
                     f"{name}: expected one number of a homogeneous solid, got shape "
                     f"{list(value.shape)}"
                 )
-        check_influence(found["alpha"].item(), D.reshape(-1) if D.ndim == 0 else D)
+        check_influence(found["alpha"].item(), np.atleast_1d(found["D"]))
 
     def values(self) -> tuple[Any, ...]:
         """λ, μ, α and D."""

@@ -46,10 +46,9 @@ class Layout:
         places: of a plane, P.
         images: place and number of every node, periodic images included; None of lists.
         home: place of every node, shape [N], or all of them.
-        laid, needed, forces: pieces to be laid out, where dilatations are needed, and forces.
-        back, nodes: the same of the transpose, of forces to all nodes.
-        whole: `needed` without images.
-        none: no pieces.
+        pieces: to be "laid" out, where dilatations are "needed", and "forces"; "back" and "nodes",
+            the same of the transpose, of forces to all nodes; "whole", needed without images;
+            none for None.
         ready: launches and planes that nobody uses.
     """
 
@@ -60,13 +59,7 @@ class Layout:
     places: int
     images: tuple[np.ndarray, np.ndarray] | None
     home: Any
-    laid: wp.array[Any]
-    needed: wp.array[Any]
-    forces: wp.array[Any]
-    back: wp.array[Any]
-    nodes: wp.array[Any]
-    whole: wp.array[Any]
-    none: wp.array[Any]
+    pieces: dict[str | None, wp.array[Any]]
     ready: dict[Any, list[Any]] = field(default_factory=dict)
 
 
@@ -95,10 +88,11 @@ def lists_of(points: Points, families: Families, device: str = DEVICE) -> Layout
     def pieces(places: np.ndarray) -> wp.array[Any]:
         return _pieces(places, np.arange(len(places)), 1, device)
 
-    none, needed = pieces(nodes[:0]), pieces(np.sort(full))
+    of: dict[str | None, Any] = dict.fromkeys((None, "laid", "back"), pieces(nodes[:0]))
+    of |= dict.fromkeys(("needed", "whole"), pieces(np.sort(full)))
+    of |= {"forces": pieces(families.rows), "nodes": pieces(nodes)}
     to = np.where(end < 0, 0, end - owner)
-    of = none, needed, pieces(families.rows), none, pieces(nodes), needed, none
-    return Layout(False, families.row, to, _bond(xi), len(nodes), None, slice(None), *of)
+    return Layout(False, families.row, to, _bond(xi), len(nodes), None, slice(None), of)
 
 
 def rows_of(points: Points, families: Families, scalar: Any) -> Layout | None:
@@ -138,27 +132,19 @@ def rows_of(points: Points, families: Families, scalar: Any) -> Layout | None:
     owner, image = _images(grid, period, ring)
     around = places(_images(grid[needed], period, reach)[1])
     inside, at = row_numbers[owner] >= 0, places(image)
-    of = (
-        pieces(at, owner),
-        pieces(around, around),
-        pieces(home[families.rows], row_numbers[families.rows]),
-        pieces(at[inside], row_numbers[owner[inside]]),
-        nodes,
-        pieces(home[families.whole], home[families.whole]),
-        pieces(home[:0], home[:0]),
-    )
+    of: dict[str | None, Any] = {
+        None: pieces(home[:0], home[:0]),
+        "laid": pieces(at, owner),
+        "needed": pieces(around, around),
+        "forces": pieces(home[families.rows], row_numbers[families.rows]),
+        "back": pieces(at[inside], row_numbers[owner[inside]]),
+        "nodes": nodes,
+        "whole": pieces(home[families.whole], home[families.whole]),
+    }
     pairs = np.argsort(np.minimum(np.arange(len(steps)), families.reverse), kind="stable")
-    row, places_in = np.array([0, len(steps)]), int(sides.prod() + 2 * room)
-    return Layout(
-        True,
-        row,
-        steps[pairs] @ stride,
-        _bond(families.pattern[pairs]),
-        places_in,
-        (at, owner),
-        home,
-        *of,
-    )
+    row, end, xi = np.array([0, len(steps)]), steps[pairs] @ stride, families.pattern[pairs]
+    count = int(sides.prod() + 2 * room)
+    return Layout(True, row, end, _bond(xi), count, (at, owner), home, of)
 
 
 def _bond(xi: np.ndarray) -> np.ndarray:

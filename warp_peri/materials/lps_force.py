@@ -58,7 +58,7 @@ def sweep(bonds: Bonds, law: SweepLaw, of: Any, pieces: Sequence[str | None], *f
             pieces[1:], (kernels.dilatation, kernels.force), ((planes, theta), (planes, theta, out))
         ):
             if name:
-                nodes = getattr(layout, name)
+                nodes = layout.pieces[name]
                 launch(kernel, (len(theta), len(nodes)), (nodes, of, *given[:-1]), given[-1:])
         return
     key = (*pieces, len(theta), threads(), law.fields)
@@ -68,7 +68,7 @@ def sweep(bonds: Bonds, law: SweepLaw, of: Any, pieces: Sequence[str | None], *f
     except IndexError:
         kernels, last, known = law.kernels, of, [one.__ctype__() for one in fields]
         ends = [type(one).from_buffer_copy(one) for one in known]
-        nodes = [getattr(layout, name) if name else layout.none for name in pieces]
+        nodes = [layout.pieces[name] for name in pieces]
         work = sum(map(len, nodes)) * len(theta) * max(1, kernels.lanes // FASTER)
         shared = Shared(kernels.swept, (*nodes, of, None), 3 * (None,), 3, work, stay)
         for place, end in enumerate(ends, 4):
@@ -148,6 +148,7 @@ def gradient(
     """Derivatives of a scalar by name, given its derivative g [S, d I] to L u: to u, [S, d N], to λ
     and μ, numbers or one a node, and to α and D; those to moduli come with the latter."""
     law, layout, cut = felt.law, bonds.layout, bonds.families.cut
+    whole = layout.pieces["whole"]
     by_u, seeds, tau, *lost = pulled(bonds, law, g, displacement=displacement)
     found = {"u": by_u} if displacement else {}
     if not (moduli or influence):
@@ -161,13 +162,13 @@ def gradient(
         by_own = bonds.zeros(1, len(layout.end))
     outputs = by_own, by_mu, by_bulk
     if not bonds.plain:
-        ends = ints(np.arange(BLOCKS + 1) * len(layout.whole) // BLOCKS)
-        weight = max(len(layout.whole) * len(g) // BLOCKS, 1)
-        inputs = ends, layout.whole, *fields
+        ends = ints(np.arange(BLOCKS + 1) * len(whole) // BLOCKS)
+        weight = max(len(whole) * len(g) // BLOCKS, 1)
+        inputs = ends, whole, *fields
         launch_slices(law.kernels.slopes, BLOCKS, inputs, outputs, weight=weight)
     else:
         slopes = plain(bonds.scalar, bonds.dimension).slopes
-        launch(slopes, len(layout.whole), (layout.whole, *fields), outputs)
+        launch(slopes, len(whole), (whole, *fields), outputs)
     bulk, shear = by_bulk.numpy(), by_mu.numpy()
     if lost:
         bulk[cut] += (felt.theta.numpy()[:, cut] * lost[0]).sum(axis=0)

@@ -21,7 +21,6 @@ from warp_peri.materials.lps import Model, Solid, on_nominal_lattice, statements
 from warp_peri.materials.lps_bonds import Bonds, SweepLaw, changes_sign, check_volumes
 from warp_peri.materials.lps_force import (
     check_bond_based,
-    check_field,
     evaluate,
     force_by,
     gradient,
@@ -134,7 +133,7 @@ class LPSOperator(OnPoints):
     def force(self, u: ArrayLike) -> np.ndarray:
         """L u on the interior nodes, shape [..., I, d]; InputError for another shape."""
         field = np.require(plain("u", u), float, ["C", "W"])
-        check_field(self.bonds, torch.from_numpy(field), DEVICE)
+        self.check(field)
         Lu = evaluate(self.bonds, self._fields(field), self._law, kept=False).Lu.numpy()
         return np.asarray(Lu.reshape(*field.shape[:-2], -1, field.shape[-1]))
 
