@@ -1,6 +1,6 @@
 """A stiff inclusion found from three displacement fields with noise: a map of μ, λ = 3/8 μ.
 
-    python examples/inclusion_from_displacement.py [--side 60] [--noise 0.01] [--json]
+    python examples/inclusion_from_displacement.py [--side 60] [--noise 0.01]
 
 The misfit of three solves and the total variation of log μ are minimised by L-BFGS; the gradient
 to μ at every node costs one solve more for each field. Displacement alone does not see the scale of
@@ -74,7 +74,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--side", type=int, default=60, help="unknown nodes along a side")
     parser.add_argument("--noise", type=float, default=0.01, help="over the mean size of u")
     parser.add_argument("--steps", type=int, default=80, help="of L-BFGS, at most")
-    parser.add_argument("--json", action="store_true", help="print one object")
     given = parser.parse_args(arguments)
     points, truth, held = body(given.side)
     solid = wp.Model(RATIO, 1.0, 1.0, np.ones(1), HORIZON, certified_on=(1.0,), units=points.units)
@@ -92,7 +91,7 @@ def main(arguments: list[str] | None = None) -> int:
         "mean outside": float(mu[inside & ~stiff].mean()),
         "losses": int(found.nfev),
     }
-    print(json.dumps(numbers, indent=None if given.json else 1))
+    print(json.dumps(numbers))
     return 0
 
 

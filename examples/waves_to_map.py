@@ -1,6 +1,6 @@
 """Maps of κ = λ + μ and of μ in a plate from one shot of waves, heard along a ring near its rim.
 
-    python examples/waves_to_map.py [--side 64] [--noise 0.01] [--iterations 60] [--json]
+    python examples/waves_to_map.py [--side 64] [--noise 0.01] [--iterations 60]
 
 `move` gives the gradient of what is heard to λ and μ at every node. The same model makes the data.
 """
@@ -32,13 +32,7 @@ def plate(side: int) -> tuple[Any, np.ndarray, torch.Tensor]:
         more = torch.tensor(inside, dtype=maps.dtype)[:, None] - 1
         maps += more * torch.sigmoid((radius - away) / 0.75)
     solid = wp.Model(LAM, MU, 1.0, [1.0], HORIZON * H, certified_on=(H,))
-    even = np.full(len(x), LAM), np.full(len(x), MU)
-    return solid.on(points, lam=even[0], mu=even[1]), x, maps
-
-
-def fields(maps: torch.Tensor) -> dict[str, torch.Tensor]:
-    """λ and μ of each node."""
-    return {"lam": (LAM + MU) * maps[0] - MU * maps[1], "mu": MU * maps[1]}
+    return solid.on(points, lam=np.full(len(x), LAM), mu=np.full(len(x), MU)), x, maps
 
 
 def shot(body: Any, x: np.ndarray, side: int) -> Callable[[torch.Tensor], torch.Tensor]:
@@ -53,7 +47,12 @@ def shot(body: Any, x: np.ndarray, side: int) -> Callable[[torch.Tensor], torch.
         "steps": 4 * side,
         "record": np.abs(np.abs(x).max(axis=1) - side / 2 + 3.5) < 0.1,
     }
-    return lambda maps: wp.move(body, at_rest, **options, parameters=fields(maps))["u"]
+
+    def heard(maps: torch.Tensor) -> torch.Tensor:
+        moduli = {"lam": (LAM + MU) * maps[0] - MU * maps[1], "mu": MU * maps[1]}
+        return wp.move(body, at_rest, **options, parameters=moduli)["u"]
+
+    return heard
 
 
 def variation(z: torch.Tensor) -> torch.Tensor:
@@ -69,7 +68,6 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--side", type=int, default=64, help="unknown nodes along a side")
     parser.add_argument("--noise", type=float, default=0.01, help="over the mean size of the data")
     parser.add_argument("--iterations", type=int, default=60, help="of L-BFGS, at most")
-    parser.add_argument("--json", action="store_true", help="print one object")
     given = parser.parse_args(arguments)
     body, x, true = plate(given.side)
     heard, inside = shot(body, x, given.side), torch.from_numpy(body.points.interior)
@@ -95,9 +93,9 @@ def main(arguments: list[str] | None = None) -> int:
     search.step(loss)
     found, true = z.detach().exp()[:, inside], true[:, inside]
     errors, at_start = ((m - true).norm(dim=1) / true.norm(dim=1) for m in (found, 1))
-    numbers = {"κ": float(errors[0]), "μ": float(errors[1]), "κ at start": float(at_start[0])}
-    numbers |= {"μ at start": float(at_start[1]), "misfit": misfits[-1], "shots": len(misfits)}
-    print(json.dumps(numbers, indent=None if given.json else 1, ensure_ascii=False))
+    names = "κ", "μ", "κ at start", "μ at start", "misfit", "shots"
+    values = *errors.tolist(), *at_start.tolist(), misfits[-1], len(misfits)
+    print(json.dumps(dict(zip(names, values)), ensure_ascii=False))
     return 0
 
 

@@ -35,7 +35,7 @@ def test_an_influence_function_of_ones_own_is_found():
 def test_a_stiff_inclusion_is_found(capsys):
     from examples import inclusion_from_displacement
 
-    assert inclusion_from_displacement.main(["--side", "14", "--steps", "25", "--json"]) == 0
+    assert inclusion_from_displacement.main(["--side", "14", "--steps", "25"]) == 0
     numbers = json.loads(capsys.readouterr().out)
     assert numbers["map error"] < 0.2
     assert numbers["mean in the inclusion"] == pytest.approx(4, rel=0.2)
@@ -44,7 +44,7 @@ def test_a_stiff_inclusion_is_found(capsys):
 def test_waves_find_two_maps(capsys):
     from examples import waves_to_map
 
-    assert waves_to_map.main(["--side", "20", "--iterations", "12", "--json"]) == 0
+    assert waves_to_map.main(["--side", "20", "--iterations", "12"]) == 0
     numbers = json.loads(capsys.readouterr().out)
     for modulus in ("κ", "μ"):
         assert numbers[modulus] < 0.6 * numbers[f"{modulus} at start"]

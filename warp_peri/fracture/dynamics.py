@@ -31,7 +31,7 @@ from warp_peri.launch import floats, launch_slices, zeros
 from warp_peri.materials.lps import Model
 from warp_peri.points.arrays import checked
 from warp_peri.points.families import bond_classes
-from warp_peri.points.unit_names import REDUCED, Units
+from warp_peri.points.unit_names import REDUCED
 from warp_peri.solvers.verlet import inertia
 
 CRITERIA = ("toughness", "critical_stretch", "critical_energy")
@@ -76,8 +76,8 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
 
     @property
     def inertia(self) -> float:
-        """ρ in units of stress · time² over length²."""
-        return inertia_in(self.units, self.density)
+        """ρ in units of stress · time² over length², of kg/m³ and ps where units are named."""
+        return self.density if self.units == REDUCED else inertia(self.density, self.units)
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance, the density with its unit."""
@@ -88,16 +88,6 @@ class BrittleSolid(OnLinear, format="warp_peri.brittle_solid", version=3):
         """Time step on a lattice that is stable whatever breaks (theory, C9)."""
         classes = bond_classes(spacing, self.model.horizon, dimension=self.dimension)
         return float(2 * np.sqrt(self.inertia / largest_stiffness(self.model, classes)))
-
-    @property
-    def by_energy(self) -> bool:
-        """Whether bonds break by their energy instead of their stretch."""
-        return self.critical_energy is not None
-
-
-def inertia_in(units: Units, density: float) -> float:
-    """ρ in units of stress · time² over length², of kg/m³ and ps where units are named."""
-    return density if units == REDUCED else inertia(density, units)
 
 
 def positive_kernel(model: Model, horizon: float) -> Model:
@@ -262,11 +252,11 @@ class BreakingBody:
             solid.model,
             body,
             limits=limits_of(solid, body),
-            by_energy=solid.by_energy,
+            by_energy=solid.critical_energy is not None,
             tension_only=solid.tension_only,
             no_fail=self.no_fail,
         )
-        if corrected and solid.by_energy:
+        if corrected and solid.critical_energy is not None:
             raise InputError(
                 "corrected: expected a linear peridynamic solid whose bonds break at a stretch"
             )

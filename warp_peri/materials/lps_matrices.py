@@ -129,9 +129,7 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     nodes, d = points.x.shape
     u = checked("u", u, float, (..., nodes, d))
     c2 = 2 * d * (d + 2)
-    inside = np.flatnonzero(points.interior)
-    of: tuple[Any, Any] = model.lam, model.mu
-    lam, mu = (one[inside] if np.ndim(one) else one for one in of)
+    lam, mu = (np.broadcast_to(one, nodes)[points.interior] for one in (model.lam, model.mu))
     if points.outside is not None:
         raise InputError("outside: expected none, for stress needs complete families")
     families = families_of(points, model.horizon)
@@ -140,12 +138,12 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
     r = families.r[kind]
     place = np.cumsum(points.interior)[owner] - 1
     size = int(points.interior.sum())
+    entries = np.ones(len(place)), (place, np.arange(len(place)))
+    sums = sp.csr_array(entries, shape=(size, len(place)))
 
     def total(values: np.ndarray) -> np.ndarray:
         """Sum over each family: [E, …] → [I, …]."""
-        flat = values.reshape(len(values), -1)
-        sums = [np.bincount(place, column, size) for column in flat.T]
-        return np.stack(sums, axis=1).reshape(size, *values.shape[1:])
+        return (sums @ values.reshape(len(place), -1)).reshape(size, *values.shape[1:])
 
     K = model.influence(r) * families.weight[kind]
     m = total(K * r**2)

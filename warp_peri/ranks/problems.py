@@ -214,7 +214,7 @@ def move(material: Any, problem: Any, options: dict[str, Any]) -> Motion:
         if not isinstance(problem, Cracked) or "step" not in options:
             raise InputError("move: expected a Dirichlet or Cracked, and step=…, steps=… on ranks")
         offered(material, "density", "move", "a BrittleSolid")
-        if material.by_energy or problem.pressure is not None:
+        if material.critical_energy is not None or problem.pressure is not None:
             raise InputError(
                 "move: expected bonds that break by their stretch, and no pressure, on ranks"
             )
