@@ -119,9 +119,10 @@ def certify(
         )
     spacing = getattr(model, "nominal_spacing", float)(spacing)
     proof = prove(*stencil_of(model, spacing, "certify"))
-    about = model.units, model.dimension
+    about: Any = {"units": model.units, "dimension": model.dimension}
+    found = spacing, proof.sampled, proof.proven
     if points is None:
-        return Certificate(spacing, proof.sampled, proof.proven, *5 * (None,), *about)
+        return Certificate(*found, **about)
     if not isinstance(model, Model):
         raise InputError(f"points: of a Model alone, not of a {type(model).__name__}")
 
@@ -141,7 +142,7 @@ def certify(
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
     figures = gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
-    return Certificate(spacing, proof.sampled, proof.proven, *figures, *about)
+    return Certificate(*found, *figures, **about)
 
 
 @dataclass(frozen=True)

@@ -85,13 +85,13 @@ def _swept(
     bonds: Bonds, law: SweepLaw, of: Any, laid: str, asked: str | None, correct: Any, *fields: Any
 ) -> None:
     """A sweep in which `correct` changes θ of the nodes that have lost bonds, before forces."""
-    if not len(cut := bonds.families.cut):
-        return sweep(bonds, law, of, (laid, "needed", asked), *fields)
-    sweep(bonds, law, of, (laid, "needed", None), *fields)
-    theta = fields[2].numpy()
-    theta[:, cut] = correct(theta[:, cut])
-    fields[2].assign(theta)
-    sweep(bonds, law, of, (None, None, asked), *fields)
+    cut = bonds.families.cut
+    sweep(bonds, law, of, (laid, "needed", None if len(cut) else asked), *fields)
+    if len(cut):
+        theta = fields[2].numpy()
+        theta[:, cut] = correct(theta[:, cut])
+        fields[2].assign(theta)
+        sweep(bonds, law, of, (None, None, asked), *fields)
 
 
 def evaluate(bonds: Bonds, u: wp.array[Any], law: SweepLaw, *, kept: bool = True) -> Felt:

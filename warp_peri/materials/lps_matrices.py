@@ -143,7 +143,8 @@ def node_fields(model: Model, points: PointsLike, u: ArrayLike) -> NodeFields:
 
     def total(values: np.ndarray) -> np.ndarray:
         """Sum over each family: [E, …] → [I, …]."""
-        return (sums @ values.reshape(len(place), -1)).reshape(size, *values.shape[1:])
+        flat = sums @ values.reshape(len(place), -1)
+        return np.asarray(flat.reshape(size, *values.shape[1:]))
 
     K = model.influence(r) * families.weight[kind]
     m = total(K * r**2)

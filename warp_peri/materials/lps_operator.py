@@ -417,7 +417,8 @@ class LPSOperator(OnPoints):
             return
         if self._is_plain and self.model.nodes is None:
             with suppress(InputError):
-                return self.linear.check_definite()
+                self.linear.check_definite()
+                return
         stiffness = self._problem.stiffness
         symmetric = sp.csc_array((stiffness + stiffness.T) / 2)
         if definite_factors(symmetric) is not None or smallest_eigenvalue(symmetric) > 0:
