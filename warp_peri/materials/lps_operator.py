@@ -19,13 +19,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.launch import DEVICE, known_device, recording
 from warp_peri.materials.lps import Model, Solid, on_nominal_lattice, statements
 from warp_peri.materials.lps_bonds import Bonds, SweepLaw, changes_sign, check_volumes
-from warp_peri.materials.lps_force import (
-    check_bond_based,
-    evaluate,
-    force_by,
-    gradient,
-    pulled,
-)
+from warp_peri.materials.lps_force import check_bond_based, evaluate, force_by, gradient, pulled
 from warp_peri.materials.lps_matrices import matrices, node_fields
 from warp_peri.points.arrays import checked, checked_fields, plain
 from warp_peri.points.families import families_of
