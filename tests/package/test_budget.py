@@ -21,7 +21,7 @@ BUDGET = {
     "tokens": 279_823,
     "lines of warp_peri": 38_407,
     "lines of kernels": 1_275,
-    "lines of warp_peri, kernels, examples and tools": 51_963,
+    "lines of warp_peri, kernels, examples and tools": 51_988,
     "lines of the longest file": 643,
     "lines of the longest function": 91,
     "parameters of one function": 13,
