@@ -30,9 +30,10 @@ from warp_peri.fracture.problems import Cracked
 from warp_peri.materials.lps import Model, lps_stencil
 from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet
+from warp_peri.proofs import critical_time_step
 from warp_peri.ranks import gather, partition
 from warp_peri.ranks.processes import own_mpiexec
-from warp_peri.solvers.verlet import critical_time_step, inertia
+from warp_peri.solvers.verlet import inertia
 from warp_peri.solving import move
 
 DENSITY = 1000.0

@@ -17,11 +17,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_835,
-    "tokens": 279_823,
-    "lines of warp_peri": 38_407,
+    "code lines": 22_834,
+    "tokens": 279_798,
+    "lines of warp_peri": 38_411,
     "lines of kernels": 1_275,
-    "lines of warp_peri, kernels, examples and tools": 51_988,
+    "lines of warp_peri, kernels, examples and tools": 51_992,
     "lines of the longest file": 643,
     "lines of the longest function": 91,
     "parameters of one function": 13,
@@ -36,7 +36,7 @@ ROOMS = {
     "cli": 869,
     "core": 1684,
     "diffusion": 339,
-    "face": 932,
+    "face": 944,
     "fe_coupling": 830,
     "files": 570,
     "fitting": 1326,
@@ -47,7 +47,7 @@ ROOMS = {
     "points": 1717,
     "prediction": 878,
     "ranks": 912,
-    "solvers": 1514,
+    "solvers": 1501,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

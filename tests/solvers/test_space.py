@@ -13,7 +13,8 @@ from warp_peri.fitting.evaluate import without_rigid_part
 from warp_peri.materials.lps import moduli
 from warp_peri.micromodulus import tensors_of
 from warp_peri.points.families import bond_classes
-from warp_peri.solvers.verlet import critical_time_step, inertia
+from warp_peri.proofs import critical_time_step
+from warp_peri.solvers.verlet import inertia
 
 pytestmark = pytest.mark.filterwarnings("ignore:spacing. the model is certified")
 LENGTH, RATIO = 2.0, 2.0

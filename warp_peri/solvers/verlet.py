@@ -14,14 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from warp_peri.contract import offered, stencil_of
-from warp_peri.core.groups import lattice_group
-from warp_peri.core.proof import largest
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.files.checkpoint import AllNodes, RunFile, agreed, fingerprint
 from warp_peri.files.series import Series
 from warp_peri.launch import shared_by
-from warp_peri.materials.lps import lps_stencil
-from warp_peri.materials.lps_transfer import model_at
 from warp_peri.points.arrays import check_positive, check_whole
 from warp_peri.points.arrays import checked as read
 from warp_peri.points.lattice import check_lattice
@@ -39,38 +35,9 @@ PROBE, SMALL = np.array([[1.3, -0.7, 2.1], [0.4, 1.9, -1.1], [-2.3, 0.6, 0.9]]),
 """Waves of a field that feels every bond, and its size in spacings."""
 
 
-def critical_time_step(
-    model: Any, *, spacing: float, density: float, allow_uncertified: bool = False
-) -> float:
-    """Time step [ps] below which velocity Verlet is stable on all parts of the lattice (51, T21).
-
-    2/ω with ω² = max Λmax D(k)/ρ, the maximum proven over the whole zone and at most 0.02 % too
-    large (T21). It holds on any set of nodes with displacement given out to 2δ, and on periodic
-    boxes.
-
-    Args:
-        model: certified on some lattice, transferred to others: where D(k) is not positive
-            definite, waves grow at any step. A crystal's law is for its own spacing.
-        spacing: of the lattice [Å].
-        density: mass per volume [kg/m³].
-        allow_uncertified: the model's own numbers, with a warning.
-
-    Raises InputError for a model of which nothing is proven there, a horizon below one spacing, a
-    density not > 0.
-    """
-    check_positive("density", density)
-    if hasattr(model, "stiffest_wave"):
-        heavy = inertia(density, model.units)
-        return float(2 * np.sqrt(heavy / _of_tensors(model, spacing, allow_uncertified)))
-    offered(model, "is_certified_on", "critical_time_step", "a linear solid or a crystal")
-    model = model_at(model, spacing, allow_uncertified=allow_uncertified)
-    near = model.nominal_spacing(spacing)
-    stiffest = largest(lps_stencil(model, near), lattice_group(model.dimension))
-    return float(2 * np.sqrt(inertia(density, model.units) / stiffest))
-
-
-def _of_tensors(law: Any, spacing: float, allow_uncertified: bool) -> float:
+def stiffest_of(law: Any, spacing: float, allow_uncertified: bool) -> float:
     """The stiffest wave of a law of tensors, which is for one spacing and needs its proof."""
+    offered(law, "stiffest_wave", "critical_time_step", "a linear solid or a crystal")
     stencil_of(law, spacing, "critical_time_step")
     if not (allow_uncertified or (law.certificate or law.certified().certificate).holds):
         raise InputError("material: expected one whose certificate holds; waves may grow")
@@ -277,11 +244,9 @@ def started(
         signal = None if signal is None else read("signal", signal, float, (steps + 1,))
     allowed = bool(getattr(operator, "allowed", False))
     with shared_by(nodes.comm), quietly(allowed):  # the operator says it once
-        if own := getattr(operator, "stiffest_wave", None):  # stiffer than the even solid
-            longest = float(2 * np.sqrt(inertia(density, operator.model.units) / own()))
-        else:
-            how: Any = {"spacing": points.spacing, "allow_uncertified": allowed}
-            longest = critical_time_step(operator.model, density=density, **how)
+        own = getattr(operator, "stiffest_wave", None)  # of more than its model
+        stiffest = own() if own else stiffest_of(operator.model, points.spacing, allowed)
+    longest = float(2 * np.sqrt(inertia(density, operator.model.units) / stiffest))
     if step > longest:
         raise InputError(
             f"step: expected at most {longest:.6g} ps (2/ω of the stiffest wave), got {step:.6g} "
