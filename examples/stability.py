@@ -142,7 +142,7 @@ def short_horizon() -> Case:
     ratios, x = np.linspace(1, 4, 31), wp.damage.rectangle(9, 9, 1.0)
     r = np.hypot(*x.T)
     families = [x[(r > 0) & (r < ratio + 1e-9)] for ratio in ratios]
-    off = [family_weights(xi[None], ratio)[1][0] for xi, ratio in zip(families, ratios)]
+    off = [family_weights(xi, ratio)[1] for xi, ratio in zip(families, ratios)]
     said = said_by(lambda: solid(horizon=1.9).stencil(1.0))
     return Case(
         "a short horizon", ratios, "horizon / spacing", "misfit of weights", {"lattice": off}, said

@@ -1,6 +1,5 @@
 """What a person sees of a material or of data: constants with units, errors, what is proven."""
 
-import importlib.util
 from dataclasses import replace
 
 import numpy as np
@@ -53,19 +52,3 @@ def test_data_show_their_size():
     data = wp.Dataset({"train": samples(), "test": samples()}, 3.35, 2200.0)
     assert "train      2 samples on nodes: 256" in repr(data)
     assert "3.35 Å" in data._repr_html_()
-
-
-@pytest.mark.skipif(importlib.util.find_spec("xarray") is not None, reason="xarray is there")
-def test_without_xarray_the_extra_is_named():
-    with pytest.raises(wp.InputError, match=r"pip install 'warp_peri\[view\]'"):
-        samples().to_xarray()
-
-
-def test_samples_for_xarray():
-    pytest.importorskip("xarray")
-    made = samples()
-    table = made.to_xarray()
-    assert table["u"].dims == ("sample", "node", "component")
-    assert table["b"].attrs["units"] == "TPa/angstrom"
-    assert np.array_equal(table["u"].values, made.u)
-    assert np.array_equal(table["interior"].values, made.interior)

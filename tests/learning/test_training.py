@@ -216,7 +216,7 @@ def test_rows_that_depart_from_the_operator_are_caught(monkeypatch):
         ({"horizon": 0.5}, r"horizon: expected at least one spacing \(1.0\), got 0.5"),
         ({"horizon": np.nan}, "horizon: expected at least one spacing"),
         ({"horizon": 1.5}, "no weights are exact for a family of 8 bonds"),
-        ({"horizon": 3.0}, "twice the horizon: .* the largest that fits is"),
+        ({"horizon": 3.0}, "twice the horizon: .* Å fits"),
         ({"method": "best"}, r"method: expected Optimum\(…\), TwoStage\(…\) or .* got 'best'"),
         ({"conditions": "paper"}, r"conditions: expected Conditions\(…\), got 'paper'"),
         ({"kernel": 10}, "expected an InfluenceFunction or a list of them"),

@@ -193,39 +193,40 @@ def save_dataset(
         dataset = dataclasses.replace(dataset, sets=sets)
     length, stress = dataset.units
     provenance = _written(dataset.provenance)
+    attributes = {
+        "format": FORMAT,
+        "version": VERSION,
+        "length_unit": length,
+        "stress_unit": stress,
+    }
+    attributes |= {"thickness": float(dataset.thickness), "density": float(dataset.density)}
+    attributes |= {"provenance": provenance, "sha256": content_hash(dataset)}
     with (
         whole_file(path) as temporary,
         h5py.File(temporary, "w", libver=LAYOUT, locking=False) as file,
     ):
-        names = {"format": FORMAT, "length_unit": length, "stress_unit": stress}
-        for key, text in names.items():
-            file.attrs[key] = _fixed(text)
-        file.attrs["version"] = VERSION
-        file.attrs["thickness"] = float(dataset.thickness)
-        file.attrs["density"] = float(dataset.density)
-        file.attrs["provenance"] = _fixed(provenance)
-        for name, points in dataset.sets.items():
+        _write(file.attrs, attributes)
+        for name, samples in dataset.sets.items():
             group = file.create_group(name)
-            group.attrs["spacing"] = float(points.spacing)
-            if points.box is not None:
-                group.attrs["box"] = np.asarray(points.box, dtype=float)
-            if points.axis is not None:
-                group.attrs["axis"] = points.axis
-            for key, value in _arrays(points).items():
-                group[key] = _fixed(value) if value.dtype.kind in "USO" else value
-        file.attrs["sha256"] = _fixed(content_hash(dataset))
+            said = {key: getattr(samples, key) for key in ("spacing", "box", "axis")}
+            _write(group.attrs, said)
+            _write(group, _arrays(samples))
 
 
-def _arrays(points: Samples) -> dict[str, np.ndarray]:
-    """Everything in a set that is an array, by its name in the file; what is not known is not."""
-    fields = {key: getattr(points, key) for key in FIELDS if getattr(points, key) is not None}
-    return fields | {key: np.asarray(value) for key, value in points.arrays.items()}
+def _write(place: Any, values: Mapping[str, Any]) -> None:
+    """Arrays or attributes of a file, but those that are None; text as UTF-8 of fixed length."""
+    for key, value in values.items():
+        if value is not None:
+            value = np.asarray(value)
+            if value.dtype.kind in "USO":
+                value = np.char.encode(value.astype(str), "utf-8", "surrogatepass")
+                value = value.astype(h5py.string_dtype("utf-8", max(1, value.dtype.itemsize)))
+            place[key] = value
 
 
-def _fixed(text: str | np.ndarray) -> np.ndarray:
-    """Text as UTF-8 of fixed length."""
-    encoded = np.char.encode(np.asarray(text).astype(str), "utf-8", "surrogatepass")
-    return encoded.astype(h5py.string_dtype("utf-8", max(1, encoded.dtype.itemsize)))
+def _arrays(samples: Samples) -> dict[str, Any]:
+    """Everything in a set that is an array, by its name in the file."""
+    return {key: getattr(samples, key) for key in FIELDS} | samples.arrays
 
 
 def content_hash(dataset: Dataset) -> str:
@@ -247,9 +248,8 @@ def content_hash(dataset: Dataset) -> str:
             add(repr(tuple(map(float, points.box))).encode())
         if points.axis is not None:
             add(b"axis", repr(points.axis).encode())
-        arrays = _arrays(points)
-        for key in sorted(arrays):
-            value = arrays[key]
+        arrays = {k: np.asarray(v) for k, v in _arrays(points).items() if v is not None}
+        for key, value in sorted(arrays.items()):
             if value.dtype.kind in "USO":
                 kind, content = "text", [str(item).encode() for item in value.astype(str).flat]
             else:

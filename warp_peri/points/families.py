@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import bisect
 import math
 from dataclasses import dataclass, field
 from functools import lru_cache
 
 import numpy as np
 import warp as wp
-from scipy.ndimage import binary_dilation, distance_transform_edt
+from scipy.ndimage import distance_transform_edt
 
 from warp_peri.errors import InputError
 from warp_peri.kernels import neighbours as kernels
@@ -106,10 +105,11 @@ class Families:
         return self.lattice
 
 
+@lru_cache(maxsize=64)
 def bond_classes(
     spacing: float, horizon: float, *, degree: int = DEGREE, dimension: int = 2
 ) -> BondClasses:
-    """Bonds, orbits and weights of the full family on a square or cubic lattice.
+    """Bonds, orbits and weights of the full family on a square or cubic lattice, made once.
 
     Args:
         spacing: lattice spacing h [Å].
@@ -119,14 +119,6 @@ def bond_classes(
 
     Raises InputError when the horizon is below one spacing or the weights do not exist.
     """
-    kept = _bond_classes(float(spacing), float(horizon), degree, dimension)
-    arrays = (kept.steps, kept.bond_class, kept.r, kept.weight)
-    return BondClasses(kept.spacing, kept.horizon, *(array.copy() for array in arrays))
-
-
-@lru_cache(maxsize=64)
-def _bond_classes(spacing: float, horizon: float, degree: int, dimension: int) -> BondClasses:
-    """`bond_classes`, kept: the weights take a decomposition of all bonds."""
     if not (np.isfinite(spacing) and spacing > 0):
         raise InputError(f"spacing: expected a lattice spacing > 0, got {spacing}")
     if not (np.isfinite(horizon) and horizon >= spacing):
@@ -136,7 +128,7 @@ def _bond_classes(spacing: float, horizon: float, degree: int, dimension: int) -
         raise InputError(
             f"horizon: expected at most {most} spacings ({most * spacing:g}), got {horizon}"
         )
-    longest = squared_reach(horizon / spacing)
+    longest = math.floor((horizon / spacing * (1 + 2 * HORIZON_TOLERANCE)) ** 2)
     reach = math.isqrt(longest)
     steps = np.indices(dimension * (2 * reach + 1,)).reshape(dimension, -1).T - reach
     square = (steps**2).sum(axis=1)
@@ -176,37 +168,40 @@ def families_of(
     classes: BondClasses | None = None
     if points.spacing > 0:  # one pattern of bonds for all nodes
         classes = bond_classes(points.spacing, horizon, degree=degree, dimension=x.shape[1])
-        grid, axes, table, lacking = _lattice_table(points, classes)
-        row = np.arange(len(x) + 1, dtype=np.int64) * len(classes.steps)
-        neighbour = table.reshape(-1)
+        table, axes = _lattice_table(points, classes)
+        lacking = np.asarray((table < 0).any(axis=1))
+        row, neighbour = np.arange(len(x) + 1) * len(classes.steps), table.reshape(-1)
+        if row[-1] >= 2**31:
+            raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
+        row = row.astype(np.int32)
     else:  # bonds, and weights of their own for each family
-        row, neighbour, r = scattered.neighbours(x, horizon * (1 + HORIZON_TOLERANCE), points.box)
-        scattered.refuse_alone(row)
-        reverse = scattered.reverse_bonds(row, neighbour)
+        reach = horizon * (1 + HORIZON_TOLERANCE)
+        row, neighbour, r, reverse = scattered.neighbours(x, reach, points.box)
         lacking = np.zeros(len(x), bool)
         if points.box is None:
-            lacking[scattered.cut_balls(x, horizon, len(neighbour))] = True
-    if row[-1] >= 2**31:
-        raise InputError(f"points: {row[-1]} bonds are more than can be numbered (2³¹)")
-    row, has_broken = row.astype(np.int32), np.zeros(len(x), bool)
+            lacking = scattered.cut_balls(x, horizon, len(neighbour))
+    ends, has_broken = neighbour, np.zeros(len(x), bool)
     if outside is not None:
         has_broken = _any_neighbour(row, neighbour, outside) & ~outside
-        _break(row, neighbour, outside)
+        across = (neighbour >= 0) & (outside[neighbour] != np.repeat(outside, np.diff(row)))
+        neighbour = np.where(across, -1 - neighbour, neighbour)
     needed = interior if bond_based else interior | _any_neighbour(row, neighbour, interior)
     if (lacking & needed).any():
         short = lacking if bond_based else lacking | _any_neighbour(row, neighbour, lacking)
-        fits = ""
+        length, fits = symbols(nodes_of(points).units)[0], ""
         if classes is not None and not bond_based:
-            fits = f"; {_largest_horizon(grid, interior, points.spacing, _unit(points))}"
+            steps = math.floor(100 * carried_horizon(points) / points.spacing) / 100
+            fits = f"; {steps * points.spacing:g} {length} fits"
+            if steps < 2:
+                fits = f"; no horizon of two spacings or more fits. {AT_EDGES}"
         raise InputError(
             f"{BOND_COLLAR if bond_based else COLLAR}: {np.count_nonzero(short & interior)} of "
-            f"{np.count_nonzero(interior)} have not at horizon {horizon:g} {_unit(points)}{fits} "
+            f"{np.count_nonzero(interior)} have not at horizon {horizon:g} {length}{fits} "
             f"(nodes {scattered.listed(np.flatnonzero(short & interior))})"
         )
     whole, cut = np.flatnonzero(needed & ~has_broken), np.flatnonzero(needed & has_broken)
     nodes = np.flatnonzero(interior), whole, cut
     if classes is None:
-        ends = np.where(neighbour < 0, -1 - neighbour, neighbour)
         some = np.flatnonzero(needed)
         weight = scattered.weights(x, some, row, ends, points.box, horizon, degree)
         return Families(row, neighbour, reverse, r, weight, *nodes)
@@ -217,33 +212,21 @@ def families_of(
     return Families(row, neighbour, reverse, *tables)
 
 
-def squared_reach(ratio: float) -> int:
-    """Largest squared length, in steps, of a lattice's bonds at a horizon of `ratio` spacings."""
-    return math.floor((ratio * (1 + 2 * HORIZON_TOLERANCE)) ** 2)
-
-
-def _lattice_table(
-    points: PointsLike, classes: BondClasses
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Lattice steps of the nodes, axes, the node at each bond's end [N, B], who lacks some."""
+def _lattice_table(points: PointsLike, classes: BondClasses) -> tuple[np.ndarray, np.ndarray]:
+    """The node at each bond's end [N, B], −1 where there is none, and the lattice's axes."""
     h, box, size = classes.spacing, points.box, None
     grid, axes = nodes_of(points).lattice
-    reach = int(np.abs(classes.steps).max())
-    d = len(axes)
     if box is not None:
+        d, least = len(axes), 2 * int(np.abs(classes.steps).max())
         if not np.array_equal(axes, np.eye(d)):
             raise InputError("box: expected a lattice along the axes, got a rotated one")
-        fits = np.shape(box) == (d,) and np.isfinite(box).all()
-        size = np.rint(np.divide(box, h)).astype(np.int32) if fits else np.zeros(d, np.int32)
-        if not fits or np.abs(size * h - box).max() > 1e-6 * h or (size <= 2 * reach).any():
-            several = "two" if d == 2 else "three"
+        size = np.rint(np.divide(box, h)).astype(np.int32)
+        if np.abs(size * h - box).max() > 1e-6 * h or (size <= least).any():
             raise InputError(
-                f"box: expected {several} whole multiples of {h} above {2 * reach * h} "
-                f"{_unit(points)}, got {box}"
+                f"box: expected {('two', 'three')[d - 2]} whole multiples of {h} above "
+                f"{least * h} {symbols(nodes_of(points).units)[0]}, got {box}"
             )
-    table = neighbour_table(grid, classes.steps, size)
-    lacking = np.asarray(np.any(table < 0, axis=1))
-    return grid, axes, table, lacking
+    return neighbour_table(grid, classes.steps, size), axes
 
 
 def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> np.ndarray:
@@ -254,43 +237,6 @@ def _any_neighbour(row: np.ndarray, neighbour: np.ndarray, flag: np.ndarray) -> 
     )
     flagged: np.ndarray = reached.numpy() > 0
     return flagged
-
-
-def _break(row: np.ndarray, neighbour: np.ndarray, outside: np.ndarray) -> None:
-    """Break the bonds across the surface, in place."""
-    links = (ints(row), ints(outside))
-    broken = ints(neighbour)
-    launch_slices(kernels.break_bonds, len(outside), links, (broken,))
-    neighbour[:] = broken.numpy()
-
-
-def _unit(points: PointsLike) -> str:
-    """The unit of length of points, as it is printed."""
-    return symbols(nodes_of(points).units)[0]
-
-
-def _largest_horizon(grid: np.ndarray, interior: np.ndarray, spacing: float, unit: str) -> str:
-    """Say what horizon the collar would carry, of those for which there are quadrature weights."""
-    size = grid.max(0) - grid.min(0) + 1
-    present: np.ndarray = np.zeros(size, bool)
-    asked: np.ndarray = np.zeros(size, bool)
-    present[tuple((grid - grid.min(0)).T)] = True
-    asked[tuple((grid[interior] - grid.min(0)).T)] = True
-    reach = min(present.shape) // 4 + 1  # twice this leaves any node of the set
-    steps = np.indices(len(size) * (2 * reach + 1,)) - float(reach)
-    length = np.hypot.reduce(steps, axis=0)
-    present, asked = np.pad(present, 2 * reach), np.pad(asked, 2 * reach)
-
-    def fits(horizon: float) -> bool:
-        ball = length**2 < squared_reach(horizon) + 0.5
-        needed = binary_dilation(binary_dilation(asked, ball), ball)
-        return not (needed & ~present).any()
-
-    candidates = np.unique(length[(length >= 2) & (length <= reach)])
-    number = bisect.bisect_left(candidates, True, key=lambda horizon: not fits(horizon))
-    if number == 0:
-        return f"no horizon of two spacings or more fits. {AT_EDGES}"
-    return f"the largest that fits is {candidates[number - 1] * spacing:g} {unit}"
 
 
 def carried_horizon(points: PointsLike) -> float:

@@ -240,17 +240,8 @@ def _axes(x: np.ndarray, h: float, unit: str) -> np.ndarray:
     step = step[np.linalg.norm(step, axis=1) > 0.5]
     if not len(step):
         raise InputError(SPARSE.format(SHAPES[x.shape[1]], h, unit))
-    frame = [step[0] / np.linalg.norm(step[0])]
-    if x.shape[1] == 2:
-        frame.append(np.array([-frame[0][1], frame[0][0]]))
-    else:
-        across = step[np.abs(step @ frame[0]) < 0.1]
-        if not len(across):
-            raise InputError("points: expected a cubic lattice, got nodes along one line")
-        second = across[0] - (across[0] @ frame[0]) * frame[0]
-        frame.append(second / np.linalg.norm(second))
-        frame.append(np.cross(*frame))
-    d, columns = len(frame), np.stack(frame, axis=1)
+    d, across = x.shape[1], step[np.abs(step @ step[0]) < 0.1][:1]
+    columns = np.linalg.qr(np.concatenate([step[:1], across, np.eye(d)]).T)[0]
     orders, signs = itertools.permutations(range(d)), itertools.product((1, -1), repeat=d)
     turns = [columns[:, order] * sign for order, sign in itertools.product(orders, signs)]
     axes: np.ndarray = max(turns, key=np.trace)

@@ -9,7 +9,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from scipy.spatial import cKDTree
 
-from warp_peri.errors import InputError, optional, warn
+from warp_peri.errors import InputError, warn
 from warp_peri.points.arrays import as_array, check_mapping, checked, is_name
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import symbols
@@ -114,25 +114,6 @@ class Samples(Shown):
             largest = np.abs(self.b[:, self.interior]).max(initial=0.0)
             known = f"up to {largest:.3g} {stress}/{length}"
         return [*rows, ("b", known), *((name, "by sample") for name in self.arrays)]
-
-    def to_xarray(self) -> Any:
-        """u, b and the other arrays as an xarray.Dataset over sample, node and component.
-
-        Positions and the interior are coordinates, units are attributes. Raises InputError without
-        xarray.
-        """
-        xarray = optional("xarray", "xarray is not installed: pip install 'warp_peri[view]'")
-        length, stress = self.points.units
-        fields = ("sample", "node", "component")
-        held: dict[str, Any] = {"u": (fields, self.u, {"units": length})}
-        if self.b is not None:
-            held["b"] = (fields, self.b, {"units": f"{stress}/{length}"})
-        for name, values in self.arrays.items():
-            axes = ("sample", *(f"{name}_{axis}" for axis in range(1, np.ndim(values))))
-            held[name] = (axes, values)
-        places: dict[str, Any] = {"x": (("node", "component"), self.x, {"units": length})}
-        places["interior"] = ("node", self.interior)
-        return xarray.Dataset(held, coords=places, attrs={"spacing": self.spacing})
 
 
 def part(samples: Samples, which: Any) -> Samples:
