@@ -21,10 +21,9 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add("only", nargs="*", help="parts of problems' names, or statics, cracks, motion")
     parser.add("--scale", action="store_true", help="in mm and Å too, moduli × 1e6 and × 1e-6")
     parser.add("--processes", type=int, default=2, help="number of processes")
-    parser.add("--out", type=Path, help="folder for a picture of each problem")
     parser.add("--page", type=Path, help="file for the page; all rows as data go beside it")
     given = parser.parse_args(arguments)
-    lines = verified(given.only, scaled=given.scale, out=given.out, processes=given.processes)
+    lines = verified(given.only, scaled=given.scale, processes=given.processes)
     if given.page is not None:
         data = given.page.with_suffix(".csv")
         write_text(given.page, page(lines, data.name))

@@ -68,8 +68,7 @@ def wave(name: str, s: UnitScale, length: int, *, local: bool = False) -> Outcom
     how: dict[str, Any] = {"density": DENSITY, "step": step, "steps": steps, "record": [node]}
     run = move(law, Dirichlet(points, None, u), **how)
     swing = run["u"][:, 0, 0] / s.length
-    told: dict[str, Any] = {"x": run.time, "shown": swing, "label": "u_x at a crest [m]"}
-    return Outcome(frequency(run.time, swing) / omega, **told)
+    return Outcome(frequency(run.time, swing) / omega)
 
 
 def bar(name: str, s: UnitScale, *, twist: bool = False) -> Outcome:
@@ -137,8 +136,7 @@ def swung(
     problem = Dirichlet(body.points, None, h * u)
     run = move(body, problem, density=DENSITY, step=step, steps=steps, record=[node])
     swing = run["u"][:, 0, axis]
-    told: dict[str, Any] = {"x": run.time, "shown": swing / h, "label": "u of a node [m]"}
-    return Outcome(frequency(run.time, swing) / omega, **told)
+    return Outcome(frequency(run.time, swing) / omega)
 
 
 def kept(name: str, s: UnitScale) -> Outcome:
@@ -151,12 +149,7 @@ def kept(name: str, s: UnitScale) -> Outcome:
     v = (v - v.mean(axis=0) + 1e-7 * s.length) / step
     run = move(law, Dirichlet(points, None, u), v=v, **how)
     lost = np.linalg.norm((run.v - v).sum(axis=0)) / np.linalg.norm(v, axis=1).sum()
-    told: dict[str, Any] = {
-        "x": run.time,
-        "shown": run.energy / run.energy[0],
-        "label": "energy over its start",
-    }
-    return Outcome(max(float(lost), run.drift), **told)
+    return Outcome(max(float(lost), run.drift))
 
 
 def glass_plate(
@@ -177,8 +170,8 @@ GLASS = {"LPS": 0.22, "bond-based": 1 / 3}
 """ν of glass."""
 
 
-def crack_speed(name: str, s: UnitScale, cells: int) -> tuple[float, np.ndarray, np.ndarray]:
-    """Speed over Rayleigh's of a crack in pulled glass, 10 to 30 mm after its start; nodes, damage.
+def crack_speed(name: str, s: UnitScale, cells: int) -> float:
+    """Speed over Rayleigh's of a crack in pulled glass, 10 to 30 mm after its start.
 
     NaN of a crack that does not come so far.
     """
@@ -196,7 +189,7 @@ def crack_speed(name: str, s: UnitScale, cells: int) -> tuple[float, np.ndarray,
     far = run["tip"].max() >= 0.03
     fast = np.polyfit(run.time[runs], run["tip"][runs] * s.length, 1)[0] if far else np.nan
     shear = np.sqrt(s.stiffness * E / 2 / (1 + nu) / glass.inertia)
-    return float(fast * (1 + nu) / (0.862 + 1.14 * nu) / shear), x, run.details.damage
+    return float(fast * (1 + nu) / (0.862 + 1.14 * nu) / shear)
 
 
 def faster(name: str, s: UnitScale, *, finer: bool = False) -> Outcome:
@@ -204,12 +197,11 @@ def faster(name: str, s: UnitScale, *, finer: bool = False) -> Outcome:
 
     Or, finer, the difference of its speeds at the two finest, over the last.
     """
-    found = [crack_speed(name, s, cells) for cells in (100, 140, 200)]
-    speeds, (_, x, damage) = np.array([one[0] for one in found]), found[-1]
+    speeds = np.array([crack_speed(name, s, cells) for cells in (100, 140, 200)])
     told = ", ".join(f"{speed:.3f}" for speed in speeds)
     note = f"it runs at {told} of Rayleigh's speed at spacings of 1, 0.71 and 0.5 mm"
     value = abs(speeds[1] / speeds[2] - 1) if finer else np.maximum(0, speeds - 1).max()
-    return Outcome(float(value), None, x, damage, "share of broken bonds", note)
+    return Outcome(float(value), note=note)
 
 
 def branches(name: str, s: UnitScale, cells: int = 200) -> Outcome:
@@ -227,7 +219,7 @@ def branches(name: str, s: UnitScale, cells: int = 200) -> Outcome:
 
     split = next((at for at in np.unique(x[:, 0]) if at > 0 and cracks(at) > 1), np.nan)
     note = f"it branches {1e3 * split + 50:.0f} mm from the left"
-    return Outcome(float(cracks(0.04)), None, x, damage, "share of broken bonds", note)
+    return Outcome(float(cracks(0.04)), note=note)
 
 
 def hit(name: str, s: UnitScale, cells: int = 200) -> Outcome:
@@ -258,7 +250,7 @@ def hit(name: str, s: UnitScale, cells: int = 200) -> Outcome:
         if up[grown].max(initial=0.0) < 0.025:
             raise InputError("hit: expected cracks from both notches")
         rises.append(float(np.arctan(1 / np.polyfit(up[grown], x[grown, 0], 1)[0])))
-    return Outcome(float(np.degrees(np.mean(rises))), None, x, damage, "share of broken bonds")
+    return Outcome(float(np.degrees(np.mean(rises))))
 
 
 def torn(name: str, s: UnitScale) -> tuple[np.ndarray, np.ndarray]:
@@ -287,8 +279,7 @@ def threads(name: str, s: UnitScale, *, ranks: bool = False) -> Outcome:
     (one, broken), (other, _) = found
     if not 0 < broken.mean() < 1:
         raise InputError(f"threads: expected a plate that breaks, {broken.mean():.0%} of it did")
-    shown: dict[str, Any] = {"x": rectangle(60.0, 60.0, 1.0), "shown": broken}
-    return Outcome(float(np.mean(one != other)), **shown, label="share of broken bonds")
+    return Outcome(float(np.mean(one != other)))
 
 
 ON_A_RANK = """\

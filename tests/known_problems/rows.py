@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial import cKDTree
 from tqdm import tqdm
 
 from tests.known_problems import cracks, motion, statics
@@ -111,13 +110,12 @@ def chosen(only: Sequence[str] = ()) -> list[Row]:
     return [one for one in ROWS if not only or any(word in one.words for word in wanted)]
 
 
-def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line:
+def measured(one: Row, *, scaled: bool = False) -> Line:
     """A row's line: its answer, error and order, seconds, and whether it holds.
 
     Args:
         one: the row.
         scaled: pose it in other units and with other moduli too.
-        out: folder for a picture.
     """
     told = ("name", "problem", "material", "reference", "source", "allowed", "least", "misses")
     line: Line = {name: getattr(one, name) for name in told}
@@ -141,35 +139,28 @@ def measured(one: Row, *, scaled: bool = False, out: Path | None = None) -> Line
     if scaled:
         line["scaled"] = float(max(abs(other - found.value) / size for other in others))
         holds = holds and line["scaled"] <= SAME
-    if out is not None and found.x is not None:
-        draw(one, found, out)
     line |= {"answer": float(found.value), "error": float(error), "order": found.order}
     line["seconds"] = round(time.perf_counter() - begin, 2)
     return line | {"holds": bool(holds), "note": found.note if holds else one.misses or found.note}
 
 
-def _numbered(number: int, scaled: bool, out: Path | None) -> Line:
-    return measured(ROWS[number], scaled=scaled, out=out)
+def _numbered(number: int, scaled: bool) -> Line:
+    return measured(ROWS[number], scaled=scaled)
 
 
-def verified(
-    only: Sequence[str] = (), *, scaled: bool = False, out: Path | None = None, processes: int = 2
-) -> list[Line]:
+def verified(only: Sequence[str] = (), *, scaled: bool = False, processes: int = 2) -> list[Line]:
     """Lines of the rows that are chosen, in their order, by some processes at once.
 
     Args:
         only: parts of names, as of `chosen`.
         scaled: as of `measured`.
-        out: folder for pictures.
         processes: that share the rows.
     """
     rows = chosen(only)
-    if out is not None:
-        out.mkdir(parents=True, exist_ok=True)
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(processes, spawn, set_threads, (1,)) as pool:
         numbers = [ROWS.index(one) for one in rows]
-        found = pool.map(partial(_numbered, scaled=scaled, out=out), numbers)
+        found = pool.map(partial(_numbered, scaled=scaled), numbers)
         lines = list(tqdm(found, total=len(rows), unit="row"))
     return lines
 
@@ -242,34 +233,3 @@ def as_csv(lines: Sequence[Line]) -> str:
     writer.writeheader()
     writer.writerows(lines)
     return text.getvalue()
-
-
-def draw(one: Row, found: Outcome, out: Path) -> None:
-    """A picture of an answer: over time, or in the plane, of the nodes nearest to the viewer."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5, 4), layout="constrained")
-    ax, x, shown = figure.add_subplot(), np.asarray(found.x), np.asarray(found.shown)
-    most, quantity = np.argmax(shown), found.label.split(" [")[0]
-    if x.ndim == 1:
-        where = f"{x[most] / x.max():.2g}"
-        ax.plot(x / x.max(), shown, lw=1)
-        ax.set(xlabel="time over that of the run", ylabel=found.label)
-    else:
-        low, high = x[:, :2].min(axis=0), x[:, :2].max(axis=0)
-        front = x[:, 2] >= np.quantile(x[:, 2], 0.8) if x.shape[1] == 3 else np.ones(len(x), bool)
-        axes = [np.linspace(a, b, 400) for a, b in zip(low, high)]
-        places = np.stack(np.meshgrid(*axes), axis=-1)
-        tree = cKDTree(x[front, :2])
-        away, at = tree.query(places)
-        apart = tree.query(x[front, :2], 4)[0][:, -1]
-        values = np.where(away < apart[at], shown[front][at], np.nan)
-        limits = dict(zip(("vmin", "vmax"), np.quantile(shown, (0.002, 0.998))))
-        box: Any = (low[0], high[0], low[1], high[1])
-        drawn = ax.imshow(values, origin="lower", extent=box, **limits)
-        where = f"x = {x[most, 0]:.3g}, y = {x[most, 1]:.3g} m"
-        ax.set(xlabel="x [m]", ylabel="y [m]")
-        figure.colorbar(drawn, ax=ax, label=found.label)
-    ax.set_title(f"{one.name}:\n{quantity} is largest at {where}", fontsize="medium")
-    name = "".join(c if c.isalnum() else "_" for c in one.name.lower())
-    figure.savefig(out / f"{name}.png", dpi=110)

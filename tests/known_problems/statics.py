@@ -60,15 +60,11 @@ class Outcome:
     Attributes:
         value: to be held against the reference.
         order: fitted order of convergence; None where none was measured.
-        x, shown, label: of the picture, places [n, d] with values [n], or a line where d is 1.
         note: what else has to be known.
     """
 
     value: float
     order: float | None = None
-    x: np.ndarray | None = None
-    shown: np.ndarray | None = None
-    label: str = ""
     note: str = ""
 
 
@@ -240,11 +236,9 @@ def times(level: float, *counts: int) -> list[int]:
     return [2 * round(level * count / 2) for count in counts]
 
 
-def seen(found: BodySolution, s: UnitScale, a: int = 1) -> dict[str, Any]:
-    """A picture of σ_aa [MPa] at the corners, and whether elements were alone."""
-    stress = found.on_corners()[1][:, a, a] / s.stiffness
-    told = {"x": found.rim.mesh.x / s.length, "shown": stress, "label": f"σ_{2 * 'xyz'[a]} [MPa]"}
-    return told | ({"note": ALONE} if found.points is None else {})
+def outcome(found: BodySolution, value: float, power: float | None = None) -> Outcome:
+    """A value of a body, which says where elements were alone."""
+    return Outcome(value, power, ALONE if found.points is None else "")
 
 
 NEARLY = 0.49
@@ -294,8 +288,8 @@ def sheet(n: int, s: UnitScale, *, angle: float = 0.0, jitter: float = 0.0, d: i
 
 def given(
     law: Any, points: Points, exact: Place, load: Place, s: UnitScale, solver: Any = None
-) -> tuple[float, dict[str, Any]]:
-    """Error of a solve between given displacements [m] under a load [MPa/m], and its picture."""
+) -> float:
+    """Error of a solve between given displacements [m] under a load [MPa/m]."""
     x, inside = points.x / s.length, points.interior
     right, b = exact(x), load(x) * s.stiffness / s.length
     off_lattice: dict[str, Any] = {} if points.spacing else {"allow_uncertified": True}
@@ -303,8 +297,7 @@ def given(
         warnings.filterwarnings("ignore", message="spacing: the model is certified")
         u = solve(law, Dirichlet(points, b, s.length * right), solver=solver, **off_lattice).u
     u = u / s.length
-    error = np.linalg.norm((u - right)[inside]) / np.linalg.norm(right[inside])
-    return float(error), {"x": x[inside], "shown": u[inside, 0], "label": "u_x [m]"}
+    return float(np.linalg.norm((u - right)[inside]) / np.linalg.norm(right[inside]))
 
 
 def uniform(x: np.ndarray) -> np.ndarray:
@@ -320,8 +313,8 @@ def patch(name: str, s: UnitScale, **how: Any) -> Outcome:
     points, law = sheet(n, s, **how), material(name, C, 1 / n, s)
     solver: Any = Direct() if type(law) is Model else Krylov(tolerance=1e-13)
     solver = {"third order": Newton(tolerance=1e-13), "sheet energy": None}.get(name, solver)
-    error, shown = given(law, points, uniform, np.zeros_like, s, solver if points.spacing else None)
-    return Outcome(error, **shown)
+    solver = solver if points.spacing else None
+    return Outcome(given(law, points, uniform, np.zeros_like, s, solver))
 
 
 WAVES = np.array([[2.0, 1.0], [-1.0, 2.5], [0.5, -2.0]])
@@ -339,9 +332,8 @@ def smooth(name: str, s: UnitScale) -> Outcome:
     for n in counts:
         law, on = material(name, C, 1 / n, s), sheet(n, s)
         waves, load = (lambda x, a=a: np.sin(x @ WAVES.T + 0.3) @ a for a in (SIZES, pulls))
-        error, shown = given(law, on, waves, load, s)
-        errors.append(error)
-    return Outcome(errors[-1], -order(counts, errors), **shown)
+        errors.append(given(law, on, waves, load, s))
+    return Outcome(errors[-1], -order(counts, errors))
 
 
 def patch_body(name: str, s: UnitScale) -> Outcome:
@@ -349,7 +341,7 @@ def patch_body(name: str, s: UnitScale) -> Outcome:
     stress = np.einsum("ijkl,kl->ij", THIRD, uniform(np.eye(2)).T)
     pulls = dict.fromkeys((*SIDES, "hole"), lambda x, n: n @ stress)
     found = posed(material(name, THIRD, 0.1, s), quarter(0.6, s), s, {"side": uniform}, pulls)
-    return Outcome(off(found, uniform, s), **seen(found, s))
+    return outcome(found, off(found, uniform, s))
 
 
 def quarter(level: float, s: UnitScale) -> Any:
@@ -374,7 +366,7 @@ def hole(name: str, s: UnitScale, *, cubic: bool = False) -> Outcome:
         return posed(law, quarter(level, s), s, {"side": exact} | rollers(), level=level)
 
     power, found = refined(pose, exact, s)
-    return Outcome(near(found, (0, 1), s)[1][0, 0], power, **seen(found, s, 0))
+    return outcome(found, near(found, (0, 1), s)[1][0, 0], power)
 
 
 def half_plane(name: str, s: UnitScale) -> Outcome:
@@ -402,7 +394,7 @@ def half_plane(name: str, s: UnitScale) -> Outcome:
 
     power, found = refined(pose, exact, s)
     told = 2 * float((k**2 * size).sum().real)
-    return Outcome(near(found, (0, 0), s)[1][0, 0] / told, power, **seen(found, s, 0))
+    return outcome(found, near(found, (0, 0), s)[1][0, 0] / told, power)
 
 
 def cook(name: str, s: UnitScale, nu: float, strain: bool = False) -> Outcome:
@@ -416,7 +408,7 @@ def cook(name: str, s: UnitScale, nu: float, strain: bool = False) -> Outcome:
     mesh = mapped(s, ((40, 40), place, ("held", "end", "", "")))
     found = posed(law, mesh, s, {"held": (0, 0)}, {"end": (0, 1 / 16)})
     end = s.length * (1 - 1e-12) * np.array([[48.0, 52.0]])
-    return Outcome(found.displacement(end)[0, 1] / s.length, **seen(found, s, 0))
+    return outcome(found, found.displacement(end)[0, 1] / s.length)
 
 
 def cantilever(name: str, s: UnitScale) -> Outcome:
@@ -440,7 +432,7 @@ def cantilever(name: str, s: UnitScale) -> Outcome:
 
     power, found = refined(pose, exact, s)
     tip = near(found, (far, 0), s)[0][1] / exact(np.array([[far, 0.0]]))[0, 1]
-    return Outcome(tip, power, **seen(found, s, 0))
+    return outcome(found, tip, power)
 
 
 def cylinder(name: str, s: UnitScale, nu: float, *, stress: bool = False) -> Outcome:
@@ -462,7 +454,7 @@ def cylinder(name: str, s: UnitScale, nu: float, *, stress: bool = False) -> Out
 
     power, found = (None, pose(1.0)) if stress else refined(pose, exact, s)
     u, hoop = near(found, (3, 0), s)
-    return Outcome(hoop[1, 1] if stress else u[0], power, **seen(found, s))
+    return outcome(found, hoop[1, 1] if stress else u[0], power)
 
 
 def cavity(name: str, s: UnitScale) -> Outcome:
@@ -491,9 +483,7 @@ def cavity(name: str, s: UnitScale) -> Outcome:
 
     power, found = refined(pose, exact, s, LEVELS[:-1])
     one = np.array([[1.0, 0.0, 0.0]])
-    return Outcome(
-        near(found, one[0].tolist(), s)[0][0] / exact(one)[0, 0], power, **seen(found, s)
-    )
+    return outcome(found, near(found, one[0].tolist(), s)[0][0] / exact(one)[0, 0], power)
 
 
 def membrane(name: str, s: UnitScale) -> Outcome:
@@ -501,7 +491,7 @@ def membrane(name: str, s: UnitScale) -> Outcome:
     mesh = mapped(s, ((40, 80), ellipses, ("", "skin", *SIDES)))
     law = material(name, plane(210e3, 0.3).tensor, 0.04, s)
     found = posed(law, mesh, s, rollers(), {"skin": lambda x, n: 10 * n})
-    return Outcome(near(found, (2, 0), s)[1][1, 1], **seen(found, s))
+    return outcome(found, near(found, (2, 0), s)[1][1, 1])
 
 
 def thick_plate(name: str, s: UnitScale) -> Outcome:
@@ -517,4 +507,4 @@ def thick_plate(name: str, s: UnitScale) -> Outcome:
     mesh = mapped(s, ((6, 12, 8), place, ("", "skin", *SIDES, "", "top")))
     law = material(name, solid(210e3, 0.3), 0.05, s)
     found = posed(law, mesh, s, rollers(3) | {"skin": skin}, {"top": lambda x, n: -n})
-    return Outcome(near(found, (2, 0, 0.3), s)[1][1, 1], **seen(found, s))
+    return outcome(found, near(found, (2, 0, 0.3), s)[1][1, 1])
