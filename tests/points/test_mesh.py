@@ -1,10 +1,7 @@
 """Meshes of bodies: outlines, files, what is mended with a word and what is refused."""
 
+import contextlib
 import itertools
-import subprocess
-import sys
-from contextlib import nullcontext
-from pathlib import Path
 
 import meshio
 import numpy as np
@@ -17,7 +14,6 @@ from warp_peri.errors import InputError
 from warp_peri.points.mesh import REST, load_mesh, make_mesh, pieces
 from warp_peri.points.outlines import Circle, Polygon, Sphere, box, mesh_outline, mesh_solid
 
-ROOT = Path(__file__).parent.parent.parent
 HALVES = [[0, 1, 2], [0, 2, 3]]
 SIXTHS = []
 for order in itertools.permutations(np.eye(3, dtype=int).tolist()):
@@ -117,7 +113,10 @@ def test_cells_that_overlap_or_share_parts_of_facets_are_refused(sides, ratio, s
     if 0 < shift < 2:
         small[0][:] += 0.13e-6
     mended = pytest.warns(UserWarning, match="lie where others do")
-    with nullcontext() if 0 < shift < 2 else mended, pytest.raises(InputError, match=words):
+    with (
+        contextlib.nullcontext() if 0 < shift < 2 else mended,
+        pytest.raises(InputError, match=words),
+    ):
         body(*joined(large, small))
 
 
@@ -179,7 +178,7 @@ def test_a_file_of_second_order_keeps_the_curve(tmp_path, suffix):
     how = {"file_format": "gmsh22", "binary": False} if groups else {}
     written.write(tmp_path / f"plate.{suffix}", **how)
     lost = pytest.warns(UserWarning, match="none of the 16 lines in the file is in a group")
-    with nullcontext() if groups else lost:
+    with contextlib.nullcontext() if groups else lost:
         reread = wp.load(tmp_path / f"plate.{suffix}")
     assert len(reread.x) == len(mesh.x)
     assert set(reread.parts) == ({"hole", REST} if groups else {REST})
@@ -384,38 +383,23 @@ def test_other_formats_and_what_is_no_file_are_refused(tmp_path):
         load_mesh(tmp_path / "text.msh")
 
 
-CUT = """
-import sys, warnings
-from pathlib import Path
-from warp_peri import InputError, load
-warnings.simplefilter("ignore")
-for path in map(Path, sys.argv[1:]):
-    whole = path.read_bytes()
-    for size in range(0, len(whole), max(1, len(whole) // 60)):
-        cut = path.with_name("cut" + path.suffix)
-        cut.write_bytes(whole[:size])
-        try:
-            load(cut)
-        except InputError:
-            pass
-print("ended")
-"""
-
-
-def test_cut_files_are_read_or_refused_and_none_waits_for_ever(tmp_path):
-    file, paths = meshio.Mesh(FLAT, [("triangle", TRIANGLES)]), []
-    for form, suffix in (("gmsh22", "msh"), ("gmsh", "msh"), ("vtk", "vtk"), ("vtu", "vtu")):
-        for binary in (True, False):
-            paths.append(tmp_path / f"{form}{binary}.{suffix}")
-            file.write(paths[-1], file_format=form, binary=binary)
-    for how in ("HDF", "XML"):
-        paths.append(tmp_path / f"{how}.xdmf")
-        file.write(paths[-1], file_format="xdmf", data_format=how)
-    paths.append(tmp_path / "a.inp")
-    paths[-1].write_text(PLATE)
-    words = [sys.executable, "-c", CUT, *map(str, paths)]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
-    assert done.stdout.endswith("ended\n"), done.stderr
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("form", "how"),
+    [("gmsh22", {"binary": True}), ("gmsh", {"binary": False}), ("vtk", {"binary": True}),
+     ("vtu", {"binary": False}), ("xdmf", {"data_format": "XML"}), ("abaqus", None)],
+)  # fmt: skip
+def test_cut_files_are_read_or_refused_and_none_waits_for_ever(form, how, tmp_path):
+    suffix = {"gmsh": "msh", "gmsh22": "msh", "abaqus": "inp"}.get(form, form)
+    whole, cut = tmp_path / f"a.{suffix}", tmp_path / f"cut.{suffix}"
+    whole.write_text(PLATE)
+    if how is not None:
+        meshio.Mesh(FLAT, [("triangle", TRIANGLES)]).write(whole, file_format=form, **how)
+    content = whole.read_bytes()
+    for size in range(0, len(content), len(content) // 40):
+        cut.write_bytes(content[:size])
+        with contextlib.suppress(InputError):
+            wp.load(cut)
 
 
 @pytest.mark.parametrize("gap", [30.0, 0.0], ids=["apart", "at a corner"])
