@@ -106,15 +106,10 @@ class Pointwise(OnPoints):
         near, whole = reached(far), reached(ball)
         self._near, self._places = grid.near[near], place[near]
         self.full, self._full = grid.near[whole], place[whole]
-        size, number = asked.size, np.arange(len(self.full))
-        self._node, self._number = np.resize(self._near, size), np.resize(number, size)
-        self._node[self._places], self._number[self._full] = self._near, number
-        self._felt, self._whole = np.zeros((2, size))
-        self._felt[self._places] = self._whole[self._full] = 1.0
         sides = weights, (weights if back is None else back) / len(weights)
         into, out = (self._symbol(steps, side.transpose(2, 0, 1)) for side in sides)
         self._symbols, self._mirrored = (into, out), (into.conj(), out.conj())
-        self._size = size * d * d * len(weights)
+        self._size = asked.size * d * d * len(weights)
         self._straight = self._linear = None
         self.at_rest = torch.zeros(4 * (d,), dtype=torch.float64)
         if stencil is not None:
@@ -145,10 +140,12 @@ class Pointwise(OnPoints):
         np.add.at(field, (..., *(-steps % self._torus).T), values)
         return np.asarray(scipy.fft.rfftn(field, axes=self._axes))
 
-    def _waves(self, planes: np.ndarray) -> np.ndarray:
-        """Of planes [..., M], shape [..., *half a torus]."""
-        planes = planes.reshape(*planes.shape[:-1], *self._torus)
-        return np.asarray(scipy.fft.rfftn(planes, axes=self._axes))
+    def _waves(self, values: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Of values at some places [..., n], zero elsewhere, shape [..., *half a torus]."""
+        planes = np.zeros((*values.shape[:-1], int(np.prod(self._torus))))
+        planes[..., places] = values
+        planes = planes.reshape(*values.shape[:-1], *self._torus)
+        return np.asarray(scipy.fft.rfftn(planes, axes=self._axes, overwrite_x=True))
 
     def _planes(self, waves: np.ndarray, places: np.ndarray) -> np.ndarray:
         """At some places, shape [..., n]."""
@@ -157,7 +154,7 @@ class Pointwise(OnPoints):
 
     def _field(self, u: np.ndarray) -> np.ndarray:
         """Waves of fields [S, N, d], [d, S, *half a torus]."""
-        return self._waves(np.take(u.transpose(2, 0, 1), self._node, axis=-1) * self._felt)
+        return self._waves(np.take(u.transpose(2, 0, 1), self._near, axis=-1), self._places)
 
     def _gradient(self, waves: np.ndarray, side: int = 0) -> torch.Tensor:
         """H of waves of fields at the nodes `full`, shape [d, d, S, Q, F]."""
@@ -167,8 +164,8 @@ class Pointwise(OnPoints):
     def _pulled(self, P: torch.Tensor, side: int, places: np.ndarray, field: Any) -> np.ndarray:
         """`_gradient` transposed, of P [d, d, S, Q, F], and the linear part, of the waves of a
         field, at some places, [S, n, d]."""
-        waves = self._waves(np.take(P.numpy(), self._number, axis=-1) * self._whole)
-        total = (waves * self._mirrored[side][:, None]).sum(axis=(1, 3))
+        waves = self._waves(P.numpy(), self._full) * self._mirrored[side][:, None]
+        total = waves.sum(axis=(1, 3))
         if self._linear is not None:
             linear = self._linear if side else self._linear.conj().swapaxes(0, 1)
             total += (linear[:, :, None] * field).sum(axis=1)

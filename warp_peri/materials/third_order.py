@@ -10,7 +10,7 @@ the linear part by C(ε) κ_in κ_out: C bounds Ψ″ on the ball, κ_p² the ra
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache, partial
 from typing import Any
 
@@ -191,9 +191,8 @@ class Uniqueness:
 
     def figures(self) -> dict[str, Any]:
         """The figures as plain values, and the statement."""
-        figures = asdict(self) | {"statement": self.statement}
-        del figures["units"]
-        return figures
+        figures = {name: value for name, value in vars(self).items() if name != "units"}
+        return figures | {"statement": self.statement}
 
 
 def uniqueness(model: Any, *, spacing: float) -> Uniqueness:
@@ -237,34 +236,18 @@ def largest_parts(model: Any) -> list[float]:
     its largest sample over cos dη (M. Riesz).
     """
     a, b = np.meshgrid(np.linspace(0, np.pi, DIRECTIONS + 1), np.linspace(0, np.pi / 2, DIRECTIONS))
-    t, q, w = np.sqrt(2) * np.cos(a), np.sin(a) * np.cos(b) / np.sqrt(2), np.sin(a) * np.sin(b)
-    w = w / np.sqrt(2)
-    step = np.pi / DIRECTIONS
-    reach = step / np.sqrt(2)  # of the nearest sample, from any point
-    # e = t + e2 and m = |z|² = 1 + t + m2 by degree, the index of the first axis
-    zero = np.zeros_like(t)
-    e = np.stack([zero, t, t**2 / 4 + w**2 + q**2])
-    m = np.stack([zero + 1, t, t**2 / 4 + w**2])
-    s = _product(np.stack([zero, zero, q**2]), m)
-    square = _product(e, e)
+    t, q, w = np.sqrt(2) * np.cos(a), *np.sin(a) / np.sqrt(2) * [np.cos(b), np.sin(b)]
+    reach = np.pi / DIRECTIONS / np.sqrt(2)  # of the nearest sample, from any point
+    s = np.exp(2j * np.pi * np.arange(8) / 8)[:, None, None]  # sizes of H, whose powers FFTs tell
+    m = 1 + s * t + s**2 * (t**2 / 4 + w**2)
+    e, shear = m - 1 + s**2 * q**2, s**2 * q**2 * m
     lam, mu, t3, tq2, q3 = model.numbers
-    terms = [(lam + mu, square / 2), (2 * mu, s), (t3, _product(e, square)), (tq2, _product(e, s))]
-    parts = []
-    size = np.hypot(t / 2, w)
-    for d in range(3, 7):
-        smooth = sum(factor * term[d] for factor, term in terms if len(term) > d)
-        binomial = (1, 3, 3, 1)[d - 3]
-        worst = np.abs(smooth) + abs(q3) * binomial * q**3 * size ** (d - 3)
+    psi = (lam + mu) / 2 * e**2 + 2 * mu * shear + t3 * e**3 + tq2 * e * shear
+    smooth, size, parts = np.fft.fft(psi, axis=0).real / 8, np.hypot(t / 2, w), []
+    for d, binomial in enumerate((1, 3, 3, 1), start=3):
+        worst = np.abs(smooth[d]) + abs(q3) * binomial * q**3 * size ** (d - 3)
         parts.append(float(worst.max() / np.cos(d * reach)))
     return parts
-
-
-def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The product of polynomials, by degree."""
-    product = np.zeros((len(a) + len(b) - 1, *a.shape[1:]))
-    for i, coefficient in enumerate(a):
-        product[i : i + len(b)] += coefficient * b
-    return product
 
 
 def proven_kappa(stencil: Stencil, group: np.ndarray, classes: BondClasses, p: np.ndarray) -> float:
@@ -449,11 +432,6 @@ class ThirdOrderCrystal(OnLinear, format="warp_peri.third_order_crystal"):
     def elsewhere(self, length: float, stress: float) -> dict[str, Any]:
         """Of what is proven the strain, which has no unit, goes along."""
         return {"proven": {k: v for k, v in self.proven.items() if k == "strain"}}
-
-    def summary(self) -> dict[str, Any]:
-        """Constants, moduli and guarantee as plain values."""
-        own = {name: getattr(self, name) for name in (*CUBIC, "form", "reach", "proven")}
-        return own | {"moduli": self.linear.moduli(), "bonds": self.linear.bonds}
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value, those of the tensors last."""
