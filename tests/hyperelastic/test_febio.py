@@ -34,9 +34,8 @@ def of_febio(text, F):
     return total
 
 
-@pytest.mark.parametrize("F", [[[1.2, 0.1], [0.0, 0.9]], [[0.8, 0.0], [0.3, 1.4]]])
-def test_the_energy_is_the_learned_one(F):
-    F = np.array(F)
+def test_the_energy_is_the_learned_one():
+    F = np.array([[0.8, 0.0], [0.3, 1.4]])
     points = square(1)
     op = HyperelasticOperator(SOLID.dictionary, points)
     u = points.x @ (F - np.eye(2)).T
@@ -46,28 +45,16 @@ def test_the_energy_is_the_learned_one(F):
 
 
 def test_a_sheet_in_plane_stress_becomes_incompressible(tmp_path):
-    terms = (Term("plane_stress"), Term("fibre_exponential", 0.5, 2.0))
-    solid = HyperelasticSolid(Dictionary(3.0, (), (), terms), np.array([5.0, 15.0]), 0.1)
+    terms = (Term("plane_stress"), Term("mooney"), Term("fibre_exponential", 0.5, 2.0))
+    solid = HyperelasticSolid(Dictionary(3.0, (), (), terms), np.array([3.5, 1.5, 15.0]), 0.1)
     save_febio(solid, tmp_path / "sheet.xml")
     root = ElementTree.parse(tmp_path / "sheet.xml").getroot()
     assert root.get("type") == "uncoupled solid mixture"
-    assert float(root.find("solid/c1").text) == 5.0
+    assert [float(root.find(f"solid/{name}").text) for name in ("c1", "c2")] == [3.5, 1.5]
     assert in_words(solid) == [
-        "incompressible matrix: shear modulus 10",
+        "incompressible matrix: shear modulus 10 (Mooney and Rivlin: C1 = 3.5, C2 = 1.5)",
         "fibres at 28.6°: k1 = 15, k2 = 2",
     ]
-
-
-def test_mooney_and_rivlin_keep_both_constants():
-    terms = (Term("plane_stress"), Term("mooney"))
-    solid = HyperelasticSolid(Dictionary(3.0, (), (), terms), np.array([3.5, 1.5]), 0.1)
-    root = ElementTree.fromstring(febio_material(solid))
-    assert [float(root.find(f"solid/{name}").text) for name in ("c1", "c2")] == [3.5, 1.5]
-    words = "incompressible matrix: shear modulus 10 (Mooney and Rivlin: C1 = 3.5, C2 = 1.5)"
-    assert in_words(solid) == [words]
-
-
-def test_the_published_constants_are_read_back():
     words = in_words(SOLID)
     assert words[0] == "matrix: shear modulus 0.1426, volumetric coefficient 0.078"
     assert words[1].startswith("as the published energy: E = 0.3279, ν = 0.15")

@@ -17,6 +17,7 @@ from warp_peri.cli.main import main
 from warp_peri.materials.hyperelastic import model_selection
 from warp_peri.materials.hyperelastic.from_displacement import DisplacementFit
 from warp_peri.points.outlines import Circle, box, mesh_outline
+from warp_peri.points.samples import part
 from warp_peri.tissue import Dictionary, HyperelasticSolid, Term, uniaxial
 
 C1, C2 = 0.35, 0.15
@@ -35,11 +36,8 @@ def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("frames")
     points = square(9)
     bent = points.x @ np.array([[0.3, 0.05], [0.0, 0.1]])
-    for number in range(6):
-        edge = bent * (number + 3) / 8 + 0.6 * waves(points, 0.25, number)
-        u = wp.solve(SHEET, wp.Dirichlet(points, None, edge)).u
-        rows = "\n".join(",".join(map(str, row)) for row in np.hstack([points.x, u]))
-        (out / f"frame{number}.csv").write_text("x [mm],y [mm],u [mm],v [mm]\n" + rows + "\n")
+    edges = [bent * (n + 3) / 8 + 0.6 * waves(points, 0.25, n) for n in range(6)]
+    table(out, points.x, [wp.solve(SHEET, wp.Dirichlet(points, None, edge)).u for edge in edges])
     return out
 
 
@@ -135,8 +133,16 @@ def test_a_law_needs_ten_nodes_for_each_number():
     why = {c.name: c.why for c in found.candidates if c.fit is None}["neo-Hookean, heterogeneous"]
     assert why.endswith("100 interior nodes for 10 numbers, got 81")
     few = square(5)
-    with pytest.raises(wp.InputError, match="expected 50 interior nodes for 5 numbers, got 25"):
-        wp.tissue.choose_sheet(frames_of(powers(0.25, 0.0, 0.0), few))
+    for wrong, words in (
+        (
+            {"frames": frames_of(powers(0.25, 0.0, 0.0), few)},
+            "50 interior nodes for 5 numbers, got",
+        ),
+        ({"frames": part(frames, slice(3))}, "frames: expected at least 4, got 3"),
+        ({"frames": frames, "fibres": -1}, "fibres: expected a number of directions"),
+    ):
+        with pytest.raises(wp.InputError, match=words):
+            wp.tissue.choose_sheet(**wrong)
 
 
 def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
@@ -149,14 +155,6 @@ def test_a_band_is_no_narrower_than_the_misfit_and_deviations_have_none():
     rules = model_selection.Candidate("rules", replace(even, material=stiff), 0.01)
     with pytest.raises(wp.InputError, match="282 times as stiff .* in the place of a material"):
         model_selection.SheetChoice([rules]).curves([1.2])
-
-
-def test_fewer_frames_than_four_are_refused():
-    points = square(3)
-    with pytest.raises(wp.InputError, match="frames: expected at least 4, got 3"):
-        wp.tissue.choose_sheet(wp.Samples(points, np.zeros((3, *points.x.shape))))
-    with pytest.raises(wp.InputError, match="fibres: expected a number of directions"):
-        wp.tissue.choose_sheet(wp.Samples(points, np.zeros((4, *points.x.shape))), fibres=-1)
 
 
 def table(folder, x, fields):

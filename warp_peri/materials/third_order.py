@@ -236,7 +236,8 @@ def largest_parts(model: Any) -> list[float]:
     its largest sample over cos dη (M. Riesz).
     """
     a, b = np.meshgrid(np.linspace(0, np.pi, DIRECTIONS + 1), np.linspace(0, np.pi / 2, DIRECTIONS))
-    t, q, w = np.sqrt(2) * np.cos(a), *np.sin(a) / np.sqrt(2) * [np.cos(b), np.sin(b)]
+    t, side = np.sqrt(2) * np.cos(a), np.sin(a) / np.sqrt(2)
+    q, w = side * np.cos(b), side * np.sin(b)
     reach = np.pi / DIRECTIONS / np.sqrt(2)  # of the nearest sample, from any point
     s = np.exp(2j * np.pi * np.arange(8) / 8)[:, None, None]  # sizes of H, whose powers FFTs tell
     m = 1 + s * t + s**2 * (t**2 / 4 + w**2)
