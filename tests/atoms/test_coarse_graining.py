@@ -1,12 +1,15 @@
-"""From atoms to nodes, against a brute-force sum."""
+"""From atoms to nodes, against a brute-force sum; fields on nodes from .mat files."""
 
+import h5py
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from tests.support import reference
 from tests.support.problems import ROUNDING
+from tests.support.sheets import square
 from warp_peri import InputError
-from warp_peri.atoms import coarse_grain, smoothing_matrix
+from warp_peri.atoms import coarse_grain, read_fields, smoothing_matrix
 from warp_peri.atoms.coarse_graining import EV_PER_CUBIC_ANGSTROM, force_on_mesh
 from warp_peri.points.outlines import Circle, mesh_outline
 from warp_peri.points.outlines import box as rectangle
@@ -15,12 +18,6 @@ RANDOM = np.random.default_rng(3)
 BOX = (11.0, 13.5)  # not commensurate with the nodes
 ATOMS = RANDOM.uniform(0, 1, (40, 2)) * BOX
 H = 2.5
-
-
-HIDDEN = np.ma.masked_array(
-    np.ones((1, 40, 2)), mask=np.arange(40)[None, :, None].repeat(2, 2) == 7
-)
-"""Atom 7 is no data."""
 
 
 def nodes(low, high):
@@ -41,65 +38,26 @@ def test_is_the_brute_force_sum(shape, box, spacing):
     np.testing.assert_allclose(weights.toarray(), expected, rtol=0, atol=ROUNDING)
 
 
-@pytest.mark.parametrize("shape", ["cone", "paraboloid"])
-def test_every_atom_is_shared_out_completely(shape):
-    omega = smoothing_matrix(ATOMS, nodes(-3, 9), radius=4.0, shape=shape, spacing=H)
-    np.testing.assert_allclose(omega.sum(axis=0), 1, rtol=ROUNDING)
-    few = smoothing_matrix(ATOMS, nodes(0, 6), radius=8.0, shape=shape)
-    np.testing.assert_allclose(few.sum(axis=0), 1, rtol=ROUNDING)
-    periodic = smoothing_matrix(ATOMS, nodes(0, 4), radius=8.0, shape=shape, box=BOX)
-    np.testing.assert_allclose(periodic.sum(axis=0), 1, rtol=ROUNDING)
+def test_every_atom_is_shared_out_completely_among_the_nodes_of_a_period():
+    """Nodes beyond the box are images of others, and carry the same; nothing is shared among both.
 
-
-def test_periodic_images_of_a_commensurate_box_carry_equal_values():
-    box, where = (4 * H, 4 * H), nodes(0, 8)
-    atoms = ATOMS % box
-    omega = smoothing_matrix(atoms, where, radius=4.0, box=box, spacing=H).toarray()
-    grid = omega.reshape(8, 8, -1)
-    for a, b in ((4, 0), (0, 4), (4, 4)):
-        np.testing.assert_allclose(grid[a : a + 4, b : b + 4], grid[:4, :4], atol=ROUNDING)
-    np.testing.assert_allclose(grid[:4, :4].sum((0, 1)), 1, rtol=ROUNDING)
-
-
-@pytest.mark.parametrize("low", [0, -3], ids=["one period", "beyond the box"])
-def test_force_is_kept_in_each_period(low):
-    """Nodes beyond the box are images of others: no atom is shared out among both."""
-    box, where = (4 * H, 4 * H), nodes(low, 4 - low)
-    exact = smoothing_matrix(ATOMS % box, where, radius=4.0, box=box, spacing=H)
-    inside = ((where > -1e-9) & (where < 4 * H - 1e-9)).all(axis=1)
-    np.testing.assert_allclose(exact[inside].sum(axis=0), 1, rtol=ROUNDING)
-    if not low:
-        omega = smoothing_matrix(ATOMS % box, where, radius=4.0, box=box)
-        np.testing.assert_allclose(omega.toarray(), exact.toarray(), rtol=0, atol=ROUNDING)
-
-
-def test_nodes_beyond_a_box_without_a_spacing_are_refused():
-    loose = nodes(-3, 7) + np.random.default_rng(0).normal(size=(100, 2))
-    with pytest.raises(InputError, match="nodes: some are periodic images of others"):
-        smoothing_matrix(ATOMS, loose, radius=4.0, box=BOX)
-    few = smoothing_matrix(ATOMS, loose[45:55] % 5.0, radius=8.0, box=BOX)
-    np.testing.assert_allclose(few.sum(axis=0)[few.sum(axis=0) > 0], 1, rtol=ROUNDING)
-
-
-def test_an_atom_on_a_node_and_one_at_the_radius():
-    omega = smoothing_matrix([[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [1.0, 0.0]], radius=4.0)
-    np.testing.assert_allclose(omega.toarray(), [[4 / 7, 0], [3 / 7, 1]], atol=ROUNDING)
-
-
-def test_an_atom_that_no_node_reaches_is_left_out():
-    for atoms, box in ((ATOMS, None), ([[50.0, 50.0]], None), ([[50.0, 50.0]], (100.0, 100.0))):
-        far = smoothing_matrix(atoms, nodes(0, 2) - 90.0, radius=4.0, box=box, spacing=H)
-        assert far.shape == (4, len(atoms))
-        assert abs(far).sum() == 0
-
-
-def test_force_is_conserved():
-    force = RANDOM.normal(size=(2, 40, 2))
+    An atom that no node reaches is left out."""
     omega = smoothing_matrix(ATOMS, nodes(-3, 9), radius=4.0, spacing=H)
-    omega = omega[np.flatnonzero(omega.sum(axis=1))]
-    _, b = coarse_grain(omega, displacement=0 * force, force=force, node_area=H**2, thickness=3.35)
-    total = b.sum(axis=1) * H**2 * 3.35 / 0.1602176634  # back to eV/Å
-    np.testing.assert_allclose(total, force.sum(axis=1), rtol=0, atol=1e-11)
+    np.testing.assert_allclose(omega.sum(axis=0), 1, rtol=ROUNDING)
+    periodic = smoothing_matrix(ATOMS, nodes(0, 4), radius=8.0, box=BOX)
+    np.testing.assert_allclose(periodic.sum(axis=0), 1, rtol=ROUNDING)
+    box, where = (4 * H, 4 * H), nodes(-3, 7)
+    wide = smoothing_matrix(ATOMS % box, where, radius=4.0, box=box, spacing=H)
+    inside = ((where > -1e-9) & (where < 4 * H - 1e-9)).all(axis=1)
+    np.testing.assert_allclose(wide[inside].sum(axis=0), 1, rtol=ROUNDING)
+    grid = wide.toarray().reshape(10, 10, -1)
+    np.testing.assert_allclose(grid[4:], grid[:6], atol=ROUNDING)
+    np.testing.assert_allclose(grid[:, 4:], grid[:, :6], atol=ROUNDING)
+    one = smoothing_matrix([[0.0, 0.0], [4.0, 0.0]], [[0.0, 0.0], [1.0, 0.0]], radius=4.0)
+    np.testing.assert_allclose(one.toarray(), [[4 / 7, 0], [3 / 7, 1]], atol=ROUNDING)
+    for atoms, period in ((ATOMS, None), ([[50.0, 50.0]], (100.0, 100.0))):
+        far = smoothing_matrix(atoms, nodes(0, 2) - 90.0, radius=4.0, box=period, spacing=H)
+        assert (far.shape, abs(far).sum()) == ((4, len(atoms)), 0)
 
 
 def test_fields_are_the_printed_sums():
@@ -117,81 +75,51 @@ def test_fields_are_the_printed_sums():
             np.testing.assert_allclose(u[s, i], expected, rtol=0, atol=ROUNDING)
             expected = (dense[i][:, None] * force[s]).sum(0) * 0.1602176634 / (6.0 * 2.0)
             np.testing.assert_allclose(b[s, i], expected, rtol=0, atol=ROUNDING)
-
-
-def test_a_rigid_displacement_stays_as_it_is_whatever_the_masses():
-    omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
-    rigid = np.broadcast_to([0.3, -0.2], (1, 40, 2))
-    u, _ = coarse_grain(
-        omega,
-        displacement=rigid,
-        force=0 * rigid,
-        mass=RANDOM.uniform(1, 9, 40),
-        node_area=1.0,
-        thickness=1.0,
-    )
+    rigid = np.broadcast_to([0.3, -0.2], (1, 40, 2))  # stays as it is, whatever the masses
+    how = {"force": 0 * rigid, "mass": mass, "node_area": 1.0, "thickness": 1.0}
+    u, _ = coarse_grain(omega, displacement=rigid, **how)
     np.testing.assert_allclose(u, rigid[:, :16], rtol=ROUNDING)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"shape": "disk"}, "shape: expected one of cone, paraboloid, got 'disk'"),
-        ({"radius": 0.0}, "radius: expected a length > 0"),
-        ({"radius": np.nan}, "radius: expected a length > 0"),
-        ({"radius": np.inf}, "radius: expected a length > 0"),
-        ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
-        ({"spacing": 0.0}, "spacing: expected a length > 0"),
-        ({"spacing": -1.0}, "spacing: expected a length > 0"),
-        ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
-        ({"nodes": np.ones((3, 3))}, r"nodes: expected shape \[N, 2\]"),
-        ({"nodes": np.empty((0, 2))}, r"nodes: expected shape \[N, 2\] with N > 0"),
-        ({"atoms": [[0.0, np.nan]]}, "atoms: expected finite values"),
-        ({"box": (0.0, 10.0)}, "box: expected two periods > 0"),
-        ({"box": (10.0, -10.0)}, "box: expected two periods > 0"),
-        ({"box": (np.nan, 10.0)}, "box: expected two periods > 0"),
-        ({"box": (10.0,)}, "box: expected two periods > 0"),
-    ],
+HIDDEN = np.ma.masked_array(
+    np.ones((1, 40, 2)), mask=np.arange(40)[None, :, None].repeat(2, 2) == 7
 )
-def test_bad_input_is_refused(change, words):
-    given = {"atoms": ATOMS, "nodes": nodes(0, 4), "radius": 4.0, "spacing": H} | change
-    with pytest.raises(InputError, match=words):
-        smoothing_matrix(given.pop("atoms"), given.pop("nodes"), **given)
+"""Atom 7 is no data."""
+OF_MATRIX = [
+    ({"shape": "disk"}, "shape: expected one of cone, paraboloid, got 'disk'"),
+    ({"radius": np.nan}, "radius: expected a length > 0"),
+    ({"radius": 1.7}, "radius: expected more than spacing/√2 = 1.768"),
+    ({"spacing": -1.0}, "spacing: expected a length > 0"),
+    ({"spacing": 2.4}, "nodes: expected a square lattice of spacing 2.4"),
+    ({"nodes": np.empty((0, 2))}, r"nodes: expected shape \[N, 2\] with N > 0"),
+    ({"atoms": [[0.0, np.nan]]}, "atoms: expected finite values"),
+    ({"box": (10.0, -10.0)}, "box: expected two periods > 0"),
+    ({"nodes": nodes(-3, 7), "box": BOX, "spacing": None}, "some are periodic images of others"),
+]
+OF_FIELDS = [
+    ({"displacement": np.ones((40, 2))}, r"displacement: expected shape \[S, 40, 2\]"),
+    ({"force": np.ones((2, 40, 2))}, r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]"),
+    ({"displacement": np.full((1, 40, 2), np.inf)}, "displacement: expected finite values"),
+    ({"force": HIDDEN}, r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]"),
+    ({"mass": np.ones(3)}, r"mass: expected shape \[40\], got \[3\]"),
+    ({"mass": -np.ones(40)}, "mass: expected values > 0"),
+    ({"node_area": 0.0}, "node_area: expected values > 0"),
+    ({"thickness": np.nan}, "thickness: expected values > 0"),
+]
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"displacement": np.ones((40, 2))}, r"displacement: expected shape \[S, 40, 2\]"),
-        ({"force": np.ones((1, 39, 2))}, r"force: expected shape \[1, 40, 2\], got \[1, 39, 2\]"),
-        ({"force": np.full((1, 40, 2), np.nan)}, "force: expected finite values"),
-        ({"displacement": np.full((1, 40, 2), np.inf)}, "displacement: expected finite values"),
-        ({"force": np.ones((2, 40, 2))}, r"force: expected shape \[1, 40, 2\], got \[2, 40, 2\]"),
-        (
-            {"displacement": np.ones((1, 40, 2)) * 1j},
-            "displacement: expected float values, got comp",
-        ),
-        ({"force": HIDDEN}, r"force: .* got 2 of 80 masked, the first at index \[0, 7, 0\]"),
-        ({"mass": HIDDEN[0, :, 0]}, r"mass: .* got 1 of 40 masked, the first at index \[7\]"),
-        ({"mass": np.ones(3)}, r"mass: expected shape \[40\], got \[3\]"),
-        ({"mass": np.nan}, "mass: expected finite values"),
-        ({"mass": -np.ones(40)}, "mass: expected values > 0"),
-        ({"node_area": 0.0}, "node_area: expected values > 0"),
-        ({"thickness": np.nan}, "thickness: expected values > 0"),
-    ],
-)
-def test_bad_fields_are_refused(change, words):
-    omega = smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0)
+def test_what_cannot_be_smoothed_is_refused():
+    for change, words in OF_MATRIX:
+        given = {"atoms": ATOMS, "nodes": nodes(0, 4), "radius": 4.0, "spacing": H} | change
+        with pytest.raises(InputError, match=words):
+            smoothing_matrix(given.pop("atoms"), given.pop("nodes"), **given)
     fields = {"displacement": np.ones((1, 40, 2)), "force": np.ones((1, 40, 2))}
-    with pytest.raises(InputError, match=words):
-        coarse_grain(omega, **{**fields, "node_area": 6.25, "thickness": 3.35, **change})
-
-
-def test_nodes_without_atoms_are_named():
-    omega = smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99.0]], radius=5.0)
-    fields = np.ones((1, 40, 2))
-    with pytest.raises(InputError, match="1 nodes have no atom .* the first is 16"):
-        coarse_grain(omega, displacement=fields, force=fields, node_area=1.0, thickness=1.0)
+    fields |= {"node_area": 6.25, "thickness": 3.35}
+    for change, words in OF_FIELDS:
+        with pytest.raises(InputError, match=words):
+            coarse_grain(smoothing_matrix(ATOMS, nodes(0, 4), radius=5.0), **fields | change)
+    with pytest.raises(InputError, match=r"1 nodes have no atom .* the first is 16"):
+        coarse_grain(smoothing_matrix(ATOMS, [*nodes(0, 4), [99.0, 99]], radius=5.0), **fields)
 
 
 HOLE = mesh_outline(rectangle(60.0, 50.0), [Circle(12.0, size=5.0)], size=8.0)
@@ -210,24 +138,16 @@ def work_of(b, v):
     return area @ products.reshape(-1, 3).mean(axis=1)
 
 
-@pytest.mark.parametrize(
-    "v",
-    [
-        pytest.param(lambda x: 0 * x + (1.0, 0.0), id="force along x"),
-        pytest.param(lambda x: 0 * x + (0.0, 1.0), id="force along y"),
-        pytest.param(lambda x: x[:, ::-1] * (-1.0, 1.0), id="moment"),
-        pytest.param(lambda x: x @ [[0.3, -1.0], [0.7, 0.2]] + 0.5, id="any affine field"),
-    ],
-)
-def test_force_on_a_mesh_with_a_hole_does_the_work_of_the_atoms(v):
+def test_force_on_a_mesh_with_a_hole_does_the_work_of_the_atoms_up_to_its_edges():
     assert (HOLE.holding(BODY) < 0).sum() > 5
     b = force_on_mesh(HOLE, BODY, PUSH, thickness=2.0)
-    expected = np.vdot(PUSH, v(BODY))
-    work = work_of(b, v) * 2.0 / EV_PER_CUBIC_ANGSTROM
-    assert work == pytest.approx(expected, abs=1e-9 * np.abs(PUSH).sum())
-
-
-def test_force_on_a_mesh_is_no_weaker_beside_edges():
+    for v in (  # pushes, a turn, any affine field
+        lambda x: 0 * x + (1.0, 0.0),
+        lambda x: x[:, ::-1] * (-1.0, 1.0),
+        lambda x: x @ [[0.3, -1.0], [0.7, 0.2]] + 0.5,
+    ):
+        work = work_of(b, v) * 2.0 / EV_PER_CUBIC_ANGSTROM
+        assert work == pytest.approx(np.vdot(PUSH, v(BODY)), abs=1e-9 * np.abs(PUSH).sum())
     line = np.arange(-29.75, 30, 0.5)
     x = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
     x = x[HOLE.holding(x) >= 0]
@@ -237,17 +157,64 @@ def test_force_on_a_mesh_is_no_weaker_beside_edges():
 
     b = force_on_mesh(HOLE, x, 0.25 * given(x) / EV_PER_CUBIC_ANGSTROM, thickness=1.0)
     np.testing.assert_allclose(b(HOLE.x), given(HOLE.x), rtol=0.05)
-
-
-@pytest.mark.parametrize(
-    ("atoms", "force", "thickness", "message"),
-    [
+    for atoms, force, thickness, message in (
         ([[0.0, 20.0], [90.0, 0.0]], np.ones((2, 2)), 1.0, "atoms: 1 lie outside the mesh"),
         ([[0.0, 20.0]], np.ones((2, 2)), 1.0, r"force: expected shape \[1, 2\], got \[2, 2\]"),
-        ([[0.0, 20.0]], [[np.nan, 0]], 1.0, "force: expected finite values"),
         ([[0.0, 20.0]], [[1.0, 0]], 0.0, "thickness: expected a length > 0"),
-    ],
-)
-def test_what_cannot_push_a_mesh(atoms, force, thickness, message):
-    with pytest.raises(InputError, match=message):
-        force_on_mesh(HOLE, atoms, force, thickness=thickness)
+    ):
+        with pytest.raises(InputError, match=message):
+            force_on_mesh(HOLE, atoms, force, thickness=thickness)
+
+
+NODES = square(9, spacing=5.0)
+LOADED = {"disps": RANDOM.normal(size=(3, len(NODES.x), 2)), "coords": NODES.x}
+LOADED["forces"] = 2 * LOADED["disps"]
+
+
+def in_hdf5(path, variables):
+    """As MATLAB writes version 7.3: a header before HDF5, and arrays with their axes reversed."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in variables.items():
+            file[name] = value.T
+    with open(path, "r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+
+@pytest.mark.parametrize("write", [savemat, in_hdf5])
+def test_mat_files_have_nodes_in_any_order_and_components_first_or_last(tmp_path, write):
+    path, order = tmp_path / "a.mat", RANDOM.permutation(len(NODES.x))
+    u = LOADED["disps"]
+    shuffled = {"coords": NODES.x[order] - 50.0, "disps": u[:, order], "forces": u[:, order]}
+    write(path, shuffled | {"mass": np.ones((1, 9))})
+    samples = read_fields(path, factor=0.5)
+    np.testing.assert_allclose(samples.x, NODES.x[order] - 50.0, atol=1e-12)
+    np.testing.assert_array_equal(samples.u, u[:, order])
+    np.testing.assert_array_equal(samples.b, 0.5 * u[:, order])
+    np.testing.assert_array_equal(samples.interior, NODES.interior[order])
+    for shape in ((3, -1), (3, 2 * 21, 21), (3, 2, 21, 21)):
+        write(path, {"u": u.swapaxes(1, 2).reshape(shape)})
+        samples = read_fields(path, displacement="u", load=None, positions=5.0)
+        assert samples.b is None
+        np.testing.assert_array_equal(samples.u, u)
+    for changed, how, said in (
+        ({"forces": None}, {}, "expected forces, an array of numbers, among .*coords"),
+        ({"disps": u[:, 1:]}, {}, "disps: expected two components of 441 nodes, got"),
+        ({"disps": np.full_like(u, np.nan)}, {}, "u: "),
+        ({"coords": NODES.x[:-1]}, {}, "two components of 440 nodes"),
+        ({"coords": NODES.x + RANDOM.uniform(0, 1, NODES.x.shape)}, {}, "square lattice"),
+        ({"disps": u[:, 1:]}, {"load": None, "positions": 5.0}, "a square number of nodes"),
+        ({}, {"reach": 11}, "within 22 spacings around them, got none of 21 × 21"),
+        ({}, {"reach": 1.5}, "reach: expected a whole number > 0, got 1.5"),
+        ({}, {"factor": "a"}, "factor: expected a finite number, got 'a'"),
+        ({}, {"positions": -5.0}, "positions: expected a name or a spacing > 0, got -5.0"),
+    ):
+        write(path, {name: v for name, v in (LOADED | changed).items() if v is not None})
+        with pytest.raises(InputError, match=said):
+            read_fields(path, **how)
+    path.write_text("x, y\n0, 1\n")
+    with pytest.raises(InputError, match=r"cannot be read as a \.mat file"):
+        read_fields(path)
+    with h5py.File(path, "w") as file:
+        file.create_dataset("disps", shape=(2, 10**9, 10**6), dtype="f8", chunks=(1, 100, 100))
+    with pytest.raises(InputError, match="disps: expected arrays of at most 1048576 bytes"):
+        read_fields(path, load=None, positions=1.0)

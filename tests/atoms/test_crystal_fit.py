@@ -226,7 +226,7 @@ def shared_site(occupancy):
     ("atoms", "what"),
     [
         (ase.build.molecule("H2O"), "free cluster"),
-        (ase.build.molecule("N2", vacuum=10, pbc=True), "along 3 edges"),
+        (ase.build.molecule("N2", vacuum=10, pbc=True), "no period along 3 edges"),
         (shared_site({"Cu": 0.7, "Ni": 0.3}), "got one of Cu 0.7, Ni 0.3"),
         (ase.Atoms("Al2", [[0, 0, 0], [0.1, 0, 0]], cell=[4, 4, 4], pbc=True), "is a site there"),
         (ase.Atoms("Al", [[np.nan, 0, 0]], cell=[4, 4, 4], pbc=True), "at finite places"),

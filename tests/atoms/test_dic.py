@@ -16,65 +16,24 @@ def field(x):
     return np.stack([0.1 * x[:, 0] + 1e-4 * x[:, 1] ** 2, -0.05 * x[:, 1] + 2.0], axis=1)
 
 
-def rows(x, u, separator, extra=()):
-    return "\n".join(
-        separator.join(f"{value:.9g}" for value in (*place, *move, *extra))
-        for place, move in zip(x, u)
-    )
-
-
 def plain(x, u):
-    return "x,y,u,v\n" + rows(x, u, ",")
+    return "\n".join(["x,y,u,v", *(",".join(f"{v:.9g}" for v in row) for row in np.c_[x, u])])
 
 
-def semicolons(x, u):
-    head = "x [pixel];y [pixel];x-displacement [pixel];y-displacement [pixel];Displacement [pixel]"
-    return head + "\n" + rows(x, u, ";", (1.0,))
+def frame_of(path, x, u):
+    path.write_text(plain(x, u))
+    return read_frame(path)
 
 
-def dice(x, u):
-    head = "*** Digital Image Correlation Engine (DICe)\n***\n"
-    head += "SUBSET_ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,SIGMA,STATUS_FLAG\n"
-    lines = [
-        ",".join(f"{v:.9g}" for v in (n, *place, *move, 0.01, 4))
-        for n, (place, move) in enumerate(zip(x, u))
-    ]
-    return head + "\n".join(lines)
-
-
-def nodemap(x, u):
-    head = "# ARAMIS export\n# force : 3.1\n# ID; x; y; z; ux; uy; uz; exx; eyy; exy\n"
-    lines = [
-        "; ".join(f"{v:.9g}" for v in (n, *place, 0, *move, 0, 0.1, 0.2, 0.3))
-        for n, (place, move) in enumerate(zip(x, u))
-    ]
-    return head + "\n".join(lines)
-
-
-@pytest.mark.parametrize("table", [plain, semicolons, dice, nodemap])
-def test_headers_are_recognised(tmp_path, table):
-    (tmp_path / "frame.txt").write_text(table(X, field(X)))
-    frame = read_frame(tmp_path / "frame.txt", pixel=0.5)
-    np.testing.assert_allclose(frame.x, 0.5 * X)
-    np.testing.assert_allclose(frame.u, 0.5 * field(X), rtol=1e-8)
-    assert frame.name == "frame.txt"
-
-
-def test_points_without_a_number_are_left_out(tmp_path):
-    text = dice(X, field(X)).splitlines()
-    text[5] = "2,100,100,,1.0,0.01,4"
-    text[6] = "3,100,120,1.0,1.0,-1,4"
-    (tmp_path / "frame.txt").write_text("\n".join(text))
-    assert len(read_frame(tmp_path / "frame.txt").x) == len(X) - 2
-
-
-def test_points_on_a_lattice_stay_as_they_are(tmp_path):
-    (tmp_path / "frame.csv").write_text(plain(X, field(X)))
-    samples = frames_on_lattice([read_frame(tmp_path / "frame.csv")])
-    assert samples.spacing == 20.0
-    assert samples.b is None
+def test_points_on_a_lattice_stay_and_scattered_ones_are_fitted_locally(tmp_path):
+    samples = frames_on_lattice([frame_of(tmp_path / "a.csv", X, field(X))])
+    assert (samples.spacing, samples.b, samples.interior.sum()) == (20.0, None, 3 * 4)
     np.testing.assert_allclose(samples.u[0], field(samples.x), rtol=1e-7)
-    assert samples.interior.sum() == 3 * 4
+    shaken = X + 4 * np.random.default_rng(0).uniform(-1, 1, X.shape)
+    shaken[0] = X[0]
+    frame = frame_of(tmp_path / "a.csv", shaken, field(shaken))
+    samples = frames_on_lattice([frame], spacing=20.0, radius=2.0)
+    np.testing.assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
 
 
 def test_a_missing_point_takes_its_surroundings_from_the_interior(tmp_path):
@@ -95,6 +54,10 @@ def test_a_missing_point_takes_its_surroundings_from_the_interior(tmp_path):
     near = np.linalg.norm(always.x - 240.0, axis=1) <= 2.5 * 20
     assert not always.interior[near].any()
     assert always.interior.any()
+
+
+BIG = np.argwhere(np.ones((30, 25), bool)) * 2.5 + 0.125
+GRADIENT = np.array([[0.013, -0.002], [0.004, -0.007]])
 
 
 @pytest.mark.parametrize("radius", [0.0, 1.5])
@@ -118,61 +81,196 @@ def test_points_lost_in_single_frames_are_missing_there_alone(tmp_path, radius):
         np.testing.assert_allclose(u, true, atol=1e-6)
 
 
-def test_scattered_points_are_fitted_locally(tmp_path):
-    shaken = X + 4 * np.random.default_rng(0).uniform(-1, 1, X.shape)
-    shaken[0] = X[0]
-    (tmp_path / "frame.csv").write_text(plain(shaken, field(shaken)))
-    samples = frames_on_lattice([read_frame(tmp_path / "frame.csv")], spacing=20.0, radius=2.0)
-    np.testing.assert_allclose(samples.u[0], field(samples.x), atol=1e-6)  # quadratic: exact
-
-
 def test_the_noise_is_estimated(tmp_path):
-    big = np.argwhere(np.ones((30, 30), bool)) * 20.0
-    random = np.random.default_rng(1)
-    (tmp_path / "frame.csv").write_text(plain(big, field(big) + random.normal(0, 0.3, big.shape)))
-    samples = frames_on_lattice([read_frame(tmp_path / "frame.csv")])
-    assert noise_of(samples)[0] == pytest.approx(0.3, rel=0.15)
+    big, random = np.argwhere(np.ones((30, 30), bool)) * 20.0, np.random.default_rng(1)
+    frame = frame_of(tmp_path / "a.csv", big, field(big) + random.normal(0, 0.3, big.shape))
+    assert noise_of(frames_on_lattice([frame]))[0] == pytest.approx(0.3, rel=0.15)
+
+
+def gradient(samples):
+    """That of a displacement that is linear, [displacement, position]."""
+    design = np.c_[np.ones(len(samples.x)), samples.x]
+    return np.linalg.lstsq(design, samples.u[0], rcond=None)[0][1:].T
+
+
+def told(path, header, columns, *, rows="", encoding="utf-8", **options):
+    """The gradient that a table tells; `columns` are numbers of x, y, u, v and text."""
+    table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
+    path.write_bytes((header + "\n" + rows + table).encode(encoding))
+    return frames_on_lattice([read_frame(path, **options)])
+
+
+def linear(x=BIG):
+    return x[:, 0], x[:, 1], *(x @ GRADIENT.T).T
+
+
+@pytest.mark.parametrize("comment", ["", "#"])
+@pytest.mark.parametrize(
+    ("header", "holds"),
+    [
+        ("x,y,u,v,exx", "xyuv."),
+        ("id,x,y,u,v,sigma,eyy", ".xyuv.."),
+        ("X,Y,Z,U,V,W,x,y,u,v", "xy.uv.1234"),
+        ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv.."),
+        ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
+         "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv."),
+        ("X,Y,U,V,MODEL_X,MODEL_Y,MODEL_Z,MODEL_U,MODEL_V", "1234xy.uv"),
+        ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
+         "disp.Vertical Displacement V [mm]", "xyuv"),
+        ("v,y,u,x,x_def", "vyux."),
+    ],
+)  # fmt: skip
+def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path, comment, header, holds):
+    """Whatever stands beside them: strains, numbers, pixels (1234) of what is x, y, u and v."""
+    meant = dict(zip("xyuv", linear()))
+    meant |= {str(n + 1): 1.1 * meant[name] + 3 for n, name in enumerate("xyuv")}
+    meant["."] = np.arange(len(BIG)) % 7 + 1.0
+    samples = told(tmp_path / "a.csv", comment + header, [meant[one] for one in holds])
+    np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-12)
+
+
+REFUSED = [
+    ("time,load", "xy", {}, "expected columns x, y, u and v"),
+    ("x,y,u,ux,v", "xyuuv", {}, "one column of a kind, got 'u' and 'ux'"),
+    ("x [mm],y [mm],u [furlong],v", "xyuv", {}, "expected units of angstrom, .* got 'furlong'"),
+    ("x,y,u [mm],v [mm]", "xyuv", {}, "the size of a pixel with one, got x in no unit"),
+    ("x,y,u,v", "xyuvv", {}, "expected 4 fields, as in its header, got"),
+    ("x,y,u,v", "xyu.", {}, "expected a number, got 'one'"),
+    ("x [mm],y,u,v", "xyuv", {"pixel": "0.012mm"}, "is in mm, expected that alone, got 0.012"),
+    ("x,y,u,v", "xyuv", {"pixel": "0.5 inch"}, "pixel: expected a length > 0, with a unit of ang"),
+    ("x,y,u,v", "xyuv", {"pixel": -1.0}, "pixel: expected a length > 0"),
+]
+
+
+def test_columns_that_contradict_each_other_are_refused(tmp_path):
+    columns = dict(zip("xyuv", linear())) | {".": ["one"] * len(BIG)}
+    for header, names, how, words in REFUSED:
+        with pytest.raises(InputError, match=words):
+            told(tmp_path / "a.csv", header, [columns[name] for name in names], **how)
+    with pytest.raises(InputError, match="one displacement for each point"):
+        frame_of(tmp_path / "a.csv", np.ones((9, 2)), np.arange(18.0).reshape(9, 2))
+    with pytest.raises(InputError, match=r"missing.csv: no such file"):
+        read_frame(tmp_path / "missing.csv")
+    with pytest.raises(InputError, match="nodes a side"):
+        frames_on_lattice([frame_of(tmp_path / "a.csv", X[:40], field(X[:40]))])
+    (tmp_path / "b.csv").write_text(plain(X, field(X)))
+    frames = [read_frame(tmp_path / "b.csv", pixel=pixel) for pixel in ("mm", 1.0)]
+    with pytest.raises(InputError, match=r"one unit of length, got mm in b.csv, no unit in b.csv"):
+        frames_on_lattice(frames)
 
 
 @pytest.mark.parametrize(
-    ("pixel", "header", "units", "spacing"),
+    ("units", "length", "scale", "options"),
     [
-        ("0.5mm", "x,y", ("mm", "MPa"), 10.0),
-        ("µm", "x,y", ("um", "MPa"), 20.0),
-        (1.0, "x [mm],y [mm]", ("mm", "MPa"), 20.0),
-        (1.0, "x,y", ("angstrom", "TPa"), 20.0),
+        (("mm", "mm", "um", "um"), "mm", 1.0, {}),
+        (("inch", "inch", "um", "um"), "mm", 25.4, {}),
+        (("\N{MICRO SIGN}m", "\N{MICRO SIGN}m", "nm", "nm"), "um", 1.0, {}),
+        (("px", "px", "mm", "mm"), "mm", 0.5, {"pixel": "0.5mm"}),
+        (("", "", "", ""), "um", 3.0, {"pixel": "3um"}),
     ],
 )
-def test_what_is_made_of_frames_has_the_unit_that_was_said(tmp_path, pixel, header, units, spacing):
-    text = plain(X, field(X))
-    (tmp_path / "frame.csv").write_text(text.replace(text[: text.index(",u")], header, 1))
-    frame = read_frame(tmp_path / "frame.csv", pixel=pixel)
-    samples = frames_on_lattice([frame])
-    assert samples.points.units == units
-    assert samples.spacing == pytest.approx(spacing)
-    if units[0] == "mm":
-        assert frames_on_lattice([frame], units=("mm", "Pa")).points.units == ("mm", "Pa")
-        with pytest.raises(InputError, match="frames are in mm"):
-            frames_on_lattice([frame], units="si")
+@pytest.mark.parametrize("how", ["brackets", "line", "behind"])
+def test_every_column_has_its_unit(tmp_path, units, length, scale, options, how):
+    """x in mm beside u in µm: a strain of one hundredth is not ten."""
+    sizes = {"mm": 1.0, "inch": 25.4, "um": 1e-3, "nm": 1e-6, "cm": 10.0, "px": 0.5, "": None}
+    plain = ["um" if ord(unit[:1] or "a") > 127 else unit for unit in units]
+    size = [sizes[one or plain[0]] or 3e-3 for one in plain]
+    columns = [values * size[0] / one for values, one in zip(linear(), size)]
+    columns = [np.round(values, 9) for values in columns]
+    names = list("xyuv")
+    if how == "brackets":
+        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units)]
+    if how == "behind":
+        names = [f"{name}_{unit}" if unit else name for name, unit in zip(names, units)]
+    rows = ",".join(units) + "\n" if how == "line" and all(units) else ""
+    if how == "line" and any(units) and not rows:
+        return  # a line of units that is not one
+    samples = told(tmp_path / "a.csv", ",".join(names), columns, rows=rows, **options)
+    assert samples.points.units == (length, "MPa")
+    assert samples.spacing == pytest.approx(2.5 * scale)
+    np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6)
 
 
-@pytest.mark.parametrize("pixel", ["0.5 inch", "-1mm", "mm mm"])
-def test_pixels_without_sense_are_refused(tmp_path, pixel):
-    with pytest.raises(InputError, match="pixel: expected a length > 0, with a unit of angstrom"):
-        read_frame(tmp_path / "frame.csv", pixel=pixel)
+@pytest.mark.parametrize("encoding", ["latin-1", "utf-16"])
+def test_tables_in_other_encodings(tmp_path, encoding):
+    header = "x [\N{MICRO SIGN}m],y,u,v"
+    samples = told(tmp_path / "a.csv", header, linear(), encoding=encoding)
+    assert samples.points.units[0] == "um"
 
 
-def test_what_is_no_frame_is_refused(tmp_path):
-    (tmp_path / "bad.csv").write_text("time,load\n0,1\n")
-    with pytest.raises(InputError, match="expected columns x, y, u and v"):
-        read_frame(tmp_path / "bad.csv")
-    with pytest.raises(InputError, match="pixel: expected a length > 0"):
-        read_frame(tmp_path / "frame.csv", pixel=0.0)
-    with pytest.raises(InputError, match="missing.csv: no such file"):
-        read_frame(tmp_path / "missing.csv")
-    (tmp_path / "small.csv").write_text(plain(X[:40], field(X[:40])))
-    with pytest.raises(InputError, match="nodes a side"):
-        frames_on_lattice([read_frame(tmp_path / "small.csv")])
+@pytest.mark.parametrize("column", ["MATCH", "converged", "none", "other", "u alone"])
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column, noise):
+    """By a column, or by 0 or another number that fills in both components, or one of them."""
+    rng = np.random.default_rng(3)
+    x, y, u, v = linear()
+    u, v = (values + noise * rng.standard_normal(len(x)) for values in (u, v))
+    lost = rng.uniform(size=len(x)) < 0.1
+    lost[:3] = [False, True, True]
+    if column == "u alone":  # where 0 could not be what is there
+        lost &= np.abs(u) > 0.02
+    fill = {"other": -999.0, "converged": u}.get(column, 0.0)
+    mark = {"MATCH": (0, -1), "converged": ("True", "False")}
+    columns = [x, y, np.where(lost, fill, u)]
+    columns.append(v if column == "u alone" else np.where(lost, fill, v))
+    if column in mark:
+        columns.append(np.where(lost, *mark[column][::-1]))
+    header = ",".join([*"xyuv", column][: len(columns)])
+    table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
+    (tmp_path / "a.csv").write_text(header + "\n" + table)
+    found = read_frame(tmp_path / "a.csv")
+    np.testing.assert_array_equal(found.x, BIG[~lost])
+
+
+def test_a_point_at_rest_is_kept(tmp_path):
+    """u is 0, 0 at the middle of what is stretched, on a held edge, and before the test."""
+    centred = BIG - BIG[12 * 25 + 12]
+    held = np.maximum(0, BIG[:, 0] - 10)  # beside what moves, a part that does not
+    apart = np.stack([0.1 * BIG[:, 0], 1e-3 * held**2], axis=1)
+    for field in (centred @ GRADIENT.T, centred**2 * 1e-3, 0 * centred, apart, apart.round(3)):
+        (tmp_path / "a.csv").write_text(plain(BIG, field))
+        assert len(read_frame(tmp_path / "a.csv").x) == len(BIG)
+
+
+@pytest.mark.parametrize("strain", [0.003, 0.2])
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
+    """Of several frames by where their points are, of one by the lattice they were on."""
+    rng = np.random.default_rng(1)
+    frames = []
+    for part in (1.0, 0.6, 0.3):
+        u = part * BIG @ np.diag([strain, -0.3 * strain]) + noise * rng.standard_normal(BIG.shape)
+        (tmp_path / "a.csv").write_text(plain(BIG + u, u))
+        frames.append(read_frame(tmp_path / "a.csv"))
+    for some in (frames, frames[:1]):
+        with pytest.warns(UserWarning, match="positions are those of the current frame"):
+            found = gradient(frames_on_lattice(some, spacing=2.5))
+        np.testing.assert_allclose(found, np.diag([strain, -0.3 * strain]), atol=1e-6 + noise / 25)
+    asked = frames_on_lattice(frames, spacing=2.5, positions="current")
+    np.testing.assert_allclose(gradient(asked), found, atol=1e-6 + noise / 25)
+    names = plain(BIG + u, u).replace("x,y", "x_def,y_def", 1)
+    (tmp_path / "a.csv").write_text(names)
+    np.testing.assert_allclose(read_frame(tmp_path / "a.csv").x, BIG, atol=1e-6)
+
+
+def test_positions_that_nothing_tells_are_asked_for(tmp_path):
+    rng = np.random.default_rng(0)
+    for name in ("a", "b"):
+        x = BIG + rng.uniform(-0.8, 0.8, BIG.shape)
+        (tmp_path / f"{name}.csv").write_text(plain(x, x @ GRADIENT.T))
+    frames = [read_frame(tmp_path / f"{name}.csv") for name in "ab"]
+    with pytest.raises(InputError, match='positions="reference" or "current" says which'):
+        frames_on_lattice(frames, spacing=2.5, radius=2.5)
+    for positions, true in (
+        ("reference", GRADIENT),
+        ("current", GRADIENT @ np.linalg.inv(np.eye(2) - GRADIENT)),
+    ):
+        found = gradient(frames_on_lattice(frames, spacing=2.5, radius=2.5, positions=positions))
+        np.testing.assert_allclose(found, true, atol=1e-9)
+    with pytest.raises(
+        InputError, match="positions: expected reference or current, got 'deformed'"
+    ):
+        frames_on_lattice(frames, positions="deformed")
 
 
 def folder_of(path, frames):
@@ -216,205 +314,3 @@ def test_a_folder_tells_what_it_passes_over_and_what_does_not_fit(tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             frames_of_folder(unequal, **{"count": 7, "radius": 0.0} | wrong)
-
-
-BIG = np.argwhere(np.ones((30, 25), bool)) * 2.5 + 0.125
-GRADIENT = np.array([[0.013, -0.002], [0.004, -0.007]])
-
-
-def gradient(samples):
-    """That of a displacement that is linear, [displacement, position]."""
-    design = np.c_[np.ones(len(samples.x)), samples.x]
-    return np.linalg.lstsq(design, samples.u[0], rcond=None)[0][1:].T
-
-
-def told(path, header, columns, *, rows="", encoding="utf-8", **options):
-    """The gradient that a table tells; `columns` are numbers of x, y, u, v and text."""
-    table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
-    path.write_bytes((header + "\n" + rows + table).encode(encoding))
-    return frames_on_lattice([read_frame(path, **options)])
-
-
-def linear(x=BIG):
-    return x[:, 0], x[:, 1], *(x @ GRADIENT.T).T
-
-
-@pytest.mark.parametrize("comment", ["", "# ", "#", "% "])
-@pytest.mark.parametrize(
-    ("header", "holds"),
-    [
-        ("x,y,u,v,exx", "xyuv."),
-        ("id,x,y,u,v,sigma,eyy", ".xyuv.."),
-        ("X,Y,Z,U,V,W,x,y,u,v", "xy.uv.1234"),
-        ("#  ID,x_undef [mm],y_undef [mm],z_undef [mm],u [mm],v [mm],w [mm],ex [%]", ".xy.uv.."),
-        ("ID,COORDINATE_X,COORDINATE_Y,DISPLACEMENT_X,DISPLACEMENT_Y,MODEL_COORDINATES_X,"
-         "MODEL_COORDINATES_Y,MODEL_DISPLACEMENT_X,MODEL_DISPLACEMENT_Y,SIGMA", ".1234xyuv."),
-        ("X,Y,U,V,MODEL_X,MODEL_Y,MODEL_Z,MODEL_U,MODEL_V", "1234xy.uv"),
-        ("coor.X [mm],coor.Y [mm],disp.Horizontal Displacement U [mm],"
-         "disp.Vertical Displacement V [mm]", "xyuv"),
-        ("v,y,u,x,x_def", "vyux."),
-    ],
-)  # fmt: skip
-def test_columns_are_what_a_header_says_behind_a_comment_too(tmp_path, comment, header, holds):
-    """Whatever stands beside them: strains, numbers, pixels (1234) of what is x, y, u and v."""
-    meant = dict(zip("xyuv", linear()))
-    meant |= {str(n + 1): 1.1 * meant[name] + 3 for n, name in enumerate("xyuv")}
-    meant["."] = np.arange(len(BIG)) % 7 + 1.0
-    samples = told(tmp_path / "a.csv", comment + header, [meant[one] for one in holds])
-    np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-12)
-
-
-def test_columns_that_contradict_each_other_are_refused(tmp_path):
-    x, y, u, v = linear()
-    for header, columns, words in (
-        ("x,y,u,ux,v", (x, y, u, u, v), "one column of a kind, got 'u' and 'ux'"),
-        (
-            "x [mm],y [mm],u [furlong],v",
-            (x, y, u, v),
-            "expected units of angstrom, .* got 'furlong'",
-        ),
-        ("x,y,u [mm],v [mm]", (x, y, u, v), "the size of a pixel with one, got x in no unit"),
-        ("x [px],y [px],u [mm],v [mm]", (x, y, u, v), "got x in px, y in px, u in mm"),
-        ("x,y,u,v", (x, y, u, v, v), "expected 4 fields, as in its header, got"),
-        ("# 1,2,3,4,5,6", (x, y, u, v, u, v), "expected columns x, y, u and v"),
-        ("x,y,u,v", (x, y, u, ["one"] * len(x)), "expected a number, got 'one'"),
-        ("x,y,u,v", (x[[0, 0]], y[[0, 0]], u[:2], v[:2]), "one displacement for each point"),
-    ):
-        with pytest.raises(InputError, match=words):
-            told(tmp_path / "a.csv", header, columns)
-    with pytest.raises(InputError, match="is in mm, expected that alone, got 0.012"):
-        told(tmp_path / "a.csv", "x [mm],y,u,v", (x, y, u, v), pixel="0.012mm")
-
-
-@pytest.mark.parametrize(
-    ("units", "length", "scale", "options"),
-    [
-        (("mm", "mm", "um", "um"), "mm", 1.0, {}),
-        (("inch", "inch", "um", "um"), "mm", 25.4, {}),
-        (("\N{MICRO SIGN}m", "\N{MICRO SIGN}m", "nm", "nm"), "um", 1.0, {}),
-        (("\N{GREEK SMALL LETTER MU}m", "", "", ""), "um", 1.0, {}),
-        (("px", "px", "mm", "mm"), "mm", 0.5, {"pixel": "0.5mm"}),
-        (("mm", "cm", "mm", "mm"), "mm", 1.0, {}),
-        (("", "", "", ""), "um", 3.0, {"pixel": "3um"}),
-    ],
-)
-@pytest.mark.parametrize("how", ["brackets", "line", "behind"])
-def test_every_column_has_its_unit(tmp_path, units, length, scale, options, how):
-    """x in mm beside u in µm: a strain of one hundredth is not ten."""
-    sizes = {"mm": 1.0, "inch": 25.4, "um": 1e-3, "nm": 1e-6, "cm": 10.0, "px": 0.5, "": None}
-    plain = ["um" if ord(unit[:1] or "a") > 127 else unit for unit in units]
-    size = [sizes[one or plain[0]] or 3e-3 for one in plain]
-    columns = [values * size[0] / one for values, one in zip(linear(), size)]
-    columns = [np.round(values, 9) for values in columns]
-    names = list("xyuv")
-    if how == "brackets":
-        names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units)]
-    if how == "behind":
-        names = [f"{name}_{unit}" if unit else name for name, unit in zip(names, units)]
-    for encoding in ("utf-8", "latin-1", "utf-16"):
-        try:
-            ",".join(units).encode(encoding)
-        except UnicodeEncodeError:
-            continue
-        samples = told(
-            tmp_path / "a.csv",
-            ",".join(names),
-            columns,
-            rows=",".join(units) + "\n" if how == "line" and all(units) else "",
-            encoding=encoding,
-            **options,
-        )
-        if how == "line" and any(units) and not all(units):
-            continue  # a line of units that is not one
-        assert samples.points.units[0] == length
-        assert samples.spacing == pytest.approx(2.5 * scale)
-        np.testing.assert_allclose(gradient(samples), GRADIENT, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "column", ["MATCH", "corrcoef", "converged", "valid", "none", "other", "u alone", "v alone"]
-)
-@pytest.mark.parametrize("noise", [0.0, 1e-3])
-def test_lost_points_are_left_out_whatever_marks_them(tmp_path, column, noise):
-    """By a column, or by 0 or another number that fills in both components, or one of them."""
-    rng = np.random.default_rng(3)
-    x, y, u, v = linear()
-    u, v = (values + noise * rng.standard_normal(len(x)) for values in (u, v))
-    lost = rng.uniform(size=len(x)) < 0.1
-    lost[:3] = [False, True, True]
-    if column.endswith("alone"):  # where 0 could not be what is there
-        lost &= np.abs(u if column[0] == "u" else v) > 0.02
-    fill = {"other": -999.0, "converged": u, "valid": v}.get(column, 0.0)
-    mark = {
-        "MATCH": (0, -1),
-        "corrcoef": (0.02, -1),
-        "converged": ("True", "False"),
-        "valid": (1, 0),
-    }
-    columns = [x, y, u if column == "v alone" else np.where(lost, fill, u)]
-    columns.append(v if column == "u alone" else np.where(lost, fill, v))
-    if column in mark:
-        columns.append(np.where(lost, *mark[column][::-1]))
-    header = ",".join([*"xyuv", column][: len(columns)])
-    table = "\n".join(",".join(str(value) for value in row) for row in zip(*columns))
-    (tmp_path / "a.csv").write_text(header + "\n" + table)
-    found = read_frame(tmp_path / "a.csv")
-    np.testing.assert_array_equal(found.x, BIG[~lost])
-
-
-def test_a_point_at_rest_is_kept(tmp_path):
-    """u is 0, 0 at the middle of what is stretched, on a held edge, and before the test."""
-    centred = BIG - BIG[12 * 25 + 12]
-    held = np.maximum(0, BIG[:, 0] - 10)  # beside what moves, a part that does not
-    apart = np.stack([0.1 * BIG[:, 0], 1e-3 * held**2], axis=1)
-    for field in (centred @ GRADIENT.T, centred**2 * 1e-3, 0 * centred, apart, apart.round(3)):
-        (tmp_path / "a.csv").write_text(plain(BIG, field))
-        assert len(read_frame(tmp_path / "a.csv").x) == len(BIG)
-
-
-@pytest.mark.parametrize("strain", [0.003, 0.01, 0.1, 0.2])
-@pytest.mark.parametrize("noise", [0.0, 0.005])
-def test_positions_of_the_current_frame_are_taken_back(tmp_path, strain, noise):
-    """Of several frames by where their points are, of one by the lattice they were on."""
-    rng = np.random.default_rng(1)
-    frames = []
-    for part in (1.0, 0.6, 0.3):
-        u = part * BIG @ np.diag([strain, -0.3 * strain]) + noise * rng.standard_normal(BIG.shape)
-        (tmp_path / "a.csv").write_text(plain(BIG + u, u))
-        frames.append(read_frame(tmp_path / "a.csv"))
-    for some in (frames, frames[:1]):
-        with pytest.warns(UserWarning, match="positions are those of the current frame"):
-            found = gradient(frames_on_lattice(some, spacing=2.5))
-        np.testing.assert_allclose(found, np.diag([strain, -0.3 * strain]), atol=1e-6 + noise / 25)
-    asked = frames_on_lattice(frames, spacing=2.5, positions="current")
-    np.testing.assert_allclose(gradient(asked), found, atol=1e-6 + noise / 25)
-    names = plain(BIG + u, u).replace("x,y", "x_def,y_def", 1)
-    (tmp_path / "a.csv").write_text(names)
-    np.testing.assert_allclose(read_frame(tmp_path / "a.csv").x, BIG, atol=1e-6)
-
-
-def test_positions_that_nothing_tells_are_asked_for(tmp_path):
-    rng = np.random.default_rng(0)
-    for name in ("a", "b"):
-        x = BIG + rng.uniform(-0.8, 0.8, BIG.shape)
-        (tmp_path / f"{name}.csv").write_text(plain(x, x @ GRADIENT.T))
-    frames = [read_frame(tmp_path / f"{name}.csv") for name in "ab"]
-    with pytest.raises(InputError, match='positions="reference" or "current" says which'):
-        frames_on_lattice(frames, spacing=2.5, radius=2.5)
-    for positions, true in (
-        ("reference", GRADIENT),
-        ("current", GRADIENT @ np.linalg.inv(np.eye(2) - GRADIENT)),
-    ):
-        found = gradient(frames_on_lattice(frames, spacing=2.5, radius=2.5, positions=positions))
-        np.testing.assert_allclose(found, true, atol=1e-9)
-    with pytest.raises(
-        InputError, match="positions: expected reference or current, got 'deformed'"
-    ):
-        frames_on_lattice(frames, positions="deformed")
-
-
-def test_frames_in_several_units_are_named(tmp_path):
-    (tmp_path / "a.csv").write_text(plain(X, field(X)))
-    frames = [read_frame(tmp_path / "a.csv", pixel=pixel) for pixel in ("mm", 1.0)]
-    with pytest.raises(InputError, match="one unit of length, got mm in a.csv, no unit in a.csv"):
-        frames_on_lattice(frames)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.micromodulus import crystals
+from tests.crystal import crystals
 from tests.support.problems import kernel, smooth
 from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves

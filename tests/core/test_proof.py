@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.micromodulus.crystals import learned, random_law
+from tests.crystal.crystals import learned, random_law
 from tests.support.problems import KERNELS, difference, kernel
 from warp_peri.core import proof
 from warp_peri.core.elastic import from_voigt, plane_isotropic

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from examples.exact import plate_with_hole
-from tests.micromodulus.crystals import cubic_tensor, dispersive, learned
+from tests.crystal.crystals import cubic_tensor, dispersive, learned
 from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, solve_body
 from warp_peri.fe_coupling.boundary_elements import Moduli

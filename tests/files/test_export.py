@@ -7,7 +7,7 @@ import meshio
 import numpy as np
 import pytest
 
-from tests.micromodulus import crystals
+from tests.crystal import crystals
 from tests.support.clouds import cloud, plain
 from tests.support.cubes import cube, solid
 from tests.support.problems import kernel, lattice, manufactured

@@ -49,7 +49,7 @@ def test_turned_lattices(family):
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_crystals(dimension):
-    from tests.micromodulus.test_operator import body, learned
+    from tests.crystal.test_operator import body, learned
 
     rich = learned(dimension)
     others = [replace(rich, tensors=rich.tensors * f) for f in (1.01, 1.02, 0.98)]

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.micromodulus.crystals import lattice as plain_lattice
-from tests.micromodulus.crystals import learned
+from tests.crystal.crystals import lattice as plain_lattice
+from tests.crystal.crystals import learned
 from tests.support.nonlinear import solid
 from tests.support.problems import kernel, lattice, manufactured, noise, smooth
 from warp_peri.cli.main import main

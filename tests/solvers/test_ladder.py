@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.micromodulus.crystals import cubic_tensor
+from tests.crystal.crystals import cubic_tensor
 from tests.support.clouds import cloud
 from tests.support.problems import difference, ell, kernel, lattice, manufactured, noise
 from tests.support.solving import solve

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from tests.micromodulus.crystals import learned
+from tests.crystal.crystals import learned
 from tests.support.problems import LAM, MU, ell, kernel, lattice, manufactured, noise, periodic
 from tests.support.solving import solve, solve_periodic
 from tests.support.symbols import smallest, symbol

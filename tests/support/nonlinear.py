@@ -6,7 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 import torch
 
-from tests.micromodulus.crystals import cubic_tensor, dispersive
+from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.problems import AXIS
 from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.materials.third_order import Smoothing, ThirdOrderCrystal

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 import warp_peri
-from tests.micromodulus.crystals import cubic_tensor, dispersive
+from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.clouds import cloud
 from tests.support.nonlinear import LAM, MU, TENSOR, psi, solid
 from tests.support.problems import lattice, smooth

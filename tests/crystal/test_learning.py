@@ -8,7 +8,7 @@ from ase.calculators.emt import EMT
 from ase.calculators.lj import LennardJones
 
 import warp_peri
-from tests.micromodulus.crystals import cubic_tensor, dispersive, huang_defect, lattice, learned
+from tests.crystal.crystals import cubic_tensor, dispersive, huang_defect, lattice, learned
 from tests.support.problems import kernel
 from tests.support.problems import lattice as plane_lattice
 from warp_peri.atoms import force_constants
@@ -50,6 +50,10 @@ def test_a_law_is_found_again_from_its_forces(d):
     np.testing.assert_allclose(found.tensors, law.tensors, atol=1e-9 * np.abs(law.tensors).max())
     assert found.provenance["fit"]["cuts"] == 0
     assert found.certificate.proven >= 0.9 * found.certificate.sampled
+    if d == 2:
+        given = np.array([[0.2, 0.1, 0], [0.1, 0.2, 0], [0, 0, 0.06]])
+        held = fit(samples, law.horizon, symmetry="4mm", moduli=given)
+        np.testing.assert_allclose(held.elastic_tensor(), given, atol=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore:axis. lattice or crystal are turned")  # said once a process

@@ -36,10 +36,3 @@ def test_long_waves_are_isotropic_where_asked(made, moduli):
     assert C["C11"] - C["C12"] == pytest.approx(2 * C["C44"])
     if moduli != "isotropic":
         assert (C["C12"], C["C44"]) == pytest.approx(moduli)
-
-
-def test_what_is_for_sheets_alone_is_refused(made):
-    with pytest.raises(wp.InputError, match="in space expected"):
-        wp.fit(made[1], wp.LPS(2.0, wp.Bernstein(2), loss="output"))
-    with pytest.raises(wp.InputError, match="expected a sheet"):
-        wp.fit(made[1], wp.ThirdOrder(wp.Micromodulus(2.0), wp.methods.Smoothing(2.0)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from tests.micromodulus.crystals import lattice, learned, plain_force, random_law
+from tests.crystal.crystals import lattice, learned, plain_force, random_law
 from warp_peri.core.groups import checked_orientation
 from warp_peri.errors import InputError
 from warp_peri.points.points import Points

@@ -1,0 +1,146 @@
+"""What makes data: atoms at rest and in a bath, elements, and caches that an interruption keeps."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import tools.make_graphene as tool
+from tools import samples
+from tools.elastic import elastic_constants
+from tools.graphene import THICKNESS, area_per_atom, bond_length, disk
+from tools.hyperelastic_elements import Elements, quadrilaterals
+from tools.hyperelastic_energies import Family, Fung, hgo, plane_stress_hgo
+from tools.lammps_session import POTENTIAL, LammpsSession
+from tools.loads import TEST, TRAINING, VALIDATION, PatchLoad, RimLoad, WaveLoad, atom_force
+from tools.make_hgo import Material, make_hgo, sample
+from tools.make_thermal import long_wave_constants
+from tools.samples import Piece
+from tools.statics import TOLERANCE, ColouredHessian, ConvergenceError, Statics
+from tools.thermal import Bath, Task, run_file, settled
+from warp_peri.atoms.calculators import potential_file
+from warp_peri.points.dataset import load_dataset
+
+
+def test_graphene_is_made_once_and_a_load_that_fails_keeps_the_rest(tmp_path, monkeypatch, capsys):
+    small = {"SHEET_CELLS": (8, 5), "DISK_RADIUS": 65.0, "REACH": 60.0, "TEST": [RimLoad(3)]}
+    small |= {"TRAINING": [WaveLoad(0, (0, 1))], "VALIDATION": [PatchLoad(1, 0, 0, 8.0)]}
+    for name, value in small.items():
+        monkeypatch.setattr(tool, name, value)
+    real, path = samples.solve, tmp_path / "g.h5"
+
+    def fail(body, statics, load):
+        if load.load_id == "table1-1":
+            raise ConvergenceError("residual 1 eV/Å")
+        return real(body, statics, load)
+
+    monkeypatch.setattr(samples, "solve", fail)
+    line = ["--out", str(path), "--jobs", "1", "--quiet"]
+    assert tool.main(line) == 1
+    assert capsys.readouterr().err.strip() == "make_graphene: error: residual 1 eV/Å"
+    assert not path.exists()
+    assert len(list((tmp_path / "g.cache").iterdir())) == 2
+    solved = []
+    monkeypatch.setattr(samples, "solve", lambda *one: solved.append(one[2]) or real(*one))
+    assert tool.main(line) == 0
+    assert solved == tool.VALIDATION
+    data = load_dataset(path)
+    assert sorted(data) == ["test", "test_fine", "train", "train_fine", "val", "val_fine"]
+    assert max(one.arrays["residual"].max() for one in data.sets.values()) <= TOLERANCE
+    assert data["train"].arrays["max_bond_strain"] == pytest.approx(samples.TRAINING_STRAIN, 1e-4)
+    assert data.density == pytest.approx(2147, rel=2e-3)
+    truth = elastic_constants(bond_length())  # measured independently at 0 K
+    assert [truth[key] for key in ("lambda", "mu", "E", "nu")] == pytest.approx(
+        [-0.1972, 0.7223, 1.2163, -0.158], abs=1e-4
+    )
+
+
+def test_loads_push_and_turn_no_body_and_a_disk_at_rest_bears_them():
+    x, bond = disk(1.460511, radius=15.0), 1.460511
+    with LammpsSession(x, box=None) as session:
+        statics = Statics(x, box=None, session=session)
+        at, way = statics.reference + 0.01 * np.sin(7 * x), np.cos(5 * x[:, ::-1])
+        hessian = ColouredHessian(statics.bonds, len(x))(session.forces, at)
+        change = session.forces(at - 1e-5 * way) - session.forces(at + 1e-5 * way)
+        np.testing.assert_allclose(hessian @ way.ravel(), change.ravel() / 2e-5, atol=1e-3)
+        rest = statics.equilibrium(1e-3 * statics.reference @ [[1, 0.3], [-0.3, 0]], name="pull")
+        now = statics.reference + rest.displacement
+        assert np.abs(session.forces(now) + rest.force).max() <= TOLERANCE
+        assert np.abs(rest.force.sum(axis=0)).max() < 1e-12
+        with pytest.raises(ConvergenceError, match="'too much'.*residual"):
+            statics.equilibrium(50 * np.sin(statics.reference), name="too much")
+    sheet = Piece(bond, str(potential_file(POTENTIAL)), cells=(39, 23))
+    x, far = sheet.positions(), disk(bond)
+    for load in (*TRAINING, *VALIDATION, *TEST):
+        shape = load.shape(far if isinstance(load, RimLoad) else x, sheet.box)
+        assert np.abs(shape.sum(axis=0)).max() < 1e-12 * np.abs(shape).sum()
+    assert (len(TRAINING), len(VALIDATION), len(TEST)) == (70, 10, 4)
+
+
+def test_runs_of_one_seed_share_their_noise_and_have_their_temperature(tmp_path):
+    body = Piece(bond_length(), str(potential_file(POTENTIAL)), cells=(8, 5))
+    x, box, bath = body.positions(), np.array(body.box), Bath()
+    wave, moved = WaveLoad(0, (1, 0)), []
+    for seed, size in ((5, 0.0), (5, 1e-3), (6, 0.0)):
+        with LammpsSession(x, box=body.box, potential=body.potential) as session:
+            how = {"temperature": 300.0, "timestep": 0.0005, "damping": 0.1, "steps": 400}
+            steps = session.trajectory(x, size * wave.shape(x, body.box), seed=seed, **how)
+            moved.append(np.array([one[0].copy() for one in steps]))
+    assert np.abs(moved[1] - moved[0])[-1].max() < 0.2 * np.abs(moved[2] - moved[0])[-1].max()
+    step = np.diff(moved[0], axis=0)
+    step -= box * np.rint(step / box)
+    kelvin = 12.011 * 1.0364269656e-4 * (step[100:] / 0.0005) ** 2 / 8.617333262e-5
+    assert kelvin.mean() == pytest.approx(300, rel=0.15)
+    tasks = [Task(body, load, 1.0, seed) for load in (wave, None) for seed in (1, 2)]
+    baths = bath, replace(bath, temperature=200.0)
+    assert len({run_file(tmp_path, task, one).name for task in tasks for one in baths}) == 8
+    free = replace(body, cells=None, radius=30.0)
+    y = free.positions()
+    turn = np.stack([-y[:, 1], y[:, 0]], axis=1)
+    np.testing.assert_allclose(settled(free, y, 0.01 * (y + turn) + 0.3), 0.01 * y, atol=1e-3)
+
+
+def test_long_waves_have_the_constants_of_their_solid():
+    body, lame, mu = Piece(1.46, str(potential_file(POTENTIAL)), cells=(8, 5)), -0.2, 0.7
+    x, box, u, force = body.positions(), np.array(body.box), [], []
+    loads = [WaveLoad(axis, waves) for axis in (0, 1) for waves in ((1, 0), (0, 1), (1, 1))]
+    for load in loads:
+        k = 2 * np.pi * np.array(load.waves) / box
+        own, other, mixed = k[load.axis] ** 2, k[1 - load.axis] ** 2, -(lame + mu) * k.prod()
+        stiff = [[(lame + 2 * mu) * own + mu * other, mixed], [mixed, mu * own]]
+        stiff[1][1] += (lame + 2 * mu) * other
+        U, V = np.linalg.solve(stiff, [0.001, 0])
+        field = np.stack([U * np.cos(k * x).prod(axis=1), V * np.sin(k * x).prod(axis=1)], axis=1)
+        u.append(field[:, [load.axis, 1 - load.axis]])
+        density = 0.001 * load.shape(x, body.box)
+        force.append(atom_force(density, area_per_atom(body.bond), THICKNESS))
+    found = long_wave_constants(body, x, loads, np.stack(u), np.stack(force))
+    assert (found["lambda"], found["mu"]) == pytest.approx((lame, mu), abs=1e-9)
+
+
+FIBRES = (Family(0.3, 0.1, 1.5), Family(-1.0, 0.2, 0.0))
+ENERGIES = (
+    hgo(0.33, 0.15, FIBRES),
+    plane_stress_hgo(0.2, FIBRES),
+    Fung([1, 0.8, 0.3, 0.5, -0.2, 0.1]),
+)
+
+
+def test_elements_and_energies_have_the_slopes_of_their_forces_and_data_resume(tmp_path):
+    random, mesh = np.random.default_rng(1), Elements(quadrilaterals(3))
+    c = np.array([1.2, 1.1, 0.1]) + 0.1 * random.normal(size=(20, 3))
+    for energy in ENERGIES:
+        _, g, H = energy(c)
+        for n, step in enumerate(1e-6 * np.eye(3)):
+            above, below = energy(c + step), energy(c - step)
+            np.testing.assert_allclose(g[:, n], (above[0] - below[0]) / 2e-6, rtol=1e-6, atol=1e-8)
+            np.testing.assert_allclose(H[:, n], (above[1] - below[1]) / 2e-6, rtol=1e-5, atol=1e-7)
+    u, v = 0.02 * random.normal(size=2 * mesh.nodes), random.normal(size=2 * mesh.nodes)
+    ends = [mesh.internal(ENERGIES[0], u + sign * 1e-6 * v) for sign in (1, -1)]
+    slope = mesh.tangent(ENERGIES[0], u) @ v
+    np.testing.assert_allclose(slope, (ends[0] - ends[1]) / 2e-6, rtol=1e-5, atol=1e-7)
+    counts = (2, 1, 0, 0)
+    first = make_hgo(tmp_path / "a", counts=counts, jobs=1, progress=False)
+    sample(tmp_path / "b", Material(), "square", 1001)  # was solved before it stopped
+    again = make_hgo(tmp_path / "b", counts=counts, jobs=1, progress=False)
+    assert all(np.array_equal(first[name].u, again[name].u) for name in ("train", "val"))
