@@ -17,11 +17,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_635,
-    "tokens": 277_282,
-    "lines of warp_peri": 38_140,
+    "code lines": 22_584,
+    "tokens": 276_993,
+    "lines of warp_peri": 38_084,
     "lines of kernels": 1_179,
-    "lines of warp_peri, kernels, examples and tools": 51_625,
+    "lines of warp_peri, kernels, examples and tools": 51_569,
     "lines of the longest file": 643,
     "lines of the longest function": 91,
     "parameters of one function": 13,
@@ -32,7 +32,7 @@ BUDGET = {
 }
 """Largest allowed sums. Lower them in the commit that makes the library smaller."""
 ROOMS = {
-    "atoms": 2714,
+    "atoms": 2663,
     "cli": 869,
     "core": 1681,
     "diffusion": 339,

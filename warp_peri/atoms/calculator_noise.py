@@ -171,13 +171,18 @@ def strained(
     return found
 
 
+def unit_strains(d: int) -> np.ndarray:
+    """Strains of one in Voigt's order, [k, 3, 3]; a shear has half of it on both sides."""
+    one = [np.outer(*np.eye(3)[list(pair)]) for pair in PAIRS[d]]
+    return np.array([(each + each.T) / 2 for each in one])
+
+
 def bent_by_strain(cell: ase.Atoms, calculator: Any, flat: bool, noise: float) -> float:
     """What stress over strain changes by from STRAIN to LARGEST, over it; 0 within noise [TPa]."""
     rng, slopes = np.random.default_rng(0), []
     G = rng.standard_normal((2, 3, 3)) * (np.outer([1, 1, 0], [1, 1, 0]) if flat else 1)
-    own = np.array([np.outer(*np.eye(3)[list(pair)]) for pair in PAIRS[2 if flat else 3]])
-    G = np.concatenate([G, own])  # beside the strains that moduli are of, as far along an axis
-    ways = G + G.swapaxes(1, 2)
+    own = unit_strains(2 if flat else 3)  # of moduli, as far along an axis
+    ways = np.concatenate([(G + G.swapaxes(1, 2)) / 2, own])
     ways /= np.linalg.norm(ways, axis=(1, 2))[:, None, None]
     for size in (STRAIN, LARGEST):
         turns = np.eye(3) + np.concatenate([size * ways, -size * ways])
@@ -412,10 +417,7 @@ def by_strains(
     """
     d, n, flat = atoms.dimension, len(cell), atoms.thickness is not None
     kinds, e = PAIRS[d], largest * np.array(PULLED)
-    G = np.tile(np.eye(3), (len(e), len(kinds), 2, 1, 1))
-    for row, kind, side in np.ndindex(*G.shape[:3]):
-        i, j = kinds[kind]
-        G[row, kind, side, [i, j], [j, i]] += (1 - 2 * side) * e[row] / (1 if i == j else 2)
+    G = np.eye(3) + np.einsum("e,s,kij->eksij", e, [1, -1], unit_strains(d))
     many = cell.repeat((2, 2, 1 if flat else 2))
     try:
         told = strained(calculator, many, G.reshape(-1, 3, 3), ["stress", "forces"])
@@ -534,7 +536,7 @@ def joined(
         values = atoms.values + np.tensordot(step, doubt, 1)
         seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
     parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
-    after = np.tensordot((vectors * np.sqrt(np.clip(parts, 0, None))).T, doubt, 1)
-    after = np.concatenate([after, np.tensordot((np.linalg.pinv(J) @ both).T, doubt, 1)])
+    after = [(vectors * np.sqrt(np.clip(parts, 0, None))).T, (np.linalg.pinv(J) @ both).T]
+    after = np.tensordot(np.concatenate(after), doubt, 1)
     moved = float(np.linalg.norm(values - atoms.values) / np.linalg.norm(atoms.values))
     return replace(atoms, values=values, doubt=after), chi, moved

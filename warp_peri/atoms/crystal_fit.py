@@ -30,6 +30,7 @@ from warp_peri.core.stencil import directions
 from warp_peri.errors import InputError, warn
 from warp_peri.materials.crystal import Crystal
 from warp_peri.materials.crystal_fit import from_phonons
+from warp_peri.points.arrays import check_positive
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.shown import Shown
 
@@ -76,8 +77,6 @@ def picture(found: LearnedCrystal) -> Figure:
 
 REACH = {2: 3.0, 3: 6**0.5}
 """Horizons over the spacing: 28 bonds in the plane, 80 in space."""
-WIDEST = {2: 20.0, 3: 6.0}
-"""Spacings of nodes over the usual one: beyond, the loads that a law is put to fill the memory."""
 WITHIN = 0.02
 """Relative error of the answer to a plane wave that a law is said to hold with."""
 RULES = 0.1
@@ -123,7 +122,7 @@ class LearnedCrystal(Shown):
     @cached_property
     def tensor(self) -> np.ndarray:
         """C_ijkl [TPa] of the atoms' long waves, [d, d, d, d]."""
-        return _of_long_waves(self.atoms, self.material.symmetry)
+        return self.atoms.elastic(_allowed(self.material.symmetry, self.atoms.dimension))
 
     @cached_property
     def errors(self) -> Any:
@@ -136,7 +135,13 @@ class LearnedCrystal(Shown):
     @cached_property
     def unsure(self) -> float:
         """Largest standard error of a long wave's modulus, over it, of waves in all directions."""
-        return _unsure(self.tensor, self.errors, self.atoms.stress)
+        if self.errors is None or not len(self.errors):
+            return 0.0
+        e = directions(DIRECTIONS, self.atoms.dimension)
+        size, waves = np.linalg.eigh(self.local(e))
+        off = np.array([acoustic(brackets_from_elastic(one), e) for one in self.errors])
+        share = np.einsum("nip,qnij,njp->qnp", waves, off, waves)
+        return float((np.sqrt((share**2).sum(axis=0)) / size).max())
 
     @cached_property
     def local(self) -> Symbol:
@@ -182,16 +187,20 @@ class LearnedCrystal(Shown):
         C = 1e3 * self.law.tensor()
         return angle, np.array([directional(C, *pair)[0] for pair in zip(along, across)])
 
+    @property
+    def _tensors(self) -> dict[str, np.ndarray]:
+        found = {"law": self.law.tensor(), "atoms": self.tensor}
+        return found if self.strained is None else found | {"finite strains": self.strained}
+
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
-        d, held = self.atoms.dimension, self.atoms.stress
-        columns = {"model": self.law.tensor(), "atoms' long waves": self.tensor}
-        if self.strained is not None:
-            columns["finite strains"] = self.strained
-        group = self.law.symmetry
+        d, held, law, group = self.atoms.dimension, self.atoms.stress, self.law, self.law.symmetry
         shown = [("symmetry", group if isinstance(group, str) else f"{len(group)} rotations")]
-        for name, C in columns.items():
-            parts = ", ".join(f"{key} {value:.2f}" for key, value in named_moduli(1e3 * C).items())
+        for key, C in self._tensors.items():
+            parts = ", ".join(
+                f"{name} {value:.2f}" for name, value in named_moduli(1e3 * C).items()
+            )
+            name = {"law": "model", "atoms": "atoms' long waves"}.get(key, key)
             shown.append((f"moduli, {name}", f"{parts} GPa"))
         if self.errors is not None:
             bars = with_errors(self.tensor, self.errors)
@@ -201,20 +210,18 @@ class LearnedCrystal(Shown):
         if held is not None:
             stress = ", ".join(f"{1e3 * held[i, j]:.3g}" for i in range(d) for j in range(i, d))
             shown.append(("stress held", f"{stress} GPa (upper triangle)"))
-        law = self.law
+        own, local = (_length(self.holds_to[name]) for name in ("law", "local"))
         shown += [
             ("nodes", f"{law.spacing:.4g} Å apart, {law.bonds} bonds up to {law.horizon:.4g} Å"),
             ("proven", "nothing" if self.certificate is None else self.certificate.statement),
             (
                 f"within {WITHIN:.0%} down to",
-                f"{_length(self.holds_to['law'])}; local elasticity with the same moduli: "
-                f"{_length(self.holds_to['local'])}",
+                f"{own}; local elasticity with the same moduli: {local}",
             ),
         ]
-        shown += [
-            (f"error, {name}", f"{e['law']:.2f} %; local elasticity {e['local']:.2f} %")
-            for name, e in self.unseen.items()
-        ]
+        for name, e in self.unseen.items():
+            local = f"local elasticity {e['local']:.2f} %"
+            shown.append((f"error, {name}", f"{e['law']:.2f} %; {local}"))
         return [*self.said.items(), *shown]
 
     def plot(self) -> Any:
@@ -223,10 +230,7 @@ class LearnedCrystal(Shown):
 
     def content(self) -> dict[str, Any]:
         """The same as plain values: Voigt matrices in GPa, lengths in Å, errors in %."""
-        C = {"law": self.law.tensor(), "atoms": self.tensor}
-        if self.strained is not None:
-            C["finite strains"] = self.strained
-        proof, told = self.certificate, self.law.certificate
+        C, proof, told = self._tensors, self.certificate, self.law.certificate
         bars = {name: bar for name, (_, bar) in with_errors(self.tensor, self.errors).items()}
         return {
             "said": self.said,
@@ -257,36 +261,19 @@ def _written(C: np.ndarray, errors: Any) -> str:
     return ", ".join(f"{name} {value:.2f} ± {bar:.2g}" for name, (value, bar) in moduli) + " GPa"
 
 
-def _unsure(C: np.ndarray, errors: Any, stress: np.ndarray | None) -> float:
-    """Largest standard error of a sound wave's modulus, over it."""
-    if errors is None or not len(errors):
-        return 0.0
-    e, d = directions(DIRECTIONS, C.shape[0]), C.shape[0]
-    brackets = brackets_from_elastic(C)
-    if stress is not None:
-        brackets = brackets + stress_brackets(stress)
-    size, waves = np.linalg.eigh(acoustic(brackets, e))
-    off = [acoustic(brackets_from_elastic(one), e) for one in errors]
-    share = np.einsum("nip,qnij,njp->qnp", waves, np.reshape(off, (-1, len(e), d, d)), waves)
-    return float((np.sqrt((share**2).sum(axis=0)) / size).max())
-
-
 def errors_of(atoms: ForceConstants, strained: np.ndarray | None, symmetry: Symmetry) -> Any:
     """Independent standard errors of moduli [TPa], [Q, d, d, d, d]; None where none is told.
 
     Of an exact potential the difference of finite strains from long waves.
     """
+    allowed = _allowed(symmetry, atoms.dimension)
     if atoms.doubt is not None:
-        return atoms.elastic_doubt(_allowed(symmetry, atoms.dimension), bent=True)
-    return None if strained is None else (strained - _of_long_waves(atoms, symmetry))[None]
+        return atoms.elastic_doubt(allowed, bent=True)
+    return None if strained is None else (strained - atoms.elastic(allowed))[None]
 
 
 def _allowed(symmetry: Symmetry, d: int) -> np.ndarray:
     return allowed_tensors(symmetry, point_group(symmetry, d), np.eye(d))
-
-
-def _of_long_waves(atoms: ForceConstants, symmetry: Symmetry) -> np.ndarray:
-    return atoms.elastic(_allowed(symmetry, atoms.dimension))
 
 
 def _group(atoms: ForceConstants, symmetry: Symmetry) -> Symmetry:
@@ -337,57 +324,57 @@ def from_atoms(
     53
     """
     units = check_units(units)
+    check_positive("spacing", 1.0 if spacing is None else spacing)
     calculator = atoms.calc if calculator is None else calculator
     if calculator is None:
         raise InputError("calculator: expected an ASE calculator, or atoms that have one")
     reference = at_rest(atoms, calculator, thickness=thickness, hold=hold)
-    h = _spacing(spacing, reference.spacing, reference.dimension)
-    constants, strained, taken = known_constants(reference, calculator, supercell, symmetry)
-    said = reference.said | taken
+    constants, said = force_constants(reference, calculator, supercell)
+    group = _group(constants, symmetry)
+    constants, strained, taken = with_strains(constants, reference, calculator, group)
+    said = reference.said | said | taken
     off = 0.0
     if strained is not None:
-        waves = _of_long_waves(constants, _group(constants, symmetry))
+        waves = constants.elastic(_allowed(group, constants.dimension))
         off = float(np.abs(waves - strained).max() / np.abs(strained).max())
     if off > AGREE:
         told = (
             f"those of long waves are {off:.1%} off those of finite strains: forces reach further "
-            f"than {taken['force constants']}, or the calculator is not that precise"
+            f"than {said['force constants']}, or the calculator is not that precise"
         )
         if off > TOO_FAR:
             raise InputError(f"moduli: {told}")
         warn(f"moduli: {told}")
         said["moduli disagree"] = told
-    return _learned(constants, h, horizon, symmetry, units, said, strained)
+    return _learned(constants, spacing or reference.spacing, horizon, group, units, said, strained)
 
 
-def known_constants(
-    reference: Reference,
-    calculator: Any,
-    supercell: Sequence[int] | None = None,
-    symmetry: Symmetry = "auto",
+def with_strains(
+    atoms: ForceConstants, reference: Reference, calculator: Any, symmetry: Symmetry
 ) -> tuple[ForceConstants, np.ndarray | None, dict[str, str]]:
     """Force constants, moduli of finite strains [TPa] if there are stresses, and what they say.
 
     Under noise both are joined by their errors: force constants are moved until their moduli are
-    the likeliest of both. Arguments are those of `from_atoms`.
+    the likeliest of both.
     """
-    atoms, told = force_constants(reference, calculator, supercell)
-    noise, allowed = reference.noise, _allowed(_group(atoms, symmetry), atoms.dimension)
+    noise, allowed = reference.noise, _allowed(symmetry, atoms.dimension)
     largest = STRETCH if noise is None else noise.strain
     rough = noise is not None and noise.rough > 0
     found = by_strains(reference.cell, calculator, largest, atoms, allowed, rough=rough)
     if found is None or noise is None:
-        return atoms, None if found is None else found[0], told | _doubts(atoms)
+        return atoms, None if found is None else found[0], _doubts(atoms)
     # what is unstable within its errors is refused only if strains do not mend it
     alone = _written(atoms.nearest_elastic(allowed)[0], atoms.elastic_doubt(allowed))
     new, chi, moved = joined(atoms, allowed, *found, shared=SMALLER * rough)
     check_phonons(new)
-    told["moduli, force constants alone"] = alone
     sizes = f"strains of {largest * PULLED[0]:.2g} to {largest:.2g}"
-    told["moduli, finite strains alone"] = f"{_written(*found)}, {sizes}"
     why = "forces leave the supercell" + " or are not linear" * rough
     believed = "they agree" if chi <= APART else f"strains are believed: {why}"
-    told["both"] = f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}"
+    told = {
+        "moduli, force constants alone": alone,
+        "moduli, finite strains alone": f"{_written(*found)}, {sizes}",
+        "both": f"χ² = {chi:.2g} for each modulus: {believed}; Φ moved by {moved:.1e}",
+    }
     return new, found[0], told | _doubts(new)
 
 
@@ -409,17 +396,17 @@ def from_force_constants(
     """
     check_phonons(atoms)
     cell = ase.Atoms(atoms.species, positions=atoms.positions, cell=atoms.cell, pbc=True)
-    h = _spacing(spacing, usual_spacing(cell, atoms.dimension == 2), atoms.dimension)
+    h = spacing or usual_spacing(cell, atoms.dimension == 2)
     said, group = _doubts(atoms), _group(atoms, symmetry)
     errors = errors_of(replace(atoms, cut=None), None, group)
     if errors is not None and len(errors):
-        share = np.abs(errors).max() / np.abs(_of_long_waves(atoms, group)).max()
-        if share > RULES:
+        C = atoms.elastic(_allowed(group, atoms.dimension))
+        if (share := np.abs(errors).max() / np.abs(C).max()) > RULES:
             raise InputError(
                 f"force constants: the rules that they break (space group, exchange of atoms, "
                 f"rotations) leave moduli unsure by {share:.0%}; expected less than {RULES:.0%}"
             )
-    return _learned(atoms, h, horizon, symmetry, check_units(units), said, None)
+    return _learned(atoms, h, horizon, group, check_units(units), said, None)
 
 
 def _doubts(atoms: ForceConstants) -> dict[str, str]:
@@ -438,18 +425,6 @@ def _doubts(atoms: ForceConstants) -> dict[str, str]:
     return said
 
 
-def _spacing(asked: float | None, usual: float, dimension: int) -> float:
-    """The usual one, or what is asked for; InputError for one that is no length or too wide."""
-    if asked is None:
-        return usual
-    if not 0 < asked <= WIDEST[dimension] * usual:
-        raise InputError(
-            f"spacing: expected a length up to {WIDEST[dimension] * usual:.3g} Å, "
-            f"{WIDEST[dimension]:g} times the usual one of this crystal, got {asked}"
-        )
-    return asked
-
-
 def _learned(
     atoms: ForceConstants,
     spacing: float,
@@ -459,11 +434,9 @@ def _learned(
     said: dict[str, str],
     strained: np.ndarray | None,
 ) -> LearnedCrystal:
-    d = atoms.dimension
-    reach = spacing * REACH[d] if horizon is None else horizon
-    group = _group(atoms, symmetry)
-    law = from_phonons(atoms, spacing, reach, symmetry=group)
+    reach = spacing * REACH[atoms.dimension] if horizon is None else horizon
+    law = from_phonons(atoms, spacing, reach, symmetry=symmetry)
     found = LearnedCrystal(law, atoms, strained, said)
     record: dict[str, Any] = {"moduli_error": found.unsure}  # relative, of any sound wave
     law = replace(law, provenance=law.provenance | record) if found.errors is not None else law
-    return LearnedCrystal(law.in_units(units), atoms, strained, said)
+    return replace(found, material=law.in_units(units))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.foreign import content, encoding_of
 from warp_peri.points.points import Points
 from warp_peri.points.samples import PULL, SEEN, Samples
-from warp_peri.points.unit_names import LENGTHS, USUAL, Units, check_units
+from warp_peri.points.unit_names import LENGTHS, USUAL, check_units
 
 MATCHID = ("disphorizontaldisplacement§", "dispverticaldisplacement§")
 MOVES = ("§", "u*", "displacement*", "*displacement", "disp*", "d*", *MATCHID)
@@ -265,16 +266,13 @@ def length_of(pixel: float | str) -> tuple[float, str | None]:
     found = re.fullmatch(r"([-+.\deE]*)\s*(.*)", str(pixel))
     number, name = found.groups() if found and isinstance(pixel, str) else (str(pixel), "")
     unit = {"µm": "um", "μm": "um", "Å": "angstrom"}.get(name, name) or None
-    try:
+    with suppress(ValueError):
         size = float(number or 1.0)
-    except ValueError:
-        size = np.nan
-    if not 0 < size < np.inf or (unit is not None and unit not in LENGTHS):
-        raise InputError(
-            f"pixel: expected a length > 0, with a unit of {', '.join(LENGTHS)} or none, got "
-            f"{pixel!r}"
-        )
-    return size, unit
+        if 0 < size < np.inf and (unit is None or unit in LENGTHS):
+            return size, unit
+    raise InputError(
+        f"pixel: expected a length > 0, with a unit of {', '.join(LENGTHS)} or none, got {pixel!r}"
+    )
 
 
 def frames_on_lattice(
@@ -283,7 +281,6 @@ def frames_on_lattice(
     spacing: float | None = None,
     radius: float = 0.0,
     reach: int = 3,
-    units: Units | str | None = None,
     positions: str | None = None,
 ) -> Samples:
     """All frames on the nodes that most of them have, with the collar that a model needs.
@@ -297,14 +294,13 @@ def frames_on_lattice(
         radius: of the local quadratic fits that smooth, in spacings; 0 keeps points that lie on
             nodes as they are, and takes 1.6 for others.
         reach: horizon in spacings; nodes whose surroundings to twice that are there are interior.
-        units: of the samples' lengths and of the stresses to be learned; by default the length
-            that the frames carry, with MPa, and Å and TPa where they carry none.
         positions: "reference" or "current", what the frames' positions are; None tells it: where
             positions less displacements are the same in all frames, or those of one a lattice, and
             positions are not, they are of the current frame, and a warning says so.
 
-    Raises InputError for frames in several units, or other ones than asked, and where points are
-    too few or no node has its surroundings.
+    Samples are in the length that the frames carry, with MPa; in Å and TPa where they carry none.
+    Raises InputError for frames in several units, and where points are too few or no node has its
+    surroundings.
     """
     if not frames:
         raise InputError("frames: expected at least one, got none")
@@ -316,9 +312,7 @@ def frames_on_lattice(
     if not radius >= 0:
         raise InputError(f"radius: expected spacings ≥ 0, got {radius}")
     (length,) = lengths
-    named = check_units(units or (USUAL if length is None else (length, "MPa")))
-    if length not in (None, named[0]):
-        raise InputError(f"units: the frames are in {length}, expected that, got {named[0]}")
+    named = check_units(USUAL if length is None else (length, "MPa"))
     step = spacing_of(frames[0].x) if spacing is None else float(spacing)
     every = np.concatenate([frame.x for frame in frames])
     counts = np.floor(np.ptp(every, axis=0) / step + 1 + ON_LATTICE).astype(int)

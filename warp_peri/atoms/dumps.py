@@ -46,7 +46,6 @@ class Frame:
         ids: rising, shape [A]; 1, 2, … in a file without them.
         x: positions [Å], shape [A, 2].
         types: of the atoms, shape [A]; None without that column.
-        box: periods [Å]; None where the box is tilted, or there is none.
         columns: of the file.
         z: third coordinates [Å], shape [A].
         cell: edges of the box as rows [Å], shape [3, 3].
@@ -56,11 +55,18 @@ class Frame:
     ids: np.ndarray
     x: np.ndarray
     types: np.ndarray | None
-    box: tuple[float, float] | None
     columns: tuple[str, ...]
     z: np.ndarray
     cell: np.ndarray
     unwrapped: bool = False
+
+    @property
+    def box(self) -> tuple[float, float] | None:
+        """Periods [Å]; None where the box is tilted, or there is none."""
+        size = np.diag(self.cell)
+        if min(size[:2]) <= 0 or np.abs(self.cell - np.diag(size)).max() > ROUND * self.cell.max():
+            return None
+        return float(size[0]), float(size[1])
 
 
 def dump_frames(path: str | os.PathLike[str]) -> Iterator[Frame]:
@@ -204,18 +210,8 @@ def _ordered(
     ids, x = ids[order], positions[order]
     if (twice := ids[1:][ids[1:] == ids[:-1]]).size:
         raise ValueError(f"the id {twice[0]} comes twice")
-    sides = (float(cell[0, 0]), float(cell[1, 1]))
-    straight = np.abs(cell - np.diag(np.diag(cell))).max() <= ROUND * np.abs(cell).max()
-    return Frame(
-        ids,
-        x[:, :2],
-        None if types is None else types[order],
-        sides if straight and min(sides) > 0 else None,
-        columns,
-        x[:, 2],
-        cell,
-        images is not None or bool({"xu", "xsu"} & set(columns)),
-    )
+    kinds, free = None if types is None else types[order], bool({"xu", "xsu"} & set(columns))
+    return Frame(ids, x[:, :2], kinds, columns, x[:, 2], cell, images is not None or free)
 
 
 def _by_ase(path: str | os.PathLike[str]) -> Iterator[Frame]:

@@ -179,7 +179,7 @@ class ForceConstants:
         d, m, n = self.dimension, moving or self.moving, len(self.positions)
         phase = np.exp(1j * (k @ self.vectors[:, :d].T))
         D = np.zeros((len(k), n, m, n, m), complex)
-        for i, j in itertools.product(range(n), repeat=2):
+        for i, j in np.unique(self.pairs, axis=0):
             some = (self.pairs == (i, j)).all(axis=1)
             D[:, i, :, j, :] = np.tensordot(phase[:, some], self.values[some, :m, :m], 1)
         if self.polar is not None:
@@ -322,17 +322,18 @@ class ForceConstants:
         waves, moments = self.effective(LONG * e) / LONG**2, self.acoustic(e)
         off += float(np.linalg.norm(waves - moments) / np.linalg.norm(waves))
         if off > NOT_ELASTIC:
-            ions = self.polar is not None and self.nearest_elastic(allowed, field=False)[1]
-            if ions is not False and ions <= NOT_ELASTIC:
+            if (
+                self.polar is not None
+                and self.nearest_elastic(allowed, field=False)[1] <= NOT_ELASTIC
+            ):
                 doubts.insert(0, "a piezoelectric crystal: it is one but for its ions' field")
+            why = "; ".join(doubts) or (
+                "a piezoelectric crystal's non-analytic term, a stress that it is held under, or "
+                "another symmetry may be why"
+            )
             raise InputError(
                 f"force constants: long waves are {off:.1%} off those of every elastic solid of "
-                "this symmetry; "
-                + (
-                    "; ".join(doubts)
-                    or "a piezoelectric crystal's non-analytic term, a stress that it is held "
-                    "under, or another symmetry may be why"
-                )
+                f"this symmetry; {why}"
             )
         for doubt in doubts:
             warn(f"force constants: {doubt}")
@@ -344,16 +345,16 @@ class ForceConstants:
         With `bent` [2 Q, ...]: what is even in errors of Φ comes behind what is odd in them. A
         tensor that is moved by one of them lies within √2 of both.
         """
-        given = [] if self.doubt is None else [*self.doubt]
+        given = [*(() if self.doubt is None else self.doubt)]
         given += [] if self.cut is None else [self.cut]
         ends = [
             [self.nearest_elastic(allowed, self.values + sign * one)[0] for sign in (1, -1)]
             for one in given
         ]
-        odd = [(a - b) / 2 for a, b in ends]
         middle = self.nearest_elastic(allowed)[0]
-        even = [(a + b) / 2 - middle for a, b in ends] if bent else []
-        return np.array(odd + even).reshape(-1, *middle.shape)
+        found = [(a - b) / 2 for a, b in ends]
+        found += [(a + b) / 2 - middle for a, b in ends] if bent else []
+        return np.array(found).reshape(-1, *middle.shape)
 
     def doubts(self) -> list[str]:
         """What moduli of these force constants are not to be trusted for."""
@@ -375,9 +376,8 @@ class ForceConstants:
 
         Raises InputError where spglib is not installed.
         """
-        fractions = self.positions @ np.linalg.inv(self.cell)
         kinds = self.species if self.kinds is None else self.kinds
-        turns = group_of_structure(self.cell, fractions, kinds)
+        turns = group_of_structure(self.cell, self.positions @ np.linalg.inv(self.cell), kinds)
         if self.dimension == 3:
             return turns
         flat = turns[np.abs(np.abs(turns[:, 2, 2]) - 1) < 1e-6][:, :2, :2]
@@ -487,10 +487,8 @@ def every_pair(
     i, j, image = np.nonzero(tie)
     share = 1 / tie.sum(axis=2)
     pairs, none = np.stack([i, kind[j]], axis=1), np.zeros((len(i), 3, 3))
-    kinds, vectors = kinds_of(structure)[0], near[i, j, image]
-    made = ForceConstants(
-        cell, x, np.array(structure.numbers), pairs, vectors, none, thickness, polar, stress, kinds
-    )
+    of = cell, x, np.array(structure.numbers), pairs, near[i, j, image], none
+    made = ForceConstants(*of, thickness, polar, stress, kinds_of(structure)[0])
     return made, (i, j, share[i, j][:, None, None])
 
 

@@ -96,10 +96,7 @@ def _check_sites(atoms: ase.Atoms) -> None:
     for site in (atoms.info.get("occupancy") or {}).values():
         if len(site) > 1 or min(site.values()) < FULL:
             shared = ", ".join(f"{kind} {part:g}" for kind, part in site.items())
-            raise InputError(
-                f"structure: expected sites that one element fills, got one of {shared}; "
-                "give a cell with every atom on a site of its own"
-            )
+            raise InputError(f"structure: expected sites of one element, got one of {shared}")
     edges, x = np.array(atoms.cell), np.array(atoms.positions)
     if not len(atoms) or not (np.isfinite(edges).all() and np.isfinite(x).all()):
         raise InputError("structure: expected one atom or more, at finite places in a finite cell")
@@ -111,9 +108,8 @@ def _check_sites(atoms: ase.Atoms) -> None:
     if len(apart):
         n = apart.argmin()
         raise InputError(
-            f"structure: expected atoms {UPON:g} Å apart or more, got {apart[n]:.2g} Å between "
-            f"atoms {first[n]} and {second[n]} of {len(atoms)}; is a site there twice, or are "
-            "lengths not in Å?"
+            f"structure: expected atoms {UPON:g} Å apart, got {apart[n]:.2g} Å between {first[n]} "
+            f"and {second[n]} of {len(atoms)}; is a site there twice, or are lengths not in Å?"
         )
 
 
@@ -129,8 +125,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     empty = [a for a in range(3) if not periodic[a] or gap(atoms, a)[0] >= VACUUM]
     if len(empty) > 1:
         raise InputError(
-            f"structure: expected a sheet or a solid; along {len(empty)} edges of the cell there "
-            "is vacuum or no period"
+            f"structure: expected a sheet or a solid, got no period along {len(empty)} edges"
         )
     ready: ase.Atoms = atoms.copy()
     ready.set_constraint()
@@ -138,10 +133,8 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
     if not empty:
         widest = max(gap(atoms, a)[0] for a in range(3))
         if widest >= WIDE:
-            warn(
-                f"structure: taken for a solid, with a gap of {widest:.3g} Å along an edge; a "
-                f"sheet has {VACUUM:g} Å of vacuum or more"
-            )
+            told = f"a gap of {widest:.3g} Å along an edge; a sheet has {VACUUM:g} Å or more"
+            warn(f"structure: taken for a solid, with {told}")
         ready.pbc = True
         return to_shared_axes(ready) if turning else ready, False
     first, second = ((1, 2), (2, 0), (0, 1))[empty[0]]
@@ -156,7 +149,7 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
         turn = np.eye(3)
     x = np.array(ready.positions) @ turn.T
     if periodic[axis := empty[0]]:  # a sheet that the period cuts is put together at the gap
-        part = _parts(atoms)[:, axis]
+        part = atoms.cell.scaled_positions(atoms.positions)[:, axis]
         x = x - np.outer(np.floor(part - gap(atoms, axis)[1] + ROUNDING), turn @ cell[axis])
     edges = np.array([turn @ cell[first], turn @ cell[second], [0, 0, HEIGHT + np.ptp(x[:, 2])]])
     x[:, 2] += edges[2, 2] / 2 - (x[:, 2].min() + x[:, 2].max()) / 2
@@ -168,15 +161,10 @@ def oriented(atoms: ase.Atoms, turning: bool) -> tuple[ase.Atoms, bool]:
 
 def gap(atoms: ase.Atoms, axis: int) -> tuple[float, float]:
     """Largest distance between neighbours along an edge [Å], and the part of it where it ends."""
-    part = np.sort(_parts(atoms)[:, axis] % 1.0)
+    part = np.sort(atoms.cell.scaled_positions(atoms.positions)[:, axis] % 1.0)
     apart = 1 / np.linalg.norm(np.linalg.inv(np.array(atoms.cell))[:, axis])
     steps = np.diff(part, prepend=part[-1] - 1)
     return float(steps.max() * apart), float(part[steps.argmax()])
-
-
-def _parts(atoms: ase.Atoms) -> np.ndarray:
-    """Positions in parts of the cell's edges, not wrapped."""
-    return np.linalg.solve(np.array(atoms.cell).T, np.array(atoms.positions).T).T
 
 
 def to_shared_axes(atoms: ase.Atoms) -> ase.Atoms:
@@ -304,16 +292,14 @@ def at_rest(
     if flat and size is None:
         size, rule = thickness_of(cell)
     stress = _stress_left(cell, size, flat, held, noise)
-    said = {
-        "structure": f"{cell.get_chemical_formula()}, {'a sheet' if flat else 'a solid'}",
-        "cell": " x ".join(f"{length:.5g}" for length in cell.cell.lengths()[: 2 if flat else 3])
-        + f" Å, {len(cell)} atoms",
-    }
+    kind, lengths = "a sheet" if flat else "a solid", cell.cell.lengths()[: 2 if flat else 3]
+    said = {"structure": f"{cell.get_chemical_formula()}, {kind}"}
+    said["cell"] = f"{' x '.join(f'{one:.5g}' for one in lengths)} Å, {len(cell)} atoms"
     if noise is None:
         said["noise"] = f"{found.force:.1e} eV/Å, which is rounding"
     if turned:
-        other = "turned to those of the conventional cell"
-        said["axes"] = "turned: x along an edge of the cell, z across" if flat else other
+        where = ": x along an edge of the cell, z across" if flat else " to the conventional cell's"
+        said["axes"] = f"turned{where}"
     if np.abs(strain).max() > MOVED:
         said["relaxed"] = f"the cell by strains of {strain.min():+.1%} to {strain.max():+.1%}"
     if size is not None:
