@@ -148,12 +148,15 @@ class SoftBody:
             force = total[self.free]
             if np.linalg.norm(force) <= TOLERANCE * np.linalg.norm(total):
                 return u
-            tangent = self.stiffness * share * weak * np.maximum(1 - softness * s, 0.02)
-            matrix = sp.csr_array(self.rows.T @ (sp.diags_array(tangent) @ self.rows))
-            inner = sp.csc_array(matrix[self.free][:, self.free])
+            slope = share * weak * np.maximum(1 - softness * s, 0.02)
             u = u.copy()
-            u[self.free] -= symmetric_factors(inner).solve(force)
+            u[self.free] -= symmetric_factors(self.tangent(slope)).solve(force)
         raise InputError("softening: no equilibrium was found; the body may have come apart")
+
+    def tangent(self, slope: np.ndarray) -> sp.csc_array:
+        """Of bonds whose pull rises by so much of their stiffness, between free components."""
+        K = self.rows.T @ (sp.diags_array(self.stiffness * slope) @ self.rows)
+        return sp.csc_array(sp.csr_array(K)[self.free][:, self.free])
 
     def levers(self, line: ArrayLike) -> np.ndarray:
         """What bonds add to the force at right angles to a straight line, in space to a flat
@@ -297,10 +300,9 @@ class SoftBody:
         beta, fails = self.law.softness, ((s == worst) & (worst > self.law.stretch)).numpy()
         own = (share * torch.exp(-beta * s.clip(0)) * torch.where(s > 0, 1 - beta * s, 1)).numpy()
         fall = -float(pull_of(self.law.stretch, beta, np)) / self.law.tail
-        slope = self.stiffness * np.where(fails & (own > 0), fall, own)
-        K = sp.csr_array(self.rows.T @ (sp.diags_array(slope) @ self.rows))
         try:
-            check_definite(symmetric_factors(sp.csc_array(K[self.free][:, self.free])))
+            slope = np.where(fails & (own > 0), fall, own)
+            check_definite(symmetric_factors(self.tangent(slope)))
         except InputError:
             return False
         return True
@@ -315,9 +317,7 @@ class SoftBody:
         def inverse(g: np.ndarray) -> np.ndarray:
             if not factors:
                 s = np.maximum(self.stretch(u), 0)
-                slope = self.stiffness * left * np.exp(-beta * s) * (1 - beta * s)
-                K = sp.csr_array(self.rows.T @ (sp.diags_array(slope) @ self.rows))
-                factors.append(splu(sp.csc_array(K[self.free][:, self.free])))
+                factors.append(splu(self.tangent(left * np.exp(-beta * s) * (1 - beta * s))))
             w = np.zeros_like(g)
             w[self.free] = factors[0].solve(g[self.free])
             return w

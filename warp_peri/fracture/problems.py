@@ -106,9 +106,7 @@ class Cracked:
             u = checked("u", u, float, body.x.shape, self.held)
         if self.pressure is not None:
             pressure = checked("pressure", self.pressure, float, (body.dimension,) * 2)
-            extra = crack_load(cut, pressure)  # refuses what does not fit
-            if learns and not self.corrected:
-                extra = in_torch().crack_load(cut, pressure, numbers or {})
+            extra = crack_load(cut, pressure, numbers or {} if learns else None)
             b = in_torch().as_tensor("b", b) if learns else checked("b", b, float, body.x.shape)
             b = b + (in_torch().as_tensor("pressure", extra) if learns else extra)
         solved = cut.rest_in_torch(b, u, solver, numbers) if learns else cut.rest(b, u, solver)

@@ -271,7 +271,7 @@ def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> 
             )
 
 
-def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
+def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:
     """Body force density [stress / length] that presses on what has been cut, shape [N, d].
 
     The bonds that are missing would carry some force in a body
@@ -281,6 +281,7 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     Args:
         cut: the solid, of one material.
         stress: symmetric, shape [d, d]; p n⊗n for a pressure on faces with normal n.
+        numbers: of the material as tensors, in which it is then differentiable; not corrected.
 
     Raises InputError for another stress, and several materials.
     """
@@ -289,6 +290,8 @@ def crack_load(cut: CutSolid, stress: np.ndarray) -> np.ndarray:
     model, body = cut.model, cut.body
     if np.abs(stress - stress.T).max() > SYMMETRIC * np.abs(stress).max():
         raise InputError(f"stress: expected a symmetric one, got {stress.tolist()}")
+    if numbers is not None and not cut.corrected:
+        return in_torch().crack_load(cut, stress, numbers)
     u = body.x @ strain_of(stress, model.lam, model.mu, np.eye(body.dimension))
     whole = CutRows(model, body, body.neighbour, cut.corrected)
     return np.asarray((whole(u[None]) - cut.times(u[None]))[0])
