@@ -274,9 +274,8 @@ def check_pieces(body: LatticeBody, neighbour: np.ndarray, held: np.ndarray) -> 
 def crack_load(cut: CutSolid, stress: np.ndarray, numbers: Any = None) -> Any:
     """Body force density [stress / length] that presses on what has been cut, shape [N, d].
 
-    The bonds that are missing would carry some force in a body
-    under the uniform stress; this is minus that force, so that a crack with it in a body pulled by
-    the stress is as if it were not there (C13).
+    Minus the force that the missing bonds would carry under the uniform stress: a crack with it, in
+    a body pulled by the stress, is as if it were not there (C13).
 
     Args:
         cut: the solid, of one material.
