@@ -31,7 +31,7 @@ def plate(side: int) -> tuple[Any, np.ndarray, torch.Tensor]:
         away = torch.from_numpy(np.linalg.norm(x * 64 / side - middle, axis=-1))
         more = torch.tensor(inside, dtype=maps.dtype)[:, None] - 1
         maps += more * torch.sigmoid((radius - away) / 0.75)
-    solid = wp.Model(LAM, MU, 1.0, [1.0], HORIZON * H, certified_on=(H,))
+    solid = wp.Model(LAM, MU, 1.0, np.ones(1), HORIZON * H, certified_on=(H,))
     return solid.on(points, lam=np.full(len(x), LAM), mu=np.full(len(x), MU)), x, maps
 
 
@@ -48,7 +48,7 @@ def shot(body: Any, x: np.ndarray, side: int) -> Callable[[torch.Tensor], torch.
         "record": np.abs(np.abs(x).max(axis=1) - side / 2 + 3.5) < 0.1,
     }
 
-    def heard(maps: torch.Tensor) -> torch.Tensor:
+    def heard(maps: torch.Tensor) -> Any:
         moduli = {"lam": (LAM + MU) * maps[0] - MU * maps[1], "mu": MU * maps[1]}
         return wp.move(body, at_rest, **options, parameters=moduli)["u"]
 

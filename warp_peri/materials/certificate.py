@@ -141,7 +141,7 @@ def certify(
         values = eigh(phi.T @ phi, gamma, eigvals_only=True)
         values = values[values > RANK_TOLERANCE * values[-1]]
         inf_sup, rank = float(values[0]), len(values)
-    figures = gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
+    figures: Any = gamma_min, inf_sup, rank, float(schwarz[0]), float(schwarz[-1])
     return Certificate(*found, *figures, **about)
 
 

@@ -68,7 +68,7 @@ def sweep(bonds: Bonds, law: SweepLaw, of: Any, pieces: Sequence[str | None], *f
     except IndexError:
         kernels, last, known = law.kernels, of, [one.__ctype__() for one in fields]
         ends = [type(one).from_buffer_copy(one) for one in known]
-        nodes = [layout.pieces[name] for name in pieces]
+        nodes: list[Any] = [layout.pieces[name] for name in pieces]
         work = sum(map(len, nodes)) * len(theta) * max(1, kernels.lanes // FASTER)
         shared = Shared(kernels.swept, (*nodes, of, None), 3 * (None,), 3, work, stay)
         for place, end in enumerate(ends, 4):

@@ -342,8 +342,8 @@ class LPSOperator(OnPoints):
         """Fields at rest [S, N, d], by iteration, and its records."""
         if self.model.nodes is None:
             self.linear.check_definite()
-        flat = (field.reshape(-1, *self.shape) for field in (load, u))
-        return self.linear.solve(*flat, tolerance, method)
+        load, u = (field.reshape(-1, *self.shape) for field in (load, u))
+        return self.linear.solve(load, u, tolerance, method)
 
     def _solved(self, load: Any, u: Any, solver: Solver) -> tuple[np.ndarray, str, list[Any]]:
         """Fields at rest, the method, and its records. What iteration refuses, few nodes can be
