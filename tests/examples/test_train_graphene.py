@@ -1,0 +1,113 @@
+"""The main job and the README's lines, run as a user runs them, on data made by LAMMPS."""
+
+import io
+import json
+import re
+import shutil
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples import train_graphene
+from warp_peri import load
+
+ROOT = Path(__file__).parent.parent.parent
+README = (ROOT / "README.md").read_text("utf-8")
+PLACES = [
+    *(("E_res", r) for r in ("train", "val")),
+    *(("E_u", r) for r in ("train", "val", "test")),
+]
+
+
+@pytest.fixture(scope="module")
+def job(graphene, tmp_path_factory):
+    """Folder, what is printed, and numbers of the main job."""
+    out = tmp_path_factory.mktemp("runs") / "graphene_0K"
+    with redirect_stdout(io.StringIO()) as printed:
+        assert train_graphene.main(["--data", str(graphene), "--out", str(out)]) == 0
+    return out, printed.getvalue(), json.loads((out / "metrics.json").read_text())
+
+
+def test_it_leaves_its_results_and_says_how_good_they_are(job):
+    out, printed, numbers = job
+    pictures = [f"{name}.png" for name in ("influence", "loss", "disks", "waves")]
+    assert all((out / name).stat().st_size > 500 for name in ("model.json", "report.md", *pictures))
+    assert numbers["held"] == pytest.approx([numbers["lambda"], numbers["mu"]], rel=1e-9)
+    assert numbers["augmented_lagrangian"]["loss_over_optimum"] <= 1.001
+    assert np.ptp(list(numbers["starts"].values())) < 1e-6
+    error = f"displacement has an error of {100 * numbers['E_u']['test']:.2f} %"
+    above, below = (out / "report.md").read_text().split("\n----\n")
+    assert all(error in text for text in (printed, above))
+    assert numbers["statement"] in below
+    cells = re.search(r"\| linear peridynamic solid \(LPS\) \|(.*)\|", below)[1].split("|")
+    expected = [100 * numbers[error][role] for error, role in PLACES]
+    assert [float(cell) for cell in cells] == pytest.approx(expected, abs=0.0051)
+    for form, row in numbers["third_order"].items():
+        model = load(out / f"third_order_{form}.json")
+        assert row["constants"] == {name: getattr(model, name) for name in ("t3", "tq2", "q3")}
+
+
+def test_defaults_reach_the_figures_of_the_pages(job):
+    numbers = job[-1]
+    assert numbers["mu"] == pytest.approx(numbers["truth"]["mu"], rel=0.01)
+    assert numbers["E"] == pytest.approx(numbers["truth"]["E"], rel=0.025)
+    assert numbers["certificate"]["symbol_bound"] >= 0.36
+    assert min(numbers["conditions"].values()) > 0  # (i) to (iii) of (4.6), by dense eigenvalues
+    third = numbers["third_order"]
+    assert third["energy"]["proven_strain"] >= 0.055
+    assert third["filtered"]["proven_strain"] >= 0.035
+    found = {
+        "this library": numbers,
+        "crystal model, 20 bonds": numbers["micromodulus"],
+        "third-order model, 28 bonds, with energy": third["energy"],
+        "third-order model, 28 bonds, deconvolved": third["filtered"],
+    }
+    rows = json.loads((ROOT / "docs/record/graphene.json").read_text("utf-8"))["rows"]
+    recorded = {name: cells for name, *cells in rows}
+    for name, table in found.items():
+        measured = [100 * table[error][role] for error, role in PLACES]
+        assert recorded[name] == pytest.approx(measured, abs=0.02), name
+    for name, errors in (
+        ("linear peridynamic solid (LPS)", numbers["E_u"]),
+        ("crystal model, a stiffness matrix for each bond", numbers["micromodulus"]["E_u"]),
+        ("third order on a crystal, with energy", third["energy"]["E_u"]),
+        ("third order on a crystal, deconvolved", third["filtered"]["E_u"]),
+        ("local elasticity, constants exact or learned", numbers["local"]["true"]),
+        ("local elasticity, constants exact or learned", numbers["local"]["learned"]),
+    ):
+        row = re.search(rf"\| {re.escape(name)} \|(.*)\|", README)[1]
+        measured = [100 * errors[role] for role in ("val", "test")]
+        assert [float(cell.strip(" *%")) for cell in row.split("|")] == pytest.approx(
+            measured, abs=0.02
+        )
+
+
+def test_the_lines_of_the_readme_run_and_print_what_it_says(
+    graphene, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "data").mkdir()
+    shutil.copy(graphene, tmp_path / "data" / "graphene_0K.h5")
+    monkeypatch.chdir(tmp_path)
+    exec(re.search(r"```python\n(.*?)```", README, re.DOTALL)[1], {})
+    error, statement = capsys.readouterr().out.split(maxsplit=1)
+    assert f"{100 * float(error):.2f}" == re.search(r"This fit errs by (\S+) %", README)[1]
+    assert statement.startswith("Every static problem on any finite set of nodes")
+    assert load("model.json").certified_on == (5.0,)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--horizon", "30"], "twice the horizon: 152 of 441 have not at horizon 30 Å"),
+        (["--degree", "-1"], "degree: expected a whole number ≥ 0, got -1"),
+        (["--spacing", "3"], "no training set on nodes 3 Å apart"),
+        (["--data", "nowhere.h5"], "nowhere.h5: no such file"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(arguments, words, graphene, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert train_graphene.main(["--data", str(graphene), "--out", str(out), *arguments]) == 2
+    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error")]
+    assert (len(said), words in said[0], out.exists()) == (1, True, False)
