@@ -5,11 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from examples.exact import plate_with_hole
 from tests.crystal.crystals import cubic_tensor, dispersive, learned
 from warp_peri.errors import InputError
 from warp_peri.fe_coupling.body import Coupling, solve_body
-from warp_peri.fe_coupling.boundary_elements import Moduli
 from warp_peri.materials.crystal_fit import fit_symbol
 from warp_peri.points.mesh import make_mesh
 from warp_peri.points.outlines import Circle, Sphere, box, mesh_outline, mesh_solid
@@ -73,10 +71,6 @@ def test_a_turned_body_with_free_faces_feels_nothing(body):
     assert np.abs(found.bulk_stress).max() < 1e-8 * feels
 
 
-def exact(x, law):
-    return plate_with_hole(x, 12.0, 0.005, Moduli(law.tensor()))
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -98,12 +92,6 @@ def test_bad_input_is_named(change, message):
         solve_body(law, mesh, displacement=held, **change)
 
 
-def test_a_cell_without_volume_is_named():
-    flat = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
-    with pytest.raises(InputError, match="tetrahedra: number 0 has no volume"):
-        make_mesh(flat, [[0, 1, 2, 3]])
-
-
 @pytest.mark.slow
 def test_a_void_under_pressure_is_that_of_a_hollow_ball():
     """G. Lamé's field in an isotropic ball, on curved quadratic tetrahedra; at 1.3 of the page."""
@@ -116,11 +104,10 @@ def test_a_void_under_pressure_is_that_of_a_hollow_ball():
         size = pressure * inner**3 / (outer**3 - inner**3)
         return (size * (r / (3 * K) + outer**3 / (4 * mu * r**2)) / r)[:, None] * x
 
-    for side, told in ((4.0, (0.0115, 0.0073)), (3.0, (0.0091, 0.0051))):
-        mesh = mesh_solid(Sphere(outer, name="skin"), [Sphere(inner, size=side)], size=4.0)
-        held, pulls = {"skin": field}, {"void": lambda x, n: -pressure * n}
-        found = solve_body(law, mesh, displacement=held, traction=pulls)
-        for most, x, u in zip(
-            told, (found.rim.x, found.points.x), (found.u_rim, found.u_bulk), strict=True
-        ):
-            assert np.linalg.norm(u - field(x)) < 1.3 * most * np.linalg.norm(field(x))
+    mesh = mesh_solid(Sphere(outer, name="skin"), [Sphere(inner, size=4.0)], size=4.0)
+    held, pulls = {"skin": field}, {"void": lambda x, n: -pressure * n}
+    found = solve_body(law, mesh, displacement=held, traction=pulls)
+    for most, x, u in (
+        (0.0115, found.rim.x, found.u_rim), (0.0073, found.points.x, found.u_bulk)
+    ):  # fmt: skip
+        assert np.linalg.norm(u - field(x)) < 1.3 * most * np.linalg.norm(field(x))
