@@ -53,7 +53,7 @@ PLATE = "--spacing 1 --horizon 3 --radius 8 --half 32 --size 0.6"
     ("name", "options", "most"),
     [
         ("plate_with_hole", PLATE, {"u_error": 5e-4, "hoop_stress_error": 0.01}),
-        ("inclusion_from_displacement", "--side 14 --steps 25 --json", {"map error": 0.2}),
+        ("inclusion_from_displacement", "--side 14 --steps 25", {"map error": 0.2}),
         pytest.param("toughness_from_crack", "--json --iterations 5", {"error of stretch": 0.1},
                      marks=pytest.mark.slow),
     ],
@@ -70,6 +70,14 @@ def test_a_command_errs_by_no_more(name, options, most, tmp_path, capsys, monkey
     assert importlib.import_module(f"examples.{name}").main(words) == 0
     numbers = json.loads(capsys.readouterr().out)
     assert {key: numbers[key] < value for key, value in most.items()} == dict.fromkeys(most, True)
+
+
+def test_waves_find_two_maps(capsys):
+    from examples import waves_to_map
+
+    assert waves_to_map.main(["--side", "20", "--iterations", "12"]) == 0
+    numbers = json.loads(capsys.readouterr().out)
+    assert all(numbers[name] < 0.6 * numbers[f"{name} at start"] for name in ("κ", "μ"))
 
 
 def test_a_law_of_ones_own_goes_through_every_verb(tmp_path, monkeypatch, capsys):
