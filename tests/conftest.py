@@ -24,8 +24,8 @@ MAKERS = sorted(
 
 LONGEST = (
     "test_ranks", "test_table", "test_train_graphene", "test_predict", "test_pages",
-    "test_crystal_fit", "test_rows", "test_gradients", "test_training", "test_phonopy", "test_calculator_noise",
-    "test_files", "test_scales", "test_commands",
+    "test_crystal_fit", "test_rows", "test_gradients", "test_training", "test_phonopy",
+    "test_calculator_noise", "test_files", "test_scales", "test_commands",
 )  # fmt: skip
 """Files of ten seconds to a minute, begun first, so that no process waits for another."""
 
