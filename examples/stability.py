@@ -34,7 +34,8 @@ from warp_peri.files.atomic import finite, plain, write_json
 from warp_peri.fitting.regression import Regression, settle
 from warp_peri.fitting.training_data import sample_weights
 from warp_peri.materials.lps import Solid
-from warp_peri.materials.lps_fit import LPSFound, LPSLaw, Products
+from warp_peri.materials.lps_law import LPSFound, LPSLaw
+from warp_peri.materials.lps_rows import Products
 from warp_peri.methods import Conditions, Optimum
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.quadrature import family_weights

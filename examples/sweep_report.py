@@ -11,7 +11,7 @@ from examples.figures import name_lines, panels, save_figure
 from examples.prose import fill, rows_of
 from warp_peri import Model, load, plots
 from warp_peri.files.atomic import write_json, write_text
-from warp_peri.learning.sweep import COST_TOLERANCE, Trial
+from warp_peri.materials.lps_sweep import COST_TOLERANCE, Trial
 from warp_peri.methods import Sweep
 
 PRINTED_TABLE_3 = {

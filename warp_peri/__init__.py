@@ -35,13 +35,12 @@ if TYPE_CHECKING:
     from warp_peri.fitting.evaluate import evaluate as evaluate
     from warp_peri.fitting.settings import Bernstein as Bernstein
     from warp_peri.fracture.problems import Cracked as Cracked
-    from warp_peri.learning.laws import LPS as LPS
-    from warp_peri.learning.laws import fit as fit
     from warp_peri.materials.certificate import certify as certify
     from warp_peri.materials.crystal_fit import Micromodulus as Micromodulus
     from warp_peri.materials.density import Density as Density
     from warp_peri.materials.density import DensityMaterial as DensityMaterial
     from warp_peri.materials.lps import Model as Model
+    from warp_peri.materials.lps_fit import LPS as LPS
     from warp_peri.materials.third_order_fit import ThirdOrder as ThirdOrder
     from warp_peri.points.dataset import Dataset as Dataset
     from warp_peri.points.mesh import Mesh as Mesh
@@ -60,6 +59,7 @@ if TYPE_CHECKING:
     from warp_peri.solving import solve as solve
     from warp_peri.storage import load as load
     from warp_peri.storage import save as save
+    from warp_peri.verbs import fit as fit
 
 __version__ = "0.2.0"
 
@@ -70,10 +70,11 @@ _NAMES = {
     "errors": ("InputError",),
     "fitting.diagnose": ("diagnose",),
     "fitting.evaluate": ("evaluate",),
-    "learning.laws": ("LPS", "fit"),
+    "verbs": ("fit",),
     "fitting.settings": ("Bernstein",),
     "materials.crystal_fit": ("Micromodulus",),
     "materials.lps": ("Model",),
+    "materials.lps_fit": ("LPS",),
     "materials.density": ("Density", "DensityMaterial"),
     "materials.third_order_fit": ("ThirdOrder",),
     "points.dataset": ("Dataset",),

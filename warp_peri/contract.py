@@ -9,7 +9,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass, field
 from functools import wraps
 from importlib import import_module
 from inspect import signature
@@ -235,23 +234,6 @@ class Material(Protocol):
 
     def content(self) -> dict[str, Any]:
         """What its file holds; `load` reads it again."""
-
-
-@dataclass(frozen=True)
-class MaterialFit:
-    """A learned `material`, its `history`: losses and numbers on the way, and its `errors`."""
-
-    material: Any
-    history: dict[str, Any]
-    errors: dict[str, float] = field(default_factory=dict)
-    proof: Any = None
-
-    @property
-    def certificate(self) -> Any:
-        """What is proven of it, or of its linear part: the `proof` of its training lattice, where
-        it has none itself."""
-        own = getattr(self.material, "certificate", None)
-        return self.proof or own or getattr(self.material, "linear", self.material).certificate
 
 
 class Problem(Protocol):

@@ -1,7 +1,7 @@
 """Materials and operators as the contract's protocols: mypy holds them to it."""
 
+from warp_peri import LPS
 from warp_peri.contract import Law, Material, Operator, Problem
-from warp_peri.learning.laws import LPS
 from warp_peri.materials.hyperelastic.energies import Dictionary, HyperelasticSolid
 from warp_peri.materials.hyperelastic.placed import PlacedSheet
 from warp_peri.materials.lps import Model

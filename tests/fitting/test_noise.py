@@ -5,17 +5,16 @@ import dataclasses
 import numpy as np
 import pytest
 
+from tests.support.learning import fit
 from tests.support.problems import kernel, lattice, manufactured, with_nodes
 from tests.support.solving import solve
 from tests.support.waves import fluctuation, noisy, waves
-from warp_peri import Bernstein, InputError
+from warp_peri import Bernstein, InputError, Samples
 from warp_peri.fitting.losses import without_noise
 from warp_peri.fitting.training_data import sample_weights
-from warp_peri.learning.fit import learn as fit
-from warp_peri.learning.response import CollarResponse, WaveResponse, reduced_loss
 from warp_peri.materials.lps import Model
-from warp_peri.materials.lps_fit import Products, noise_rows, products
-from warp_peri.methods import TwoStage
+from warp_peri.materials.lps_output import CollarResponse, WaveResponse, squares
+from warp_peri.materials.lps_rows import Products, products
 from warp_peri.points.families import bond_classes
 
 HORIZON, DEGREE = 3.0, 5
@@ -49,7 +48,12 @@ CLASSES = bond_classes(1.0, HORIZON)
 
 
 def square(rows, model):
-    return reduced_loss([rows], [CLASSES], model)
+    return squares([rows], [CLASSES], model)
+
+
+def noise_rows(noise, weight):
+    bare = Samples(noise.points, noise.u, np.zeros_like(noise.u))
+    return Products(bare, HORIZON).rows(np.full(len(noise), weight.sum() / len(noise))).R
 
 
 def form(R, y):
@@ -58,15 +62,10 @@ def form(R, y):
     return both.T @ both
 
 
-def test_waves_are_in_equilibrium(model, clean):
-    force = model.on(clean, allow_uncertified=True)(clean.u)
-    np.testing.assert_allclose(force, clean.b[:, clean.interior], atol=1e-12)
-
-
 def test_noise_adds_what_the_correction_expects(model, clean):
     weight = sample_weights([clean], normalise=True)[0]
     noise = fluctuation(clean, 200, SIZE, seed=5)
-    N = noise_rows(noise, HORIZON, weight)
+    N = noise_rows(noise, weight)
     operator = model.on(clean, allow_uncertified=True)
     expected = weight.sum() * (operator(noise.u) ** 2).sum() / len(noise)
     assert np.sum((N @ products(model, CLASSES)) ** 2) == pytest.approx(expected, rel=1e-10)
@@ -76,7 +75,7 @@ def both_forms(clean, size, count, noise):
     """The form of a noisy loss less that of its noise, and the corrected one."""
     weight = sample_weights([clean], normalise=True)[0]
     loss = Products(noisy(clean, size, seed=1), HORIZON).rows(weight)
-    N = noise_rows(fluctuation(clean, count, noise, seed=2), HORIZON, weight)
+    N = noise_rows(fluctuation(clean, count, noise, seed=2), weight)
     difference = form(loss.R, loss.y) - form(N, np.zeros(len(N)))
     return loss, difference, form(*without_noise(loss.R, loss.y, N))
 
@@ -119,15 +118,15 @@ def misfit(model, points):
 def test_the_collar_response_is_the_solve_and_its_tangent(model):
     points = manufactured(model, lattice(4, HORIZON), 5)
     other = near(model)
-    weight = sample_weights([points], normalise=True)[0]
-    response = CollarResponse(points, HORIZON, Products(points, HORIZON).rows(weight))
+    made = Products(points, HORIZON)
+    response = CollarResponse(made, made.rows(sample_weights([points], normalise=True)[0]))
     grid = response.about(other)
     assert square(grid, other) == pytest.approx(misfit(other, points), rel=1e-9)
     assert_tangent(lambda model: square(response.about(model), model), grid, other)
 
 
 def test_the_wave_response_is_exact_and_its_tangent_is(model, clean):
-    response = WaveResponse(clean, HORIZON)
+    response = WaveResponse(Products(clean, HORIZON))
     assert square(response.about(model), model) < 1e-20
     assert square(response.first, model) < 1e-20
     other = near(model)
@@ -154,7 +153,7 @@ def assert_tangent(loss, grid, model, step=1e-5):
 
 def test_every_parity_of_waves_is_known(model, clean):
     """Moved by any distance, a wave is answered by the same symbol."""
-    response = WaveResponse(clean, HORIZON)
+    response = WaveResponse(Products(clean, HORIZON))
     k, x = clean.arrays["wave_vector"], clean.x
     quarter = np.pi / 2 / np.where(k == 0, np.inf, k)  # cos becomes sin along axis 0
     for shift in ([1, 0], [0, 1], [1, 1]):
@@ -167,33 +166,22 @@ def test_every_parity_of_waves_is_known(model, clean):
             u[s, :, 1 - axis] = -response.u[s, 1 - axis] * d
             b[s, :, axis] = response.b[s, axis] * c
         points = dataclasses.replace(clean, u=u, b=b)
-        assert square(WaveResponse(points, HORIZON).about(model), model) < 1e-20
+        assert square(WaveResponse(Products(points, HORIZON)).about(model), model) < 1e-20
 
 
-def refusals(clean):
+def test_noise_that_does_not_belong_to_the_samples_is_refused(clean):
     noise = fluctuation(clean, 2, SIZE, seed=4)
-    return {
-        "another loss": ({"loss": "huber"}, "one of auto"),
-        "nothing to correct by": ({"loss": "corrected"}, "needs fields of noise"),
-        "no output by two stages": ({"loss": "output", "method": TwoStage()}, "two-stage"),
-        "no noise in the noise": (
-            {"noise": dataclasses.replace(noise, u=noise.u[:0])},
-            "at least one field",
-        ),
-        "noise elsewhere": ({"noise": with_nodes(noise, x=noise.x + 0.5)}, "nodes"),
-        "two noises": ({"noise": [noise, noise]}, "expected 1 sets"),
-    }
-
-
-@pytest.mark.parametrize("name", list(refusals(waves(kernel("1/r", HORIZON), cells=2))))
-def test_what_cannot_be_used_is_refused(name, clean):
-    options, words = refusals(clean)[name]
-    with pytest.raises(InputError, match=words):
-        fit(clean, HORIZON, Bernstein(2), **options)
+    for given, words in (
+        (dataclasses.replace(noise, u=noise.u[:0]), "at least one field"),
+        (with_nodes(noise, x=noise.x + 0.5), "nodes"),
+        ([noise, noise], "expected 1 sets"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit(clean, HORIZON, Bernstein(2), noise=given)
 
 
 def test_a_sample_without_its_wave_is_named(clean):
     b = clean.b.copy()
     b[3] = 0
     with pytest.raises(InputError, match="sample 3"):
-        WaveResponse(dataclasses.replace(clean, b=b), HORIZON)
+        WaveResponse(Products(dataclasses.replace(clean, b=b), HORIZON))

@@ -6,21 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from tests.support.problems import (
-    KERNELS,
-    REDUCED,
-    ROUNDING,
-    ell,
-    kernel,
-    lattice,
-    manufactured,
-    noise,
-)
+from tests.support.problems import KERNELS, REDUCED, ell, kernel, lattice, manufactured, noise
 from warp_peri import InputError
 from warp_peri.fitting import rows
 from warp_peri.fitting.training_data import sample_weights
-from warp_peri.materials.lps_fit import Products, class_pairs
-from warp_peri.materials.lps_loss import OperatorLoss, class_weights
+from warp_peri.materials.lps_adam import OperatorLoss, class_weights
+from warp_peri.materials.lps_rows import Products, class_pairs
 
 HORIZON = 2.5
 
@@ -95,22 +86,6 @@ def test_is_the_full_loss_with_its_gradients(sets, normalise, block, monkeypatch
         assert gradient <= REDUCED * size, name
 
 
-def test_blocks_leave_the_loss_as_it_is(monkeypatch):
-    (points,) = SETS["one lattice"]
-    (weight,) = sample_weights([points], normalise=False)
-    whole = Products(points, HORIZON).rows(weight).R
-    launches = []
-    real = rows.forces
-    monkeypatch.setattr(rows, "BLOCK", 1)
-    monkeypatch.setattr(rows, "forces", lambda u, *grid: launches.append(u) or real(u, *grid))
-    blocks = Products(points, HORIZON).rows(weight).R
-    assert [len(u) for u in launches] == [1, 1, 1, 1]
-    assert blocks.shape == whole.shape
-    np.testing.assert_allclose(
-        blocks.T @ blocks, whole.T @ whole, atol=ROUNDING * np.abs(whole.T @ whole).max()
-    )
-
-
 @pytest.mark.parametrize("normalise", [False, True], ids=["absolute", "normalised"])
 @pytest.mark.parametrize("sets", SETS.values(), ids=SETS)
 def test_the_loss_is_its_definition(sets, normalise):
@@ -150,6 +125,5 @@ def test_sets_that_carry_nothing_to_fit_are_refused():
         sample_weights([replace(points, b=collar)], normalise=False)
     b = points.b.copy()
     b[1, points.interior] = 0
-    sample_weights([replace(points, b=b)], normalise=False)
     with pytest.raises(InputError, match="sample 1 has no load and cannot be normalised"):
         sample_weights([replace(points, b=b)], normalise=True)

@@ -15,7 +15,6 @@ import torch
 import warp_peri
 from warp_peri import methods, proofs, transfers
 from warp_peri.atoms import LearnedCrystal
-from warp_peri.contract import MaterialFit
 from warp_peri.fe_coupling.body import BodyGradient, Coupling, body_gradient
 from warp_peri.fitting.diagnose import Diagnosis
 from warp_peri.fitting.result import Fit
@@ -101,7 +100,7 @@ def nonlinear(train: warp_peri.Samples) -> None:
     own = warp_peri.DensityMaterial.of(sheared, 1.0, {"mu": 0.7})
     warp_peri.fit(train, warp_peri.Density(sheared, 1.0, own.parameters))
     law = warp_peri.ThirdOrder(warp_peri.Micromodulus(HORIZON), methods.Smoothing(4.0))
-    model: ThirdOrderCrystal = assert_type(warp_peri.fit(train, law), MaterialFit).material
+    model: ThirdOrderCrystal = assert_type(warp_peri.fit(train, law), Fit).material
     assert_type(proofs.uniqueness(model, spacing=1.0), proofs.Uniqueness)
     problem = warp_peri.Dirichlet(train, train.loads, train.u)
     assert_type(warp_peri.solve(model, problem, solver=warp_peri.Newton()), warp_peri.Solution)

@@ -11,9 +11,9 @@ from tests.crystal.crystals import cubic_tensor, dispersive
 from tests.support.clouds import cloud
 from tests.support.nonlinear import LAM, MU, TENSOR, psi, solid
 from tests.support.problems import lattice, smooth
+from warp_peri import fit
 from warp_peri.core.elastic import voigt
 from warp_peri.errors import InputError
-from warp_peri.learning.laws import fit
 from warp_peri.materials.crystal_fit import Micromodulus, fit_symbol
 from warp_peri.materials.third_order import Smoothing, energy_density
 from warp_peri.materials.third_order_fit import ThirdOrder

@@ -39,12 +39,6 @@ def test_a_process_fits_each_lattice_once(monkeypatch):
         on_lattice(replace(HOME, mu=0.9), **ASKED)
 
 
-def test_what_is_no_number_is_refused():
-    for asked in ({"spacing": "2"}, {"spacing": None}, {"spacing": 2.0, "horizon": "wide"}):
-        with pytest.raises(InputError, match="expected a number > 0, got"):
-            on_lattice(HOME, **asked)
-
-
 @pytest.fixture
 def points():
     """Waves in equilibrium with the model at home, on nodes 0.8 apart."""
@@ -81,23 +75,6 @@ def test_refusing_is_an_option(points, use):
     fields = (points.b, points.u) if use is solve else ()
     with pytest.raises(InputError, match="certified on 1 Å, not on 0.8 Å"):
         use(HOME, points, *fields, transfer=False)
-
-
-def test_uncertified_means_the_models_own_numbers(points):
-    with pytest.warns(UserWarning, match="certified on 1 Å, not on 0.8 Å"):
-        own = HOME.on(lattice(3, 3.0, spacing=0.8), allow_uncertified=True)
-    assert own.model is HOME
-
-
-@pytest.mark.filterwarnings("ignore:transferred:UserWarning")
-@pytest.mark.parametrize("spacing", [1.0, 0.8])
-def test_the_matrix_is_the_operator(spacing):
-    model = replace(kernel("positive", 2.5), certified_on=(1.0,))
-    op = model.on(lattice(5, 2.5, spacing=spacing))
-    u = np.random.default_rng(0).normal(size=op.points.x.shape)
-    force = op(u)
-    found = (op.matrix() @ u.ravel()).reshape(force.shape)
-    np.testing.assert_allclose(found, force, atol=1e-12 * np.abs(force).max())
 
 
 def test_the_horizon_that_the_collar_carries():

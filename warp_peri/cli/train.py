@@ -11,7 +11,7 @@ import io
 import shlex
 from argparse import Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -24,16 +24,14 @@ from warp_peri.errors import InputError, warn
 from warp_peri.files.atomic import locked, read_arrays, write_json
 from warp_peri.files.foreign import content
 from warp_peri.fitting import settings
+from warp_peri.fitting.evaluate import Run, train
 from warp_peri.points.arrays import checked
 from warp_peri.points.dataset import Dataset, load_dataset, save_dataset
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import LENGTHS, symbols
 
-if TYPE_CHECKING:
-    from warp_peri.learning.sweep import Run
-
-HORIZON, DEGREE = 20.0, 10
-"""δ [Å] and M of the Bernstein polynomials that are learned where nothing else was asked for."""
+HORIZON = 20.0
+"""δ [Å] that is learned where nothing else was asked for."""
 OF_LPS = {"influence": None, "noise": None, "method": "optimum", "conditions": "direct",
           "zeta": None, "loss": "auto", "degree": None}  # fmt: skip
 """Options that mean nothing to other laws, and their defaults."""
@@ -166,8 +164,6 @@ def _dataset(given: Namespace) -> Dataset:
 
 def run_fit(given: Namespace) -> Said:
     """Data → model.json, metrics.json and the settings, in a folder."""
-    from warp_peri.learning.sweep import train
-
     model = given.out / "model.json"
     refuse_used(given, model, given.out / "fit.toml")
     data = _dataset(given)
@@ -207,11 +203,9 @@ def _law(given: Namespace, spacing: float) -> Any:
     if given.law == "lps":
         if given.influence and given.degree is not None:
             raise InputError("degree, influence: expected one of the two")
-        kernel = (
-            warp_peri.shapes.named(given.influence, given.horizon)
-            if given.influence
-            else settings.Bernstein(DEGREE if given.degree is None else given.degree)
-        )
+        kernel: Any = None if given.degree is None else settings.Bernstein(given.degree)
+        if given.influence:
+            kernel = warp_peri.shapes.named(given.influence, given.horizon)
         conditions = settings.Conditions(given.conditions, given.zeta)
         method = settings.named(given.method)
         return warp_peri.LPS(given.horizon, kernel, method, conditions, given.loss)
@@ -241,7 +235,7 @@ def _metrics(run: Run) -> Result:
     metrics: Result = {"units": list(material.units), "certified": certified}
     if proof is not None:
         metrics["statement"] = proof.statement
-    if hasattr(fit, "loss"):
+    if fit.loss:
         metrics["loss"] = f"{fit.loss.name} ({fit.loss.reason})"
     names = ("mu", "E", "nu", "t3", "tq2", "q3")
     numbers = {name: name for name in names} | {"lambda": "lam"}
@@ -249,10 +243,10 @@ def _metrics(run: Run) -> Result:
         key: getattr(material, name) for key, name in numbers.items() if hasattr(material, name)
     }
     solid = getattr(material, "linear", material)
-    metrics["moduli"] = fit.moduli[0] if hasattr(fit, "moduli") else solid.moduli()
+    metrics["moduli"] = fit.moduli[0] if fit.moduli else solid.moduli()
     metrics |= {error: run.mean(error) for error in ("E_res", "E_u")}
     metrics["not_evaluated"] = run.refused
-    return metrics | (material.provenance if getattr(fit, "influence", None) is not None else {})
+    return metrics | (material.provenance if fit.influence is not None else {})
 
 
 def _first(given: Namespace, metrics: Result, data: Dataset) -> list[str]:

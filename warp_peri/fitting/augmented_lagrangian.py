@@ -153,7 +153,6 @@ def to_the_optimum(
     problem: Regression,
     theta: np.ndarray,
     loss: Callable[[torch.Tensor], torch.Tensor],
-    margins: Callable[[torch.Tensor], torch.Tensor],
     *,
     steps: int,
     rounds: int,
@@ -162,10 +161,9 @@ def to_the_optimum(
     """Minimise a loss under the conditions over the whole zone, from one start.
 
     Args:
-        problem: rows that curvatures and waves below the floor are found from.
+        problem: conditions, and rows that curvatures and waves below the floor are found from.
         theta: where to begin.
         loss: of θ, differentiable.
-        margins: of θ, differentiable, those of the problem in its order.
         steps: of Adam in a round.
         rounds: at most, each with its own multipliers, coordinates and waves to keep.
         tick: called with the loss after every step.
@@ -177,7 +175,7 @@ def to_the_optimum(
         x: torch.Tensor, start: torch.Tensor, frame: torch.Tensor, phi: torch.Tensor, psi: float
     ) -> tuple[torch.Tensor, torch.Tensor]:
         z, slacks = torch.split(start + frame @ x, [len(theta), len(phi)])
-        value, missed = loss(z), margins(z) - slacks**2
+        value, missed = loss(z), margins_of(problem, z) - slacks**2
         return value + phi @ missed + psi / 2 * missed @ missed, value
 
     y = _equal(problem, theta)
@@ -212,6 +210,13 @@ def to_the_optimum(
             slack = max(SHORTENED * slack, LEAST_SLACK)
         damping = max(EASED * damping, LEAST_DAMPING)
     return problem.found(y, losses, margin), TOLERANCE
+
+
+def margins_of(problem: Regression, theta: torch.Tensor) -> torch.Tensor:
+    """The margins of a problem at θ, with their slopes."""
+    there = theta.detach()
+    now = problem.state(there.numpy())
+    return torch.from_numpy(now.margins) + torch.from_numpy(now.M) @ (theta - there)
 
 
 def _frame(

@@ -1,12 +1,13 @@
 """What data say of the law that they need: nested rows, each judged on samples left out.
 
-Isotropic ⊂ any moduli ⊂ any tensor for every bond ⊂ products of gradients ⊂ stiffness of each node:
-what a family takes off the residual beyond those within it is the share of its cause.
+What a family of forces takes off the residual beyond those before it is the share of its cause:
+products of gradients, any isotropic bonds, any tensor for every bond, a stiffness of each node.
 """
 
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,9 +18,10 @@ from warp_peri.contract import LINEAR, offered, placed, stencil_of
 from warp_peri.core.elastic import allowed_tensors, elastic_from_brackets
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import point_group
-from warp_peri.core.stencil import Basis, half_ball, invariant_basis
+from warp_peri.core.stencil import Basis, invariant_basis
 from warp_peri.errors import InputError, quietly, warn
 from warp_peri.fitting.evaluate import ROUNDING
+from warp_peri.fitting.long_waves import gradients
 from warp_peri.fitting.rows import forces
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import Samples
@@ -33,9 +35,9 @@ LEAST_SAMPLES, PARTS = 8, 24
 MOST = 60_000
 """Nodes of all samples that are looked at; of more a part that is drawn."""
 RIDGES = (0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3, 1e-4, 1e-5)
-RIDGES_OF_NODES, TURNS = RIDGES[:4], 2
+RIDGES_OF_NODES = RIDGES[:4]
 """Of fits, over the root of their trace: second differences of smooth fields are nearly the same
-for all bonds. Of those of single nodes, and turns in which both are fitted to what is left."""
+for all bonds. Of those of single nodes."""
 MOSTLY, STRONG, LOUD = 0.8, 0.05, 0.1
 """Of the squared residual, what a number by itself takes; a strain at which stresses of third order
 may be as large as linear ones; a residual above which the solid does not describe the data."""
@@ -135,33 +137,6 @@ def diagnose(material: Any, samples: Samples, noise: Samples | None = None) -> D
     return _causes(*_residual(material, samples), samples, noise)
 
 
-def _causes(
-    operator: Any, left: np.ndarray, size: float, samples: Samples, noise: Samples | None
-) -> Diagnosis:
-    """The causes of what is left of ‖b‖², `size`, on the interior."""
-    points, u = samples.points, samples.u
-    total, inner = float((left**2).sum()), operator(np.where(samples.interior[:, None], u, 0.0))
-    residual = float(np.sqrt(total / size))
-    if total <= ROUNDING**2 * max(size, float((inner**2).sum())):
-        return Diagnosis(residual, {"rounding": 1.0, "unexplained": 0.0})
-    made = 0.0
-    if noise is not None:
-        if what := points.differs_from(noise.points):
-            raise InputError(
-                f"noise: expected fields on the nodes of the samples, got other {what}"
-            )
-        made = min(1.0, len(samples) * float((operator(noise.u) ** 2).mean(axis=0).sum()) / total)
-    axes, inside = lattice_steps(points)[1], left.shape[1]
-    drawn = np.random.default_rng(0).permutation(inside)[: max(1, MOST // len(samples))]
-    families = _families(samples, operator, drawn)
-    families["species"] = (operator(samples.loads)[:, drawn] @ axes)[..., None]
-    strong = total < size * (np.abs(families["nodes"][..., :3]).max() / STRONG) ** 4
-    shares = {} if noise is None else {"noise": made}
-    for name, taken in _explained(left[:, drawn] @ axes, families, strong=strong).items():
-        shares[name] = (1 - made) * taken  # what noise makes, the others would take again
-    return Diagnosis(residual, shares | {"unexplained": max(0.0, 1.0 - sum(shares.values()))})
-
-
 def warn_of_kind(material: Any, samples: Samples, noise: Samples | None = None) -> None:
     """Say where so much is left of data that they ask for another kind of material."""
     try:
@@ -194,149 +169,135 @@ def _residual(material: Any, samples: Samples) -> tuple[Any, np.ndarray, float]:
     return operator, b - operator(samples.u), size
 
 
-def _families(samples: Samples, operator: Any, drawn: np.ndarray) -> dict[str, np.ndarray]:
+def _causes(
+    operator: Any, left: np.ndarray, size: float, samples: Samples, noise: Samples | None
+) -> Diagnosis:
+    """The causes of what is left of ‖b‖², `size`, on the interior."""
+    points = samples.points
+    inner = operator(np.where(samples.interior[:, None], samples.u, 0.0))
+    total = float((left**2).sum())
+    residual, shares = float(np.sqrt(total / size)), {}
+    if total <= ROUNDING**2 * max(size, float((inner**2).sum())):
+        return Diagnosis(residual, {"rounding": 1.0, "unexplained": 0.0})
+    if noise is not None:
+        if what := points.differs_from(noise.points):
+            raise InputError(
+                f"noise: expected fields on the nodes of the samples, got other {what}"
+            )
+        made = len(samples) * float((operator(noise.u) ** 2).mean(axis=0).sum()) / total
+        shares["noise"] = min(1.0, made)
+    rest = 1 - sum(shares.values())  # what noise makes, the others would take again
+    axes, most = lattice_steps(points)[1], max(1, MOST // len(samples))
+    drawn = np.random.default_rng(0).permutation(left.shape[1])[:most]
+    species = (operator(samples.loads)[:, drawn] @ axes)[..., None]
+    families = [("species", species), *_families(samples, operator, drawn, residual)]
+    for name, taken in _explained(left[:, drawn] @ axes, families).items():
+        shares[name] = rest * taken
+    return Diagnosis(residual, shares | {"unexplained": max(0.0, 1.0 - sum(shares.values()))})
+
+
+def _families(
+    samples: Samples, operator: Any, drawn: np.ndarray, residual: float
+) -> list[tuple[str, np.ndarray]]:
     """Forces of families at interior nodes that are drawn, along the lattice's axes, [S, I, d, n].
 
-    Of "nodes" what each node may weigh as it likes, [S, I, n]: strain and second differences.
+    Of heterogeneity what each node may weigh as it likes, [S, I, n]: strain, second differences.
+    Bonds of twice the horizon and products of three gradients, which are looked at where stresses
+    of that order may be as large as the residual, are many: they get what single nodes leave.
     """
     d, h, u = samples.points.dimension, samples.spacing, samples.u
     model = getattr(operator.model, "linear", operator.model)
     stencil, group = stencil_of(model, h, "diagnose")
-    inner = invariant_basis(model.horizon / h, group)
-    every = invariant_basis(np.sqrt((stencil.steps**2).sum(axis=1).max()), group)
-    bonds = invariant_basis(model.horizon / h, np.array([np.eye(d), -np.eye(d)], int))
+    far = np.sqrt((stencil.steps**2).sum(axis=1).max())
     symmetry = getattr(model, "symmetry", "isotropic")
     turn = getattr(model, "orientation", np.eye(d))
     allowed = allowed_tensors(symmetry, point_group(symmetry, d), turn)
     allowed = np.linalg.qr(allowed.reshape(len(allowed), -1).T)[0]
-    grid = grid_of(samples.points, every.steps, least=stencil.reach)
+    near = invariant_basis(1.5, np.array([np.eye(d), -np.eye(d)], int))
+    grid = grid_of(samples.points, invariant_basis(far, group).steps, least=stencil.reach)
     grid = replace(grid, interior=grid.interior[drawn])
 
-    def own(bonds: Basis) -> np.ndarray:
-        """Columns whose long waves have moduli of the model's own symmetry."""
+    def own(horizon: float) -> np.ndarray:
+        """Forces of bonds whose long waves have moduli of the model's own symmetry."""
+        bonds = invariant_basis(horizon, group)
         C = elastic_from_brackets(bonds.moments())
         C = ((C + C.transpose(0, 3, 4, 1, 2)) / 2).reshape(len(C), -1)
         mix = null_space((C - C @ allowed @ allowed.T).T, 1e-9)
         return np.asarray(forces(u, grid, bonds) @ mix)
 
-    def at(planes: np.ndarray) -> np.ndarray:
-        """Planes [S, …, *wide] at the interior nodes, [S, I, …]."""
-        whole = (slice(None),) * (planes.ndim - d)
-        core = planes[(*whole, *grid.core)] if grid.periodic else planes
-        return np.moveaxis(core.reshape(*core.shape[:-d], -1)[..., grid.interior], -1, 1)
-
-    def shifted(planes: np.ndarray, step: np.ndarray) -> np.ndarray:
-        return np.roll(planes, tuple(-step), axis=tuple(range(-d, 0)))
-
-    def slopes(planes: np.ndarray) -> list[np.ndarray]:
-        return [(shifted(planes, e) - shifted(planes, -e)) / (2 * h) for e in np.eye(d, dtype=int)]
-
     def products(order: int) -> np.ndarray:
         """Divergences of every stress that is a product of so many entries of the gradient."""
-        found = []
+        columns = []
         for some in itertools.combinations_with_replacement(range(d * d), order):
-            slope = [at(each) for each in slopes(flat[:, list(some)].prod(axis=1))]
+            slope = sum(
+                flat[..., [*some[:n], *some[n + 1 :]]].prod(axis=-1)[..., None] * slopes[:, :, one]
+                for n, one in enumerate(some)
+            )
             for i, j in itertools.combinations_with_replacement(range(d), 2):
-                found.append(np.zeros((*slope[0].shape, d)))
-                found[-1][..., i], found[-1][..., j] = slope[j], slope[i]
-        return np.stack(found, axis=-1)
+                columns.append(np.zeros(slope.shape))
+                columns[-1][..., i], columns[-1][..., j] = slope[..., j], slope[..., i]
+        return np.stack(columns, axis=-1)
 
-    planes = grid.scatter(u)
-    H = np.stack(slopes(planes), axis=2)  # ∂u_i/∂x_j, [S, d, d, …]
-    flat = H.reshape(len(u), d * d, *H.shape[3:])
-    strain = (at(H + H.swapaxes(1, 2)) / 2)[(..., *np.triu_indices(d))]
-    seconds = (shifted(planes, s) + shifted(planes, -s) - 2 * planes for s in half_ball(1.5, d))
-    few = bonds.basis[bonds.basis[:, (bonds.steps**2).sum(axis=1) <= 2].any(axis=(1, 2, 3))]
-    return {
-        "nonlinearity": products(2),
-        "dispersion": own(inner),
-        "anisotropy": forces(u, grid, Basis(bonds.steps, few)),
-        "nodes": np.concatenate([strain, *(at(one) / h for one in seconds)], axis=-1),
-        "late dispersion": np.concatenate([own(every), own(bonds)], axis=-1),
-        "late nonlinearity": products(3),
-    }
-
-
-class _Fit:
-    """Coefficients of rows [G, S, E, F] by all samples but a part; each of G groups has its own."""
-
-    def __init__(self, rows: np.ndarray, parts: list[np.ndarray]) -> None:
-        size = np.sqrt((rows**2).sum(axis=(0, 1, 2)))
-        self.rows, self.parts = rows / np.where(size > 0, size, np.inf), parts
-        self.grams = self._others(self.rows)
-
-    def _others(self, right: np.ndarray) -> np.ndarray:
-        """Rows times right sides [G, S, E, D] over the samples outside each part, [K, G, F, D]."""
-        each = self.rows.swapaxes(-1, -2) @ right
-        inside = np.array([each[:, part].sum(axis=1) for part in self.parts])
-        return np.asarray(each.sum(axis=1) - inside)
-
-    def _solved(self, along: np.ndarray, grams: np.ndarray, ridge: float) -> np.ndarray:
-        least = ridge**2 * np.trace(grams, axis1=-2, axis2=-1) + TINY
-        G = grams + least[..., None, None] * np.eye(grams.shape[-1])
-        return np.asarray(np.linalg.solve(G, along))
-
-    def said(self, right: np.ndarray, k: int, ridge: float) -> np.ndarray:
-        """Of all samples, by those outside a part."""
-        c = self._solved(self._others(right)[k], self.grams[k], ridge)
-        return np.asarray(self.rows @ c[:, None])
-
-    def best(self, right: np.ndarray) -> tuple[float, float]:
-        """The square that is left on samples left out with the best ridge, and that ridge."""
-        along, found = self._others(right), []
-        for ridge in RIDGES:
-            c = self._solved(along, self.grams, ridge)[:, :, None]
-            left = (right[:, p] - self.rows[:, p] @ one for p, one in zip(self.parts, c))
-            found.append((sum(float((one**2).sum()) for one in left), ridge))
-        return min(found)
+    each = np.einsum("bx,ij->bxij", np.eye(len(near.steps)), np.eye(d))
+    second = forces(u, grid, Basis(near.steps, each)) / h  # minus second differences, [S, I, d, B]
+    H = gradients(samples, np.flatnonzero(samples.interior)[drawn], 1)
+    strain = ((H + H.swapaxes(-1, -2)) / 2)[(..., *np.triu_indices(d))]
+    bends = np.linalg.pinv(np.einsum("bj,bk->bjk", near.steps, near.steps).reshape(-1, d * d))
+    slopes = (-second / h @ bends.T).reshape(*H.shape, d).reshape(*H.shape[:2], d * d, d)
+    flat = H.reshape(*H.shape[:2], -1)
+    families = [
+        ("nonlinearity", products(2)),
+        ("dispersion", own(model.horizon / h)),
+        ("anisotropy", forces(u, grid, near)),
+        ("heterogeneity", np.concatenate([strain, second.reshape(*second.shape[:2], -1)], axis=-1)),
+        ("dispersion", own(far)),
+    ]
+    strong = residual < (np.abs(strain).max() / STRONG) ** 2
+    return [*families, ("nonlinearity", products(3))] if strong else families
 
 
-def _explained(
-    left: np.ndarray, families: dict[str, np.ndarray], *, strong: bool
-) -> dict[str, float]:
+def _explained(left: np.ndarray, families: list[tuple[str, np.ndarray]]) -> dict[str, float]:
     """The part of ‖residual‖², of shape [S, I, d], that each cause takes; none less than nothing.
 
-    Each family is fitted with all before it. Short waves of any tensors and forces that grow with
-    the cube of a `strong` strain are many, and could follow what belongs to single nodes: they get
-    what these leave. Both are fitted in turns.
+    Each family is fitted with all before it but the nodes, which get what those leave.
     """
-    samples, y = len(left), left.reshape(1, len(left), -1, 1)
-    order, count = np.random.default_rng(0).permutation(samples), min(PARTS, samples)
-    parts = [np.sort(order[k::count]) for k in range(count)]
-    fit, level, ridge = _Fit(y[..., :0], parts), float((y**2).sum()), 1.0
-    local = _Fit(families["nodes"].swapaxes(0, 1)[:, :, None], parts)
-    taken = dict.fromkeys(families, 0.0)
+    y = rest = left.reshape(1, len(left), -1, 1)
+    rows, whole, taken = y[..., :0], float((y**2).sum()), dict.fromkeys(dict(families), 0.0)
+    for name, columns in families:
+        alone = columns.ndim == 3
+        if alone:
+            split = rest.reshape(left.shape).swapaxes(0, 1)[:, :, None]
+            there = _left_out(columns.swapaxes(0, 1)[:, :, None], split, RIDGES_OF_NODES)
+            there = there[:, :, 0].swapaxes(0, 1).reshape(y.shape)
+        else:
+            more = np.append(rows, columns.reshape(*y.shape[:3], -1), axis=-1)
+            there = _left_out(more, y, RIDGES)
+        before = float((rest**2).sum())
+        gain = before - float((there**2).sum())
+        if gain > MOSTLY * before * (name == "species"):
+            taken[name] += gain / whole
+            rest = there
+            if alone:
+                y = rest
+            else:
+                rows = more
+    return taken
 
-    def take(name: str, least: float = 0.0) -> None:
-        nonlocal fit, level, ridge
-        more = _Fit(np.append(fit.rows, families[name].reshape(*y.shape[:3], -1), axis=-1), parts)
-        there, best = more.best(y)
-        if level - there > least:
-            taken[name], fit, level, ridge = level - there, more, there, best
 
-    def with_nodes() -> float:
-        levels = [level]
-        for each in RIDGES_OF_NODES:
-            levels.append(0.0)
-            for k, part in enumerate(parts):
-                own = rest = np.zeros_like(left)
-                for _ in range(TURNS):
-                    rest = left - fit.said(y - own.reshape(y.shape), k, ridge).reshape(left.shape)
-                    own = local.said(rest.swapaxes(0, 1)[:, :, None], k, each)[:, :, 0]
-                    own = own.swapaxes(0, 1)
-                levels[-1] += float(((rest - own)[part] ** 2).sum())
-        return min(levels)
+def _left_out(rows: np.ndarray, y: np.ndarray, ridges: Sequence[float]) -> np.ndarray:
+    """What fits of y [G, S, E, D] by rows [G, S, E, F] leave, with the ridge that leaves the least.
 
-    take("species", MOSTLY * level)
-    for name in ("nonlinearity", "dispersion", "anisotropy"):
-        take(name)
-    below = with_nodes()
-    taken["heterogeneity"] = level - below
-    late = ["late dispersion", *(["late nonlinearity"] if strong else [])]
-    for name in late:
-        take(name)
-    share = (below - min(below, with_nodes())) / max(sum(taken[name] for name in late), TINY)
-    for name in late:
-        taken[name.removeprefix("late ")] += share * taken[name]
-    total = max(float((y**2).sum()), TINY)
-    return {name: taken[name] / total for name in CAUSES if name in taken}
+    Of each sample by the fit to those outside its part; each of G groups has its own numbers.
+    """
+    size = np.sqrt((rows**2).sum(axis=(0, 1, 2)))
+    rows = rows / np.where(size > 0, size, np.inf)
+    gram, side = rows.swapaxes(-1, -2) @ rows, rows.swapaxes(-1, -2) @ y
+    order, count = np.random.default_rng(0).permutation(len(y[0])), min(PARTS, len(y[0]))
+    found = [y.copy() for _ in ridges]
+    for part in (order[k::count] for k in range(count)):
+        A, b = (of.sum(axis=1) - of[:, part].sum(axis=1) for of in (gram, side))
+        unit = np.trace(A, axis1=-2, axis2=-1)[..., None, None] * np.eye(len(size))
+        for rest, ridge in zip(found, ridges):
+            c = np.linalg.solve(A + ridge**2 * unit + TINY * np.eye(len(size)), b)
+            rest[:, part] -= rows[:, part] @ c[:, None]
+    return min(found, key=lambda rest: float((rest**2).sum()))

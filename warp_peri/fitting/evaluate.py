@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import hashlib
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from warp_peri.contract import offered, placed
 from warp_peri.errors import InputError
+from warp_peri.files.atomic import write_json
 from warp_peri.points.arrays import check_flag
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.samples import Samples
 
+ERRORS = ("E_res", "E_u", "E_res_abs")
+"""Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""
 ROUNDING = 1e-12
 """What is less than this beside the parts that cancel in it is rounding."""
 
@@ -133,3 +141,84 @@ def without_rigid_part(x: np.ndarray, u: np.ndarray) -> np.ndarray:
 def _norms(fields: np.ndarray) -> np.ndarray:
     norms: np.ndarray = np.linalg.norm(fields.reshape(len(fields), -1), axis=1)
     return norms
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a training run found.
+
+    Attributes:
+        fit: the material, its certificate and the way to them.
+        tables: of `evaluate`, by the name of the set.
+        refused: why a set was not evaluated, by its name.
+        seconds: of learning and of prediction.
+    """
+
+    fit: Any
+    tables: dict[str, dict[str, Any]]
+    refused: dict[str, str]
+    seconds: dict[str, float]
+
+    def mean(self, error: str) -> dict[str, float]:
+        """An error of `evaluate`, averaged over the samples of each set, by the set's name."""
+        return {name: table[error] for name, table in self.tables.items()}
+
+    def save(
+        self, folder: Path, metrics: dict[str, Any], *, data: Path, provenance: Mapping[str, Any]
+    ) -> Any:
+        """Write model.json, with its errors and the hash of its data, and metrics.json.
+
+        Args:
+            folder: made if it is not there.
+            metrics: contents of metrics.json.
+            data: the file that was learned from.
+            provenance: what else the model says of how it came to be.
+
+        Raises OSError when a file cannot be written.
+        """
+        material = self.fit.material
+        said = {"errors": {key: metrics[key] for key in ERRORS if key in metrics}}
+        said["provenance"] = {
+            **getattr(material, "provenance", {}),
+            "data": data.name,
+            "sha256": hashlib.sha256(data.read_bytes()).hexdigest(),
+            **provenance,
+        }
+        model = replace(
+            material, **{name: value for name, value in said.items() if hasattr(material, name)}
+        )
+        model.save(folder / "model.json")
+        write_json(folder / "metrics.json", metrics)
+        return model
+
+
+def train(
+    law: Any,
+    samples: Samples,
+    sets: Mapping[str, Samples],
+    *,
+    allow_uncertified: bool = False,
+    **options: Any,
+) -> Run:
+    """Learn a law from samples, and evaluate it on sets.
+
+    Args:
+        law: what is learned, as LPS(…).
+        samples: training samples.
+        sets: to evaluate on, by name; one that `evaluate` refuses is passed over with its reason.
+        allow_uncertified: warn about an uncertified spacing instead of refusing the set.
+        options: of the law's `learn`: progress, and noise where it takes it.
+
+    Raises what `fit` raises.
+    """
+    begin = time.perf_counter()
+    learned = law.learn(samples, **options)
+    between = time.perf_counter()
+    tables, refused = {}, {}
+    for name, points in sets.items():
+        try:
+            tables[name] = evaluate(learned.material, points, allow_uncertified=allow_uncertified)
+        except InputError as error:  # no load, another spacing, a collar too small
+            refused[name] = str(error)
+    seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
+    return Run(learned, tables, refused, seconds)

@@ -270,7 +270,7 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
     whole = sixfold[..., 0] + 1j * sixfold[..., 1]  # (∂x + i∂y)⁴ with (1, i)(1, i) of u
     six = [-np.stack([z.real, -z.imag], axis=-1) for z in (whole, -1j * whole)][:count]
     slope = np.stack([derived(lines, one) for one in np.eye(2, dtype=int)], axis=-1)
-    P = _stresses(_gradients(samples, kept), turn, count)
+    P = _stresses(gradients(samples, kept), turn, count)
     felt = [np.einsum("snkl,vnl->svk", one, slope, optimize=True) for one in P]
     bent = elastic((2, 0), (0, 2))
     geometric = [one + more for one, more in zip(linear, felt)]
@@ -280,18 +280,18 @@ def _long_wave_table(samples: Samples, count: int) -> tuple[np.ndarray, np.ndarr
     return table * weight[..., None], weight * np.einsum("vn,snk->svk", values, b, optimize=True)
 
 
-def _gradients(samples: Samples, kept: np.ndarray) -> np.ndarray:
-    """∂u/∂x along the nodes' axes by differences over REACH spacings, [S, n, 2, 2]."""
+def gradients(samples: Samples, kept: np.ndarray, reach: int = REACH) -> np.ndarray:
+    """∂u/∂x along the nodes' axes by differences over some spacings, [S, n, 2, 2]."""
     points, h = samples.points, samples.spacing
     grid, axes = lattice_steps(points)
     period = None if points.box is None else np.rint(np.asarray(points.box) / h).astype(int)
-    ways = itertools.product(np.eye(2, dtype=int), range(1, REACH + 1), (1, -1))
+    ways = itertools.product(np.eye(2, dtype=int), range(1, reach + 1), (1, -1))
     near = neighbour_table(grid, np.array([sign * m * one for one, m, sign in ways]), period)[kept]
     if (near < 0).any():
         raise InputError("moduli: expected nodes two spacings around the interior")
-    ahead, behind = np.moveaxis(samples.u[:, near.reshape(len(kept), 2, REACH, 2)], 4, 0)
+    ahead, behind = np.moveaxis(samples.u[:, near.reshape(len(kept), 2, reach, 2)], 4, 0)
     return np.asarray(
-        np.einsum("m,snlmk,ka->snal", central_weights(REACH) / h, ahead - behind, axes)
+        np.einsum("m,snlmk,ka->snal", central_weights(reach) / h, ahead - behind, axes)
     )
 
 

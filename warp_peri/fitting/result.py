@@ -1,20 +1,16 @@
-"""What a fit returns: the model, the stages on the way to it, and what was asked for."""
+"""What a fit returns: the material, what is proven of it, and the way to it."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from warp_peri.fitting.settings import Conditions
-from warp_peri.points.unit_names import shown_moduli, symbols
+from warp_peri.points.unit_names import shown_moduli
 from warp_peri.shown import Shown
 
 if TYPE_CHECKING:
-    from warp_peri.materials.certificate import Certificate
     from warp_peri.materials.influence import InfluenceFunction
-    from warp_peri.materials.lps import Model, Solid
+    from warp_peri.materials.lps import Solid
 
 
 @dataclass(frozen=True)
@@ -41,83 +37,44 @@ class Stage:
     steps: int = 0
 
 
-@dataclass(frozen=True)
-class FitSettings:
-    """What a fit was asked for: conditions on each lattice with their ζ, and moduli held."""
-
-    conditions: Conditions
-    moduli: tuple[float, float] | str | None
-
-
 @dataclass(frozen=True, repr=False)
 class Fit(Shown):
-    """A learned model and how it was learned.
+    """A learned material and how it was learned; the last lines are for an LPS.
 
     Attributes:
-        material: the model; certified for the training spacing if its certificate holds.
-        certificates: the certificate on each training lattice.
-        moduli: long-wave moduli C11, C12, C44 of the discrete operator on each of them [TPa].
-        history: the stages, in order.
-        starts: E of stage 3 by start, the square root of its relative loss; empty when not run.
+        material: the model.
+        certificate: what is proven of it, or of its linear part, on the first training lattice.
+        errors: E_res, the mean relative residual on the training samples, where it is known.
+        history: of an LPS the stages, in order; of others losses and numbers on the way, by name.
+        law: what was asked for, with the kernel, the conditions and the method as they were taken.
         loss: which loss was minimised, and why.
-        settings: what was asked for.
+        moduli: long-wave moduli C11, C12, C44 of the discrete operator on each lattice [stress].
+        starts: E of stage 3 by start, the square root of its relative loss; empty when not run.
+        degrees: relative residual of loads left out, by degree, where no kernel was asked for.
         influence: the influence function with its learned parameters, where one was given.
     """
 
-    material: Model
-    certificates: list[Certificate]
-    moduli: list[dict[str, float]]
-    history: list[Stage]
-    starts: dict[str, float]
-    loss: LossSelection
-    settings: FitSettings
+    material: Any
+    certificate: Any
+    errors: dict[str, float]
+    history: Any
+    law: Any = None
+    loss: LossSelection | None = None
+    moduli: list[dict[str, float]] = field(default_factory=list)
+    starts: dict[str, float] = field(default_factory=dict)
+    degrees: dict[int, float] = field(default_factory=dict)
     influence: InfluenceFunction | None = None
-
-    @property
-    def certificate(self) -> Certificate:
-        """The certificate on the first training lattice."""
-        return self.certificates[0]
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know of a fit at a glance: name and value."""
-        model, last = self.material, self.history[-1] if self.history else None
-        length = symbols(model.units)[0]
-        lattices = ", ".join(f"{h:g} {length}" for h in model.certified_on) or "no lattice"
-        lines = [
-            ("λ, μ", shown_moduli(model.units, (model.lam, model.mu))),
-            ("E, ν", f"{shown_moduli(model.units, (model.E,))}, {model.nu:.3g}"),
-            (
-                "kernel",
-                f"M = {model.degree}, δ = {model.horizon:g} {length}, α = {model.alpha:.3g}",
-            ),
-        ]
+        rows: list[tuple[str, str]] = self.material.rows()
         for constants in self.moduli[:1]:
-            numbers = (constants[key] for key in ("C11", "C12", "C44"))
-            held = "" if self.settings.moduli is None else ", held"
-            lines.append(("C11, C12, C44", shown_moduli(model.units, numbers) + held))
-        if last is not None:
-            lines.append(("residual", f"{100 * last.E_res_train:.3g} % of the training loads"))
-        lines.append(("loss", f"{self.loss.name} ({self.loss.reason})"))
-        lines.append(("certified on", lattices))
-        lines += [("", certificate.statement) for certificate in self.certificates[:1]]
-        return lines
-
-    def _repr_html_(self) -> str:
-        """For notebooks: the same as a table, and K over r."""
-        return super()._repr_html_() + _influence_svg(self.material)
-
-
-def _influence_svg(model: Model) -> str:
-    """K(r)/max|K| as a small drawing."""
-    unit = symbols(model.units)[0]
-    r = np.linspace(model.horizon / 8, model.horizon, 200)
-    K = model.influence(r)
-    x, y = 300 * r / model.horizon, 60 - 50 * K / np.abs(K).max()
-    path = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y))
-    return (
-        "<svg width='320' height='140' role='img' aria-label='influence function'>"
-        "<line x1='0' y1='60' x2='300' y2='60' stroke='gray'/>"
-        f"<polyline points='{path}' fill='none' stroke='steelblue' stroke-width='2'/>"
-        "<text x='0' y='135' font-size='11'>K(r), r from 0 to "
-        f"δ = {model.horizon:g} {unit}</text></svg>"
-    )
+            held = "" if self.law.method.moduli is None else ", held"
+            told = shown_moduli(self.material.units, constants.values())
+            rows.append(("C11, C12, C44", told + held))
+        if self.degrees:
+            left = (f"{100 * error:.3g} % by {M}" for M, error in self.degrees.items())
+            rows.append(("loads left out", f"{', '.join(left)}: the degree is the least as good"))
+        for error in self.errors.values():
+            rows.append(("residual", f"{100 * error:.3g} % of the training loads"))
+        return rows + ([("loss", f"{self.loss.name} ({self.loss.reason})")] if self.loss else [])

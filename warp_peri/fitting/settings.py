@@ -15,6 +15,12 @@ from warp_peri.points.arrays import check_whole
 if TYPE_CHECKING:
     from warp_peri.materials.influence import InfluenceFunction
 
+LOSSES = ("auto", "residual", "corrected", "output")
+"""Losses that `fit` may be asked for."""
+HORIZONS = (10.0, 12.5, 15.0, 17.5, 20.0, 22.5, 25.0)
+"""Horizons δ that `sweep` tries [Å] (You et al. 2021, section 6.2)."""
+DEGREES = (0, 5, 10, 15, 20)
+"""Degrees M that `sweep` tries (You et al. 2021, section 6.2)."""
 PARAMETRISATIONS = ("projected", "relu")
 CONSTRAINTS = ("symbol", "dense")
 CONDITIONS = {"direct": ("D",), "paper": ("D", "gamma", "gamma_minus_2phi")}

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_peri.contract import MaterialFit
 from warp_peri.core import elastic
 from warp_peri.core.elastic import (
     acoustic,
@@ -32,6 +31,7 @@ from warp_peri.errors import InputError, warn
 from warp_peri.fitting import regression
 from warp_peri.fitting.long_waves import ENOUGH, long_wave_moduli
 from warp_peri.fitting.regression import Form, LatticeRows, Numbers, Settled, particular
+from warp_peri.fitting.result import Fit
 from warp_peri.fitting.rows import compressed, over_loads, rows
 from warp_peri.fitting.symmetry import judged
 from warp_peri.fitting.transfer import LARGEST_WAVE, WaveSymbol, carried_symbol, wave_rows
@@ -186,7 +186,7 @@ class Micromodulus:
     moduli: Any = LONG_WAVE_MODULI
     normalise: bool = False
 
-    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> MaterialFit:
+    def learn(self, samples: Samples | Dataset, *, progress: bool | None = None) -> Fit:
         """The fit; it is one least squares, with no progress to show.
 
         Its history has the loss, the group's loss over that of the best group (`symmetry_ratio`),
@@ -228,7 +228,7 @@ class Micromodulus:
             "moduli_held": C is not None,
         }
         material = tensors.crystal(found, given.points.units, record)
-        return MaterialFit(material, dict(material.provenance["fit"]))
+        return Fit(material, material.certificate, {}, dict(material.provenance["fit"]))
 
     def turn(self, samples: Samples, axes: np.ndarray) -> np.ndarray:
         """The crystal's axes in those of the nodes, as columns, [d, d]."""

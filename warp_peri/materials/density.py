@@ -14,13 +14,13 @@ import torch
 from numpy.typing import ArrayLike
 from scipy.optimize import least_squares
 
-from warp_peri.contract import MaterialFit
 from warp_peri.core.pointwise import Pointwise
 from warp_peri.core.proof import largest
 from warp_peri.core.record import Entry, Length, Record
 from warp_peri.core.stencil import half_ball
 from warp_peri.errors import InputError
 from warp_peri.files.atomic import parsed
+from warp_peri.fitting.result import Fit
 from warp_peri.materials.crystal_fit import one_set
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -214,7 +214,7 @@ class Density:
     parameters: Mapping[str, float]
     loss: str = "forces"
 
-    def learn(self, samples: Any) -> MaterialFit:
+    def learn(self, samples: Any) -> Fit:
         """The fit by least squares, each sample over its load or displacement.
 
         Raises InputError for another loss, and samples without loads or displacement.
@@ -245,4 +245,4 @@ class Density:
         loss = float(np.sqrt(2 * found.cost / len(right)))
         record = {"loss": loss, "by": self.loss, "evaluations": int(found.nfev)}
         law = replace(material.at(dict(zip(names, scale * found.x))), provenance={"fit": record})
-        return MaterialFit(law, record)
+        return Fit(law, None, {}, record)

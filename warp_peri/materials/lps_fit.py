@@ -1,460 +1,583 @@
-"""The linear peridynamic solid while it is learned: rows of its products, and what θ stands for.
-
-With the stiffness v = μ w of each bond class and κ = (λ−μ)/μ², L u is linear in the products v and
-κ v v (theory, 14–17, T17). θ = (κ, q) has any kernel q. Only the span of the tables that Bernstein
-polynomials give the bond classes can be told apart; its coordinates take the place of D, and the
-scale of K falls out. α is a number of q only where the coefficients do not already reach every bond
-length; elsewhere it is redundant and keeps its value, as it does in space.
-"""
+"""The linear peridynamic solid learned from fields: loss, degree, stages, checks, certificate."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any, TypeAlias
+import dataclasses
+import math
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import numpy as np
+import torch
+from tqdm.auto import tqdm
 
-from warp_peri.core.grid import grid_of
-from warp_peri.core.groups import lattice_group
-from warp_peri.core.stencil import Basis, half_ball, invariant_basis
-from warp_peri.errors import InputError
-from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit
-from warp_peri.fitting.rows import forces, rows
-from warp_peri.fitting.settings import Conditions, Optimum
-from warp_peri.materials.influence import InfluenceFunction
-from warp_peri.materials.lps import (
-    CANCELLED,
-    Model,
-    Solid,
-    bernstein_basis,
-    long_wave_moduli,
-    stiffnesses,
+from warp_peri.core.elastic import from_voigt, plane_isotropic
+from warp_peri.core.stencil import difference_tensors
+from warp_peri.errors import InputError, quietly, warn
+from warp_peri.files.checkpoint import fingerprint
+from warp_peri.fitting.augmented_lagrangian import to_the_optimum
+from warp_peri.fitting.evaluate import evaluate
+from warp_peri.fitting.long_waves import lame_of_long_waves
+from warp_peri.fitting.losses import without_noise
+from warp_peri.fitting.regression import LatticeRows, Regression
+from warp_peri.fitting.result import Fit, LossSelection, Stage
+from warp_peri.fitting.rows import compressed
+from warp_peri.fitting.settings import (
+    LONG_WAVES,
+    LOSSES,
+    Bernstein,
+    Conditions,
+    Constrained,
+    Kernel,
+    Method,
+    Optimum,
+    TwoStage,
 )
-from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.quadrature import DEGREE
-from warp_peri.points.samples import Samples
+from warp_peri.fitting.training_data import check_noise, listed, sample_weights
+from warp_peri.materials.certificate import certify
+from warp_peri.materials.crystal import Crystal
+from warp_peri.materials.crystal_fit import AGREE, POOR, SPREADS
+from warp_peri.materials.influence import shapes_of
+from warp_peri.materials.lps import Model, Solid
+from warp_peri.materials.lps import moduli as moduli_of
+from warp_peri.materials.lps_adam import (
+    SMALLEST_MODULUS,
+    OperatorLoss,
+    in_torch,
+    stiffness_of,
+    two_stages,
+)
+from warp_peri.materials.lps_law import HEADROOM, LPSFound, LPSLaw, optimum
+from warp_peri.materials.lps_output import fit_output_error, responses_of, squares
+from warp_peri.materials.lps_rows import Products, products
+from warp_peri.points.arrays import check_positive
+from warp_peri.points.dataset import Dataset
+from warp_peri.points.lattice import check_lattice, largest_strain
+from warp_peri.points.samples import WAVE_VECTOR, Samples, largest_wave_number, part
+from warp_peri.points.unit_names import symbols
 
-
-def class_pairs(number: int) -> tuple[np.ndarray, np.ndarray]:
-    """Class numbers of each quadratic product, each of shape [C (C + 1) / 2]."""
-    return np.triu_indices(number)
-
-
-def products(model: Model, classes: BondClasses) -> np.ndarray:
-    """The products of a model on a lattice: v, and κ v v of the pairs of classes; shape [P]."""
-    v, kappa = stiffnesses(model, classes)
-    i, j = class_pairs(len(v))
-    return np.concatenate([v, kappa * v[i] * v[j]])
-
-
-def product_basis(classes: BondClasses) -> Basis:
-    """C h² of the products of bond classes, of range 2δ (T17)."""
-    d, count, x = classes.steps.shape[1], len(classes.r), classes.steps
-    h, of = classes.spacing, classes.bond_class
-    steps = half_ball(2 * classes.horizon / h, d)
-    far = 2 * int(np.abs(x).max())
-    place = np.full((2 * far + 1,) * d, -1)
-    steps = steps[np.abs(steps).max(axis=1) <= far]
-    place[tuple((steps + far).T)] = np.arange(len(steps))
-    i, j = class_pairs(count)
-    column = np.zeros((count, count), int)
-    column[i, j] = column[j, i] = count + np.arange(len(i))
-    tensors = np.zeros((count + len(i), len(steps), d, d))
-    alone = place[tuple((x + far).T)]
-    own = alone >= 0
-    along = x[:, :, None] * x[:, None] / (x**2).sum(axis=1)[:, None, None]
-    tensors[of[own], alone[own]] = 2 * d * (d + 2) * h**2 * along[own]
-    first, second = np.indices((len(x), len(x))).reshape(2, -1)
-    at = place[tuple((x[first] + x[second] + far).T)]
-    first, second, at = first[at >= 0], second[at >= 0], at[at >= 0]
-    across = d**2 * h**4 * x[first][:, :, None] * x[second][:, None]
-    across = (across + across.transpose(0, 2, 1)) / 2
-    np.add.at(tensors, (column[of[first], of[second]], at), across)
-    used = tensors.any(axis=(0, 2, 3))
-    return Basis(steps[used], tensors[:, used])
-
-
-class Products:
-    """Forces of the products on a set of samples.
-
-    Args:
-        samples: on a lattice.
-        horizon: δ [length].
-        quadrature_degree: of the polynomials that the weights are exact for.
-    """
-
-    def __init__(
-        self, samples: Samples, horizon: float, *, quadrature_degree: int = DEGREE
-    ) -> None:
-        d, h = samples.points.dimension, samples.spacing
-        self.samples, self.least = samples, 2 * int(horizon / h + 1e-6)
-        self.classes = bond_classes(h, horizon, dimension=d, degree=quadrature_degree)
-        self.bonds, every = (
-            product_basis(self.classes),
-            invariant_basis(2 * horizon / h, lattice_group(d)),
-        )
-        place = {tuple(step): n for n, step in enumerate(every.steps.tolist())}
-        tensors = every.basis[:, [place[tuple(step)] for step in self.bonds.steps.tolist()]]
-        self.every = Basis(self.bonds.steps, tensors[tensors.any(axis=(1, 2, 3))])
-        flat, own = (one.basis.reshape(len(one.basis), -1) for one in (self.every, self.bonds))
-        self.mix = np.linalg.pinv(flat.T) @ own.T
-
-    def __call__(self, u: np.ndarray) -> np.ndarray:
-        """Of u, shape [S, N, d], on the interior nodes: shape [S, I, P, d]."""
-        nodes = grid_of(self.samples.points, self.every.steps, least=self.least)
-        F = forces(u, nodes, self.every) @ self.mix / self.samples.spacing**2
-        return np.asarray(np.einsum("sika,lk->sial", F, nodes.axes))
-
-    def rows(self, weight: np.ndarray) -> LatticeRows:
-        """Rows of Σ_s weight_s ‖L u − b‖², weight of shape [S]."""
-        given: dict[str, Any] = {"weight": np.sqrt(weight), "mix": self.mix, "least": self.least}
-        R, y = rows(self.samples, self.every, **given)
-        return LatticeRows(R, y, self.bonds, lattice_group(self.bonds.dimension))
-
-
-def noise_rows(noise: Samples, horizon: float, weight: np.ndarray) -> np.ndarray:
-    """R of what noise adds to the loss of samples of these weights, each of which carries it."""
-    bare = Samples(noise.points, noise.u, np.zeros_like(noise.u))
-    return Products(bare, horizon).rows(np.full(len(noise), weight.sum() / len(noise))).R
+RELATIVE_ZETA = 0.0161
+"""ζ over the stiffness that the data show, where none was asked for: 0.0100 TPa on graphene."""
+USUAL_STIFFNESS = 0.6212640458
+"""A stiffness [TPa] that the steps of Adam suit: that which graphene's data show."""
+LARGEST_DEGREE, FOLDS, AS_GOOD = 10, 5, 1.02
+"""Degree that is tried where none is asked for, parts of the loads that are left out in turn, and
+how many times the least error of those another degree's may be."""
+SAME_LOSS = 1e-6
+"""Relative: starts that end so near to one another have found one optimum."""
+SMALL_SHARE = 0.01
+"""A residual loss is taken as it is when noise is less than this of its squares."""
+ON_BOUND = 1e-3
+"""A modulus this near its bound, relative, has ended there."""
+PLAIN_EXPONENTS = (1.0, 2.0, 2.9)
+"""Kernels r^(−α) that an optimum is looked for from."""
+MOST_NODES, MOST_REACH = 2000, 8
+"""Unknown nodes up to which a fit is compared with local elasticity, and its differences' reach."""
+ERROR_TOLERANCE, ROUNDING = 1e-6, 1e-8
+"""By which the residual by rows may depart from the operator's: of it, and of the loads."""
+Tick = Callable[[float], None]
 
 
 @dataclass(frozen=True)
-class LPSFound:
-    """A solid while it is learned.
+class LPS:
+    """The linear peridynamic solid, its influence function learned (theory, 4–9, V7).
 
     Attributes:
-        solid: λ, μ, α, D.
-        shape: the influence function that D stands for, if its parameters are what is learned.
-        losses: on the way there, relative to the loads.
-        margin: smallest margin of the conditions over the searched zones [stress].
-        departure: farthest that a modulus is from what was to be held [stress].
-        cuts: number of wave vectors the conditions were kept on.
-        converged: whether no violation was left, and the moduli are those to be held.
+        horizon: δ [Å], at least one spacing.
+        kernel: Bernstein polynomials, or a function of the bond length whose parameters are
+            learned, from the values it has. Several functions are several starts, and the best is
+            kept; one that is led out of its domain is passed over. None takes the smallest degree
+            whose error on loads left out, in five parts, is within 2 % of the best.
+        method: Optimum() starts at the constrained optimum, from plain kernels; TwoStage() is
+            Algorithm 1 of You et al. (2021); Constrained() takes Adam there, and checks it.
+        conditions: what must hold on every lattice.
+        loss: "residual" is (10); "corrected" takes off what noise adds to it; "output" goes on to
+            fit displacement, at the wave vectors of the loads (`wave_vector` of the samples) or as
+            solved with the collar given; "auto" takes the residual where noise does not matter,
+            unless local elasticity of the same moduli has the better training displacement.
+        normalise: divide each sample by ‖b‖ in the residual.
+
+    Raises InputError for a horizon that is no number > 0. `fit` does for one below a spacing and
+    for settings of other kinds, and RuntimeError where no start of the search keeps the conditions.
+
+    >>> wp.fit(samples, wp.LPS(12.5, wp.Bernstein(3))).certificate.holds
+    True
     """
 
-    solid: Solid
-    shape: InfluenceFunction | None = None
-    losses: list[float] = field(default_factory=list, repr=False)
-    margin: float = np.inf
-    departure: float = 0.0
-    cuts: int = 0
-    converged: bool = True
+    horizon: float
+    kernel: Kernel | None = None
+    method: Method = Optimum()  # noqa: RUF009 (frozen values)
+    conditions: Conditions = Conditions()  # noqa: RUF009
+    loss: str = "auto"
+    normalise: bool = False
+
+    def __post_init__(self) -> None:
+        check_positive("horizon", self.horizon)
+
+    def learn(
+        self,
+        samples: Samples | Dataset | Sequence[Samples],
+        *,
+        noise: Samples | Sequence[Samples] | None = None,
+        progress: bool | None = None,
+    ) -> Fit:
+        """Learn λ, μ, α and D from one set or several, on different lattices.
+
+        Args:
+            samples: of a Dataset `train`, or its only set. Interior nodes need the 2δ collar.
+            noise: fields of noise alone on the nodes of each, their loads of no account.
+            progress: show a bar for each stage; None shows it on a terminal and in a notebook.
+
+        Raises InputError for input that cannot be used, and in space for "paper" conditions,
+        TwoStage and "output"; RuntimeError when the rows depart from Warp's operator or no start
+        ends with the conditions and the moduli kept.
+        """
+        sets, quiet = listed(samples, space=True), listed(noise, "noise", space=True)
+        return Learner(self, sets, quiet, progress).fit()
+
+    def checked(self, dimension: int) -> None:
+        """Raise InputError for settings that are none, or go with no others or the dimension."""
+        kernel, method, asked = self.kernel, self.method, self.conditions
+        if not isinstance(asked, Conditions):
+            raise InputError(f"conditions: expected Conditions(…), got {asked!r:.60}")
+        if not isinstance(method, (TwoStage, Optimum, Constrained)):
+            raise InputError(
+                f"method: expected Optimum(…), TwoStage(…) or Constrained(…), got {method!r:.60}"
+            )
+        if self.loss not in LOSSES:
+            raise InputError(f"loss: expected one of {', '.join(LOSSES)}, got {self.loss!r}")
+        printed = isinstance(method, TwoStage)
+        if printed and self.loss in ("corrected", "output"):
+            raise InputError(f"loss: {self.loss!r} is not for the two-stage method")
+        if dimension == 3 and (printed or asked.kind != "direct" or self.loss == "output"):
+            raise InputError(
+                'samples: in space expected "direct" conditions, Optimum() or Constrained(), and '
+                "another loss than displacement"
+            )
+        if kernel is None or isinstance(kernel, Bernstein):
+            return
+        if not shapes_of(kernel):
+            raise InputError(
+                f"kernel: expected Bernstein(…) or influence functions, got {kernel!r}"
+            )
+        if printed:
+            raise InputError("kernel: influence functions are learned by Optimum or Constrained")
+
+
+class Learner:
+    """One fit: its data, and its stages, each timed, and shown while it runs.
+
+    Args:
+        law: what is learned.
+        sets: on lattices.
+        noise: fields of noise alone on the nodes of each; empty when nothing is known of it.
+        progress: as of LPS.learn.
+
+    Attributes:
+        conditions: to keep on each lattice, with their ζ.
+        stiffness: that the data show.
+        lattices: bond classes of each lattice that carries the conditions.
+        operator: the residual of each set by Warp's operator.
+        blocks: rows of the loss.
+        history: the stages that were run, in order.
+        starts: E of stage 3 by start.
+        degrees: error on loads left out by degree, where that was looked for.
+
+    Raises InputError for sets that cannot be learned from.
+    """
+
+    def __init__(
+        self, law: LPS, sets: list[Samples], noise: list[Samples], progress: bool | None
+    ) -> None:
+        self.law, self.sets, self.noise = law, sets, noise
+        law.checked(max((each.points.dimension for each in sets), default=2))
+        for each in sets:
+            check_lattice(each)
+        weights = sample_weights(sets, normalise=law.normalise)
+        if noise and len(noise) != len(sets):
+            raise InputError(f"noise: expected {len(sets)} sets, got {len(noise)}")
+        for quiet, each in zip(noise, sets):
+            check_noise(quiet, each)
+        self.products = [Products(each, law.horizon) for each in sets]
+        self.lattices = [one.classes for one in self.products]
+        self.operator = [OperatorLoss(each, law.horizon, w) for each, w in zip(sets, weights)]
+        self.stiffness = stiffness_of(sets, law.horizon)
+        zeta = law.conditions.zeta or RELATIVE_ZETA * self.stiffness
+        self.conditions = dataclasses.replace(law.conditions, zeta=zeta)
+        self.disable = None if progress is None else not progress
+        self.history: list[Stage] = []
+        self.starts: dict[str, float] = {}
+        self.degrees: dict[int, float] = {}
+        self._known: dict[str, LPSFound] = {}
+        self.folds: list[list[tuple[LatticeRows, float]]] = []
+        count = min(FOLDS, *map(len, sets)) if law.kernel is None else 1
+        for each, w, made in zip(sets, weights, self.products):
+            order = np.random.default_rng(0).permutation(len(each))
+            parts = [np.sort(order[n::count]) for n in range(count)]
+            self.folds.append([(made.rows(w[k], part(each, k)), w[k].sum()) for k in parts])
+        self._noise = [
+            made.rows(np.full(len(of), 1 / len(of)), Samples(of.points, of.u, 0 * of.u)).R
+            for of, made in zip(noise, self.products)
+        ]
+        self.blocks = self.rows("residual")
+
+    def rows(self, loss: str, folds: Sequence[int] | None = None) -> list[LatticeRows]:
+        """Rows of a loss on each lattice, of all loads or of some parts of them.
+
+        "output" begins with the corrected one.
+        """
+        found = []
+        for number, parts in enumerate(self.folds):
+            of = parts if folds is None else [parts[n] for n in folds]
+            R, y = compressed(*map(np.concatenate, zip(*((one.R, one.y) for one, _ in of))))
+            if loss != "residual" and self.noise:
+                weight = sum(weight for _, weight in of)
+                R, y = without_noise(R, y, np.sqrt(weight) * self._noise[number])
+            found.append(dataclasses.replace(of[0][0], R=R, y=y))
+        return found
+
+    def model(self, found: LPSFound, **more: Any) -> Model:
+        """The model of what was found, and what else is known of it."""
+        known = {"dimension": len(self.sets[0].x[0]), "units": self.sets[0].points.units}
+        return found.model(self.law.horizon, **known, **more)
+
+    def optimum(
+        self, start: LPSFound, method: Optimum, blocks: list[LatticeRows] | None = None
+    ) -> LPSFound:
+        """The constrained optimum from one start, of the loss or of other rows.
+
+        Raises InputError where a function is led out of its domain.
+        """
+        return optimum(blocks or self.blocks, self.lattices, start, self.conditions, method)
+
+    def fit(self) -> Fit:
+        """Run the stages and prove what they found."""
+        law, method, kernel = self.law, self.law.method, self.law.kernel
+        starts = self.plain(kernel or Bernstein(self.largest_degree()))
+        probe = [*starts][:2][-1]  # from which the share of noise, and what moduli cost, are found
+        choice = self.choose_loss(starts[probe])
+        self.blocks = self.rows(choice.name)
+        asked = Optimum(moduli=None)
+        if not isinstance(method, TwoStage):
+            asked = method.optimum if isinstance(method, Constrained) else method
+            asked = self.hold(asked, probe, starts[probe])
+        if kernel is None:
+            kernel = self.choose_degree(choice.name, asked)
+            starts = self.plain(kernel)
+        if isinstance(method, TwoStage):
+            final = self.two_stages(kernel, method)
+        else:
+            if isinstance(method, Constrained) and isinstance(kernel, Bernstein):
+                starts = {"Adam": self.adam(kernel, method, asked)} | starts
+            final = self.run("3 constrained", lambda tick: self.best(starts, asked, tick))
+            if law.loss == "auto" and choice.name == "residual" and self.worse(final, asked):
+                why = "the residual's optimum is worse than local elasticity"
+                choice = LossSelection("output", why)
+            if choice.name == "output":
+                final = self.run("4 output error", lambda tick: self.output(final, asked, tick))
+        self.check(final, choice.name)
+        done = dataclasses.replace(law, kernel=kernel, method=asked, conditions=self.conditions)
+        return self.certified(final, done, choice)
+
+    def plain(self, kernel: Kernel) -> dict[str, LPSFound]:
+        """What an optimum is looked for from, by name: plain kernels, or the functions given."""
+        if isinstance(kernel, Bernstein):
+            ones = np.ones(1 + kernel.degree)
+            starts = {f"r^-{a:.3g}": (a, self.stiffness) for a in PLAIN_EXPONENTS}
+            return {name: LPSFound(Solid(0.0, mu, a, ones)) for name, (a, mu) in starts.items()}
+        found = {}
+        for number, shape in enumerate(shapes_of(kernel)):
+            D, _ = shape.coefficients(self.lengths, self.law.horizon)
+            solid = Solid(0.0, self.stiffness / USUAL_STIFFNESS, 0.0, D)
+            found[f"{number} {shape.name}"] = LPSFound(solid, shape)
+        return found
 
     @property
-    def loss(self) -> float:
-        """At the end, relative to the loads."""
-        return self.losses[-1]
+    def lengths(self) -> np.ndarray:
+        """Bond lengths of all lattices."""
+        return np.concatenate([classes.r for classes in self.lattices])
 
-    def model(self, horizon: float, **more: Any) -> Model:
-        """The model of these numbers, and what else is known of it."""
-        return Model(**vars(self.solid), horizon=horizon, **more)
+    def choose_loss(self, start: LPSFound) -> LossSelection:
+        """The loss that was asked for, or for "auto" the one that the noise calls for.
 
+        Raises InputError for one that these data cannot have.
+        """
+        asked = self.law.loss
+        if asked == "corrected" and not self.noise:
+            raise InputError("loss: 'corrected' needs fields of noise")
+        if asked != "auto":
+            return LossSelection(asked, "asked for")
+        if isinstance(self.law.method, TwoStage):
+            return LossSelection("residual", "Algorithm 1 has no other")
+        if not self.noise:
+            return LossSelection("residual", "no fields of noise were given")
+        found = self.model(self.optimum(start, Optimum()))
+        weights = (sum(weight for _, weight in parts) for parts in self.folds)
+        c = [products(found, classes) for classes in self.lattices]
+        made = sum(w * np.sum((N @ p) ** 2) for w, N, p in zip(weights, self._noise, c))
+        share = float(made) / squares(self.blocks, self.lattices, found)
+        why = f"noise is {100 * share:.3g} % of the squared residual at its optimum"
+        if share < SMALL_SHARE:
+            return LossSelection("residual", why)
+        waves = all(WAVE_VECTOR in points.arrays for points in self.sets)
+        return LossSelection("output" if waves else "corrected", why)
 
-HEADROOM = 1.01
-"""A fit asks for ζ times this, so that ζ itself holds between the points it sampled."""
-MODULI_TOLERANCE = 1e-4
-"""Distance from moduli to be held, over ζ, that counts as none."""
-RANK_TOLERANCE = 1e-11
-LARGEST_ALPHA, SMALLEST_ALPHA = 3 - 1e-3, -6.0
-ALPHA_IN_SIGHT = (-12.0, 6.0)
+    def largest_degree(self) -> int:
+        """That of as many coefficients as there are bond lengths, of which more say no more."""
+        lengths = np.unique((self.lengths / self.law.horizon).round(9))
+        return min(LARGEST_DEGREE, len(lengths) - 1)
 
-Slopes: TypeAlias = tuple[np.ndarray, np.ndarray]
-"""Values, and their derivatives to q [·, Q]."""
+    def choose_degree(self, loss: str, method: Optimum) -> Bernstein:
+        """The smallest degree whose error on loads left out is within 2 % of the best.
 
+        Kernels of a degree are among those of the next: from the largest it goes down until one
+        is worse. A single load leaves none to be left out: the largest.
+        """
+        degree = self.largest_degree()
+        count, best, chosen = len(self.folds[0]), np.inf, degree
+        while degree >= 0 and count > 1:
+            start = LPSFound(Solid(0.0, self.stiffness, 1.0, np.ones(1 + degree)))
+            left = 0.0
+            for fold in range(count):
+                others = self.rows(loss, [n for n in range(count) if n != fold])
+                found = self.model(self.optimum(start, method, others))
+                left += squares(self.rows(loss, [fold]), self.lattices, found)
+            self.degrees[degree] = error = float(np.sqrt(left))
+            if error > AS_GOOD * best:
+                break
+            best, chosen, degree = min(best, error), degree, degree - 1
+        self._known = {}
+        return Bernstein(chosen)
 
-class BernsteinKernel:
-    """r^(−α) Σ D_k B_k,M of any D: q has coordinates of the tables, then α where it is free.
+    def run(self, name: str, stage: Callable[[Tick], LPSFound]) -> LPSFound:
+        """What a stage finds."""
+        begin, steps = time.perf_counter(), 0
+        with tqdm(desc=name, unit=" steps", disable=self.disable) as bar:  # its end is not known
 
-    Args:
-        lattices: bond classes of each lattice; the first sets the scale of the kernels.
-        alpha: exponent to start from, or to keep.
-        degree: M.
-        fixed: whether to keep it anyway.
-    """
+            def tick(loss: float) -> None:
+                nonlocal steps
+                steps += 1
+                bar.update()
+                if steps % 100 == 0:
+                    bar.set_postfix_str(f"relative residual {100 * np.sqrt(loss):.2f} %")
 
-    def __init__(
-        self, lattices: Sequence[BondClasses], alpha: float, degree: int, *, fixed: bool = False
-    ) -> None:
-        self.alpha = alpha
-        scaled = [(classes.r / classes.horizon, classes) for classes in lattices]
-        tables = np.concatenate(
-            [(c.weight * t**-alpha)[:, None] * bernstein_basis(t, 1.0, degree) for t, c in scaled]
-        )
-        scale = np.abs(tables).max()
-        left, size, right = np.linalg.svd(tables / scale)
-        self.rank = rank = int(np.sum(size > RANK_TOLERANCE * size[0]))
-        lengths = np.concatenate([classes.r for classes in lattices])
-        reached = np.abs(tables).max(axis=1) > RANK_TOLERANCE * scale
-        short = rank < len(np.unique((lengths[reached] / lattices[0].horizon).round(9)))
-        self.free_alpha = short and lattices[0].steps.shape[1] == 2 and not fixed
-        ends = np.cumsum([len(classes.r) for classes in lattices])
-        self._basis = np.split(left[:, :rank], ends[:-1])  # tables of unit q
-        self._q_of_D = size[:rank, None] * right[:rank] * scale
-        self.D_of_q = right[:rank].T / (size[:rank] * scale)
-        self._second = np.diff(np.eye(degree + 1), n=2, axis=0)
-        free = right[rank:].T  # coefficients that no bond sees: take those that smooth
-        if free.size and len(self._second):
-            smooth = np.linalg.lstsq(self._second @ free, self._second @ self.D_of_q, rcond=None)
-            self.D_of_q = self.D_of_q - free @ smooth[0]
-        self._log_r = [np.log(t) for t, _ in scaled]
-        first = lattices[0]
-        self._plain = first.count * first.r**2 * first.weight
-
-    def start(self, found: LPSFound) -> np.ndarray:
-        """q of given coefficients, of any scale."""
-        return np.append(self._q_of_D @ found.solid.D, [self.alpha] * self.free_alpha)
-
-    def tables(self, q: np.ndarray) -> list[Slopes]:
-        """K W on each lattice, shape [C]."""
-        # Constraints bound α; on its way a search may look where r^(−α) overflows.
-        alpha = float(np.clip(q[-1], *ALPHA_IN_SIGHT)) if self.free_alpha else self.alpha
-        found = []
-        for basis, log_r in zip(self._basis, self._log_r):
-            tilted = np.exp((self.alpha - alpha) * log_r)[:, None] * basis
-            value = tilted @ q[: self.rank]
-            columns = [tilted, -(log_r * value)[:, None]] if self.free_alpha else [tilted]
-            found.append((value, np.hstack(columns)))
+            found = stage(tick)
+        errors = [one.errors(*found.solid.values()) for one in self.operator]
+        error, seconds = float(np.concatenate(errors).mean()), time.perf_counter() - begin
+        self.history.append(Stage(name, found.solid, error, seconds, found.losses, steps))
         return found
 
-    def limits(self, q: np.ndarray) -> Slopes:
-        """What must not be negative for α to be within its bounds."""
-        if not self.free_alpha:
-            return np.zeros(0), np.zeros((0, len(q)))
-        slopes = np.zeros((2, len(q)))
-        slopes[:, -1] = (-1, 1)
-        return np.array([LARGEST_ALPHA - q[-1], q[-1] - SMALLEST_ALPHA]), slopes
+    def hold(self, method: Optimum, name: str, start: LPSFound) -> Optimum:
+        """The method with the moduli of long waves, where it asks for them and free ones miss them.
 
-    def _volume(self, alpha: float) -> float:
-        """Σ n r² K W of K = (r/δ)^(−α) on the first lattice."""
-        return float(self._plain @ np.exp(-alpha * self._log_r[0]))
+        Free ones are those of one start, named as in stage 3, which keeps what it reached.
+        """
+        free = dataclasses.replace(method, moduli=method.held)
+        if method.moduli != LONG_WAVES or self.noise or len(self.sets[0].x[0]) == 3:
+            return free
+        try:
+            waves = lame_of_long_waves(self.sets)
+            held = dataclasses.replace(method, moduli=(waves.lam, waves.mu))
+            alone = self.optimum(start, free)
+            model = self.model(alone)
+            own = [moduli_of(model, classes) for classes in self.lattices]
+            off = np.abs([(of["C12"] - waves.lam, of["C44"] - waves.mu) for of in own])
+            sure = waves.errors.max() <= AGREE * (waves.lam + 2 * waves.mu)
+            sure &= waves.misfit <= min(POOR, alone.loss**0.5)  # else the fit tells more than they
+            apart = (off > SPREADS * waves.errors).any()
+            beside = self.optimum(start, held) if sure and apart else alone
+        except InputError:  # they do not tell, or a function is not defined where it was led
+            return free
+        taken = beside is not alone and beside.converged and beside.loss <= POOR**2
+        self._known[name] = beside if taken else alone
+        return held if taken else free
 
-    def rough(self, q: np.ndarray, mu: float, dmu: np.ndarray) -> Slopes:
-        """Second differences of D, as large as those of a kernel of plain volume."""
-        unit = self._volume(self.alpha) / mu
-        slopes = np.zeros((len(self._second), len(q)))
-        slopes[:, : self.rank] = unit * (self._second @ self.D_of_q)
-        values = slopes @ q
-        return values, slopes - np.outer(values, dmu / mu)
+    def random(self, degree: int, seed: int, *, constants: bool = False) -> LPSFound:
+        """The random kernel that Adam starts from; as printed the constants are random too."""
+        random = np.random.default_rng(seed)
+        D = random.uniform(size=1 + degree)
+        lam, mu, alpha = random.uniform(size=3) if constants else (0.0, 1.0, 1.0)
+        unit = self.stiffness / USUAL_STIFFNESS
+        return LPSFound(Solid(lam * unit, mu * unit, alpha, D))
 
-    def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, None]:
-        """D, the smoothest of the weighted volume of K = r^(−α), and α."""
-        alpha = float(q[-1]) if self.free_alpha else self.alpha
-        return self.D_of_q @ q[: self.rank] * (self._volume(alpha) / mu), alpha, None
+    def two_stages(self, kernel: Any, method: TwoStage) -> LPSFound:
+        """Algorithm 1; its checkpoint is known by the data and the settings."""
+        relu = method.parametrisation == "relu"
+        rough = self.random(kernel.degree, method.seed, constants=relu)
+        known = dataclasses.replace(method, checkpoint=None)
+        key = fingerprint(self.law.horizon, known, kernel, self.conditions, self.sets)
+        return two_stages(self, rough, method, self.stiffness / USUAL_STIFFNESS, key)
 
+    def adam(self, kernel: Bernstein, method: Constrained, asked: Optimum) -> LPSFound:
+        """Adam and the augmented Lagrangian on Warp's operator, from a random kernel."""
+        rough = self.random(kernel.degree, method.seed)
+        law = LPSLaw(self.lattices, rough, self.conditions, asked)
+        problem = Regression(self.rows("residual"), law, law.zeta, 1.0)
+        loss = in_torch(self.operator, law)
+        how = {"steps": method.steps, "rounds": method.rounds}
+        return self.run(
+            "1 Adam",
+            lambda tick: law.found(
+                *to_the_optimum(problem, law.start(rough), loss, tick=tick, **how)
+            ),
+        )
 
-class ShapeKernel:
-    """A function of the bond length: q = (size a of K, its parameters), K W a (theory, 59).
+    def best(self, starts: Mapping[str, LPSFound], method: Optimum, tick: Tick) -> LPSFound:
+        """Stage 3: the best of the constrained optima reached from all starts.
 
-    μ = Σ n r² v is no coordinate, so that a search may pass where the weighted volume is zero.
+        Raises RuntimeError when no start ends with the conditions and the moduli kept.
+        """
+        results = []
+        for name, start in starts.items():
+            try:
+                reached = self._known.get(name) or self.optimum(start, method)
+            except InputError as error:  # a function that is not defined where it was led
+                failed = error
+                continue
+            tick(reached.loss)
+            self.starts[name] = float(np.sqrt(reached.loss))
+            results.append(reached)
+        if not results:
+            raise failed
+        kept = [reached for reached in results if reached.converged]
+        if not kept:
+            margin = max(reached.margin for reached in results)
+            closest = min(reached.departure for reached in results)
+            raise RuntimeError(
+                "stage 3: no start ended with the conditions kept; smallest margin "
+                f"{margin:.1e}, moduli to be held missed by {closest:.1e} or more"
+            )
+        lowest = min(reached.loss for reached in kept)
+        # Equal losses are one optimum: the first start is kept, whatever the rounding.
+        return next(reached for reached in kept if reached.loss <= lowest * (1 + SAME_LOSS))
 
-    Args:
-        lattices: bond classes of each lattice.
-        shape: the influence function, with the values to start from.
+    def output(self, start: LPSFound, method: Optimum, tick: Tick) -> LPSFound:
+        """Stage 4: on from there to the least misfit of displacement.
 
-    Raises InputError for a shape whose weighted volume is zero on a lattice.
-    """
-
-    rank = 1
-    """How many numbers of q K is linear in."""
-
-    def __init__(self, lattices: Sequence[BondClasses], shape: InfluenceFunction) -> None:
-        self.lattices, self.shape = lattices, shape
-        self._ends, self._first = shape.ends, shape.vector
-        self._size = np.maximum(1.0, np.abs(self._first))
-        width = self._ends[1] - self._ends[0]
-        self._room = np.where(np.isfinite(width), width, self._size)
-        for classes in lattices:
-            terms = classes.count * classes.r**2 * classes.weight * shape(classes.r)
-            if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
-                raise InputError(
-                    f"influence '{shape.name}': its weighted volume (theory, 5) is zero on the "
-                    f"lattice of spacing {classes.spacing:g} with {dict(shape.parameters)}"
-                )
-
-    def start(self, found: LPSFound) -> np.ndarray:
-        """q of the shape."""
-        return np.append(1.0, self._first)
-
-    def _at(self, q: np.ndarray) -> InfluenceFunction:
-        return self.shape.at(np.clip(q[1:], *self._ends))
-
-    def tables(self, q: np.ndarray) -> list[Slopes]:
-        """K W on each lattice, shape [C]."""
-        shape, found = self._at(q), []
-        for classes in self.lattices:
-            kw = classes.weight * shape(classes.r)
-            slopes = q[0] * classes.weight[:, None] * shape.slopes(classes.r)
-            found.append((q[0] * kw, np.column_stack([kw, slopes])))
+        Raises RuntimeError when it ends with the conditions or the moduli not kept.
+        """
+        responses = responses_of(self.products, self.blocks)
+        given = responses, self.lattices, start, self.conditions, method
+        found = fit_output_error(*given, tick=tick)
+        if not found.converged:
+            raise RuntimeError(
+                f"stage 4: ended with a margin of {found.margin:.1e}, and moduli to be held "
+                f"missed by {found.departure:.1e}"
+            )
         return found
 
-    def limits(self, q: np.ndarray) -> Slopes:
-        """Distances from the bounds, in parts of what lies between."""
-        signed = np.concatenate([(q[1:] - self._ends[0]), (self._ends[1] - q[1:])])
-        slopes = np.concatenate([np.eye(len(q))[1:], -np.eye(len(q))[1:]])
-        bounded = np.isfinite(signed)
-        size = np.tile(self._room, 2)[bounded]
-        return signed[bounded] / size, slopes[bounded] / size[:, None]
+    def worse(self, found: LPSFound, method: Optimum) -> bool:
+        """Whether training displacement is better had from local elasticity of moduli that are
+        held; sets in space, or of many unknowns, are not solved for this."""
+        large = any(np.count_nonzero(each.interior) > MOST_NODES for each in self.sets)
+        if large or len(self.sets[0].x[0]) == 3 or not isinstance(method.moduli, tuple):
+            return False
+        model, errors = self.model(found), np.zeros(2)
+        C = from_voigt(plane_isotropic(model.lam, model.mu))
+        with quietly():
+            for each in self.sets:
+                own = evaluate(model, each, allow_uncertified=True)["E_u"]
+                errors += len(each) * np.array([own, local_error(C, each)])
+        return bool(errors[0] > errors[1])
 
-    def rough(self, q: np.ndarray, mu: float, dmu: np.ndarray) -> Slopes:
-        """How far the parameters are from where they began, which keeps one that hardly matters
-        from running away."""
-        return (q[1:] - self._first) / self._size, np.eye(len(q))[1:] / self._size[:, None]
+    def check(self, final: LPSFound, loss: str) -> None:
+        """Hold the rows to the operator, and the fit to what it explains.
 
-    def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, InfluenceFunction]:
-        """D and α of the polynomial that stands for the shape, and the shape."""
-        shape, lengths = self._at(q), np.concatenate([classes.r for classes in self.lattices])
-        return shape.coefficients(lengths, self.lattices[0].horizon)[0], 0.0, shape
+        Raises RuntimeError where the residual by rows departs from Warp's operator's, InputError
+        for a loss that is no less than without a model: relative to the loads, or with "output" to
+        the displacement. A UserWarning says which modulus ended on its lower bound.
+        """
+        with torch.no_grad():
+            whole = sum(float(one.loss(*final.solid.values())) for one in self.operator)
+        of_rows = squares(self.rows("residual"), self.lattices, self.model(final))
+        apart, size = abs(math.sqrt(of_rows) - math.sqrt(whole)), math.sqrt(whole)
+        if not apart <= ERROR_TOLERANCE * size + ROUNDING:
+            raise RuntimeError(
+                f"the residual by rows departs from the operator's by {apart:.1e} of {size:.1e}"
+            )
+        if final.losses and not final.loss < 1:
+            what = "displacements" if loss == "output" else "loads"
+            raise InputError(
+                f"u, b: the best model leaves {100 * math.sqrt(final.loss):.4g} % of the {what}, "
+                "no less than no model: they do not belong together, or noise drowns them"
+            )
+        bound = HEADROOM * self.conditions.level
+        if isinstance(self.law.method, TwoStage):
+            bound = SMALLEST_MODULUS * self.stiffness / USUAL_STIFFNESS
+        lam, mu = final.solid.lam, final.solid.mu
+        ended = {"μ": mu, "λ + μ": lam + mu}
+        low = [name for name, value in ended.items() if value <= bound * (1 + ON_BOUND)]
+        if low:
+            unit = symbols(self.sets[0].points.units)[1]
+            warn(
+                f"{' and '.join(low)} ended on the lower bound, {bound:.3g} {unit}, "
+                f"where the data show a stiffness of {self.stiffness:.3g} {unit}: they do not "
+                "determine it, or ask for less"
+            )
 
-
-class LPSLaw:
-    """θ = (κ, q) to the products on each lattice, as the regression asks for them.
-
-    Args:
-        lattices: bond classes of each.
-        start: of the kernels that can be reached.
-        conditions: to keep on each lattice, with their ζ.
-        method: moduli to hold, and the smoothness.
-        fixed_alpha: keep α of the start.
-    """
-
-    def __init__(
-        self,
-        lattices: Sequence[BondClasses],
-        start: LPSFound,
-        conditions: Conditions,
-        method: Optimum,
-        *,
-        fixed_alpha: bool = False,
-    ) -> None:
-        self.kernel: BernsteinKernel | ShapeKernel
-        if start.shape is not None:
-            self.kernel = ShapeKernel(lattices, start.shape)
-        else:
-            solid, fixed = start.solid, fixed_alpha
-            self.kernel = BernsteinKernel(lattices, solid.alpha, len(solid.D) - 1, fixed=fixed)
-        self.conditions, self.zeta = conditions, HEADROOM * conditions.level
-        self.unit, self.size = start.solid.mu, start.solid.mu / lattices[0].horizon ** 2
-        self.moduli, self.smoothness = method.held, method.smoothness
-        self._sigma = [classes.count * classes.r**2 for classes in lattices]
-        self._pairs = [class_pairs(len(classes.r)) for classes in lattices]
-        self._shears = [  # C44 of unit v of each class
-            np.array([long_wave_moduli(each, unit, 0.0)[2] for unit in np.eye(len(each.r))])
-            for each in lattices
-        ]
-
-    def start(self, found: LPSFound) -> np.ndarray:
-        """θ of a solid, from where the moduli keep what is asked."""
-        lam, mu, q = found.solid.lam, found.solid.mu, self.kernel.start(found)
-        if mu < self.zeta:
-            lam, mu = 0.0, 2 * self.zeta
-        size = self.size * (self._sigma[0] @ self.kernel.tables(q)[0][0])
-        q[: self.kernel.rank] *= mu / size
-        return np.append(self.unit * (lam - mu) / mu**2, q)
-
-    def stiffnesses(self, theta: np.ndarray) -> tuple[list[Slopes], float, np.ndarray]:
-        """v on each lattice, and μ, with their derivatives to θ."""
-        pad, given = [(0, 0), (1, 0)], self.kernel.tables(theta[1:])
-        tables = [(self.size * v, self.size * np.pad(dv, pad)) for v, dv in given]
-        mu, dmu = (self._sigma[0] @ one for one in tables[0])
-        for n in range(1, len(tables)):  # Σ n r² v = μ on every lattice
-            (v, dv), sigma = tables[n], self._sigma[n]
-            have, dhave = sigma @ v, sigma @ dv
-            slope = dv * (mu / have) + np.outer(v, dmu / have - mu * dhave / have**2)
-            tables[n] = v * (mu / have), slope
-        return tables, float(mu), dmu
-
-    def __call__(self, theta: np.ndarray) -> Numbers:
-        tables, mu, dmu = self.stiffnesses(theta)
-        kappa, one, zeta = theta[0] / self.unit, self._by_kappa(theta), self.zeta
-        by = [one]  # derivatives of κ of each form
-        if self.conditions.kind == "paper":
-            by += [0 * one, 2 / mu**2 * dmu]
-        of_form = zip(self.conditions.forms(kappa, mu, zeta), by)
-        forms = [
-            Form(n, *self._products(n, *tables[n], own, slope), level)
-            for (own, level), slope in of_form
-            for n in range(len(tables))
-        ]
-        parts = [self._products(n, *tables[n], kappa, one) for n in range(len(tables))]
-        limits, dlimits = (np.asarray(one) for one in self.kernel.limits(theta[1:]))
-        bulk = (2 + 2 * kappa * mu) * dmu + mu**2 * one  # of λ + μ = 2μ + κμ²
-        margins = np.append([mu - zeta, 2 * mu + kappa * mu**2 - zeta], limits)
-        M = np.vstack([dmu, bulk, np.pad(dlimits, [(0, 0), (1, 0)])])
-        equal, A = self._held(theta, tables, mu, dmu)
-        values, slopes = self.kernel.rough(theta[1:], mu / self.size, dmu[1:] / self.size)
-        return Numbers(
-            [p for p, _ in parts],
-            [slope for _, slope in parts],
-            forms,
-            equal / zeta,
-            A / zeta,
-            margins / zeta,
-            M / zeta,
-            self.smoothness * values,
-            self.smoothness * np.pad(slopes, [(0, 0), (1, 0)]),
+    def certified(self, final: LPSFound, done: LPS, choice: LossSelection) -> Fit:
+        """The fit, its model with a certificate on every training lattice."""
+        sets, dense, bare = self.sets, len(self.sets[0].x[0]) == 2, self.model(final)
+        proofs = [certify(bare, spacing=s.spacing, points=s if dense else None) for s in sets]
+        printed = self.conditions.kind == "paper"
+        good = (proof for proof in proofs if proof.holds and (not printed or proof.paper))
+        zeta = {"zeta": self.conditions.zeta, "stiffness of the data": self.stiffness}
+        provenance: dict[str, Any] = {"zeta": zeta}
+        if final.shape is not None:
+            _, departure = final.shape.coefficients(self.lengths, self.law.horizon)
+            provenance["influence"] = final.shape.record(departure)
+        if self.degrees:
+            left_out = {f"{degree}": error for degree, error in self.degrees.items()}
+            provenance["degree"] = {"error on loads left out": left_out}
+        model = dataclasses.replace(
+            bare,
+            trained_on=tuple(points.spacing for points in sets),
+            certified_on=tuple(proof.spacing for proof in good),
+            trained_strain=max(largest_strain(points, points.u) for points in sets),
+            largest_wave_number=max(largest_wave_number(points) or 0.0 for points in sets) or None,
+            certificate={f"{proof.spacing:g}": proof.figures() for proof in proofs},
+            provenance=provenance,
+            versions=_versions(),
         )
-
-    def _by_kappa(self, theta: np.ndarray) -> np.ndarray:
-        return np.asarray(np.eye(len(theta))[0] / self.unit)
-
-    def _products(
-        self, number: int, v: np.ndarray, dv: np.ndarray, kappa: float, slope: np.ndarray
-    ) -> Slopes:
-        """(v, κ v⊗v) of a lattice with the κ of a form, [P], and their derivative, [P, T]."""
-        i, j = self._pairs[number]
-        bent = kappa * (v[i][:, None] * dv[j] + v[j][:, None] * dv[i])
-        slopes = np.concatenate([dv, bent + np.outer(v[i] * v[j], slope)])
-        return np.concatenate([v, kappa * v[i] * v[j]]), slopes
-
-    def _held(self, theta: np.ndarray, tables: list[Slopes], mu: float, dmu: np.ndarray) -> Slopes:
-        """C44 − μ of every lattice, and μ and κμ² less what was asked for; their derivative."""
-        values, slopes = [], []
-        if isinstance(self.moduli, tuple):
-            lam, shear = self.moduli
-            values = [mu - shear, theta[0] / self.unit * shear**2 - (lam - shear)]
-            slopes = [dmu, self._by_kappa(theta) * shear**2]
-        if self.moduli is not None:
-            values += [shear @ v - mu for shear, (v, _) in zip(self._shears, tables)]
-            slopes += [shear @ dv - dmu for shear, (_, dv) in zip(self._shears, tables)]
-        return np.array(values), np.array(slopes).reshape(-1, len(theta))
-
-    def found(self, of: Settled, met: float = MET) -> LPSFound:
-        """The result of a search; `met`, of ζ, is how little a margin may miss."""
-        mu = self.stiffnesses(of.theta)[1]
-        lam = mu + of.theta[0] / self.unit * mu**2
-        D, alpha, shape = self.kernel.coefficients(of.theta[1:], mu / self.size)
-        departure = float(np.abs(self(of.theta).equal).max(initial=0.0))
-        return LPSFound(
-            Solid(lam, mu, alpha, D),
-            shape,
-            of.losses,
-            margin=self.zeta * of.margin,
-            departure=self.zeta * departure,
-            cuts=of.cuts,
-            converged=of.margin >= -met and departure <= MODULI_TOLERANCE,
+        return Fit(
+            model,
+            proofs[0],
+            {"E_res": self.history[-1].E_res_train},
+            self.history,
+            done,
+            choice,
+            [moduli_of(model, classes) for classes in self.lattices],
+            self.starts,
+            self.degrees,
+            final.shape,
         )
 
 
-def optimum(
-    blocks: Sequence[LatticeRows],
-    lattices: Sequence[BondClasses],
-    start: LPSFound,
-    conditions: Conditions,
-    method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
-    *,
-    fixed_alpha: bool = False,
-) -> LPSFound:
-    """Minimise a loss under the conditions over the whole zone, from one start (theory, 26–28).
+def local_error(C: np.ndarray, samples: Samples) -> float:
+    """Error of the displacement by local elasticity of central differences.
 
-    Args:
-        blocks: of the loss on each lattice; their sum is minimised.
-        lattices: bond classes of each.
-        start: where to begin.
-        conditions: what must hold on each of the lattices, with their ζ.
-        method: moduli to hold, and how many rounds of cutting planes there may be.
-        fixed_alpha: keep α of the start.
+    By the widest that the collar has nodes for.
     """
-    law = LPSLaw(lattices, start, conditions, method, fixed_alpha=fixed_alpha)
-    theta = law.start(start)
-    return law.found(fit(blocks, law, theta, law.zeta, size=1.0, rounds=method.rounds))
+    h, no_axis = samples.spacing, dataclasses.replace(samples.points, axis=None)
+    for reach in range(MOST_REACH, 1, -1):
+        steps, tensors = difference_tensors(C, reach)
+        try:
+            law = Crystal(h, steps, tensors / h**2, samples.points.units)  # isotropic
+            return float(evaluate(law, dataclasses.replace(samples, points=no_axis))["E_u"])
+        except InputError:  # bonds reach beyond the collar
+            continue
+    return np.inf
+
+
+def _versions() -> dict[str, str]:
+    versions = {"python": platform.python_version()}
+    for name in ("warp_peri", "warp-lang", "torch", "numpy", "scipy"):
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            versions[name] = "not installed"
+    return versions

@@ -16,6 +16,8 @@ from warp_peri.fitting.settings import Conditions, Optimum
 from warp_peri.fitting.transfer import wave_errors, waves_against
 from warp_peri.materials.certificate import certify, with_proof
 from warp_peri.materials.lps import Model, Solid
+from warp_peri.materials.lps_law import LPSFound, optimum
+from warp_peri.materials.lps_rows import product_basis
 from warp_peri.points.arrays import check_flag, check_positive
 from warp_peri.points.families import AT_EDGES, bond_classes, carried_horizon
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -96,30 +98,30 @@ def _transferred(
     tolerance: float | None,
     largest_horizon: float | None,
 ) -> Model:
+    unit = symbols(model.units)[0]
+    if model.dimension == 3:
+        raise InputError("on_lattice: in space micromodulus.transferred carries tensors_of(model)")
     if not model.certified_on:
         raise InputError(
             "model: expected one that is certified on a lattice, which others are fitted to; "
             "this one is certified on none"
         )
-    home, unit = min(model.certified_on, key=lambda h: abs(np.log(h / spacing))), _unit(model)
+    home = min(model.certified_on, key=lambda h: abs(np.log(h / spacing)))
     largest = model.largest_wave_number or SHARE * np.pi / min(model.certified_on)
     band = min(largest, SHARE * np.pi / home, SHARE * np.pi / spacing)
-    best, least, last = None, np.inf, 0.0
-    for last in _horizons(spacing, largest_horizon) if horizon is None else [horizon]:
-        found = _fitted(model, home, spacing, last, band)
-        if found is None:
-            continue
-        error = _errors(found, spacing, model, home, band / 2).max()
-        if error < least:
-            best, least = found, error
-        if least <= (tolerance or TOLERANCE):
+    found: dict[float, Model] = {}
+    for last in _horizons(spacing, largest_horizon, unit) if horizon is None else [horizon]:
+        if (one := _fitted(model, home, spacing, last, band)) is not None:
+            found[float(_errors(one, spacing, model, home, band / 2).max())] = one
+        if min(found, default=np.inf) <= (tolerance or TOLERANCE):
             break
     try:
-        if best is None:
+        if not found:
             raise InputError(
                 f"horizon: no kernel on the lattice of {spacing:g} {unit} keeps the conditions of "
                 f"a certificate within {last:g} {unit}"
             )
+        best = found[least := min(found)]
         if tolerance is not None and least > tolerance:
             raise InputError(
                 f"tolerance: on the lattice of {spacing:g} {unit} waves longer than "
@@ -134,22 +136,17 @@ def _transferred(
         raise InputError(f"model: nothing can be proven of it on {at}; {error}") from None
 
 
-def _unit(model: Model) -> str:
-    return symbols(model.units)[0]
-
-
-def _horizons(spacing: float, largest: float | None) -> list[float]:
+def _horizons(spacing: float, largest: float | None, unit: str) -> list[float]:
     """Bond lengths of the lattice from two spacings on [Å]: each adds one class of bonds."""
-    a, b = np.mgrid[0 : int(LARGEST) + 1, 0 : int(LARGEST) + 1]
-    squares = np.unique(a**2 + b**2)
+    squares = np.unique(np.add.outer(*2 * [np.arange(int(LARGEST) + 1) ** 2]))
     lengths = spacing * np.sqrt(squares[(squares >= LEAST**2) & (squares <= LARGEST**2)])
-    kept = lengths[lengths <= (largest or np.inf) * (1 + 1e-9)].tolist()
+    kept: list[float] = lengths[lengths <= (largest or np.inf) * (1 + 1e-9)].tolist()
     if not kept:
         raise InputError(
-            f"horizon: a lattice of spacing {spacing:g} needs one of {2 * spacing:g} or more, "
-            f"{largest:g} is the largest that fits"
+            f"horizon: a lattice of spacing {spacing:g} {unit} needs one of {LEAST * spacing:g} or "
+            f"more, {largest:g} is the largest that fits"
         )
-    return list(kept)
+    return kept
 
 
 def wave_vectors(largest: float) -> tuple[np.ndarray, np.ndarray]:
@@ -179,8 +176,6 @@ def wave_loss(
 
 def _fitted(model: Model, home: float, spacing: float, horizon: float, band: float) -> Model | None:
     """A kernel of one horizon; None where the conditions cannot be kept."""
-    from warp_peri.materials.lps_fit import LPSFound, optimum, product_basis  # loads torch
-
     figures = model.certificate.get(f"{home:g}", {})
     proven = figures.get("symbol_bound", 0.0) if isinstance(figures, dict) else 0.0
     usual, unit = ZETA * model.mu, model.mu  # of stiffness: soft materials meet the same tolerances
@@ -220,7 +215,7 @@ def _recorded(
 
     Raises InputError when the proof does not hold, or the longest waves are missed.
     """
-    certificate, unit = certify(found, spacing=spacing), _unit(model)
+    certificate, unit = certify(found, spacing=spacing), symbols(model.units)[0]
     if not certificate.holds:
         raise InputError(
             f"horizon: nothing is proven of the kernel on the lattice of {spacing:g} {unit} at "
@@ -285,6 +280,8 @@ def model_at(
     """
     check_flag("transfer", transfer)
     check_flag("allow_uncertified", allow_uncertified)
+    if model.dimension == 3 and not model.is_certified_on(spacing):
+        model = replace(model, certified_on=())  # in space no kernel is carried: it is proven anew
     if spacing and transfer and not (model.certified_on or allow_uncertified):
         model = _proven(model, spacing)
     at_home = spacing == 0 or model.is_certified_on(spacing)
@@ -326,7 +323,7 @@ def model_for(
         carried = carried_horizon(points)
         moved = transfer and not allow_uncertified and model.certified_on
         if moved and carried < LEAST * h * (1 - 1e-6):
-            unit = _unit(model)
+            unit = symbols(model.units)[0]
             raise InputError(
                 f"points: interior nodes lie {2 * carried:.3g} {unit} from an edge, where nodes "
                 f"end; a lattice of spacing {h:g} {unit} needs {2 * LEAST * h:g} {unit}, twice its "

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from scipy.optimize import root
 
-from warp_peri.contract import MaterialFit
 from warp_peri.core.elastic import turned
 from warp_peri.core.grid import grid_of
 from warp_peri.core.groups import checked_orientation
@@ -20,6 +19,7 @@ from warp_peri.core.stencil import Stencil, invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_moduli, long_wave_rows, moduli_of
 from warp_peri.fitting.regression import Settled
+from warp_peri.fitting.result import Fit
 from warp_peri.fitting.rows import load_sizes, rows, swept
 from warp_peri.materials.crystal_fit import Micromodulus, Tensors, one_set
 from warp_peri.materials.third_order import (
@@ -67,7 +67,7 @@ class ThirdOrder:
         *,
         noise: Samples | Sequence[Samples] | None = None,
         progress: bool | None = None,
-    ) -> MaterialFit:
+    ) -> Fit:
         """The fit: the residual is linear in tensors and constants; each sample counts by 1/‖b‖.
 
         Its errors have the mean relative residual on the training samples, E_res, and its history
@@ -121,7 +121,9 @@ class ThirdOrder:
                 "may prove more"
             )
         history = record | {"largest_gradient": largest, "seconds": time.perf_counter() - begin}
-        return MaterialFit(law, history, {"E_res": float((wrong / learning.size).mean())})
+        return Fit(
+            law, linear.certificate, {"E_res": float((wrong / learning.size).mean())}, history
+        )
 
     def _check(self, noise: Any) -> None:
         if not isinstance(self.linear, Micromodulus):

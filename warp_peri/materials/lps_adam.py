@@ -1,14 +1,15 @@
-"""Algorithm 1 of You et al. (2021): positive kernels, then an augmented Lagrangian on margins.
+"""The linear peridynamic solid in torch: its residual by Warp's operator, and Algorithm 1 on it.
 
-Each is a smallest eigenvalue less its level; its derivative is that of the eigenvalue at its own
-vector. `SymbolMargins` looks at the symbol over a sampled zone, `DenseMargins` at the matrices of
-the training domain, which is what You et al. (2021, 4.6) print.
+Algorithm 1 of You et al. (2021) has positive kernels, then an augmented Lagrangian on margins. Each
+is a smallest eigenvalue less its level; its derivative is that of the eigenvalue at its own vector.
+`SymbolMargins` looks at the symbol over a sampled zone, `DenseMargins` at the matrices of the
+training domain, which is what You et al. (2021, 4.6) print.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from typing import Any
 
@@ -19,22 +20,17 @@ from scipy.spatial import KDTree
 
 from warp_peri.core.groups import lattice_group
 from warp_peri.core.stencil import ratios, zone_sample
+from warp_peri.errors import InputError
 from warp_peri.files.atomic import ArrayFile, locked
-from warp_peri.fitting.augmented_lagrangian import PrintedState, Tick, adam, as_printed
+from warp_peri.fitting.augmented_lagrangian import PrintedState, adam, as_printed
 from warp_peri.fitting.regression import cut_rows
 from warp_peri.fitting.settings import CONDITIONS, Conditions, TwoStage
-from warp_peri.materials.lps import Solid
+from warp_peri.materials.lps import Solid, bernstein_basis
 from warp_peri.materials.lps_bonds import Bonds
-from warp_peri.materials.lps_fit import (
-    ALPHA_IN_SIGHT,
-    LARGEST_ALPHA,
-    SMALLEST_ALPHA,
-    LPSFound,
-    LPSLaw,
-    product_basis,
-)
-from warp_peri.materials.lps_loss import OperatorLoss, class_weights, tables, torch_products, volume
+from warp_peri.materials.lps_force import lps_force
+from warp_peri.materials.lps_law import ALPHA_IN_SIGHT, LARGEST_ALPHA, LPSFound, LPSLaw
 from warp_peri.materials.lps_matrices import assemble
+from warp_peri.materials.lps_rows import class_pairs, product_basis
 from warp_peri.points.families import BondClasses, bond_classes
 from warp_peri.points.samples import Samples
 
@@ -48,6 +44,93 @@ PRINTED_HORIZON = 20.0
 
 Weights = Sequence[torch.Tensor]
 Blocks = list[tuple[np.ndarray, np.ndarray]]
+
+
+def class_weights(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
+    """w = K(r) W / m [length⁻²] of each bond class, shape [C]; differentiable."""
+    kw = tables(classes, alpha, D)
+    return kw / volume(classes, kw)
+
+
+def tables(classes: BondClasses, alpha: torch.Tensor, D: torch.Tensor) -> torch.Tensor:
+    """K W of each bond class, with (r/δ)^(−α) for r^(−α), shape [C]; differentiable."""
+    t = classes.r / classes.horizon
+    basis = torch.from_numpy(bernstein_basis(t, 1.0, len(D) - 1))
+    return torch.from_numpy(classes.weight) * torch.from_numpy(t) ** -alpha * (basis @ D)
+
+
+def volume(classes: BondClasses, kw: torch.Tensor) -> torch.Tensor:
+    """Σ n r² K W."""
+    return torch.from_numpy(classes.count * classes.r**2) @ kw
+
+
+def torch_products(v: torch.Tensor, kappa: torch.Tensor) -> torch.Tensor:
+    """(v, κ v v) of the pairs of classes, shape [P]; differentiable."""
+    i, j = class_pairs(len(v))
+    return torch.cat([v, kappa * v[i] * v[j]])
+
+
+class OperatorLoss:
+    """Σ_s weight_s ‖L u − b‖² over the interior of one set.
+
+    Args:
+        points: samples on a lattice.
+        horizon: δ [Å].
+        weight: of each sample, shape [S].
+    """
+
+    def __init__(self, points: Samples, horizon: float, weight: np.ndarray) -> None:
+        self.bonds = Bonds(points, horizon)
+        self.classes = self.bonds.families.classes
+        self.u = torch.tensor(points.u)  # a copy: the set may be read-only
+        self.b = torch.tensor(points.loads[:, points.interior])
+        self.weight = torch.from_numpy(weight)
+
+    def _squares(self, *parameters: Any) -> torch.Tensor:
+        residual = lps_force(self.bonds, self.u, Solid(*parameters)) - self.b
+        return (residual**2).sum(dim=(1, 2))
+
+    def loss(self, *parameters: Any) -> torch.Tensor:
+        """The loss at (λ, μ, α, D), differentiable."""
+        return self.weight @ self._squares(*parameters)
+
+    def errors(self, *parameters: Any) -> np.ndarray:
+        """‖L u − b‖/‖b‖ of each sample that has a load."""
+        load = (self.b**2).sum(dim=(1, 2))
+        loaded = load > 0
+        with torch.no_grad():
+            return (self._squares(*parameters)[loaded] / load[loaded]).sqrt().numpy()
+
+
+PROBED_HORIZON = 2.0
+"""Horizon in spacings of the bond-based solid that a lattice's stiffness is measured with."""
+UNIT = Solid(1.0, 1.0, 1.0, np.ones(1))
+"""K = 1/r with λ = μ = 1."""
+
+
+def stiffness_of(sets: Sequence[Samples], horizon: float) -> float:
+    """The stiffness that loads and displacements show together [TPa].
+
+    That of the bond-based solid, K = 1/r, whose loads have the given work with the loads: ‖b‖² over
+    b·A u, A of unit stiffness. Noise in u, which b knows nothing of, averages out of it.
+
+    Raises InputError where it is not above zero: loads and displacements of opposite work.
+    """
+    loads = work = 0.0
+    for samples in sets:
+        h = samples.spacing
+        bonds = Bonds(
+            samples.points, min(PROBED_HORIZON * h, horizon) if h else horizon, bond_based=True
+        )
+        force = lps_force(bonds, torch.from_numpy(samples.u), UNIT).numpy()
+        b = samples.loads[:, samples.interior]
+        loads, work = loads + float((b**2).sum()), work + float((force * b).sum())
+    if not work > 0:
+        raise InputError(
+            "u, b: loads and displacements do work of opposite sign, or none, and no solid answers "
+            "loads so; expected b to be the load, which is minus the internal force"
+        )
+    return loads / work
 
 
 def total_loss(terms: Sequence[OperatorLoss], values: Sequence[torch.Tensor]) -> torch.Tensor:
@@ -147,7 +230,7 @@ class DenseMargins:
     def __init__(self, sets: Sequence[Samples], horizon: float) -> None:
         self.lattices = [bond_classes(points.spacing, horizon) for points in sets]
         self.parts = [
-            mirror_blocks(*_class_matrices(points, horizon), points.x[points.interior])
+            mirror_blocks(*class_matrices(points, horizon), points.x[points.interior])
             for points in sets
         ]
         self.count = 3 * len(sets)
@@ -186,7 +269,7 @@ def least_of_blocks(blocks: Blocks, weights: torch.Tensor) -> list[torch.Tensor]
     return [*found, at(gamma @ e, e) - 2 * (at(phi @ e) ** 2).sum()]
 
 
-def _class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+def class_matrices(points: Samples, horizon: float) -> tuple[np.ndarray, np.ndarray]:
     """Γ_c [C, 2 I, 2 I] and Φ_c [C, I, 2 I] of unit class weights on the interior."""
     bonds = Bonds(points, horizon)
     unknown = np.repeat(points.interior, 2)
@@ -249,42 +332,35 @@ def _least(matrices: Sequence[np.ndarray]) -> tuple[int, float, np.ndarray]:
     return which, least, vector
 
 
-def fit_positive_kernel(
-    data: Any, start: LPSFound, method: TwoStage, unit: float, *, tick: Tick
-) -> LPSFound:
-    """Stage 1: Adam with D ≥ 0, from λ, μ, α and D; arguments as of stage 2."""
-    variables = Variables(start.solid, unit, method.parametrisation, positive=True)
-
-    def objective() -> tuple[torch.Tensor, torch.Tensor]:
-        loss = total_loss(data.by_operator, variables.bounded())
-        return loss, loss
-
-    how: dict[str, Any] = {"project": variables.project}
-    return variables.found(adam(variables.leaves, objective, method.epochs, tick, **how)[1])
-
-
-def fit_signed_kernel(
-    data: Any, start: LPSFound, method: TwoStage, unit: float, *, key: str, tick: Tick
-) -> LPSFound:
-    """Stage 2: D of any sign, under the conditions.
+def two_stages(learner: Any, start: LPSFound, method: TwoStage, unit: float, key: str) -> LPSFound:
+    """Algorithm 1: Adam with D ≥ 0, then D of any sign under the conditions.
 
     Args:
-        data: training data.
-        start: result of stage 1.
+        learner: training data, and what runs a stage by name.
+        start: where to begin.
         method: how the bounds are kept, the most epochs and iterations, and a file that the state
             is kept in after every outer iteration; a run that finds one goes on from it.
         unit: of moduli, that suits the steps.
         key: what the state depends on.
-        tick: called with the loss after every epoch.
 
     Raises InputError for a checkpoint of another run, or one that another job writes to.
     """
+    variables = Variables(start.solid, unit, method.parametrisation, positive=True)
+
+    def loss() -> torch.Tensor:
+        return total_loss(learner.operator, variables.bounded())
+
+    def positive(tick: Callable[[float], None]) -> LPSFound:
+        moved = variables.leaves, lambda: 2 * (loss(),), method.epochs, tick
+        return variables.found(adam(*moved, project=variables.project)[1])
+
+    first = learner.run("1 positive", positive)
+    variables = Variables(first.solid, unit, method.parametrisation)
     margins: SymbolMargins | DenseMargins = (
-        DenseMargins(data.sets, data.horizon)
+        DenseMargins(learner.sets, learner.law.horizon)
         if method.constraints == "dense"
-        else SymbolMargins(data.conditions, data.lattices, unit)
+        else SymbolMargins(learner.conditions, learner.lattices, unit)
     )
-    variables = Variables(start.solid, unit, method.parametrisation)
     zero = torch.zeros(margins.count, dtype=torch.float64)
     slack = torch.ones_like(zero).requires_grad_()
     state = PrintedState([*variables.leaves, slack, zero, zero + torch.inf])
@@ -306,55 +382,29 @@ def fit_signed_kernel(
             for number, tensor in enumerate(state.tensors):
                 tensor.copy_(torch.from_numpy(before[f"tensor{number}"]))
 
-    with nullcontext() if kept.path is None else locked(kept.path):
-        kept.read(go_on)
-        losses = as_printed(
-            state,
-            lambda: total_loss(data.by_operator, variables.bounded()),
-            conditions,
-            variables.project,
-            steps=method.inner_epochs,
-            rounds=method.outer_iterations,
-            tick=tick,
-            keep=keep,
-        )
-    return variables.found(losses)
+    def signed(tick: Callable[[float], None]) -> LPSFound:
+        with nullcontext() if kept.path is None else locked(kept.path):
+            kept.read(go_on)
+            how: dict[str, Any] = {"steps": method.inner_epochs, "rounds": method.outer_iterations}
+            return variables.found(
+                as_printed(state, loss, conditions, variables.project, tick=tick, keep=keep, **how)
+            )
+
+    return learner.run("2 sign-changing", signed)
 
 
-class TorchLaw:
-    """The loss by Warp's operator on each set, and the conditions, as functions of a law's θ."""
+def in_torch(terms: Sequence[OperatorLoss], law: LPSLaw) -> Callable[[torch.Tensor], torch.Tensor]:
+    """The loss by Warp's operator over all training sets, as a function of a law's θ."""
+    kernel: Any = law.kernel
+    D_of_q = torch.from_numpy(kernel.D_of_q)
 
-    def __init__(
-        self, law: LPSLaw, lattices: Sequence[BondClasses], terms: Sequence[OperatorLoss]
-    ) -> None:
-        self.law, self.lattices, self.terms = law, lattices, terms
-        self.kernel: Any = law.kernel
-
-    def solid(self, theta: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """λ, μ, α and D."""
-        kernel, q, first = self.kernel, theta[1:], self.lattices[0]
+    def loss(theta: torch.Tensor) -> torch.Tensor:
+        q, first = theta[1:], terms[0].classes
         alpha = torch.tensor(kernel.alpha, dtype=torch.float64)
         if kernel.free_alpha:
             alpha = q[-1].clamp(*ALPHA_IN_SIGHT)
-        D = torch.from_numpy(kernel.D_of_q) @ q[: kernel.rank]
-        mu = self.law.size * volume(first, tables(first, alpha, D))
-        return mu + theta[0] / self.law.unit * mu**2, mu, alpha, D
+        D = D_of_q @ q[: kernel.rank]
+        mu = law.size * volume(first, tables(first, alpha, D))
+        return total_loss(terms, (mu + theta[0] / law.unit * mu**2, mu, alpha, D))
 
-    def loss(self, theta: torch.Tensor) -> torch.Tensor:
-        """The loss over all training sets."""
-        return total_loss(self.terms, self.solid(theta))
-
-    def margins(self, theta: torch.Tensor, cuts: Sequence[tuple[int, np.ndarray]]) -> torch.Tensor:
-        """Those of the law, and of the waves that were found below the floor, over ζ."""
-        (lam, mu, alpha, D), zeta = self.solid(theta), self.law.zeta
-        found = [mu - zeta, lam + mu - zeta]
-        if self.kernel.free_alpha:
-            found += [LARGEST_ALPHA - theta[-1], theta[-1] - SMALLEST_ALPHA]
-        parts = [torch.stack(found)]
-        asked = self.law.conditions.forms((lam - mu) / mu**2, mu, zeta)
-        for number, G in cuts:
-            which, lattice = divmod(number, len(self.lattices))
-            own, level = asked[which]
-            p = torch_products(mu * class_weights(self.lattices[lattice], alpha, D), own)
-            parts.append(torch.from_numpy(G) @ p - level)
-        return torch.cat(parts) / zeta
+    return loss

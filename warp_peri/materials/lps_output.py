@@ -1,4 +1,4 @@
-"""The output-error loss and its optimum (theory, 38).
+"""The output-error loss of the linear peridynamic solid and its optimum (theory, 38).
 
 With û the model's displacement at products c₀, L(c) û is affine in c, and û − L₀⁻¹ (L(c) û − b) is
 the displacement at c to first order. Its misfit is a loss of rows again. Noise in u enters it as it
@@ -19,10 +19,11 @@ from warp_peri.fitting.regression import LatticeRows
 from warp_peri.fitting.rows import compressed
 from warp_peri.fitting.settings import Conditions, Optimum
 from warp_peri.materials.lps import Model
-from warp_peri.materials.lps_fit import LPSFound, Products, optimum, product_basis, products
+from warp_peri.materials.lps_law import LPSFound, optimum
 from warp_peri.materials.lps_matrices import matrices
-from warp_peri.points.families import BondClasses, bond_classes
-from warp_peri.points.samples import WAVE_VECTOR, Samples
+from warp_peri.materials.lps_rows import Products, products
+from warp_peri.points.families import BondClasses
+from warp_peri.points.samples import WAVE_VECTOR
 from warp_peri.solvers.direct import MatrixProblem
 
 SAMPLES_AT_ONCE = 8
@@ -41,15 +42,13 @@ class WaveResponse:
     field that no load caused does not count.
 
     Args:
-        points: samples with `wave_vector`.
-        horizon: δ [Å].
+        made: products on samples with `wave_vector`.
 
     Raises InputError for a sample without load or displacement at its wave vector.
     """
 
-    def __init__(self, points: Samples, horizon: float) -> None:
-        self.classes = bond_classes(points.spacing, horizon)
-        self.bonds = product_basis(self.classes)
+    def __init__(self, made: Products) -> None:
+        points, self.classes, self.bonds = made.samples, made.classes, made.bonds
         k = np.asarray(points.arrays[WAVE_VECTOR], dtype=float)
         if k.shape != (len(points), 2) or not np.isfinite(k).all():
             raise InputError(f"{WAVE_VECTOR}: expected shape [{len(points)}, 2], got {k.shape}")
@@ -58,29 +57,24 @@ class WaveResponse:
             np.array([(wave * field.T).sum(axis=1) for wave, field in zip(onto, fields)])
             for fields in (points.u, points.loads)
         )
-        for name, value in (("u", self.u), ("b", self.b)):
-            size = np.linalg.norm(value, axis=1)
-            if not (size > 0).all():
-                raise InputError(
-                    f"{name}: sample {int(np.argmin(size))} is zero at its wave vector"
-                )
         parts = self.bonds.symbol(k * points.spacing) / points.spacing**2
         self.symbol = parts.transpose(0, 2, 3, 1)
-        self.first = self._rows(self._acting(self.u), self.b, np.linalg.norm(self.b, axis=1))
+        place = "at its wave vector"
+        self.weight = _over("u", self.u, place)
+        self.first = self._rows(self._acting(self.u), self.b, _over("b", self.b, place))
 
     def about(self, model: Model) -> LatticeRows:
         """û against u at the wave vectors, relative, û linear in the products about a model."""
         D = self.symbol @ products(model, self.classes)
         answer = np.linalg.solve(D, self.b[..., None])[..., 0]
         slope = np.linalg.solve(D, self._acting(answer))
-        return self._rows(slope, 2 * answer - self.u, np.linalg.norm(self.u, axis=1))
+        return self._rows(slope, 2 * answer - self.u, self.weight)
 
     def _acting(self, u: np.ndarray) -> np.ndarray:
         """D(k) u by product, shape [S, 2, P]."""
         return np.asarray(np.einsum("sabp,sb->sap", self.symbol, u))
 
-    def _rows(self, R: np.ndarray, y: np.ndarray, size: np.ndarray) -> LatticeRows:
-        weight = 1 / (size * np.sqrt(len(size)))
+    def _rows(self, R: np.ndarray, y: np.ndarray, weight: np.ndarray) -> LatticeRows:
         R = (R * weight[:, None, None]).reshape(-1, R.shape[-1])
         given = compressed(R, (y * weight[:, None]).ravel())
         return LatticeRows(*given, self.bonds, lattice_group(2))
@@ -93,20 +87,16 @@ class CollarResponse:
     one is biased where the collar is noisy.
 
     Args:
-        points: any samples on a lattice, few enough nodes for a dense matrix.
-        horizon: δ [Å].
+        made: products on any samples, few enough nodes for a dense matrix.
         first: a loss to begin with.
 
     Raises InputError for a sample without displacement on its interior.
     """
 
-    def __init__(self, points: Samples, horizon: float, first: LatticeRows) -> None:
-        self.points, self.first, self.products = points, first, Products(points, horizon)
-        flat = points.u[:, points.interior].reshape(len(points), -1)
-        size = np.linalg.norm(flat, axis=1)
-        if not (size > 0).all():
-            raise InputError(f"u: sample {int(np.argmin(size))} is zero on the interior")
-        self.weight = 1 / (size * np.sqrt(len(size)))
+    def __init__(self, made: Products, first: LatticeRows) -> None:
+        self.points, self.first, self.products = made.samples, first, made
+        inside = self.points.u[:, self.points.interior].reshape(len(self.points), -1)
+        self.weight = _over("u", inside, "on the interior")
 
     def about(self, model: Model) -> LatticeRows:
         """û against u on the interior, relative, û linear in the products about a model."""
@@ -125,22 +115,26 @@ class CollarResponse:
             found[..., -1] += wrong.T
             found = (found * self.weight[some, None]).reshape(-1, width + 1)
             R, y = compressed(np.concatenate([R, found[:, :-1]]), np.append(y, found[:, -1]))
-        return LatticeRows(R, y, self.first.bonds, self.first.group)
+        return dataclasses.replace(self.first, R=R, y=y)
 
 
 Response: TypeAlias = WaveResponse | CollarResponse
 
 
-def responses_of(
-    sets: Sequence[Samples], horizon: float, firsts: Sequence[LatticeRows]
-) -> list[Response]:
+def responses_of(sets: Sequence[Products], firsts: Sequence[LatticeRows]) -> list[Response]:
     """The response of each set: at the wave vectors of its loads, if it has them."""
     return [
-        WaveResponse(points, horizon)
-        if WAVE_VECTOR in points.arrays
-        else CollarResponse(points, horizon, first)
-        for points, first in zip(sets, firsts)
+        WaveResponse(made) if WAVE_VECTOR in made.samples.arrays else CollarResponse(made, first)
+        for made, first in zip(sets, firsts)
     ]
+
+
+def _over(name: str, fields: np.ndarray, where: str) -> np.ndarray:
+    """1/‖·‖ of each of S fields, over √S, shape [S]; InputError for one that is zero."""
+    size = np.linalg.norm(fields, axis=1)
+    if not (size > 0).all():
+        raise InputError(f"{name}: sample {int(np.argmin(size))} is zero {where}")
+    return np.asarray(1 / (size * np.sqrt(len(size))))
 
 
 def _projection(x: np.ndarray, k: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -162,9 +156,9 @@ def fit_output_error(
     lattices: Sequence[BondClasses],
     start: LPSFound,
     conditions: Conditions,
-    method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
+    method: Optimum,
     *,
-    tick: Callable[[float], None] = lambda loss: None,
+    tick: Callable[[float], None],
 ) -> LPSFound:
     """Minimise the misfit of displacement under the conditions over the whole zone.
 
@@ -183,7 +177,7 @@ def fit_output_error(
     def about(found: LPSFound) -> tuple[list[LatticeRows], float]:
         model = found.model(lattices[0].horizon)
         blocks = [response.about(model) for response in responses]
-        return blocks, reduced_loss(blocks, lattices, model)
+        return blocks, squares(blocks, lattices, model)
 
     firsts = [response.first for response in responses]
     best = optimum(firsts, lattices, start, conditions, method)
@@ -203,9 +197,7 @@ def fit_output_error(
     return dataclasses.replace(best, losses=losses)
 
 
-def reduced_loss(
-    blocks: Sequence[LatticeRows], lattices: Sequence[BondClasses], model: Model
-) -> float:
-    """Σ ‖R c − y‖² over lattices at a model."""
+def squares(blocks: Sequence[LatticeRows], lattices: Sequence[BondClasses], model: Model) -> float:
+    """Σ ‖R p − y‖² over lattices at a model."""
     left = [one.R @ products(model, classes) - one.y for one, classes in zip(blocks, lattices)]
     return float(sum(np.sum(one**2) for one in left))

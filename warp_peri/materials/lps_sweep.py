@@ -1,117 +1,36 @@
-"""One training run, and the sweep over horizons and degrees."""
+"""The sweep over horizons and degrees of the linear peridynamic solid."""
 
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
 import os
-import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import joblib
 import numpy as np
 from tqdm import tqdm
 
 from warp_peri.errors import InputError, warn
-from warp_peri.files.atomic import locked, write_json
+from warp_peri.files.atomic import locked
 from warp_peri.files.checkpoint import fingerprint
-from warp_peri.fitting.evaluate import evaluate
-from warp_peri.fitting.settings import Bernstein, Conditions, Method, Optimum, TwoStage
-from warp_peri.learning import DEGREES, HORIZONS
-from warp_peri.learning.fit import learn
+from warp_peri.fitting.evaluate import ERRORS, evaluate
+from warp_peri.fitting.settings import (
+    DEGREES,
+    HORIZONS,
+    Bernstein,
+    Conditions,
+    Method,
+    Optimum,
+    TwoStage,
+)
 from warp_peri.materials.lps import Model
+from warp_peri.materials.lps_fit import LPS
 from warp_peri.points.families import bond_classes
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
-
-ERRORS = ("E_res", "E_u", "E_res_abs")
-"""Those of the means of `evaluate` that a model is kept with, where the metrics hold them."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """What a training run found.
-
-    Attributes:
-        fit: the material, its certificate and the way to them.
-        tables: of `evaluate`, by the name of the set.
-        refused: why a set was not evaluated, by its name.
-        seconds: of learning and of prediction.
-    """
-
-    fit: Any
-    tables: dict[str, dict[str, Any]]
-    refused: dict[str, str]
-    seconds: dict[str, float]
-
-    def mean(self, error: str) -> dict[str, float]:
-        """An error of `evaluate`, averaged over the samples of each set, by the set's name."""
-        return {name: table[error] for name, table in self.tables.items()}
-
-    def save(
-        self, folder: Path, metrics: dict[str, Any], *, data: Path, provenance: Mapping[str, Any]
-    ) -> Any:
-        """Write model.json, with its errors and the hash of its data, and metrics.json.
-
-        Args:
-            folder: made if it is not there.
-            metrics: contents of metrics.json.
-            data: the file that was learned from.
-            provenance: what else the model says of how it came to be.
-
-        Raises OSError when a file cannot be written.
-        """
-        material = self.fit.material
-        said = {"errors": {key: metrics[key] for key in ERRORS if key in metrics}}
-        said["provenance"] = {
-            **getattr(material, "provenance", {}),
-            "data": data.name,
-            "sha256": hashlib.sha256(data.read_bytes()).hexdigest(),
-            **provenance,
-        }
-        model = dataclasses.replace(
-            material, **{name: value for name, value in said.items() if hasattr(material, name)}
-        )
-        model.save(folder / "model.json")
-        write_json(folder / "metrics.json", metrics)
-        return model
-
-
-def train(
-    law: Any,
-    samples: Samples,
-    sets: Mapping[str, Samples],
-    *,
-    allow_uncertified: bool = False,
-    **options: Any,
-) -> Run:
-    """Learn a law from samples, and evaluate it on sets.
-
-    Args:
-        law: what is learned, as LPS(…).
-        samples: training samples.
-        sets: to evaluate on, by name; one that `evaluate` refuses is passed over with its reason.
-        allow_uncertified: warn about an uncertified spacing instead of refusing the set.
-        options: of the law's `learn`: progress, and noise where it takes it.
-
-    Raises what `fit` raises.
-    """
-    begin = time.perf_counter()
-    learned = law.learn(samples, **options)
-    between = time.perf_counter()
-    tables, refused = {}, {}
-    for name, points in sets.items():
-        try:
-            tables[name] = evaluate(learned.material, points, allow_uncertified=allow_uncertified)
-        except InputError as error:  # no load, another spacing, a collar too small
-            refused[name] = str(error)
-    seconds = {"learning": between - begin, "prediction": time.perf_counter() - between}
-    return Run(learned, tables, refused, seconds)
-
 
 COST_TOLERANCE = 0.1
 """How much worse than the best AvgE the cheapest choice may be, relative."""
@@ -284,9 +203,9 @@ def _fit(
     state, train = file.with_suffix(".npz"), sets["train"]
     if isinstance(method, TwoStage):
         method = dataclasses.replace(method, checkpoint=state)
-    asked: dict[str, Any] = {"method": method, "conditions": conditions, "noise": noise}
+    law = LPS(horizon, Bernstein(degree), method, conditions)
     try:
-        model = learn(train, horizon, Bernstein(degree), progress=False, **asked).material
+        model = law.learn(train, noise=noise, progress=False).material
     except RuntimeError as error:
         unit = symbols(train.points.units)[0]
         return f"δ = {horizon:g} {unit}, M = {degree}: {error}"

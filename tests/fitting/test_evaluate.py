@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.support import reference
-from tests.support.problems import kernel, lattice, manufactured, with_nodes
+from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve
 from warp_peri import InputError, Model, Points, Samples, evaluate
 
@@ -49,16 +49,11 @@ def test_numbers_are_their_definitions(points):
     assert table["E_res"] > 0.01
 
 
-def test_the_true_model_has_no_error(points):
-    table = evaluate(OTHER, points)
-    assert table["E_res"] < 1e-12
-    assert table["E_u"] < 1e-12
-
-
-def test_collar_loads_play_no_part(points):
+def test_the_true_model_has_no_error_whatever_loads_the_collar_bears(points):
     b = points.b.copy()
     b[:, ~points.interior] = 1e9
-    assert evaluate(MODEL, replace(points, b=b)) == evaluate(MODEL, points)
+    table = evaluate(OTHER, replace(points, b=b))
+    assert max(table["E_res"], table["E_u"]) < 1e-12
 
 
 def test_sets_that_have_no_error_to_speak_of_are_refused(points):
@@ -96,19 +91,6 @@ def test_the_error_of_shape_does_not_see_rigid_motion(points):
     assert moved["E_u"] < 0.1 * plain["E_u"]
     assert moved["E_shape"] == pytest.approx(plain["E_shape"], rel=1e-6)
     assert plain["E_shape"] > plain["E_u"]
-
-
-def test_uncertified_spacings_are_refused_or_warned_about(points):
-    model = replace(MODEL, certified_on=(2.0,))
-    with pytest.raises(InputError, match="certified on 2 Å, not on 1 Å"):
-        evaluate(model, points, transfer=False)
-    with pytest.warns(UserWarning, match="certified on 2 Å, not on 1 Å"):
-        assert evaluate(model, points, allow_uncertified=True) == evaluate(MODEL, points)
-
-
-def test_scattered_points_are_refused(points):
-    with pytest.raises(InputError, match="not on scattered points|expected a lattice"):
-        evaluate(MODEL, with_nodes(points, spacing=0.0), transfer=False)
 
 
 def test_where_a_periodic_body_lies_is_no_error():

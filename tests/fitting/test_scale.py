@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support.learning import fit
 from tests.support.problems import kernel, lattice, manufactured
 from tests.support.solving import solve
 from tests.support.waves import waves
 from warp_peri import Bernstein, InputError, evaluate
-from warp_peri.learning.fit import RELATIVE_ZETA
-from warp_peri.learning.fit import learn as fit
 from warp_peri.materials.lps import Model
-from warp_peri.materials.lps_loss import stiffness_of
-from warp_peri.methods import Conditions, Optimum, TwoStage
+from warp_peri.materials.lps_adam import stiffness_of
+from warp_peri.materials.lps_fit import RELATIVE_ZETA
+from warp_peri.methods import Conditions, TwoStage
 from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import symbols
 from warp_peri.proofs import critical_time_step
@@ -42,7 +42,7 @@ def plain(data):
     return learned(data)
 
 
-@pytest.mark.parametrize("stress", [1e-4, 0.01, 3.0, 1e4, 1e11])
+@pytest.mark.parametrize("stress", [1e-4, 1e11])
 def test_stiffness_of_any_size(data, plain, stress):
     result = learned(at_scale(data, stress=stress))
     for name in ("lam", "mu"):
@@ -51,14 +51,14 @@ def test_stiffness_of_any_size(data, plain, stress):
         for stage in result.history:
             assert getattr(stage.parameters, name) / stress == pytest.approx(expected, rel=1e-5)
     assert result.material.mu / stress == pytest.approx(0.7, rel=1e-4)
-    zeta = result.settings.conditions.zeta
-    assert zeta / stress == pytest.approx(plain.settings.conditions.zeta)
+    zeta = result.law.conditions.zeta
+    assert zeta / stress == pytest.approx(plain.law.conditions.zeta)
     bound = result.certificate.symbol_bound
     assert bound / stress == pytest.approx(plain.certificate.symbol_bound, rel=1e-4)
 
 
 @pytest.mark.parametrize(("bounds", "conditions"), [("projected", "symbol"), ("relu", "dense")])
-@pytest.mark.parametrize(("length", "stress"), [(1.0, 1e6), (1.0, 3e-6), (1e6, 1.0), (1e-6, 1.0)])
+@pytest.mark.parametrize(("length", "stress"), [(1.0, 3e-6), (1e6, 1.0)])
 def test_steps_that_end_on_their_way_are_those_of_any_size(bounds, conditions, length, stress):
     small = manufactured(TRUE, lattice(5, HORIZON), 5)
     how = TwoStage(bounds, conditions, epochs=40, inner_epochs=20, outer_iterations=2)
@@ -73,7 +73,7 @@ def test_steps_that_end_on_their_way_are_those_of_any_size(bounds, conditions, l
     assert found.D == pytest.approx(first.D, rel=1e-9)
 
 
-@pytest.mark.parametrize("length", [1e-10, 0.1, 3.4, 1e4])
+@pytest.mark.parametrize("length", [1e-10, 3.4])
 def test_lengths_in_any_unit(data, plain, length):
     there = at_scale(data, length)
     result = learned(there, length)
@@ -117,12 +117,6 @@ def test_a_fit_carries_the_units_of_its_data_and_is_held_to_them(data, plain, un
             critical_time_step(result.material, spacing=0.1, density=2200.0)
 
 
-def test_moduli_to_be_held_are_those_of_the_data(data):
-    result = learned(at_scale(data, stress=1e-4), method=Optimum(moduli=(2e-5, 6e-5)))
-    assert (result.material.lam, result.material.mu) == pytest.approx((2e-5, 6e-5), rel=1e-6)
-    assert result.settings.moduli == (2e-5, 6e-5)
-
-
 def test_zeta_is_a_part_of_the_stiffness_and_stands_in_the_file(data, plain, tmp_path):
     stiffness = stiffness_of([data], HORIZON)
     assert 0.3 < stiffness < 3
@@ -132,7 +126,7 @@ def test_zeta_is_a_part_of_the_stiffness_and_stands_in_the_file(data, plain, tmp
         {"zeta": RELATIVE_ZETA * stiffness, "stiffness of the data": stiffness}
     )
     asked = learned(data, conditions=Conditions(zeta=0.02))
-    assert asked.settings.conditions.zeta == 0.02
+    assert asked.law.conditions.zeta == 0.02
 
 
 def test_noise_does_not_soften_the_stiffness(data):

@@ -1,0 +1,224 @@
+"""Adam: to the optimum on Warp's operator, and Algorithm 1 with its margins and checkpoint."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tests.support.learning import fit
+from tests.support.problems import GRADIENT, difference, ell, kernel, lattice, manufactured
+from tests.support.symbols import smallest_margins
+from warp_peri import LPS, Bernstein, InputError, Model, certify
+from warp_peri.files.atomic import ArrayFile
+from warp_peri.fitting import augmented_lagrangian
+from warp_peri.fitting.augmented_lagrangian import PrintedState, as_printed, margins_of
+from warp_peri.fitting.regression import Regression
+from warp_peri.materials import lps_force
+from warp_peri.materials.lps import Solid, stiffnesses
+from warp_peri.materials.lps_adam import (
+    DENSE_ZETA,
+    PRINTED_HORIZON,
+    DenseMargins,
+    SymbolMargins,
+    class_matrices,
+    in_torch,
+    least_of_blocks,
+    mirror_blocks,
+)
+from warp_peri.materials.lps_fit import Learner
+from warp_peri.materials.lps_law import LPSFound, LPSLaw
+from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
+from warp_peri.points.families import bond_classes
+
+HORIZON, ZETA = 3.0, 0.02
+CLASSES = bond_classes(1.0, HORIZON)
+
+
+def violating():
+    """Samples of a model that breaks the conditions, so that they bind."""
+    model = kernel("sign-changing", 2.5, lam=-0.2, mu=0.7)
+    assert certify(model, spacing=1.0).symbol_min < -0.01
+    return manufactured(model, lattice(6, 2.5), 10, wave_number=2.0)
+
+
+@pytest.mark.parametrize("moduli", [None, (-0.2, 0.77)], ids=["free", "held"])
+def test_adam_by_itself_reaches_the_constrained_optimum(moduli):
+    method = Constrained(3, optimum=Optimum(moduli=moduli))
+    asked = Conditions("paper", 0.01)
+    learned = fit(violating(), 2.5, Bernstein(4), method=method, conditions=asked)
+    first, second = learned.history
+    assert (first.name, second.name) == ("1 Adam", "3 constrained")
+    assert min(learned.starts.values()) > 1e-3
+    assert first.loss[-1] <= 1.001 * second.loss[-1]
+    model, classes = Model(*first.parameters.values(), 2.5), bond_classes(1.0, 2.5)
+    assert smallest_margins(classes, asked, *stiffnesses(model, classes)).min() >= -1e-6
+
+
+def test_adam_follows_the_gradient_of_warps_operator(monkeypatch):
+    """Each step takes one of Warp's, which torch carries on to θ, the slope of the exact rows."""
+    points = violating()
+    taken, gradient = [], lps_force.gradient
+    monkeypatch.setattr(
+        lps_force, "gradient", lambda *of, **how: taken.append(1) or gradient(*of, **how)
+    )
+    free = Optimum(moduli=None, smoothness=0.0)
+    method = Constrained(rounds=2, steps=10, optimum=free)
+    first = fit(points, 2.5, Bernstein(2), method=method).history[0]
+    assert first.steps == len(taken) == 2 * (10 + 1)
+    law = LPS(2.5, Bernstein(2), conditions=Conditions("paper", ZETA))
+    given = Learner(law, [points], [], None)
+    for degree in (2, 4):  # with α free, and where it says what D says
+        start = LPSFound(Solid(-0.1, 0.8, 1.3, np.linspace(1, 0.2, degree + 1)))
+        law = LPSLaw(given.lattices, start, given.conditions, free)
+        problem = Regression(given.blocks, law, law.zeta, 1.0)
+        theta = law.start(start) * (1 + 0.01 * np.arange(len(law.start(start))))
+        problem.look(law(theta))
+        state, leaf = problem.state(theta), torch.from_numpy(theta).requires_grad_()
+        loss = in_torch(given.operator, law)(leaf)
+        assert loss.item() == pytest.approx(state.loss, rel=1e-10)
+        (slope,) = torch.autograd.grad(loss, leaf)
+        expected = 2 * state.residual @ state.J
+        np.testing.assert_allclose(slope.numpy(), expected, atol=1e-9 * np.abs(expected).max())
+        slopes = [
+            torch.autograd.grad(m, leaf, retain_graph=True)[0].numpy()
+            for m in margins_of(problem, leaf)
+        ]
+        np.testing.assert_array_equal(slopes, state.M)
+
+
+def class_weights(model):
+    return stiffnesses(model, CLASSES)[0] / model.mu
+
+
+def margins_by(kind):
+    if kind == "dense":
+        return DenseMargins([lattice(ell(), HORIZON)], HORIZON)
+    return SymbolMargins(Conditions("paper", ZETA), [CLASSES])
+
+
+@pytest.mark.parametrize("kind", ["symbol", "dense"])
+@pytest.mark.parametrize("name", ["sign-changing", "steep"])
+def test_gradients_of_the_margins(kind, name):
+    margins = margins_by(kind)
+    given = np.concatenate([[-0.2, 0.7], class_weights(kernel(name, HORIZON))])
+    sigma = torch.from_numpy(CLASSES.count * CLASSES.r**2)
+
+    def values(x):
+        # Σ n r² w = 1 must stay: without it the margin of (iii) has a kink at long waves.
+        return margins(x[0], x[1], [x[2:] / (sigma @ x[2:])])
+
+    expected = difference(lambda x: values(torch.from_numpy(x)).numpy(), given, 1e-5).T
+    found = torch.autograd.functional.jacobian(values, torch.from_numpy(given)).numpy()
+    assert np.abs(found - expected).max() <= GRADIENT * np.abs(expected).max()
+
+
+def margins_at(kind, model):
+    weights = [torch.from_numpy(class_weights(model))]
+    lam, mu = torch.tensor([model.lam, model.mu], dtype=torch.float64)
+    return margins_by(kind)(lam, mu, weights).numpy()
+
+
+def test_dense_margins_are_those_of_the_certificate():
+    model, points = kernel("sign-changing", HORIZON), lattice(ell(), HORIZON)
+    margins = margins_at("dense", model)
+    certificate = certify(model, spacing=1.0, points=points)
+    unit = (HORIZON / PRINTED_HORIZON) ** 2
+    expected = unit * np.array([certificate.gamma_min, certificate.gamma_minus_2phi_min])
+    expected[0] -= DENSE_ZETA
+    np.testing.assert_allclose(margins[[0, 2]], expected, rtol=1e-9)
+    if certificate.inf_sup_rank == points.interior.sum():
+        assert margins[1] == pytest.approx(certificate.inf_sup_min - DENSE_ZETA, rel=1e-6)
+
+
+def test_symbol_margins_are_the_smallest_of_the_zone():
+    model = kernel("sign-changing", HORIZON, lam=-0.2)
+    margins = margins_at("symbol", model)
+    of = Conditions("paper", ZETA), *stiffnesses(model, CLASSES)
+    smallest = smallest_margins(CLASSES, *of)
+    np.testing.assert_allclose(margins, smallest, atol=2e-3)
+    assert (margins >= smallest - 1e-12).all()
+
+
+def test_mirrors_split_the_dense_conditions_without_changing_them():
+    """A square falls into four blocks; a nudged square is one."""
+    model, points = kernel("sign-changing", HORIZON), lattice(7, HORIZON)
+    gammas, phis = class_matrices(points, HORIZON)
+    x = points.x[points.interior]
+    assert len(mirror_blocks(gammas, phis, x)) == 4
+    assert len(mirror_blocks(gammas, phis, x**1.1)) == 1
+    leaf = torch.tensor(class_weights(model), requires_grad=True)
+    whole, blocks = (
+        least_of_blocks(parts, leaf) for parts in ([(gammas, phis)], mirror_blocks(gammas, phis, x))
+    )
+    for one, other in zip(whole, blocks):
+        assert other.item() == pytest.approx(one.item(), rel=1e-9, abs=1e-14)
+        slope, same = (torch.autograd.grad(margin, leaf)[0].numpy() for margin in (one, other))
+        np.testing.assert_allclose(same, slope, atol=1e-9 * np.abs(slope).max())
+
+
+@pytest.fixture
+def points():
+    return manufactured(kernel("positive", 2.5, lam=-0.2), lattice(6, 2.5), 6)
+
+
+QUICK = TwoStage(epochs=100, inner_epochs=30, outer_iterations=5)
+
+
+def run(points, checkpoint=None, degree=3, **options):
+    method = replace(QUICK, checkpoint=checkpoint)
+    return fit(points, 2.5, Bernstein(degree), method=method, **options).history[-1]
+
+
+@pytest.mark.parametrize("parametrisation", ["projected", "relu"])
+def test_stages_stay_inside_their_bounds(points, parametrisation):
+    method = replace(QUICK, parametrisation=parametrisation)
+    for stage in fit(points, 2.5, Bernstein(5), method=method).history:
+        solid = stage.parameters
+        assert min(solid.mu, solid.lam + solid.mu, 3 - solid.alpha) > 0
+
+
+def test_resumed_is_unbroken_and_what_is_finished_is_not_run_again(points, tmp_path, monkeypatch):
+    unbroken, path = run(points), tmp_path / "state.npz"
+    save, saved = ArrayFile.write, []
+
+    def killed(self, *arguments, **options):
+        save(self, *arguments, **options)
+        saved.append(1)
+        if len(saved) == 3:
+            raise KeyboardInterrupt
+
+    def same(again):
+        first, second = unbroken.parameters, again.parameters
+        assert (second.lam, second.mu, second.alpha) == (first.lam, first.mu, first.alpha)
+        np.testing.assert_array_equal(second.D, first.D)
+        assert again.loss == unbroken.loss
+
+    def not_again(*given, **how):
+        raise AssertionError("stage 2 was finished")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ArrayFile, "write", killed)
+        with pytest.raises(KeyboardInterrupt):
+            run(points, path)
+    same(run(points, path))
+    monkeypatch.setattr(augmented_lagrangian, "adam", not_again)
+    same(run(points, path))
+    for change in ({"degree": 4}, {"conditions": Conditions(zeta=0.02)}):
+        with pytest.raises(InputError, match="other data or settings"):
+            run(points, path, **change)
+    path.write_bytes(b"PK\x03\x04 half of it")
+    with pytest.raises(InputError, match="state.npz: not a readable checkpoint"):
+        run(points, path)
+
+
+def test_the_multiplier_climbs_with_the_violation():
+    """One condition with a margin that nothing changes."""
+    zero = torch.zeros(1, dtype=torch.float64)
+    state = PrintedState([torch.ones_like(zero).requires_grad_(), zero, zero + torch.inf])
+    how = {"steps": 0, "rounds": 1, "tick": lambda loss: None}
+    as_printed(state, lambda: zero.sum(), lambda: zero + 0.5, lambda: None, **how)
+    slack, multiplier, previous = state.tensors
+    assert slack == 1.0
+    assert multiplier == 1.0 * (0.5 - slack**2)  # φ ← φ + ψ H, H = margin − ϖ²
+    assert previous == 0.5

@@ -1,0 +1,235 @@
+"""The linear solid learned from fields that a known model made."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+
+from tests.support.learning import fit
+from tests.support.problems import LAM as TRUE_LAM
+from tests.support.problems import MU as TRUE_MU
+from tests.support.problems import kernel, lattice, manufactured, noise, with_nodes
+from tests.support.symbols import smallest_margins
+from warp_peri import LPS, Bernstein, InputError, Samples, certify, evaluate
+from warp_peri.core.elastic import from_voigt, plane_isotropic
+from warp_peri.materials.lps import Solid, bernstein_basis, moduli, stiffnesses
+from warp_peri.materials.lps_fit import Learner
+from warp_peri.materials.lps_law import LPSFound
+from warp_peri.methods import Conditions, Constrained, Optimum, TwoStage
+from warp_peri.points.families import bond_classes
+
+LAM, MU = -0.2, 0.7
+ZETA = 0.01
+
+
+def data(name, horizon, spacing=1.0, lam=LAM):
+    """Ten samples in equilibrium with a known model, and the model."""
+    model = kernel(name, horizon, spacing, lam=lam, mu=MU)
+    points = lattice(6, horizon, spacing)
+    return manufactured(model, points, 10, wave_number=2 / spacing), model
+
+
+def shares(model, spacing=1.0):
+    """μ K W / m of each bond class, and κ."""
+    return stiffnesses(model, bond_classes(spacing, model.horizon))
+
+
+@pytest.mark.parametrize(
+    ("name", "horizon", "degree"),
+    [("1/r", 2.5, 3), ("positive", 2.5, 7), ("sign-changing", 3.0, 5)],
+)
+def test_the_optimum_is_the_model_that_made_the_data(name, horizon, degree):
+    points, true = data(name, horizon)
+    learned = fit(points, horizon, Bernstein(degree), method=Constrained())
+    model = learned.material
+    assert (model.lam, model.mu) == pytest.approx((LAM, MU), abs=1e-6)
+    for found, expected in zip(shares(model), shares(true)):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+    assert len(learned.starts) == 4
+    assert max(learned.starts.values()) < 1e-5
+    assert model.certified_on == model.trained_on == (1.0,)
+    assert evaluate(model, points)["E_u"] < 1e-4
+
+
+def test_the_degree_is_the_smallest_that_foretells_loads_left_out():
+    """Data of degree 1, noisy so that more coefficients than that tell the noise alone."""
+    true = replace(kernel("positive", 3.0, lam=LAM, mu=MU), D=np.array([1.0, 0.2]))
+    points = manufactured(true, lattice(6, 3.0), 20, wave_number=2.0)
+    rough = noise(points, 20)
+    inside = points.interior
+    part = 0.1 * np.linalg.norm(points.b[:, inside]) / np.linalg.norm(rough[:, inside])
+    points = replace(points, b=points.b + part * rough)
+    learned = fit(points, 3.0)
+    assert learned.material.degree == learned.law.kernel.degree == min(learned.degrees, default=9)
+    assert list(learned.degrees) == [5, 4, 3, 2, 1, 0][: len(learned.degrees)]
+    assert learned.degrees[learned.material.degree] <= 1.02 * min(learned.degrees.values())
+    asked = fit(points, 3.0, Bernstein(learned.material.degree))
+    assert asked.history[-1].loss[-1] == pytest.approx(learned.history[-1].loss[-1], rel=1e-6)
+    assert learned.material.provenance["degree"]
+    alone = fit(replace(points, u=points.u[:1], b=points.b[:1]), 3.0)
+    assert (alone.material.degree, alone.degrees) == (5, {})
+
+
+def test_a_violating_model_ends_feasible_with_the_condition_active():
+    points, true = data("sign-changing", 2.5)
+    assert certify(true, spacing=1.0).symbol_min < -0.01
+    learned = fit(points, 2.5, Bernstein(4), conditions=Conditions(zeta=ZETA))
+    assert ZETA <= learned.certificate.symbol_min <= 1.02 * ZETA
+    assert learned.certificate.holds
+    assert learned.material.certified_on == (1.0,)
+    losses = np.array(list(learned.starts.values()))
+    assert np.ptp(losses) < 1e-6 * losses.max()
+    assert losses.min() > 1e-3
+
+
+def test_the_printed_conditions_hold_densely_and_are_active():
+    horizon, asked = 3.0, Conditions("paper", ZETA)
+    points, _ = data("sign-changing", horizon)
+    learned = fit(points, horizon, Bernstein(5), conditions=asked)
+    dense = certify(learned.material, spacing=1.0, points=points)
+    assert dense.gamma_minus_2phi_min >= -1e-10 * dense.gamma_minus_2phi_max
+    assert dense.paper
+    margins = smallest_margins(bond_classes(1.0, horizon), asked, *shares(learned.material))
+    assert (margins >= -1e-8).all()
+    # the model that made the data keeps (i) and breaks (iii)
+    assert margins[2] == pytest.approx(0, abs=1e-6)
+    assert min(learned.starts.values()) > 1e-3
+    assert learned.material.certified_on == (1.0,)
+
+
+def test_conditions_that_were_not_kept_in_the_end_are_an_error():
+    points, _ = data("sign-changing", 3.0)
+    with pytest.raises(RuntimeError, match="no start ended with the conditions kept"):
+        fit(points, 3.0, Bernstein(5), method=Optimum(rounds=1), conditions=Conditions("paper"))
+
+
+def test_two_lattices_are_learned_together():
+    sets, models = zip(*(data("positive", 2.0, spacing) for spacing in (1.0, 0.9)))
+    learned = fit(sets, 2.0, Bernstein(3))
+    assert learned.material.trained_on == learned.material.certified_on == (1.0, 0.9)
+    assert (learned.material.lam, learned.material.mu) == pytest.approx((LAM, MU), abs=1e-5)
+    for model, points in zip(models, sets):
+        found, true = (shares(one, points.spacing)[0] for one in (learned.material, model))
+        np.testing.assert_allclose(found, true, atol=1e-4)
+        assert evaluate(learned.material, points)["E_res"] < 1e-4
+
+
+def test_held_moduli_are_held():
+    points, _ = data("positive", 3.0)
+    asked = [Optimum(moduli=moduli) for moduli in ((0.1, 0.65), "isotropic")]
+    held, loose = (fit(points, 3.0, Bernstein(5), method=one).material for one in asked)
+    assert (held.lam, held.mu) == pytest.approx((0.1, 0.65), abs=1e-9)
+    expected = {"C11": 0.1 + 2 * 0.65, "C12": 0.1, "C44": 0.65}
+    assert moduli(held, bond_classes(1.0, 3.0)) == pytest.approx(expected, abs=1e-8)
+    assert moduli(loose, bond_classes(1.0, 3.0))["C44"] == pytest.approx(loose.mu, abs=1e-8)
+
+
+def test_a_normalised_loss_does_not_see_the_size_of_a_sample():
+    points, _ = data("positive", 3.0)
+    points = replace(points, b=points.b + 0.1 * noise(points, 10))
+    size = np.logspace(-1, 1, 10)[:, None, None]
+    scaled = replace(points, u=size * points.u, b=size * points.b)
+    first, second = (
+        fit(samples, 3.0, Bernstein(5), normalise=True).material for samples in (points, scaled)
+    )
+    assert (second.lam, second.mu) == pytest.approx((first.lam, first.mu), abs=1e-6)
+    absolute = fit(scaled, 3.0, Bernstein(5)).material
+    assert abs(absolute.mu - first.mu) > 1e-4
+
+
+@pytest.mark.parametrize("size", [0.0, 1e5, 1e7])
+def test_rows_are_held_to_the_operator_whatever_rounding_leaves_of_a_kernel(size):
+    """Moderate values at the bond lengths, with coefficients of any size; a wrong row is found."""
+    horizon, degree = 3.0, 12
+    points = manufactured(kernel("positive", horizon), lattice(6, horizon), 4)
+    given = Learner(LPS(horizon, Bernstein(degree)), [points], [], None)
+    unseen = scipy.linalg.null_space(bernstein_basis(given.lattices[0].r, horizon, degree))
+    D = np.linspace(1, 0.4, degree + 1) + size * unseen[:, 0]
+    found = LPSFound(Solid(0.2, 0.9, 1.0, D))
+    given.check(found, "residual")
+    for part in given.folds[0]:
+        part[0].R[:, 1] *= 1 + 1e-4
+    with pytest.raises(RuntimeError, match="the residual by rows departs from the operator's by"):
+        given.check(found, "residual")
+
+
+@pytest.mark.parametrize("axis", [None, 17.0])
+def test_fields_of_local_elasticity_are_fitted_by_displacement(axis):
+    random, C = np.random.default_rng(0), from_voigt(plane_isotropic(TRUE_LAM, TRUE_MU))
+    points = lattice(10, 2.5)
+    u, b = np.zeros((2, 10, *points.x.shape))
+    for sample in np.repeat(np.arange(10), 4):
+        angle, e = random.uniform(0, 2 * np.pi), random.normal(size=2)
+        k = 2 * np.pi / random.uniform(3, 20) * np.array([np.cos(angle), np.sin(angle)])
+        wave = np.cos(points.x @ k + random.uniform(0, 2 * np.pi))[:, None]
+        u[sample] += wave * e
+        b[sample] += wave * np.einsum("ijkl,j,l,k->i", C, k, k, e)
+    samples = with_nodes(Samples(points, u, b), axis=axis)
+    first, found = (fit(samples, 2.5, Bernstein(4), loss=loss) for loss in ("residual", "auto"))
+    assert (found.loss.name, len(found.history)) == ("output", len(first.history) + 1)
+    assert "worse than local elasticity" in found.loss.reason
+    assert found.law.method.moduli == pytest.approx((TRUE_LAM, TRUE_MU), rel=2e-3)
+    errors = [evaluate(one.material, samples)["E_u"] for one in (found, first)]
+    assert errors[0] < 0.995 * errors[1]
+
+
+def test_fields_of_the_solid_itself_are_not():
+    samples = manufactured(kernel("1/r", 2.5), lattice(8, 2.5), 10)
+    method = Optimum(moduli=(TRUE_LAM, TRUE_MU))
+    assert fit(samples, 2.5, Bernstein(4), method=method).loss.name == "residual"
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"horizon": 0.5}, r"horizon: expected at least one spacing \(1.0\), got 0.5"),
+        ({"horizon": 1.5}, "no weights are exact for a family of 8 bonds"),
+        ({"horizon": 3.0}, "twice the horizon: .* the largest that fits is"),
+        ({"method": "best"}, r"method: expected Optimum\(…\), TwoStage\(…\) or .* got 'best'"),
+        ({"conditions": "paper"}, r"conditions: expected Conditions\(…\), got 'paper'"),
+        ({"kernel": 10}, "expected an InfluenceFunction or a list of them"),
+        ({"kernel": []}, "expected Bernstein"),
+        ({"loss": "huber"}, "one of auto"),
+        ({"loss": "corrected"}, "needs fields of noise"),
+        ({"loss": "output", "method": TwoStage()}, "two-stage"),
+    ],
+)
+def test_bad_choices_are_refused(change, words):
+    points, _ = data("positive", 2.0)
+    with pytest.raises(InputError, match=words):
+        fit(points, **{"horizon": 2.0, "kernel": Bernstein(2), **change})
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Bernstein(1.5), "degree: expected a whole number ≥ 0, got 1.5"),
+        (lambda: LPS(np.nan), "horizon: expected a number > 0"),
+        (lambda: Conditions("none"), "conditions: expected one of direct, paper, got 'none'"),
+        (lambda: Conditions(zeta=-0.01), "zeta: expected a stiffness > 0, got -0.01"),
+        (lambda: TwoStage(seed=-1), "seed: expected a whole number ≥ 0, got -1"),
+        (lambda: TwoStage("best"), "parametrisation: expected one of projected, relu"),
+        (lambda: TwoStage(constraints="none"), "constraints: expected one of symbol, dense"),
+        (lambda: Optimum((0.3, -0.8)), "moduli: expected .* with μ > 0"),
+        (lambda: Optimum((0.7,)), r"moduli: expected \(λ, μ\)"),
+        (lambda: Optimum("held"), "moduli: expected .* got 'held'"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
+
+
+def test_sets_that_cannot_be_learned_from_are_refused():
+    points, _ = data("positive", 2.0)
+    none = np.empty((0, len(points.x), 2))
+    for change, words in (
+        ({"u": none, "b": none}, "no samples"),
+        ({"b": 0 * points.b}, "no loads"),
+        ({"points": replace(points.points, spacing=0.0)}, "got scattered points"),
+    ):
+        with pytest.raises(InputError, match=words):
+            fit(replace(points, **change), 2.0, Bernstein(2))
+    with pytest.raises(InputError, match="at least one training set"):
+        fit([], 2.0, Bernstein(2))

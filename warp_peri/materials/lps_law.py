@@ -1,0 +1,364 @@
+"""What θ stands for while the linear peridynamic solid is learned.
+
+θ = (κ, q) has any kernel q. Only the span of the tables that Bernstein polynomials give the bond
+classes can be told apart; its coordinates take the place of D, and the scale of K falls out. α is a
+number of q only where the coefficients do not already reach every bond length; elsewhere it is
+redundant and keeps its value, as it does in space.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from warp_peri.errors import InputError
+from warp_peri.fitting.regression import MET, Form, LatticeRows, Numbers, Settled, fit
+from warp_peri.fitting.settings import Conditions, Optimum
+from warp_peri.materials.influence import InfluenceFunction
+from warp_peri.materials.lps import CANCELLED, Model, Solid, bernstein_basis, long_wave_moduli
+from warp_peri.materials.lps_rows import class_pairs
+from warp_peri.points.families import BondClasses
+
+
+@dataclass(frozen=True)
+class LPSFound:
+    """A solid while it is learned.
+
+    Attributes:
+        solid: λ, μ, α, D.
+        shape: the influence function that D stands for, if its parameters are what is learned.
+        losses: on the way there, relative to the loads.
+        margin: smallest margin of the conditions over the searched zones [stress].
+        departure: farthest that a modulus is from what was to be held [stress].
+        cuts: number of wave vectors the conditions were kept on.
+        converged: whether no violation was left, and the moduli are those to be held.
+    """
+
+    solid: Solid
+    shape: InfluenceFunction | None = None
+    losses: list[float] = field(default_factory=list, repr=False)
+    margin: float = np.inf
+    departure: float = 0.0
+    cuts: int = 0
+    converged: bool = True
+
+    @property
+    def loss(self) -> float:
+        """At the end, relative to the loads."""
+        return self.losses[-1]
+
+    def model(self, horizon: float, **more: Any) -> Model:
+        """The model of these numbers, and what else is known of it."""
+        return Model(**vars(self.solid), horizon=horizon, **more)
+
+
+HEADROOM = 1.01
+"""A fit asks for ζ times this, so that ζ itself holds between the points it sampled."""
+MODULI_TOLERANCE = 1e-4
+"""Distance from moduli to be held, over ζ, that counts as none."""
+RANK_TOLERANCE = 1e-11
+LARGEST_ALPHA, SMALLEST_ALPHA = 3 - 1e-3, -6.0
+ALPHA_IN_SIGHT = (-12.0, 6.0)
+
+Slopes: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""Values, and their derivatives to q [·, Q]."""
+
+
+class BernsteinKernel:
+    """r^(−α) Σ D_k B_k,M of any D: q has coordinates of the tables, then α where it is free.
+
+    Args:
+        lattices: bond classes of each lattice; the first sets the scale of the kernels.
+        alpha: exponent to start from, or to keep.
+        degree: M.
+        fixed: whether to keep it anyway.
+    """
+
+    def __init__(
+        self, lattices: Sequence[BondClasses], alpha: float, degree: int, *, fixed: bool = False
+    ) -> None:
+        self.alpha = alpha
+        scaled = [(classes.r / classes.horizon, classes) for classes in lattices]
+        tables = np.concatenate(
+            [(c.weight * t**-alpha)[:, None] * bernstein_basis(t, 1.0, degree) for t, c in scaled]
+        )
+        scale = np.abs(tables).max()
+        left, size, right = np.linalg.svd(tables / scale)
+        self.rank = rank = int(np.sum(size > RANK_TOLERANCE * size[0]))
+        lengths = np.concatenate([classes.r for classes in lattices])
+        reached = np.abs(tables).max(axis=1) > RANK_TOLERANCE * scale
+        short = rank < len(np.unique((lengths[reached] / lattices[0].horizon).round(9)))
+        self.free_alpha = short and lattices[0].steps.shape[1] == 2 and not fixed
+        ends = np.cumsum([len(classes.r) for classes in lattices])
+        self._basis = np.split(left[:, :rank], ends[:-1])  # tables of unit q
+        self._q_of_D = size[:rank, None] * right[:rank] * scale
+        self.D_of_q = right[:rank].T / (size[:rank] * scale)
+        self._second = np.diff(np.eye(degree + 1), n=2, axis=0)
+        free = right[rank:].T  # coefficients that no bond sees: take those that smooth
+        if free.size and len(self._second):
+            smooth = np.linalg.lstsq(self._second @ free, self._second @ self.D_of_q, rcond=None)
+            self.D_of_q = self.D_of_q - free @ smooth[0]
+        self._log_r = [np.log(t) for t, _ in scaled]
+        first = lattices[0]
+        self._plain = first.count * first.r**2 * first.weight
+
+    def start(self, found: LPSFound) -> np.ndarray:
+        """q of given coefficients, of any scale."""
+        return np.append(self._q_of_D @ found.solid.D, [self.alpha] * self.free_alpha)
+
+    def tables(self, q: np.ndarray) -> list[Slopes]:
+        """K W on each lattice, shape [C]."""
+        # Constraints bound α; on its way a search may look where r^(−α) overflows.
+        alpha = float(np.clip(q[-1], *ALPHA_IN_SIGHT)) if self.free_alpha else self.alpha
+        found = []
+        for basis, log_r in zip(self._basis, self._log_r):
+            tilted = np.exp((self.alpha - alpha) * log_r)[:, None] * basis
+            value = tilted @ q[: self.rank]
+            columns = [tilted, -(log_r * value)[:, None]] if self.free_alpha else [tilted]
+            found.append((value, np.hstack(columns)))
+        return found
+
+    def limits(self, q: np.ndarray) -> Slopes:
+        """What must not be negative for α to be within its bounds."""
+        if not self.free_alpha:
+            return np.zeros(0), np.zeros((0, len(q)))
+        slopes = np.zeros((2, len(q)))
+        slopes[:, -1] = (-1, 1)
+        return np.array([LARGEST_ALPHA - q[-1], q[-1] - SMALLEST_ALPHA]), slopes
+
+    def _volume(self, alpha: float) -> float:
+        """Σ n r² K W of K = (r/δ)^(−α) on the first lattice."""
+        return float(self._plain @ np.exp(-alpha * self._log_r[0]))
+
+    def rough(self, q: np.ndarray, mu: float, dmu: np.ndarray) -> Slopes:
+        """Second differences of D, as large as those of a kernel of plain volume."""
+        unit = self._volume(self.alpha) / mu
+        slopes = np.zeros((len(self._second), len(q)))
+        slopes[:, : self.rank] = unit * (self._second @ self.D_of_q)
+        values = slopes @ q
+        return values, slopes - np.outer(values, dmu / mu)
+
+    def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, None]:
+        """D, the smoothest of the weighted volume of K = r^(−α), and α."""
+        alpha = float(q[-1]) if self.free_alpha else self.alpha
+        return self.D_of_q @ q[: self.rank] * (self._volume(alpha) / mu), alpha, None
+
+
+class ShapeKernel:
+    """A function of the bond length: q = (size a of K, its parameters), K W a (theory, 59).
+
+    μ = Σ n r² v is no coordinate, so that a search may pass where the weighted volume is zero.
+
+    Args:
+        lattices: bond classes of each lattice.
+        shape: the influence function, with the values to start from.
+
+    Raises InputError for a shape whose weighted volume is zero on a lattice.
+    """
+
+    rank = 1
+    """How many numbers of q K is linear in."""
+
+    def __init__(self, lattices: Sequence[BondClasses], shape: InfluenceFunction) -> None:
+        self.lattices, self.shape = lattices, shape
+        self._ends, self._first = shape.ends, shape.vector
+        self._size = np.maximum(1.0, np.abs(self._first))
+        width = self._ends[1] - self._ends[0]
+        self._room = np.where(np.isfinite(width), width, self._size)
+        for classes in lattices:
+            terms = classes.count * classes.r**2 * classes.weight * shape(classes.r)
+            if not abs(terms.sum()) > CANCELLED * np.abs(terms).sum():
+                raise InputError(
+                    f"influence '{shape.name}': its weighted volume (theory, 5) is zero on the "
+                    f"lattice of spacing {classes.spacing:g} with {dict(shape.parameters)}"
+                )
+
+    def start(self, found: LPSFound) -> np.ndarray:
+        """q of the shape."""
+        return np.append(1.0, self._first)
+
+    def _at(self, q: np.ndarray) -> InfluenceFunction:
+        return self.shape.at(np.clip(q[1:], *self._ends))
+
+    def tables(self, q: np.ndarray) -> list[Slopes]:
+        """K W on each lattice, shape [C]."""
+        shape, found = self._at(q), []
+        for classes in self.lattices:
+            kw = classes.weight * shape(classes.r)
+            slopes = q[0] * classes.weight[:, None] * shape.slopes(classes.r)
+            found.append((q[0] * kw, np.column_stack([kw, slopes])))
+        return found
+
+    def limits(self, q: np.ndarray) -> Slopes:
+        """Distances from the bounds, in parts of what lies between."""
+        signed = np.concatenate([(q[1:] - self._ends[0]), (self._ends[1] - q[1:])])
+        slopes = np.concatenate([np.eye(len(q))[1:], -np.eye(len(q))[1:]])
+        bounded = np.isfinite(signed)
+        size = np.tile(self._room, 2)[bounded]
+        return signed[bounded] / size, slopes[bounded] / size[:, None]
+
+    def rough(self, q: np.ndarray, mu: float, dmu: np.ndarray) -> Slopes:
+        """How far the parameters are from where they began, which keeps one that hardly matters
+        from running away."""
+        return (q[1:] - self._first) / self._size, np.eye(len(q))[1:] / self._size[:, None]
+
+    def coefficients(self, q: np.ndarray, mu: float) -> tuple[np.ndarray, float, InfluenceFunction]:
+        """D and α of the polynomial that stands for the shape, and the shape."""
+        shape, lengths = self._at(q), np.concatenate([classes.r for classes in self.lattices])
+        return shape.coefficients(lengths, self.lattices[0].horizon)[0], 0.0, shape
+
+
+class LPSLaw:
+    """θ = (κ, q) to the products on each lattice, as the regression asks for them.
+
+    Args:
+        lattices: bond classes of each.
+        start: of the kernels that can be reached.
+        conditions: to keep on each lattice, with their ζ.
+        method: moduli to hold, and the smoothness.
+        fixed_alpha: keep α of the start.
+    """
+
+    def __init__(
+        self,
+        lattices: Sequence[BondClasses],
+        start: LPSFound,
+        conditions: Conditions,
+        method: Optimum,
+        *,
+        fixed_alpha: bool = False,
+    ) -> None:
+        self.kernel: BernsteinKernel | ShapeKernel
+        if start.shape is not None:
+            self.kernel = ShapeKernel(lattices, start.shape)
+        else:
+            solid, fixed = start.solid, fixed_alpha
+            self.kernel = BernsteinKernel(lattices, solid.alpha, len(solid.D) - 1, fixed=fixed)
+        self.conditions, self.zeta = conditions, HEADROOM * conditions.level
+        self.unit, self.size = start.solid.mu, start.solid.mu / lattices[0].horizon ** 2
+        self.moduli, self.smoothness = method.held, method.smoothness
+        self._sigma = [classes.count * classes.r**2 for classes in lattices]
+        self._pairs = [class_pairs(len(classes.r)) for classes in lattices]
+        self._shears = [  # C44 of unit v of each class
+            np.array([long_wave_moduli(each, unit, 0.0)[2] for unit in np.eye(len(each.r))])
+            for each in lattices
+        ]
+
+    def start(self, found: LPSFound) -> np.ndarray:
+        """θ of a solid, from where the moduli keep what is asked."""
+        lam, mu, q = found.solid.lam, found.solid.mu, self.kernel.start(found)
+        if mu < self.zeta:
+            lam, mu = 0.0, 2 * self.zeta
+        size = self.size * (self._sigma[0] @ self.kernel.tables(q)[0][0])
+        q[: self.kernel.rank] *= mu / size
+        return np.append(self.unit * (lam - mu) / mu**2, q)
+
+    def stiffnesses(self, theta: np.ndarray) -> tuple[list[Slopes], float, np.ndarray]:
+        """v on each lattice, and μ, with their derivatives to θ."""
+        pad, given = [(0, 0), (1, 0)], self.kernel.tables(theta[1:])
+        tables = [(self.size * v, self.size * np.pad(dv, pad)) for v, dv in given]
+        mu, dmu = (self._sigma[0] @ one for one in tables[0])
+        for n in range(1, len(tables)):  # Σ n r² v = μ on every lattice
+            (v, dv), sigma = tables[n], self._sigma[n]
+            have, dhave = sigma @ v, sigma @ dv
+            slope = dv * (mu / have) + np.outer(v, dmu / have - mu * dhave / have**2)
+            tables[n] = v * (mu / have), slope
+        return tables, float(mu), dmu
+
+    def __call__(self, theta: np.ndarray) -> Numbers:
+        tables, mu, dmu = self.stiffnesses(theta)
+        kappa, one, zeta = theta[0] / self.unit, self._by_kappa(theta), self.zeta
+        by = [one]  # derivatives of κ of each form
+        if self.conditions.kind == "paper":
+            by += [0 * one, 2 / mu**2 * dmu]
+        of_form = zip(self.conditions.forms(kappa, mu, zeta), by)
+        forms = [
+            Form(n, *self._products(n, *tables[n], own, slope), level)
+            for (own, level), slope in of_form
+            for n in range(len(tables))
+        ]
+        parts = [self._products(n, *tables[n], kappa, one) for n in range(len(tables))]
+        limits, dlimits = (np.asarray(one) for one in self.kernel.limits(theta[1:]))
+        bulk = (2 + 2 * kappa * mu) * dmu + mu**2 * one  # of λ + μ = 2μ + κμ²
+        margins = np.append([mu - zeta, 2 * mu + kappa * mu**2 - zeta], limits)
+        M = np.vstack([dmu, bulk, np.pad(dlimits, [(0, 0), (1, 0)])])
+        equal, A = self._held(theta, tables, mu, dmu)
+        values, slopes = self.kernel.rough(theta[1:], mu / self.size, dmu[1:] / self.size)
+        return Numbers(
+            [p for p, _ in parts],
+            [slope for _, slope in parts],
+            forms,
+            equal / zeta,
+            A / zeta,
+            margins / zeta,
+            M / zeta,
+            self.smoothness * values,
+            self.smoothness * np.pad(slopes, [(0, 0), (1, 0)]),
+        )
+
+    def _by_kappa(self, theta: np.ndarray) -> np.ndarray:
+        return np.asarray(np.eye(len(theta))[0] / self.unit)
+
+    def _products(
+        self, number: int, v: np.ndarray, dv: np.ndarray, kappa: float, slope: np.ndarray
+    ) -> Slopes:
+        """(v, κ v⊗v) of a lattice with the κ of a form, [P], and their derivative, [P, T]."""
+        i, j = self._pairs[number]
+        bent = kappa * (v[i][:, None] * dv[j] + v[j][:, None] * dv[i])
+        slopes = np.concatenate([dv, bent + np.outer(v[i] * v[j], slope)])
+        return np.concatenate([v, kappa * v[i] * v[j]]), slopes
+
+    def _held(self, theta: np.ndarray, tables: list[Slopes], mu: float, dmu: np.ndarray) -> Slopes:
+        """C44 − μ of every lattice, and μ and κμ² less what was asked for; their derivative."""
+        values, slopes = [], []
+        if isinstance(self.moduli, tuple):
+            lam, shear = self.moduli
+            values = [mu - shear, theta[0] / self.unit * shear**2 - (lam - shear)]
+            slopes = [dmu, self._by_kappa(theta) * shear**2]
+        if self.moduli is not None:
+            values += [shear @ v - mu for shear, (v, _) in zip(self._shears, tables)]
+            slopes += [shear @ dv - dmu for shear, (_, dv) in zip(self._shears, tables)]
+        return np.array(values), np.array(slopes).reshape(-1, len(theta))
+
+    def found(self, of: Settled, met: float = MET) -> LPSFound:
+        """The result of a search; `met`, of ζ, is how little a margin may miss."""
+        mu = self.stiffnesses(of.theta)[1]
+        lam = mu + of.theta[0] / self.unit * mu**2
+        D, alpha, shape = self.kernel.coefficients(of.theta[1:], mu / self.size)
+        departure = float(np.abs(self(of.theta).equal).max(initial=0.0))
+        return LPSFound(
+            Solid(lam, mu, alpha, D),
+            shape,
+            of.losses,
+            margin=self.zeta * of.margin,
+            departure=self.zeta * departure,
+            cuts=of.cuts,
+            converged=of.margin >= -met and departure <= MODULI_TOLERANCE,
+        )
+
+
+def optimum(
+    blocks: Sequence[LatticeRows],
+    lattices: Sequence[BondClasses],
+    start: LPSFound,
+    conditions: Conditions,
+    method: Optimum = Optimum(),  # noqa: B008 (a frozen value)
+    *,
+    fixed_alpha: bool = False,
+) -> LPSFound:
+    """Minimise a loss under the conditions over the whole zone, from one start (theory, 26–28).
+
+    Args:
+        blocks: of the loss on each lattice; their sum is minimised.
+        lattices: bond classes of each.
+        start: where to begin.
+        conditions: what must hold on each of the lattices, with their ζ.
+        method: moduli to hold, and how many rounds of cutting planes there may be.
+        fixed_alpha: keep α of the start.
+    """
+    law = LPSLaw(lattices, start, conditions, method, fixed_alpha=fixed_alpha)
+    theta = law.start(start)
+    return law.found(fit(blocks, law, theta, law.zeta, size=1.0, rounds=method.rounds))
