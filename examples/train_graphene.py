@@ -132,7 +132,7 @@ def local_rows(
     }
 
 
-def alphas_as_good(train: Samples, law: wp.LPS) -> list[float]:
+def alphas_as_good(train: Samples, law: Any) -> list[float]:
     """Exponents α whose best kernel has at most 1.01 times the least loss of all that are tried."""
     data, losses = Learner(law, [train], [], False), {}
     for alpha in ALPHAS:

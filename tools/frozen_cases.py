@@ -366,7 +366,7 @@ def graphene() -> Entries:
         if hasattr(law, "proven_strain"):
             yield f"{name}: proven strain", "proven", law.proven_strain(5.0)
             yield f"{name}: constants", "refitted", [law.t3, law.tq2, law.q3]
-        elif found.loss:
+        elif found.loss.reason:
             certificate = found.certificate
             yield f"{name}: moduli", "refitted", [law.lam, law.mu, *found.moduli[0].values()]
             yield f"{name}: loss", "refitted", found.history[-1].E_res_train

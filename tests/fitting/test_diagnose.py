@@ -87,13 +87,13 @@ def test_noise_is_named_where_its_fields_are_given(samples):
 
 def test_what_cannot_be_told_is_refused(samples):
     few = replace(samples, u=samples.u[:3], b=samples.b[:3])
-    with pytest.raises(InputError, match="expected 8 at least on a lattice, got 3"):
-        diagnose(MODEL, few)
-    points = cube(2, 2.0)
-    u = np.random.default_rng(0).normal(size=(8, len(points.x), 3))
-    space = Samples(points, u, u)
-    with pytest.raises(InputError, match="expected samples in the plane, got 3 dimensions"):
-        diagnose(solid(2.0, certified_on=(1.0,)), space)
+    u = np.random.default_rng(0).normal(size=(8, len(cube(2, 2.0).x), 3))
+    for model, given, words in (
+        (MODEL, few, "expected 8 at least on a lattice, got 3"),
+        (solid(2.0), Samples(cube(2, 2.0), u, u), "samples in the plane, got 3 dimensions"),
+    ):
+        with pytest.raises(InputError, match=words):
+            diagnose(model, given)
 
 
 def stretched(points, count):
@@ -115,10 +115,6 @@ def stretched(points, count):
     size = np.linalg.norm(b, axis=(1, 2)) / np.sqrt(b[0].size)
     b += 0.01 * size[:, None, None] * generator.normal(size=b.shape)
     return Samples(points, u, b)
-
-
-def test_nothing_is_advised_where_little_is_left(samples):
-    assert diagnose(MODEL, samples).advice == ""
 
 
 def test_forces_that_grow_with_the_cube_are_nonlinear(samples):
@@ -189,3 +185,4 @@ def test_rounding_is_called_rounding(samples):
         assert "100 % of its square is rounding" in told.sentence
     seen = replace(samples, b=samples.b * (1 + 1e-9 * random.normal(size=samples.b.shape)))
     assert "rounding" not in diagnose(MODEL, seen).shares
+    assert exact.advice == ""

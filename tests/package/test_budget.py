@@ -41,7 +41,6 @@ ROOMS = {
     "files": 570,
     "fitting": 1326,
     "fracture": 1691,
-    "learning": 925,
     "materials": 4991,
     "neural": 909,
     "points": 1553,

@@ -235,8 +235,8 @@ def _metrics(run: Run) -> Result:
     metrics: Result = {"units": list(material.units), "certified": certified}
     if proof is not None:
         metrics["statement"] = proof.statement
-    if fit.loss:
-        metrics["loss"] = f"{fit.loss.name} ({fit.loss.reason})"
+    if fit.loss.reason:
+        metrics["loss"] = str(fit.loss)
     names = ("mu", "E", "nu", "t3", "tq2", "q3")
     numbers = {name: name for name in names} | {"lambda": "lam"}
     metrics |= {

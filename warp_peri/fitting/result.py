@@ -20,6 +20,9 @@ class LossSelection:
     name: str
     reason: str
 
+    def __str__(self) -> str:
+        return f"{self.name} ({self.reason})"
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -47,7 +50,7 @@ class Fit(Shown):
         errors: E_res, the mean relative residual on the training samples, where it is known.
         history: of an LPS the stages, in order; of others losses and numbers on the way, by name.
         law: what was asked for, with the kernel, the conditions and the method as they were taken.
-        loss: which loss was minimised, and why.
+        loss: which loss was minimised, and why, where there was a choice.
         moduli: long-wave moduli C11, C12, C44 of the discrete operator on each lattice [stress].
         starts: E of stage 3 by start, the square root of its relative loss; empty when not run.
         degrees: relative residual of loads left out, by degree, where no kernel was asked for.
@@ -59,7 +62,7 @@ class Fit(Shown):
     errors: dict[str, float]
     history: Any
     law: Any = None
-    loss: LossSelection | None = None
+    loss: LossSelection = LossSelection("residual", "")
     moduli: list[dict[str, float]] = field(default_factory=list)
     starts: dict[str, float] = field(default_factory=dict)
     degrees: dict[int, float] = field(default_factory=dict)
@@ -77,4 +80,4 @@ class Fit(Shown):
             rows.append(("loads left out", f"{', '.join(left)}: the degree is the least as good"))
         for error in self.errors.values():
             rows.append(("residual", f"{100 * error:.3g} % of the training loads"))
-        return rows + ([("loss", f"{self.loss.name} ({self.loss.reason})")] if self.loss else [])
+        return rows + ([("loss", f"{self.loss}")] if self.loss.reason else [])

@@ -390,7 +390,8 @@ def two_stages(learner: Any, start: LPSFound, method: TwoStage, unit: float, key
                 as_printed(state, loss, conditions, variables.project, tick=tick, keep=keep, **how)
             )
 
-    return learner.run("2 sign-changing", signed)
+    found: LPSFound = learner.run("2 sign-changing", signed)
+    return found
 
 
 def in_torch(terms: Sequence[OperatorLoss], law: LPSLaw) -> Callable[[torch.Tensor], torch.Tensor]:
