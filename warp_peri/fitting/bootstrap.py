@@ -74,7 +74,7 @@ def resample_loads(
 
     Args:
         samples: that the law is learned from; of a Dataset `train`, or its only set.
-        law: as for `fit`; one with symmetry="auto" is given the symmetry that all loads have.
+        law: as for `fit`; the symmetry or the degree that all loads ask for is kept.
         draws, seed: how many choices, and of which random numbers.
         progress: show a progress bar.
         options: of `fit`.
@@ -91,6 +91,8 @@ def resample_loads(
     offered(law, "learn", "resample_loads", "a model: LPS(…), Micromodulus(…)")
     if getattr(law, "symmetry", None) == "auto":
         law = dataclasses.replace(law, symmetry=law.learn(one, **options).material.symmetry)
+    if getattr(law, "kernel", law) is None:
+        law = dataclasses.replace(law, kernel=law.learn(one, **options).law.kernel)
     materials: list[Any] = []
     with tqdm(total=draws, desc="fits", unit="fit", disable=not progress) as bar:
         while len(materials) < draws:
