@@ -208,6 +208,7 @@ class Learner:
         self.stiffness = stiffness_of(sets, law.horizon)
         zeta = law.conditions.zeta or RELATIVE_ZETA * self.stiffness
         self.conditions = dataclasses.replace(law.conditions, zeta=zeta)
+        self.flat = sets[0].points.dimension == 2
         self.disable = None if progress is None else not progress
         self.history: list[Stage] = []
         self.starts: dict[str, float] = {}
@@ -242,7 +243,8 @@ class Learner:
 
     def model(self, found: LPSFound, **more: Any) -> Model:
         """The model of what was found, and what else is known of it."""
-        known = {"dimension": len(self.sets[0].x[0]), "units": self.sets[0].points.units}
+        of = self.sets[0].points
+        known: dict[str, Any] = {"dimension": of.dimension, "units": of.units}
         return found.model(self.law.horizon, **known, **more)
 
     def optimum(
@@ -287,8 +289,8 @@ class Learner:
         """What an optimum is looked for from, by name: plain kernels, or the functions given."""
         if isinstance(kernel, Bernstein):
             ones = np.ones(1 + kernel.degree)
-            starts = {f"r^-{a:.3g}": (a, self.stiffness) for a in PLAIN_EXPONENTS}
-            return {name: LPSFound(Solid(0.0, mu, a, ones)) for name, (a, mu) in starts.items()}
+            plain = PLAIN_EXPONENTS[: None if self.flat else 1]  # in space α stays as it begins
+            return {f"r^-{a:.3g}": LPSFound(Solid(0.0, self.stiffness, a, ones)) for a in plain}
         found = {}
         for number, shape in enumerate(shapes_of(kernel)):
             D, _ = shape.coefficients(self.lengths, self.law.horizon)
@@ -377,7 +379,7 @@ class Learner:
         Free ones are those of one start, named as in stage 3, which keeps what it reached.
         """
         free = dataclasses.replace(method, moduli=method.held)
-        if method.moduli != LONG_WAVES or self.noise or len(self.sets[0].x[0]) == 3:
+        if method.moduli != LONG_WAVES or self.noise or not self.flat:
             return free
         try:
             waves = lame_of_long_waves(self.sets)
@@ -474,7 +476,7 @@ class Learner:
         """Whether training displacement is better had from local elasticity of moduli that are
         held; sets in space, or of many unknowns, are not solved for this."""
         large = any(np.count_nonzero(each.interior) > MOST_NODES for each in self.sets)
-        if large or len(self.sets[0].x[0]) == 3 or not isinstance(method.moduli, tuple):
+        if large or not (self.flat and isinstance(method.moduli, tuple)):
             return False
         model, errors = self.model(found), np.zeros(2)
         C = from_voigt(plane_isotropic(model.lam, model.mu))
@@ -521,8 +523,8 @@ class Learner:
 
     def certified(self, final: LPSFound, done: LPS, choice: LossSelection) -> Fit:
         """The fit, its model with a certificate on every training lattice."""
-        sets, dense, bare = self.sets, len(self.sets[0].x[0]) == 2, self.model(final)
-        proofs = [certify(bare, spacing=s.spacing, points=s if dense else None) for s in sets]
+        sets, bare = self.sets, self.model(final)
+        proofs = [certify(bare, spacing=s.spacing, points=s if self.flat else None) for s in sets]
         printed = self.conditions.kind == "paper"
         good = (proof for proof in proofs if proof.holds and (not printed or proof.paper))
         zeta = {"zeta": self.conditions.zeta, "stiffness of the data": self.stiffness}
