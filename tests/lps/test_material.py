@@ -24,7 +24,7 @@ from tests.support.solving import solve, solve_periodic
 from warp_peri import InputError, Model, certify, load
 from warp_peri.materials.influence import gaussian, table
 from warp_peri.materials.lps import bernstein_basis, long_wave_moduli, stiffnesses
-from warp_peri.materials.lps_fit import ShapeKernel
+from warp_peri.materials.lps_law import ShapeKernel
 from warp_peri.materials.lps_matrices import matrices, node_fields
 from warp_peri.points.families import bond_classes
 from warp_peri.shapes import InfluenceFunction
