@@ -13,8 +13,9 @@ from warp_peri import InputError, Model, certify
 from warp_peri.core.stencil import ratios
 from warp_peri.fitting.settings import CONDITIONS, Conditions, Optimum
 from warp_peri.materials.lps import stiffnesses
-from warp_peri.materials.lps_fit import LPSFound, LPSLaw, class_pairs, product_basis
+from warp_peri.materials.lps_law import LPSFound, LPSLaw
 from warp_peri.materials.lps_matrices import matrices
+from warp_peri.materials.lps_rows import class_pairs, product_basis
 from warp_peri.points.families import bond_classes
 from warp_peri.solvers.direct import DENSE, smallest_eigenvalue
 

@@ -90,7 +90,7 @@ QUIET = (
     "    with contextlib.suppress(SystemExit), contextlib.redirect_stdout(io.StringIO()),"
     " contextlib.redirect_stderr(io.StringIO()):\n        main(words)\n"
 )
-MISSING = "import sys; sys.modules['torch'] = None\nimport warp_peri\ntry: warp_peri.fit\n"
+MISSING = "import sys; sys.modules['torch'] = None\nimport warp_peri\ntry: warp_peri.LPS\n"
 
 
 @pytest.mark.parametrize(
