@@ -36,6 +36,8 @@ def test_it_leaves_its_results_and_says_how_good_they_are(job):
     assert all((out / name).stat().st_size > 500 for name in ("model.json", "report.md", *pictures))
     assert numbers["held"] == pytest.approx([numbers["lambda"], numbers["mu"]], rel=1e-9)
     assert numbers["augmented_lagrangian"]["loss_over_optimum"] <= 1.001
+    assert numbers["degree"] == max(map(int, numbers["degrees"])) == 8  # of nine bond lengths
+    assert numbers["degrees"]["7"] > 1.1 * numbers["degrees"]["8"]
     assert np.ptp(list(numbers["starts"].values())) < 1e-6
     error = f"displacement has an error of {100 * numbers['E_u']['test']:.2f} %"
     above, below = (out / "report.md").read_text().split("\n----\n")
