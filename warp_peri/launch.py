@@ -216,7 +216,9 @@ def launch_slices(
     node being 1. A GPU takes all of them at once.
     """
     device = outputs[0].device
-    ends = _slices(count, count * max(samples, 1) * weight, device)
+    work = count * max(samples, 1) * weight
+    slices = max(1, min(_count, count, work // SLICE)) if device.is_cpu else 1
+    ends = [count * n // slices for n in range(slices + 1)]
 
     def job(first: int, last: int) -> Callable[[], None]:
         dim = (samples, last - first) if samples else last - first
@@ -225,12 +227,6 @@ def launch_slices(
     if len(ends) > 2:
         kernel.module.load(device)  # not from two threads at once
     at_once([job(first, last) for first, last in pairwise(ends)])
-
-
-def _slices(count: int, work: int, device: Any) -> list[int]:
-    """Where the slices of 0 … count that are worth a thread each begin and end."""
-    slices = max(1, min(_count, count, work // SLICE)) if device.is_cpu else 1
-    return [count * n // slices for n in range(slices + 1)]
 
 
 def recorded(kernel: Any, dim: int, inputs: Sequence[Any], outputs: Sequence[Any]) -> Any:

@@ -103,12 +103,3 @@ def test_a_body_refuses_what_it_does_not_take():
     for option in ("transfer", "coupling", "tolerance"):
         with pytest.raises(wp.InputError, match=f"among allow_uncertified, got {option}"):
             wp.solve(material, body, **{option: False})
-
-
-@pytest.mark.parametrize("density", [0.0, -3.0, np.nan])
-@pytest.mark.parametrize("name", ["LPS", "third order, energy", "crystal"])
-def test_a_motion_is_of_what_has_a_mass(name, density):
-    material, points = LAWS[name].material(), LAWS[name].points(4)
-    how = {"density": density, "step": 1e-6, "steps": 2}
-    with pytest.raises(wp.InputError, match="density: expected a number > 0"):
-        wp.move(material, wp.Dirichlet(points, None, 0 * points.x), **how)

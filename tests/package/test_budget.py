@@ -17,11 +17,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_442,
-    "tokens": 275_823,
-    "lines of warp_peri": 37_802,
+    "code lines": 22_428,
+    "tokens": 275_717,
+    "lines of warp_peri": 37_785,
     "lines of kernels": 1_179,
-    "lines of warp_peri, kernels, examples and tools": 51_309,
+    "lines of warp_peri, kernels, examples and tools": 51_292,
     "lines of the longest file": 643,
     "lines of the longest function": 91,
     "parameters of one function": 13,
@@ -34,9 +34,9 @@ BUDGET = {
 ROOMS = {
     "atoms": 2663,
     "cli": 866,
-    "core": 1681,
+    "core": 1675,
     "diffusion": 339,
-    "face": 951,
+    "face": 950,
     "fe_coupling": 830,
     "files": 570,
     "fitting": 1322,
@@ -46,7 +46,7 @@ ROOMS = {
     "points": 1553,
     "prediction": 878,
     "ranks": 912,
-    "solvers": 1501,
+    "solvers": 1494,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
 COUNTED = (tokenize.NAME, tokenize.NUMBER, tokenize.STRING, tokenize.OP)

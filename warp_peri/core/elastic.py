@@ -106,13 +106,10 @@ def turned(tensor: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 def invariant_tensors(group: np.ndarray) -> np.ndarray:
     """A basis of the elastic tensors that a group leaves as they are, shape [m, d, d, d, d]."""
     d = group.shape[-1]
-    size = len(PAIRS[d])
-    basis = []
-    for m in range(size):
-        for n in range(m, size):
-            one = np.zeros((size, size))
-            one[m, n] = one[n, m] = 1.0
-            basis.append(from_voigt(one).ravel())
+    m, n = np.triu_indices(len(PAIRS[d]))
+    ones = np.zeros((len(m), *2 * (len(PAIRS[d]),)))
+    ones[np.arange(len(m)), m, n] = ones[np.arange(len(m)), n, m] = 1.0
+    basis = [from_voigt(one).ravel() for one in ones]
     pairs = np.einsum("gai,gbj->gabij", group, group).reshape(len(group), d * d, d * d)
     mean = np.einsum("gmn,gop->monp", pairs, pairs, optimize=True) / len(group)
     flat = np.array(basis) @ mean.reshape(d**4, d**4).T

@@ -251,13 +251,10 @@ class Basis:
 
 def symmetric_matrices(dimension: int) -> np.ndarray:
     """An orthonormal basis of symmetric matrices, shape [d (d + 1)/2, d, d]."""
-    found = []
-    for i in range(dimension):
-        for j in range(i, dimension):
-            one = np.zeros((dimension, dimension))
-            one[i, j] = one[j, i] = 1.0 if i == j else np.sqrt(0.5)
-            found.append(one)
-    return np.array(found)
+    i, j = np.triu_indices(dimension)
+    found, n = np.zeros((len(i), dimension, dimension)), np.arange(len(i))
+    found[n, i, j] = found[n, j, i] = np.where(i == j, 1.0, np.sqrt(0.5))
+    return found
 
 
 def invariant_basis(reach: float, group: np.ndarray) -> Basis:

@@ -7,7 +7,7 @@ bounds it from below: above zero, conjugate gradients find the one answer.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -269,8 +269,7 @@ def smallest_ratio(symbol: np.ndarray, torus: tuple[int, ...]) -> float:
     d = len(torus)
     waves = [4 * np.sin(np.pi * np.arange(n) / n) ** 2 for n in torus]
     waves[-1] = waves[-1][: symbol.shape[-1]]
-    s = sum(w.reshape(*(-1 if a == b else 1 for b in range(d))) for a, w in enumerate(waves))
-    s = np.broadcast_to(s, symbol.shape[1:]).ravel()
+    s = reduce(np.add.outer, waves).ravel()
     flat, smallest = symbol.reshape(len(symbol), -1), np.inf
     upper = np.triu_indices(d)
     for first in range(1, len(s), WAVES):  # k = 0 is the first

@@ -6,8 +6,8 @@ Filters work in single precision and hand back double.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -103,20 +103,16 @@ def shifted_inverse(
 ) -> np.ndarray:
     """(D(k) + shift I)⁻¹ at the waves of a torus, packed as torus_symbol packs D."""
     symbol = torus_symbol(torus, steps, tensors)
-    d = len(torus)
-    for n, (i, j) in enumerate(itertools.combinations_with_replacement(range(d), 2)):
-        if i == j:
-            symbol[n] += shift
+    i, j = np.triu_indices(len(torus))
+    symbol[i == j] += shift
     return inverse(symbol)
 
 
 def seen_by_coarser(torus: tuple[int, ...]) -> np.ndarray:
     """p = Π (1 + cos k_a h)/2 at the waves of a torus: what P makes of a wave."""
-    seen = np.ones(())
-    for n in torus[:-1]:
-        seen = seen[..., None] * ((1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2)
-    last = np.arange(torus[-1] // 2 + 1)
-    return np.asarray(seen[..., None] * ((1 + np.cos(2 * np.pi * last / torus[-1])) / 2))
+    seen = [(1 + np.cos(2 * np.pi * np.arange(n) / n)) / 2 for n in torus]
+    seen[-1] = seen[-1][: torus[-1] // 2 + 1]
+    return np.asarray(reduce(np.multiply.outer, seen))
 
 
 def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarray) -> Filter:
@@ -133,9 +129,7 @@ def sine(nodes: Grid, steps: np.ndarray, tensors: np.ndarray, elastic: np.ndarra
     diagonal = tensors[:, np.arange(d), np.arange(d)]
     for step, c in zip(steps, diagonal):
         # the mean over signs of the waves: a product of cosines
-        wave = np.ones(())
-        for angle, s in zip(angles, step):
-            wave = wave[..., None] * np.cos(angle * s)
+        wave = reduce(np.multiply.outer, [np.cos(angle * s) for angle, s in zip(angles, step)])
         D += 2 * c.reshape(d, *([1] * d)) * (1 - wave)
     gain = (shift / (D * (D + shift))).astype(np.float32)
     axes = tuple(range(1, d + 1))
