@@ -39,7 +39,6 @@ from warp_peri.materials.lps_rows import Products
 from warp_peri.methods import Conditions, Optimum
 from warp_peri.points.outlines import Circle, box, mesh_outline
 from warp_peri.points.quadrature import family_weights
-from warp_peri.points.samples import part
 from warp_peri.solvers.verlet import INERTIA
 
 DATA = ROOT / "data" / "graphene_0K.h5"
@@ -197,8 +196,8 @@ def small_holes() -> Case:
 def short_waves() -> Case:
     train, law = wp.load(DATA)["train"], wp.Micromodulus(15.0, "4mm")
     length = 2 * np.pi / train.arrays["wave_number"]
-    some, long = np.argsort(length)[::3], part(train, np.flatnonzero(length > 45))
-    tried, sets = part(train, some), {"waves > 45 Å": long, "all waves": train}
+    some, long = np.argsort(length)[::3], train[np.flatnonzero(length > 45)]
+    tried, sets = train[some], {"waves > 45 Å": long, "all waves": train}
     off = {n: wp.evaluate(wp.fit(data, law).material, tried) for n, data in sets.items()}
     y = {name: 100 * np.array(errors["E_u_samples"]) for name, errors in off.items()}
     members = wp.fit(long, wp.prediction.Family(law), progress=False).material

@@ -17,11 +17,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_428,
-    "tokens": 275_717,
-    "lines of warp_peri": 37_785,
+    "code lines": 22_477,
+    "tokens": 276_144,
+    "lines of warp_peri": 37_870,
     "lines of kernels": 1_179,
-    "lines of warp_peri, kernels, examples and tools": 51_292,
+    "lines of warp_peri, kernels, examples and tools": 51_376,
     "lines of the longest file": 643,
     "lines of the longest function": 91,
     "parameters of one function": 13,
@@ -43,7 +43,7 @@ ROOMS = {
     "fracture": 1691,
     "materials": 5776,
     "neural": 909,
-    "points": 1553,
+    "points": 1602,
     "prediction": 878,
     "ranks": 912,
     "solvers": 1494,

@@ -257,3 +257,39 @@ def test_reduced_units_are_carried_and_lead_nowhere(tmp_path):
         load(path, units=("angstrom", "TPa"))
     with pytest.raises(InputError, match=r"expected \(length, stress\), or ase, .* got 'nm!'"):
         save_dataset(path, data, units="nm!")
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e6])
+def test_bodies_have_a_collar_of_two_horizons(unit):
+    block = Points.block((6.0 * unit, 4.0 * unit), unit, 2.5 * unit)
+    ball = Points.disk(3.0 * unit, unit, 2.0 * unit, dimension=3)
+    assert block.interior.sum() == 7 * 5
+    np.testing.assert_allclose(block.x.max(axis=0), (8.0 * unit, 7.0 * unit))
+    far = np.linalg.norm(ball.x, axis=1)
+    np.testing.assert_array_equal(ball.interior, far <= 3.0 * unit)
+    assert far.max() == pytest.approx(7.0 * unit)
+    assert len(ball.x) == sum(
+        i * i + j * j + k * k <= 49 for i, j, k in np.indices((15, 15, 15)).reshape(3, -1).T - 7
+    )
+    for call in (
+        lambda: Points.block((6.0, np.nan), 1.0, 2.0),
+        lambda: Points.block((6.0, 4.0), 0.0, 2.0),
+        lambda: Points.disk(3.0, 1.0, -2.0),
+    ):
+        with pytest.raises(InputError, match="^(lengths|spacing|horizon): expected"):
+            call()
+
+
+def test_samples_and_sets_are_taken_apart_as_sequences_and_mappings():
+    points = Points.disk(1.0, 1.0, 1.0)
+    u = np.arange(3.0)[:, None, None] + np.zeros((3, *points.x.shape))
+    samples = Samples(points, u, -u, {"seed": np.arange(3)})
+    assert [one.u[0, 0, 0] for one in samples] == [0, 1, 2]
+    some = samples[[2, 0]]
+    assert some.arrays["seed"].tolist() == [2, 0]
+    np.testing.assert_array_equal(some.b, -some.u)
+    np.testing.assert_array_equal(samples[u[:, 0, 0] > 0].u, samples[1:].u)
+    with pytest.raises(InputError, match="samples: expected some of 3"):
+        samples["train"]
+    data = Dataset({"train": samples}, 1.0, 1.0)
+    assert (dict(data), len(data)) == ({"train": samples}, 1)

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from warp_peri.contract import offered
 from warp_peri.errors import InputError, quietly
 from warp_peri.points.dataset import Dataset
-from warp_peri.points.samples import Samples, part
+from warp_peri.points.samples import Samples
 
 LEAST_LOADS, LEAST_DRAWS, DRAWS = 4, 10, 40
 ONE_DEVIATION = (0.1587, 0.8413)
@@ -98,7 +98,7 @@ def resample_loads(
         while len(materials) < draws:
             try:
                 with quietly():  # the fit to all loads warns
-                    chosen = part(one, rng.integers(count, size=count))
+                    chosen = one[rng.integers(count, size=count)]
                     materials.append(law.learn(chosen, **options).material)
                 bar.update()
             except InputError:

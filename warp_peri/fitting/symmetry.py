@@ -12,7 +12,7 @@ from warp_peri.core.stencil import invariant_basis
 from warp_peri.errors import InputError, warn
 from warp_peri.fitting.long_waves import long_wave_equations
 from warp_peri.fitting.rows import over_loads, rows
-from warp_peri.points.samples import Samples, part
+from warp_peri.points.samples import Samples
 
 AS_GOOD = 1.02
 """A group is taken while the loss with it is at most so many times that of the best group,"""
@@ -39,7 +39,7 @@ def judged(
     none = point_group(LEAST[d], d)
     least = invariant_basis(reach, none.astype(int))
     any_tensor = allowed_tensors(LEAST[d], none, turn)
-    halves = [part(samples, slice(n, None, 2)) for n in range(min(2, len(samples)))]
+    halves = [samples[n::2] for n in range(min(2, len(samples)))]
     weights = [over_loads(half) if normalise else None for half in halves]
     equations = [rows(half, least, weight=each) for half, each in zip(halves, weights)]
     R = np.concatenate([rows for rows, _ in equations])

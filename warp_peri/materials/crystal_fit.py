@@ -39,7 +39,7 @@ from warp_peri.materials.crystal import BROKEN, Crystal
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, lattice_steps
-from warp_peri.points.samples import Samples, part
+from warp_peri.points.samples import Samples
 from warp_peri.points.unit_names import USUAL, Units, factors, symbols
 
 if TYPE_CHECKING:
@@ -285,7 +285,7 @@ def long_waves_of_data(
             bare = replace(samples, points=replace(samples.points, axis=None))
             law = Micromodulus(horizon).learn(bare).material
             again = Micromodulus(horizon, law.symmetry)
-            halves = [again.learn(part(bare, slice(n, None, 2))).material for n in (0, 1)]
+            halves = [again.learn(bare[n::2]).material for n in (0, 1)]
     except (InputError, UserWarning):
         return {}, ""
     C, one, other = (np.asarray(each.elastic_tensor()) for each in (law, *halves))

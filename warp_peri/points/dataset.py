@@ -6,7 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -76,6 +76,14 @@ class Dataset(Shown):
         if name not in self.sets:
             raise InputError(f"no set '{name}' in the data; it has {', '.join(self.sets)}")
         return self.sets[name]
+
+    def __len__(self) -> int:
+        """Number of sets."""
+        return len(self.sets)
+
+    def keys(self) -> Iterable[str]:
+        """Names of the sets, as of a mapping: dict(data) has the sets."""
+        return self.sets.keys()
 
     def obvious(self, name: str | None = None) -> Samples:
         """The set that is meant where none was named: that of the usual name, or the only one.

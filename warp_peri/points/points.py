@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from warp_peri.errors import InputError
-from warp_peri.points.arrays import check_whole, checked, is_number, listed
+from warp_peri.points.arrays import check_positive, check_whole, checked, is_number, listed
 from warp_peri.points.unit_names import USUAL, Units, check_units, symbols
 from warp_peri.shown import Shown
 
@@ -148,6 +149,76 @@ class Points(Shown):
         return cls(
             spacing * grid, np.ones(len(grid), bool), spacing, box=box, units=units, axis=axis
         )
+
+    @classmethod
+    def block(
+        cls,
+        lengths: Sequence[float],
+        spacing: float,
+        horizon: float,
+        *,
+        units: Units = USUAL,
+        axis: Any = None,
+    ) -> Points:
+        """A lattice about the origin: a box, its interior, in a collar two horizons wide.
+
+        Args:
+            lengths: sides of the box [length], 2 or 3.
+            spacing: h [length].
+            horizon: δ [length].
+            units, axis: as of Points.
+
+        >>> int(wp.Points.block((30.0, 20.0), spacing=5.0, horizon=12.5).interior.sum())
+        35
+        """
+        half = checked("lengths", lengths, float, ("d",)) / 2
+
+        def beyond(x: np.ndarray) -> np.ndarray:
+            return np.asarray((np.abs(x) - half).max(axis=1))
+
+        return cls._around(beyond, half, spacing, horizon, units=units, axis=axis)
+
+    @classmethod
+    def disk(
+        cls,
+        radius: float,
+        spacing: float,
+        horizon: float,
+        *,
+        dimension: int = 2,
+        units: Units = USUAL,
+        axis: Any = None,
+    ) -> Points:
+        """A lattice about the origin: a disk or a ball, its interior, in a collar of two horizons.
+
+        Args:
+            radius: of the interior [length].
+            spacing: h [length].
+            horizon: δ [length].
+            dimension: 2, or 3 for a ball.
+            units, axis: as of Points.
+
+        >>> int(wp.Points.disk(20.0, spacing=5.0, horizon=12.5).interior.sum())
+        49
+        """
+
+        def beyond(x: np.ndarray) -> np.ndarray:
+            return np.asarray(np.linalg.norm(x, axis=1) - radius)
+
+        half = np.full(dimension, radius)
+        return cls._around(beyond, half, spacing, horizon, units=units, axis=axis)
+
+    @classmethod
+    def _around(
+        cls, beyond: Any, half: np.ndarray, spacing: float, horizon: float, **more: Any
+    ) -> Points:
+        """The nodes of a lattice up to two horizons beyond a body, interior where within it."""
+        check_positive("spacing", spacing)
+        check_positive("horizon", horizon)
+        count = np.floor((half + 2 * horizon) / spacing * (1 + LATTICE_TOLERANCE)).astype(int)
+        x = spacing * (np.indices(2 * count + 1).reshape(len(half), -1).T - count)
+        x = x[beyond(x) <= 2 * horizon + LATTICE_TOLERANCE * spacing]
+        return cls(x, beyond(x) <= LATTICE_TOLERANCE * spacing, spacing, **more)
 
     def differs_from(self, other: Points) -> str:
         """What these points have another than others: the first that differs by name, or none."""

@@ -37,8 +37,9 @@ class Samples(Shown):
 
     Raises InputError naming the first field of wrong shape or with a value that is not finite.
 
-    >>> len(wp.Samples(points, u, b))
-    12
+    >>> samples = wp.Samples(points, u, b)
+    >>> len(samples), len(samples[:5]), len(samples[-1])
+    (12, 5, 1)
     """
 
     points: Points
@@ -66,6 +67,18 @@ class Samples(Shown):
     def __len__(self) -> int:
         """Number of samples."""
         return len(self.u)
+
+    def __getitem__(self, which: Any) -> Samples:
+        """Some of the samples, with what belongs to them: a number, a slice, or an array."""
+        try:
+            rows = np.atleast_1d(np.arange(len(self))[which])
+        except (IndexError, TypeError) as error:
+            if isinstance(which, (int, np.integer)):  # where a loop over samples ends
+                raise
+            raise InputError(f"samples: expected some of {len(self)} ({error})") from None
+        arrays = {name: np.asarray(values)[rows] for name, values in self.arrays.items()}
+        b = None if self.b is None else self.b[rows]
+        return replace(self, u=self.u[rows], b=b, arrays=arrays)
 
     @property
     def x(self) -> np.ndarray:
@@ -114,13 +127,6 @@ class Samples(Shown):
             largest = np.abs(self.b[:, self.interior]).max(initial=0.0)
             known = f"up to {largest:.3g} {stress}/{length}"
         return [*rows, ("b", known), *((name, "by sample") for name in self.arrays)]
-
-
-def part(samples: Samples, which: Any) -> Samples:
-    """Some of the samples, with what belongs to them."""
-    arrays = {name: values[which] for name, values in samples.arrays.items()}
-    b = None if samples.b is None else samples.b[which]
-    return replace(samples, u=samples.u[which], b=b, arrays=arrays)
 
 
 def seen_of(samples: Samples) -> np.ndarray:

@@ -11,7 +11,7 @@ from warp_peri.contract import offered
 from warp_peri.errors import InputError, warn
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import largest_strain
-from warp_peri.points.samples import Samples, part
+from warp_peri.points.samples import Samples
 from warp_peri.prediction.placed import (
     HALF_PERIOD,
     KNOTS,
@@ -70,7 +70,7 @@ class Family:
         second = self.second or poorer(self.rich)
         fits = {"rich": learn(samples, progress=progress)}
         fits["second"] = second.learn(samples, progress=progress)
-        halves = [learn(part(samples, slice(n, None, 2)), progress=progress) for n in (0, 1)]
+        halves = [learn(samples[n::2], progress=progress) for n in (0, 1)]
         strain = largest_strain(samples.points, samples.u)
         kelvin = samples.arrays.get("temperature")
         temperature = None if kelvin is None else float(np.mean(kelvin))

@@ -30,7 +30,7 @@ from warp_peri.materials.hyperelastic.from_displacement import (
     stiffest_deviation,
 )
 from warp_peri.materials.hyperelastic.placed import hyperelastic_errors
-from warp_peri.points.samples import Samples, part, seen_of
+from warp_peri.points.samples import Samples, seen_of
 
 
 def kept_fit(path: Path | None, compute: Callable[[], DisplacementFit]) -> DisplacementFit:
@@ -187,7 +187,7 @@ def choose_sheet(
     if fibres < 0:
         raise InputError(f"fibres: expected a number of directions, or 0, got {fibres}")
     pick = np.arange(len(frames))[::-1] % 2 == 0
-    train, test = part(frames, pick), part(frames, ~pick)
+    train, test = frames[pick], frames[~pick]
     tried: list[Candidate] = []
     with locked(folder) if folder is not None else nullcontext():
         key = fingerprint(SETTINGS, frames)[:12]
