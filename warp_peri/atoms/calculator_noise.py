@@ -536,7 +536,7 @@ def joined(
         values = atoms.values + np.tensordot(step, doubt, 1)
         seen = onto @ atoms.nearest_elastic(allowed, values)[0].ravel()
     parts, vectors = np.linalg.eigh(np.eye(len(doubt)) - gain @ J)
-    after = [(vectors * np.sqrt(np.clip(parts, 0, None))).T, (np.linalg.pinv(J) @ both).T]
-    after = np.tensordot(np.concatenate(after), doubt, 1)
+    left = (vectors * np.sqrt(np.clip(parts, 0, None))).T, (np.linalg.pinv(J) @ both).T
+    after = np.tensordot(np.concatenate(left), doubt, 1)
     moved = float(np.linalg.norm(values - atoms.values) / np.linalg.norm(atoms.values))
     return replace(atoms, values=values, doubt=after), chi, moved
