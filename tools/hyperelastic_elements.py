@@ -25,26 +25,20 @@ class Elements:
         mesh: of scikit-fem, plane.
         element: of scikit-fem, scalar; quadratic quadrilaterals where none is given.
         order: of the quadrature.
-        springs: a stiffness added to that of the sheet, shape [2 N, 2 N].
 
     Raises InputError when scikit-fem is missing.
     """
 
-    def __init__(
-        self,
-        mesh: Any,
-        element: Any = None,
-        *,
-        order: int = 4,
-        springs: sp.csr_matrix | None = None,
-    ) -> None:
+    springs: sp.csr_matrix | None = None
+    """A stiffness added to that of the sheet, shape [2 N, 2 N]."""
+
+    def __init__(self, mesh: Any, element: Any = None, *, order: int = 4) -> None:
         skfem = finite_elements()
         self.basis = skfem.Basis(
             mesh, skfem.ElementQuad2() if element is None else element, intorder=order
         )
         self.x = self.basis.doflocs.T
         self.nodes = len(self.x)
-        self.springs = springs
         local = [self.basis.basis[n][0] for n in range(self.basis.Nbfun)]
         cells = self.basis.element_dofs.T
         shape = self.basis.dx.shape

@@ -29,14 +29,13 @@ class Family:
 class Matrix:
     """a (I1 − 2) + f(D), D = det C, with fibre families added.
 
-    `linear`: a [stress]; `of_area`: f, f′ and f″ of D; `families`: of fibres; `tension_only`:
-    whether fibres carry no compression; false only to show what that does.
+    `linear`: a [stress]; `of_area`: f, f′ and f″ of D; `families`: of fibres, which carry
+    no compression.
     """
 
     linear: float
     of_area: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]
     families: Sequence[Family] = field(default=())
-    tension_only: bool = True
 
     def __call__(self, c: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         D = c[..., 0] * c[..., 1] - c[..., 2] ** 2
@@ -51,7 +50,7 @@ class Matrix:
             along, across = np.cos(family.angle), np.sin(family.angle)
             m = np.array([along**2, across**2, 2 * along * across])
             x = c @ m - 1
-            pulled = (x > 0) | (not self.tension_only)
+            pulled = x > 0
             x = np.where(pulled, x, 0.0)
             growth = np.exp(np.minimum(family.k2 * x**2, 30.0))
             if family.k2 > 0:
@@ -64,30 +63,22 @@ class Matrix:
         return W, g, H
 
 
-def hgo(
-    E: float,
-    nu: float,
-    families: Sequence[Family],
-    *,
-    tension_only: bool = True,
-    bulk: float | None = None,
-) -> Matrix:
+def hgo(E: float, nu: float, families: Sequence[Family]) -> Matrix:
     """The Holzapfel–Gasser–Ogden sheet of the published data.
 
     a (I1 − 2) − 2a ln J + b ((J² − 1)/2 − ln J) with a = E/(4(1+ν)), b = E/(6(1−2ν)), and fibres.
 
-    `E`, `nu`: of the matrix [stress], ν < ½; `families`: of fibres; `tension_only`: as for Matrix;
-    `bulk`: b where it is not the one above [stress].
+    `E`, `nu`: of the matrix [stress], ν < ½; `families`: of fibres.
     """
     a = E / (4 * (1 + nu))
-    b = E / (6 * (1 - 2 * nu)) if bulk is None else bulk
+    b = E / (6 * (1 - 2 * nu))
 
     def of_area(D: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         log = np.log(D)
         f = -a * log + b * ((D - 1) / 2 - log / 2)
         return f, -a / D + b * (0.5 - 0.5 / D), (a + 0.5 * b) / D**2
 
-    return Matrix(a, of_area, tuple(families), tension_only)
+    return Matrix(a, of_area, tuple(families))
 
 
 def plane_stress_hgo(mu: float, families: Sequence[Family] = ()) -> Matrix:

@@ -176,13 +176,6 @@ def tines(mesh: Elements, axis: int, sign: int) -> sp.csr_matrix:
     return sp.kron(scalar, sp.eye(2)).tocsr()
 
 
-def noisy(frames: Samples, level: float, seed: int = 7) -> Samples:
-    """The frames with independent normal noise of so many spacings on every node and component."""
-    rng = np.random.default_rng(seed)
-    noise = level * frames.spacing * rng.standard_normal(frames.u.shape)
-    return Samples(frames.points, frames.u + noise, arrays=frames.arrays)
-
-
 def main() -> None:
     """Make the frames from a shell."""
     parser = Options(__doc__)
