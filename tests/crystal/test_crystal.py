@@ -47,6 +47,7 @@ def test_moduli_are_those_of_long_waves(d):
     assert huang_defect(law) < 1e-10
     assert law.moduli() == pytest.approx(COPPER, rel=1e-8)
     assert law.moduli("GPa")["C44"] == pytest.approx(76.0, rel=1e-8)
+    assert law.in_units(("nm", "GPa")).moduli() == pytest.approx(law.moduli("GPa"), rel=1e-8)
     k = 1e-4 * np.random.default_rng(2).normal(size=(4, d))
     local = np.einsum("ijkl,nj,nl->nik", law.tensor(), k, k)
     np.testing.assert_allclose(law.symbol(k), local, rtol=1e-5, atol=1e-14)

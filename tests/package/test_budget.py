@@ -18,10 +18,10 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 22_477,
-    "tokens": 276_144,
+    "tokens": 276_142,
     "lines of warp_peri": 37_870,
     "lines of kernels": 1_179,
-    "lines of warp_peri, kernels, examples and tools": 51_376,
+    "lines of warp_peri, kernels, examples and tools": 51_350,
     "lines of the longest file": 643,
     "lines of the longest function": 91,
     "parameters of one function": 13,
