@@ -57,7 +57,7 @@ from warp_peri.materials.lps_rows import Products, products
 from warp_peri.points.arrays import check_positive
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import check_lattice, largest_strain
-from warp_peri.points.samples import WAVE_VECTOR, Samples, largest_wave_number, part
+from warp_peri.points.samples import WAVE_VECTOR, Samples, largest_wave_number
 from warp_peri.points.unit_names import symbols
 
 RELATIVE_ZETA = 0.0161
@@ -219,7 +219,7 @@ class Learner:
         for each, w, made in zip(sets, weights, self.products):
             order = np.random.default_rng(0).permutation(len(each))
             parts = [np.sort(order[n::count]) for n in range(count)]
-            self.folds.append([(made.rows(w[k], part(each, k)), w[k].sum()) for k in parts])
+            self.folds.append([(made.rows(w[k], each[k]), w[k].sum()) for k in parts])
         self._noise = [
             made.rows(np.full(len(of), 1 / len(of)), Samples(of.points, of.u, 0 * of.u)).R
             for of, made in zip(noise, self.products)
