@@ -92,12 +92,11 @@ def test_no_file_runs_or_passes(name, parse, deep, tmp_path, monkeypatch):
     assert not [*tmp_path.rglob(MARK)]
 
 
-@pytest.mark.parametrize("ending", PACKERS)
 @pytest.mark.parametrize("name", ["phonopy.yaml", "a.cif", "force.csv", "a.vtu"])
-def test_what_unpacks_to_more_than_is_read_is_refused(name, ending, tmp_path, monkeypatch):
+def test_what_unpacks_to_more_than_is_read_is_refused(name, tmp_path, monkeypatch):
     monkeypatch.setattr("warp_peri.files.foreign.LARGEST", 10**5)
-    path = tmp_path / (name + ending * (name != "a.vtu"))
-    path.write_bytes(PACKERS[ending](bytes(3 * 10**7)))
+    path = tmp_path / (name + ".xz" * (name != "a.vtu"))
+    path.write_bytes(lzma.compress(bytes(3 * 10**7)))
     tracemalloc.start()
     with pytest.raises(InputError, match="expected at most 100000 bytes, unpacked too, got more"):
         dict(PARSERS)[name](path)

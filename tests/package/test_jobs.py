@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 import zipfile
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -116,16 +117,11 @@ def test_threads_share_helpers_and_a_fork_has_its_own(operator):
 
     def sweeps(n):
         for _ in range(100):
-            if not np.array_equal(operator(fields[n]), expected[n]):
-                wrong.append(n)
+            wrong.extend([n] * (not np.array_equal(operator(fields[n]), expected[n])))
             at_once([list, list])  # helpers leave and come again
 
-    at_once([lambda n=n: sweeps(n) for n in range(3)])
-    users = [threading.Thread(target=sweeps, args=(n,)) for n in range(3)]
-    for user in users:
-        user.start()
-    for user in users:
-        user.join()
+    with ThreadPoolExecutor(3) as users:
+        list(users.map(sweeps, range(3)))
     assert not wrong
     if (child := os.fork()) == 0:  # an alarm ends it where it waits for threads that are not there
         signal.alarm(20)
