@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import torch
 
 from examples import inclusion as inclusions
 from examples import pressurised_crack
 from examples.inclusion import Mixed
 from tests.support.bodies import plate, solid
 from tests.support.clouds import state_based_field, state_based_load
+from tests.support.problems import difference
 from warp_peri import InputError, Model, Points, move, solve
 from warp_peri.damage import Cracked, Injected, box, opening_volume, rectangle
 from warp_peri.fracture.body import cracked, lattice_body
@@ -112,3 +114,20 @@ def test_the_load_of_a_crack_undoes_it(sides, crack):
         for table in (body.neighbour, neighbour)
     ]
     np.testing.assert_allclose(forces[1] + load.ravel(), forces[0], atol=1e-13)
+
+
+def test_a_pressed_crack_has_the_gradient_of_differences():
+    x, model = rectangle(10, 8, 1.0), solid(0.4, horizon=2.0).model
+    points, stress = Points(x, np.abs(x).max(axis=1) < 3, 1.0), np.diag([0.3, 1.0])
+    problem = Cracked(points, cracks=[[(-2, 0), (2, 0)]], pressure=stress)
+    weight = torch.from_numpy(np.random.default_rng(0).normal(size=x.shape))
+
+    def value(mu):
+        return (solve(model, problem, parameters={"mu": mu}).u * weight).sum()
+
+    mu = torch.tensor(1.0, dtype=torch.float64, requires_grad=True)
+    (slope,) = torch.autograd.grad(value(mu), mu)
+    expected = difference(lambda t: value(torch.tensor(t[0])).item(), [1.0], 1e-3)[0]
+    assert float(slope) == pytest.approx(expected, rel=1e-8)
+    fields = solve(model, problem).u, solve(model, problem, parameters={"mu": mu}).u.detach()
+    np.testing.assert_allclose(*fields, atol=1e-13)
