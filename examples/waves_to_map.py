@@ -1,6 +1,6 @@
 """Maps of κ = λ + μ and of μ in a plate from one shot of waves, heard along a ring near its rim.
 
-    python examples/waves_to_map.py [--side 64] [--noise 0.01] [--iterations 60]
+    python examples/waves_to_map.py [--side 64] [--noise 0.01] [--iterations 40]
 
 `move` gives the gradient of what is heard to λ and μ at every node. The same model makes the data.
 """
@@ -67,7 +67,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--side", type=int, default=64, help="unknown nodes along a side")
     parser.add_argument("--noise", type=float, default=0.01, help="over the mean size of the data")
-    parser.add_argument("--iterations", type=int, default=60, help="of L-BFGS, at most")
+    parser.add_argument("--iterations", type=int, default=40, help="of L-BFGS, at most")
     given = parser.parse_args(arguments)
     body, x, true = plate(given.side)
     heard, inside = shot(body, x, given.side), torch.from_numpy(body.points.interior)
