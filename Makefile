@@ -1,6 +1,6 @@
 # make graphene: everything from a fresh clone to the report of the main job.
 # make test:     the same set-up, then the test suite, a file of tests to a core at a time.
-# make slow:     what the suite leaves out for its time: kills, workers, the wheel, long fits.
+# make slow:     what the suite leaves out for its time: kills, the wheel, long pages and fits.
 # make verify:   known problems against their references; 1 where a row surprises.
 # make docs:     the pages in docs/ as a site, in site/, and how they read in numbers.
 PYTHON ?= python3

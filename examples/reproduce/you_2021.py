@@ -664,8 +664,8 @@ def long_averages() -> Table:
     The ten validation loads and the four disks: two hours of one core, run by run kept in data/.
     """
     model, rows = fitted(data()["train"], 20.0, 10).material, []
-    sheet, disk = graphene_bodies()
-    for body, loads, name in ((sheet, VALIDATION, "ten loads"), (disk, TEST, "four disks")):
+    told: Any = zip(graphene_bodies(), (VALIDATION, TEST), ("ten loads", "four disks"))
+    for body, loads, name in told:
         rested = solve_all({body: loads}, CACHE, 1, False)[body]
         force = np.stack([sample.force for sample in rested])
         for steps in (700, 24_000):

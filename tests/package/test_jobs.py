@@ -15,12 +15,14 @@ import pytest
 
 from tests.support.problems import kernel, lattice, manufactured, noise
 from warp_peri import LPS, Bernstein, InputError, fit, methods
+from warp_peri.cluster import scheduler
 from warp_peri.files.atomic import PART, locked, write_text
 from warp_peri.launch import at_once, set_threads, threads
 
 ROOT = Path(__file__).parent.parent.parent
 HOLD = """
 import sys
+from warp_peri.cluster import scheduler
 from warp_peri.files.atomic import locked, whole_file
 with locked(sys.argv[1]), whole_file(sys.argv[2]) as part:
     part.write_text("half")
@@ -61,6 +63,13 @@ def test_a_second_job_is_refused_and_a_killed_one_holds_and_leaves_nothing(name,
     (tmp_path / ".out.lock").write_text("mine")
     with pytest.raises(InputError, match=r"\.out\.lock: expected no file, or an empty one"):
         locked(out).__enter__()
+
+
+def test_no_scheduler_is_one_clear_error(monkeypatch):
+    monkeypatch.setattr("warp_peri.cluster.WAIT", 0.5)
+    words = r"no workers at tcp://127.0.0.1:9|pip install 'warp_peri\[cluster\]'"
+    with scheduler(None), pytest.raises(InputError, match=words):  # none: work stays here
+        scheduler("tcp://127.0.0.1:9").__enter__()
 
 
 def work(folder):
