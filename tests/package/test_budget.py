@@ -18,7 +18,7 @@ import pytest
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
     "code lines": 22_477,
-    "tokens": 276_140,
+    "tokens": 276_150,
     "lines of warp_peri": 37_870,
     "lines of kernels": 1_179,
     "lines of warp_peri, kernels, examples and tools": 51_350,

@@ -189,12 +189,12 @@ def equations(
     ‖R c − y‖ is the root of the mean squared relative residual. Raises InputError where there are
     no samples, or one without load.
     """
-    sizes = load_sizes(samples) * np.sqrt(len(samples))
-    if not (len(samples) and sizes.all()):
+    if not (len(samples) and load_sizes(samples).all()):
         raise InputError(
             "samples: expected some, and a load on the interior of each, got one without; "
             "without loads learn from displacement alone"
         )
+    sizes = load_sizes(samples) * np.sqrt(len(samples))
     R, y = np.zeros((0, len(op.dictionary) + 2 * len(moving))), np.zeros(0)
     for u, b, size in zip(samples.u, samples.loads[:, op.interior], sizes):
         R = np.concatenate([R, columns(op, u, moving, c) / size])
@@ -219,7 +219,8 @@ def between(
     length = lengths(J)
     A = np.concatenate([J / length, np.sqrt(damping) * np.eye(len(now)), held / length])
     y = np.concatenate([y, np.sqrt(damping) * length * now, (held * now).sum(axis=1)])
-    x = lsq_linear(A, y, [bound * length for bound in bounds], method="bvls").x / length
+    within, most = [bound * length for bound in bounds], 10 * len(now)
+    x = lsq_linear(A, y, within, method="bvls", max_iter=most).x / length
     return np.asarray(np.clip(x, *bounds))
 
 

@@ -108,9 +108,8 @@ def _combined(problem: StaticProblem, near: np.ndarray, u: np.ndarray) -> np.nda
     return np.asarray(mixed + problem.lift(u - mixed))
 
 
-def _size(field: np.ndarray) -> np.ndarray:
-    sizes: np.ndarray = np.linalg.norm(field.reshape(len(field), -1), axis=1)
-    return sizes
+def _size(fields: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.norm(fields, axis=(1, 2)))
 
 
 class PlacedSheet(OnPoints):
