@@ -199,21 +199,18 @@ class StaticProblem:
         other.op = op
         return other
 
-    def solve(
-        self, c: np.ndarray, b: np.ndarray | None, u: np.ndarray, *, start: np.ndarray | None = None
-    ) -> Equilibrium:
+    def solve(self, c: np.ndarray, b: np.ndarray | None, u: np.ndarray) -> Equilibrium:
         """The stable equilibrium under a load with displacement given on the collar.
 
         Args:
             c: coefficients, shape [K].
             b: body force on all nodes [stress / length], shape [N, 2]; none for no load.
             u: displacement, shape [N, 2]; read on the collar only.
-            start: where to begin; at the harmonic extension of the collar where none is given.
 
         Warns where the answer is not followed from rest. Raises NoEquilibrium; InputError for
         arrays of other shapes or with values that are not finite on the collar.
         """
-        equilibrium = self.find(c, b, u, start=start)
+        equilibrium = self.find(c, b, u)
         if equilibrium is None:
             raise NoEquilibrium("no stable equilibrium found on the way to all of load and collar")
         if not equilibrium.followed:
@@ -236,6 +233,8 @@ class StaticProblem:
         near: BandFactors | None = None,
     ) -> Equilibrium | None:
         """As solve, without the smallest eigenvalue (NaN); None where no equilibrium is found.
+
+        It begins at the harmonic extension of the collar where no start is given.
 
         The tangent was positive definite in the last step all the same, unless factors of one
         `near` the start are given: then Newton's way from there alone is tried, and conjugate
