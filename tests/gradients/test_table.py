@@ -21,14 +21,12 @@ def made():
     return lambda name: kept.setdefault(name, OPERATORS[name]())
 
 
-FORCED_LONG = ("hyperelastic", "LPS in space")
 SOLVED_LONG = ("LPS in space", "third order, filtered",
                "neural operator", "coupled", "scattered, own weights",
                "third order, energy", "hyperelastic", "LPS, bond-based",
                "neural operator, frozen")  # fmt: skip
 MOVED = ("LPS",)
 LONG = [
-    *(("force", name) for name in FORCED_LONG),
     *(("solve", name) for name in SOLVED_LONG),
     *(("move", name) for name in WAVES if name not in MOVED),
 ]
