@@ -58,8 +58,8 @@ def sweep(bonds: Bonds, law: SweepLaw, of: Any, pieces: Sequence[str | None], *f
             pieces[1:], (kernels.dilatation, kernels.force), ((planes, theta), (planes, theta, out))
         ):
             if name:
-                nodes = layout.pieces[name]
-                launch(kernel, (len(theta), len(nodes)), (nodes, of, *given[:-1]), given[-1:])
+                piece = layout.pieces[name]
+                launch(kernel, (len(theta), len(piece)), (piece, of, *given[:-1]), given[-1:])
         return
     key = (*pieces, len(theta), threads(), law.fields)
     ready = layout.ready.setdefault(key, [])

@@ -216,7 +216,7 @@ class Points(Shown):
         check_positive("spacing", spacing)
         check_positive("horizon", horizon)
         count = np.floor((half + 2 * horizon) / spacing * (1 + LATTICE_TOLERANCE)).astype(int)
-        x = spacing * (np.indices(2 * count + 1).reshape(len(half), -1).T - count)
+        x = spacing * (np.indices(tuple(2 * count + 1)).reshape(len(half), -1).T - count)
         x = x[beyond(x) <= 2 * horizon + LATTICE_TOLERANCE * spacing]
         return cls(x, beyond(x) <= LATTICE_TOLERANCE * spacing, spacing, **more)
 
