@@ -362,11 +362,11 @@ class LPSOperator(OnPoints):
             except InputError:
                 if solver is not None or not few:
                     raise
+                method = "lu"
         flat = (field.reshape(-1, *self.shape) for field in fields)
-        by = "gmres" if method == "gmres" else "lu"
-        answer = by_gmres(self._problem, *flat) if by == "gmres" else self._problem.solve(*flat)
+        answer = self._problem.solve(*flat) if method == "lu" else by_gmres(self._problem, *flat)
         self._refuse_indefinite()
-        return answer, by, []
+        return answer, method, []
 
     def _method(self, solver: Solver, loads: int, unknown: int) -> str:
         """The name of the method, the cheapest by default; InputError where it does not go with
