@@ -95,17 +95,9 @@ def destination(path: str | os.PathLike[str]) -> Path:
     except OSError as error:  # a file for a folder on the way, links in a circle
         raise InputError(f"{path}: cannot be written ({error.strerror})") from None
     if not stat.S_ISREG(mode):
-        raise InputError(f"{path}: expected a file or a new name, got {_KINDS[stat.S_IFMT(mode)]}")
+        kind = "a folder" if stat.S_ISDIR(mode) else "a device, a pipe or a socket"
+        raise InputError(f"{path}: expected a file or a new name, got {kind}")
     return followed
-
-
-_KINDS = {
-    stat.S_IFDIR: "a folder",
-    stat.S_IFCHR: "a device",
-    stat.S_IFBLK: "a device",
-    stat.S_IFIFO: "a pipe",
-    stat.S_IFSOCK: "a socket",
-}
 
 
 @contextmanager

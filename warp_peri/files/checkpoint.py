@@ -1,9 +1,8 @@
 """Checkpoints of long runs: one HDF5 file of arrays on nodes and of plain values.
 
-One process writes its own; ranks write all at once, each its nodes, in the order of the whole body.
-The wheel of h5py knows no MPI: one rank lays the file out, with room for every array in one run of
-bytes, and all write there by MPI-IO. So the file is the same from any number of ranks, is read by
-any HDF5, and a run goes on from it on any other number.
+One process writes its own; ranks write in turn, each its nodes, in the order of the whole body. The
+first one lays the file out, with room for every array in one run of bytes, so that the file is the
+same from any number of ranks, is read by any HDF5, and a run goes on from it on any other number.
 """
 
 from __future__ import annotations
@@ -11,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import inspect
+import itertools
 import json
 import os
 import re
@@ -250,8 +250,8 @@ class RunFile:
         if not comm.bcast(self.path.exists()):
             return None
         rows = dict.fromkeys(names, nodes.number) | {"values": None}
-        found, attributes = read_arrays(self.path, comm, rows)
         with agreed(comm):
+            found, attributes = read_arrays(self.path, rows)
             try:
                 if attributes.get("format") != self.kind:
                     raise ValueError(f"expected one of {self.kind}")
@@ -273,7 +273,7 @@ def write_arrays(
     arrays: Mapping[str, Placed],
     attributes: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write arrays whole or not at all, by this process or by all ranks.
+    """Write an HDF5 file of arrays whole or not at all; all ranks come here, and write in turn.
 
     Args:
         path: of the file.
@@ -282,34 +282,35 @@ def write_arrays(
         attributes: of the file, the same on all ranks.
     """
     if comm is ALONE:
-        with whole_file(path) as temporary:
-            offsets = _laid_out(temporary, arrays, attributes or {})
-            with open(temporary, "r+b") as raw:
-                for name, (values, _, _) in arrays.items():
-                    raw.seek(offsets[name])
-                    raw.write(np.ascontiguousarray(values).data)
+        with whole_file(path) as part:
+            _write_rows(part, _laid_out(part, arrays, attributes or {}), arrays)
         return
-    from mpi4py import MPI
-
     with agreed(comm):
         path = destination(path)
-    part, offsets = Path(path).with_name(f".{Path(path).name}.ranks{PART}"), {}
-    with agreed(comm):
-        if comm.rank == 0:
-            offsets = _laid_out(part, arrays, attributes or {})
-    offsets = comm.bcast(offsets)
-    file = MPI.File.Open(comm, str(part), MPI.MODE_WRONLY)
-    for name, (values, place, _) in arrays.items():
-        values = np.ascontiguousarray(values)
-        file.Set_view(offsets[name], MPI.BYTE, view := _view(place, values))
-        file.Write_all([values, values.nbytes, MPI.BYTE])
-        view.Free()
-    file.Sync()
-    file.Close()
-    comm.Barrier()
+    part, offsets = path.with_name(f".{path.name}.ranks{PART}"), {}
+    for rank in range(comm.size):
+        with agreed(comm):
+            if rank == comm.rank:
+                offsets = offsets or _laid_out(part, arrays, attributes or {})
+                _write_rows(part, offsets, arrays)
+        offsets = comm.bcast(offsets)
     if comm.rank == 0:
         os.replace(part, path)
     comm.Barrier()
+
+
+def _write_rows(path: Path, offsets: dict[str, int], arrays: Mapping[str, Placed]) -> None:
+    """Rows of arrays at their places in a file; each run of neighbours at once."""
+    with open(path, "r+b") as file:
+        for name, (values, place, _) in arrays.items():
+            values = np.ascontiguousarray(values)
+            place = np.arange(len(values)) if place is None else place
+            ends = np.flatnonzero(np.diff(place, prepend=-2, append=-2) != 1)
+            for first, last in itertools.pairwise(ends.tolist() if len(place) else []):
+                file.seek(offsets[name] + int(place[first]) * values[:1].nbytes)
+                file.write(values[first:last].data)
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def _laid_out(path: Path, arrays: Mapping[str, Placed], attributes: Any) -> dict[str, int]:
@@ -334,51 +335,24 @@ def _laid_out(path: Path, arrays: Mapping[str, Placed], attributes: Any) -> dict
 
 
 def read_arrays(
-    path: str | os.PathLike[str], comm: Any, place: Mapping[str, np.ndarray | None]
+    path: str | os.PathLike[str], place: Mapping[str, np.ndarray | None]
 ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """Rows at rising places of arrays by name, all where None is asked, and the attributes.
+    """Rows at places of arrays by name, all where None is asked, and the attributes.
 
     Raises InputError for a file that is none or lacks an array.
     """
-    found, laid, attributes = {}, {}, {}
-    with agreed(comm):
-        if comm.rank == 0:
-            try:
-                with h5py.File(path, locking=False) as file:
-                    attributes = {name: value for name, value in file.attrs.items()}
-                    for name in place:
-                        one = file[name]
-                        laid[name] = one.id.get_offset(), one.shape, one.dtype
-                        if one.dtype.kind not in "biuf":
-                            raise ValueError(f"{name} holds no numbers")
-                        if laid[name][0] + one.nbytes > os.path.getsize(path):
-                            raise ValueError(f"{name} has more bytes than the file")
-                        if comm is ALONE:
-                            found[name] = one[()]
-            except (OSError, KeyError, AttributeError, TypeError, ValueError) as error:
-                raise InputError(f"{path}: not a readable checkpoint ({error})") from None
-    if comm is ALONE:
-        return found, attributes
-    from mpi4py import MPI
-
-    laid, attributes = comm.bcast((laid, attributes))
-    file = MPI.File.Open(comm, str(path), MPI.MODE_RDONLY)
-    for name, rows in place.items():
-        offset, shape, dtype = laid[name]
-        rows = np.arange(shape[0]) if rows is None else rows
-        values = found[name] = np.empty((len(rows), *shape[1:]), dtype)
-        file.Set_view(offset, MPI.BYTE, view := _view(rows, values))
-        file.Read_all([values, values.nbytes, MPI.BYTE])
-        view.Free()
-    file.Close()
-    return found, attributes
-
-
-def _view(place: Any, values: np.ndarray) -> Any:
-    """Bytes of rows at rising places as a type of MPI, neighbours as one run."""
-    from mpi4py import MPI
-
-    row = int(np.prod(values.shape[1:])) * values.itemsize
-    begin = np.flatnonzero(np.diff(place, prepend=-2) != 1)
-    length = np.diff(np.append(begin, len(place)))
-    return MPI.BYTE.Create_hindexed((length * row).tolist(), (place[begin] * row).tolist()).Commit()
+    found = {}
+    try:
+        with h5py.File(path, locking=False) as file:
+            for name, rows in place.items():
+                one = file[name]
+                if one.dtype.kind not in "biuf":
+                    raise ValueError(f"{name} holds no numbers")
+                if one.id.get_offset() + one.nbytes > os.path.getsize(path):
+                    raise ValueError(f"{name} has more bytes than the file")
+                offset = one.id.get_offset()
+                whole = np.memmap(path, one.dtype, "r", offset, one.shape) if one.size else one
+                found[name] = np.array(whole[()] if rows is None else whole[rows])
+            return found, dict(file.attrs)
+    except (OSError, KeyError, AttributeError, TypeError, ValueError, IndexError) as error:
+        raise InputError(f"{path}: not a readable checkpoint ({error})") from None

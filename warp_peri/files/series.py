@@ -6,13 +6,14 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, SubElement, tostring
 
 import numpy as np
 
 from warp_peri.errors import optional
 from warp_peri.files.atomic import as_path, whole_file, write_text
 from warp_peri.files.checkpoint import write_arrays
+
+INCLUDE = "http://www.w3.org/2001/XInclude"
 
 
 def meshio_of(extra: str = "export") -> Any:
@@ -79,35 +80,32 @@ class Series:
 
     def _header(self, fields: Mapping[str, np.ndarray]) -> str:
         count = self.nodes.count
-        root = Element("Xdmf", Version="3.0")
-        domain = SubElement(root, "Domain")
-        mesh = SubElement(domain, "Grid", Name="nodes", GridType="Uniform")
-        topology = SubElement(
-            mesh, "Topology", TopologyType="Polyvertex", NumberOfElements=str(count)
-        )
-        item(topology, (count, 1), "nodes.h5:/number", "Int", 4)
-        item(SubElement(mesh, "Geometry", GeometryType="XYZ"), (count, 3), "nodes.h5:/x")
-        series = SubElement(domain, "Grid", GridType="Collection", CollectionType="Temporal")
+        nodes = _item(f"{count} 1", "nodes.h5:/number", "Int", 4)
+        lines = [
+            '<Xdmf Version="3.0"><Domain>',
+            '<Grid Name="nodes" GridType="Uniform">',
+            f'<Topology TopologyType="Polyvertex" NumberOfElements="{count}">{nodes}</Topology>',
+            f'<Geometry GeometryType="XYZ">{_item(f"{count} 3", "nodes.h5:/x")}</Geometry></Grid>',
+            '<Grid GridType="Collection" CollectionType="Temporal">',
+        ]
         for name, time in self.times.items():
-            grid = SubElement(series, "Grid", Name=name, GridType="Uniform")
-            SubElement(grid, "Time", Value=repr(time))
+            lines.append(f'<Grid Name="{name}" GridType="Uniform"><Time Value="{time!r}"/>')
             for part in ("Topology", "Geometry"):
-                link = SubElement(grid, "{http://www.w3.org/2001/XInclude}include")
-                link.set("xpointer", f'xpointer(//Grid[@Name="nodes"]/{part})')
+                link = f"xpointer(//Grid[@Name=&quot;nodes&quot;]/{part})"
+                lines.append(f'<include xmlns="{INCLUDE}" xpointer="{link}"/>')
             for key, value in fields.items():
                 kind = "Vector" if value.ndim == 2 else "Scalar"
-                field = SubElement(grid, "Attribute", Name=key, AttributeType=kind, Center="Node")
-                item(field, (count, *value.shape[1:]), f"{name}:/{key}")
-        return tostring(root, encoding="unicode") + "\n"
+                data = _item(" ".join(map(str, (count, *value.shape[1:]))), f"{name}:/{key}")
+                what = f'Name="{key}" AttributeType="{kind}" Center="Node"'
+                lines.append(f"<Attribute {what}>{data}</Attribute>")
+            lines.append("</Grid>")
+        return "\n".join([*lines, "</Grid></Domain></Xdmf>", ""])
 
 
-def item(
-    parent: Element, shape: tuple[int, ...], text: str, kind: str = "Float", size: int = 8
-) -> None:
-    """Name an array of an HDF5 file in an XDMF one."""
-    item = SubElement(parent, "DataItem", DataType=kind, Precision=str(size), Format="HDF")
-    item.set("Dimensions", " ".join(map(str, shape)))
-    item.text = text
+def _item(shape: str, text: str, kind: str = "Float", size: int = 8) -> str:
+    """An array of an HDF5 file in an XDMF one."""
+    what = f'DataType="{kind}" Precision="{size}" Format="HDF" Dimensions="{shape}"'
+    return f"<DataItem {what}>{text}</DataItem>"
 
 
 def in_space(values: np.ndarray) -> np.ndarray:

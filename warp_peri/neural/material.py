@@ -16,10 +16,9 @@ import torch
 
 from warp_peri.core import record
 from warp_peri.core.record import Length, Positive
-from warp_peri.core.torch_bridge import differentiable_once
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.neural.placed import AtRest
+from warp_peri.neural.placed import CHUNK, AtRest
 from warp_peri.neural.training import NeuralFit, Training, train
 from warp_peri.points.arrays import check_positive, is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -29,9 +28,6 @@ from warp_peri.shown import Shown
 if TYPE_CHECKING:
     from warp_peri.points.samples import Samples
 
-CHUNK = 2048
-"""Bonds at once: their hidden layers stay in a processor's cache."""
-
 
 def network(*widths: int) -> torch.nn.Sequential:
     """Linear layers with rectifiers between them."""
@@ -39,88 +35,6 @@ def network(*widths: int) -> torch.nn.Sequential:
     for width, following in itertools.pairwise(widths):
         layers += [torch.nn.Linear(width, following), torch.nn.ReLU()]
     return torch.nn.Sequential(*layers[:-1])
-
-
-def evaluate(layers: torch.nn.Sequential, inputs: torch.Tensor) -> torch.Tensor:
-    """Values of a network of three layers, shape [n], of inputs of shape [n, k].
-
-    Inputs that lie together in memory are best alike: a unit of the first layer whose sign is the
-    same for a whole chunk acts linearly, and takes no part in the large product.
-    """
-    numbers = [p for n in (0, 2, 4) for p in (layers[n].weight, layers[n].bias)]
-    value: torch.Tensor = _Chunks.apply(inputs, *numbers)  # type: ignore[no-untyped-call]
-    return value
-
-
-class _Chunks(torch.autograd.Function):
-    """The network chunk by chunk, with its adjoint."""
-
-    @staticmethod
-    def forward(context: Any, x: torch.Tensor, *numbers: torch.Tensor) -> torch.Tensor:
-        keep = any(context.needs_input_grad)
-        out, hidden = [], []
-        for part in x.split(CHUNK):
-            second = _second(part, numbers)[0]
-            out.append(second @ numbers[4][0])
-            if keep:
-                hidden.append(second)
-        context.save_for_backward(x, *numbers, *hidden)
-        return torch.cat(out).add_(numbers[5])
-
-    @staticmethod
-    @differentiable_once
-    def backward(context: Any, seed: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        x, W1, b1, W2, b2, W3, _, *hidden = context.saved_tensors
-        learns = any(context.needs_input_grad[1:])
-        by_x = torch.empty_like(x)
-        by_W1, by_b1 = torch.zeros_like(W1), torch.zeros_like(b1)
-        by_W2, by_b2, by_W3 = torch.zeros_like(W2), torch.zeros_like(b2), torch.zeros_like(W3)
-        for part, g, second, out in zip(
-            x.split(CHUNK), seed.split(CHUNK), hidden, by_x.split(CHUNK)
-        ):
-            steady, mixed = units(part, W1, b1)
-            if learns:
-                by_W3[0].addmv_(second.t(), g)
-            back = torch.outer(g, W3[0]).mul_(second > 0)
-            first = torch.addmm(b1[mixed], part, W1[mixed].t()).relu_()
-            down = (back @ W2[:, mixed]).mul_(first > 0)
-            torch.mm(down, W1[mixed], out=out)
-            through = W2[:, steady] @ W1[steady]
-            out.addmm_(back, through)
-            if not learns:
-                continue
-            total, moments = back.sum(dim=0), back.t() @ part
-            by_b2 += total
-            by_W2[:, mixed] += back.t() @ first
-            by_W2[:, steady] += moments @ W1[steady].t() + torch.outer(total, b1[steady])
-            by_W1[mixed] += down.t() @ part
-            by_b1[mixed] += down.sum(dim=0)
-            by_W1[steady] += W2[:, steady].t() @ moments
-            by_b1[steady] += W2[:, steady].t() @ total
-        if not learns:
-            return by_x, *6 * [None]
-        return by_x, by_W1, by_b1, by_W2, by_b2, by_W3, seed.sum()[None]
-
-
-def units(x: torch.Tensor, W: torch.Tensor, b: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Units of the first layer that act for all of a box around the inputs, and undecided ones."""
-    low, high = x.amin(dim=0), x.amax(dim=0)
-    middle, half = (low + high) / 2, (high - low) / 2
-    centre, reach = W @ middle + b, W.abs() @ half
-    steady = centre - reach > 0
-    mixed = ~steady & (centre + reach > 0)
-    return steady.nonzero()[:, 0], mixed.nonzero()[:, 0]
-
-
-def _second(x: torch.Tensor, numbers: tuple[torch.Tensor, ...]) -> tuple[torch.Tensor, ...]:
-    """The second hidden layer."""
-    W1, b1, W2, b2 = numbers[:4]
-    steady, mixed = units(x, W1, b1)
-    first = torch.addmm(b1[mixed], x, W1[mixed].t()).relu_()
-    bias = torch.addmv(b2, W2[:, steady], b1[steady])
-    second = torch.addmm(bias, first, W2[:, mixed].t())
-    second.addmm_(x, (W2[:, steady] @ W1[steady]).t())
-    return second.relu_(), steady, mixed
 
 
 STRAIN = 0.1
@@ -196,10 +110,11 @@ class NeuralOperator(Shown, torch.nn.Module):
     def force_state(
         self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
     ) -> torch.Tensor:
-        """t [stress/length³] of bonds (NO4), all of shape [n]; those alike lie together."""
+        """t [stress/length³] of bonds (NO4), all of shape [n]."""
         extension = e / (self.strain * r)
         inputs = torch.stack([omega, theta / self.strain, extension, r / self.horizon], dim=1)
-        value = self.scale * evaluate(self.state, inputs)
+        parts = [self.state(part)[:, 0] for part in inputs.split(CHUNK)]
+        value = self.scale * torch.cat(parts)
         return value * extension if self.proportional else value
 
     def on(self, points: PointsLike) -> AtRest:
@@ -377,16 +292,6 @@ def save(
         for key, part in written.items()
     }
     replace(said, weights=coded).save(path)
-
-
-def load(path: str | os.PathLike[str], *, units: Units | None = None) -> NeuralOperator:
-    """Read a material, in float64; in other units where they are given.
-
-    Raises InputError for what is no such file, for weights that are missing, of other shapes, not
-    finite, or not those that were written.
-    """
-    material: NeuralOperator = record.load(path)
-    return material if units is None else material.in_units(units)
 
 
 def _check_finite(weights: dict[str, np.ndarray]) -> None:

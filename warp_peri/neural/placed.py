@@ -25,6 +25,8 @@ from warp_peri.solvers.solution import Newton, Solution, Solver, refuse_solver
 if TYPE_CHECKING:
     from warp_peri.neural.material import NeuralOperator
 
+CHUNK = 2048
+"""Bonds at once: their hidden layers stay in a processor's cache."""
 SOLVED = 1e-5
 """Tolerance of the equilibria of frames."""
 
@@ -384,11 +386,10 @@ class Tangent:
             self.e, self.theta, _ = self.bonds.gather(u, self.share)
         both = []
         for seen in placed.inputs(omega, self.theta, self.e, r):
-            theta, e = (part.contiguous().requires_grad_() for part in seen[1:3])
-            with torch.enable_grad():
-                state = placed.material.force_state(seen[0], theta, e, seen[3])
-                slopes = torch.autograd.grad(state.sum(), (theta, e))
-            both.append((state.detach(), *slopes))
+            parts = [
+                _slopes(placed.material, *part) for part in zip(*(x.split(CHUNK) for x in seen))
+            ]
+            both.append([torch.cat(part) for part in zip(*parts)])
         (own, self.to_own, by_e), (other, self.to_other, by_far) = both
         self.tension, self.to_e = (own + other)[None], (by_e + by_far)[None]
 
@@ -420,6 +421,16 @@ class Tangent:
             u = self.u.clone().requires_grad_()
             (back,) = torch.autograd.grad(self._force(u), u, w[None])
         return back[0]
+
+
+def _slopes(
+    material: NeuralLaw, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
+) -> tuple[torch.Tensor, ...]:
+    """Force states of bonds and their derivatives to ϑ and e, all of shape [n]."""
+    with torch.enable_grad():
+        seen = theta.clone().requires_grad_(), e.clone().requires_grad_()
+        state = material.force_state(omega, *seen, r)
+        return state.detach(), *torch.autograd.grad(state.sum(), seen)
 
 
 def affine(samples: Samples, u: np.ndarray) -> np.ndarray:

@@ -205,14 +205,6 @@ def _taken(material: NeuralOperator, samples: Samples) -> _Loads | Frames:
     return _Loads(material, samples) if samples.b is not None else Frames(material, samples)
 
 
-def residuals(material: NeuralOperator, samples: Samples) -> np.ndarray:
-    """Relative ℓ2 errors of b on the interior, E_res, by the networks themselves, shape [S]."""
-    data = _taken(material, samples)
-    with torch.no_grad():
-        parts = [data.errors(torch.tensor([n]), 0) for n in range(len(samples))]
-    return torch.cat(parts).double().numpy()
-
-
 @dataclass(frozen=True)
 class NeuralFit:
     """A trained operator; nothing is proven of it, so that it has no certificate.
@@ -233,7 +225,6 @@ def train(
     training: Training,
     *,
     checkpoint: str | os.PathLike[str] | None = None,
-    seconds: float = math.inf,
     progress: bool = True,
 ) -> TrainingHistory:
     """Learn the material's numbers in place; it ends with those of least train + val error.
@@ -245,7 +236,6 @@ def train(
         training: settings; with more epochs than a checkpoint has, the work goes on.
         checkpoint: a file of weights, Adam's state and the curve, written at the end of epochs,
             every ten seconds.
-        seconds: after which no other epoch is begun.
         progress: a bar on stderr.
 
     Raises InputError for no samples, a sample of zero load among loads, or at rest among frames,
@@ -265,12 +255,10 @@ def train(
     bar = tqdm(
         total=training.epochs, initial=run.history.epochs, unit="epoch", disable=not progress
     )
-    took = 0.0
-    while run.history.epochs < training.epochs and (took == 0 or took < seconds):
+    while run.history.epochs < training.epochs:
         error = run.epoch()
-        took = time.perf_counter() - began
-        epoch, last = run.history.epochs, run.history.epochs == training.epochs or took >= seconds
-        run.history.seconds = spent + took
+        epoch, last = run.history.epochs, run.history.epochs == training.epochs
+        run.history.seconds = spent + time.perf_counter() - began
         bar.update()
         if last or epoch % LOOKED == 0:
             with torch.no_grad():
