@@ -7,7 +7,7 @@ import pytest
 
 import warp_peri as wp
 from tests.support.problems import kernel, lattice, manufactured, smooth
-from warp_peri.prediction import Factors, Family, Members
+from warp_peri.prediction import Factors, Family, Members, design_loads
 
 HORIZON, APART = 3.0, 0.02
 pytestmark = pytest.mark.filterwarnings("ignore:transferred:UserWarning")
@@ -37,13 +37,9 @@ def check(answer, points):
     assert answer.map()[points.interior].min() >= 0
 
 
-def test_another_lattice_by_transfer(family):
-    points = lattice(9, HORIZON, spacing=0.8)
-    check(wp.predict(family, asked(points), None), points)
-
-
-def test_turned_lattices(family):
-    points = lattice(9, HORIZON, angle=0.3)
+@pytest.mark.parametrize("how", [{"spacing": 0.8}, {"angle": 0.3}])
+def test_other_and_turned_lattices(family, how):
+    points = lattice(9, HORIZON, **how)
     check(wp.predict(family, asked(points), None), points)
 
 
@@ -91,3 +87,18 @@ def test_laws_that_cannot_doubt_are_refused():
     samples = manufactured(kernel("positive", HORIZON), points, 4)
     with pytest.raises(wp.InputError, match="second: expected a model"):
         wp.fit(samples, Family(wp.tissue.Dictionary(HORIZON, ("square",))))
+
+
+def test_designed_loads_hold_all_waves_without_a_mean():
+    sheet = wp.Points.sheet((20, 20), 5.0)
+    loads = design_loads(sheet, shortest_wave=20.0)
+    assert loads.shape == (2, 400, 2)
+    assert np.abs(loads.mean(axis=1)).max() < 1e-12
+    assert np.linalg.norm(loads, axis=-1).max() == pytest.approx(1)
+    power = np.abs(np.fft.fft2(loads[0].reshape(20, 20, 2), axes=(0, 1))).sum(axis=-1)
+    k = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(20)]))
+    held = power > 1e-9 * power.max()
+    assert held[(k > 0) & (k <= 0.25)].all()
+    assert not held[k > 0.25 + 1e-9].any()
+    with pytest.raises(wp.InputError, match="box"):
+        design_loads(lattice(4, 1.0), 3.0)

@@ -12,7 +12,6 @@ import sys
 import time
 from dataclasses import replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -24,8 +23,6 @@ import warp_peri as wp
 from tests.support.nonlinear import solid as third_order
 from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
-from warp_peri.prediction import Members
-from warp_peri.prediction.placed import ErrorSpectrum
 from warp_peri.proofs import uniqueness
 from warp_peri.ranks import gather, lattice, partition, together
 from warp_peri.ranks.processes import total, world
@@ -60,25 +57,6 @@ def solid(dimension):
 
 def nonlinear():
     return third_order("energy", 2.5 * H, H)
-
-
-def family(rich):
-    """Members that say otherwise by a percent or two, and a record."""
-    others = [replace(rich, lam=rich.lam * s, mu=rich.mu * s) for s in (1.01, 1.02, 0.98)]
-    record = ErrorSpectrum(H * np.array([2.0, 8.0, 32.0]), np.array([0.3, 0.1, 0.01]), 4 * H)
-    second, *halves = others
-    bends = (-0.4, 1.3, -0.9, 1.3, 2.1, 0.8, 0.9)
-    return Members(rich, second, tuple(halves), record, strain=0.001, quadratic=bends)
-
-
-def proven():
-    """A linear solid with its proof."""
-    figures = wp.certify(solid(2), spacing=H).figures()
-    return replace(solid(2), certificate={f"{H:g}": figures})
-
-
-ASKED = {"screened": (solid(2), 0.3), "linear": (solid(2), None), "bound": (proven(), 0.3)}
-"""Rich members and tolerances of answers."""
 
 
 def inside(x):
@@ -214,12 +192,6 @@ def waves(points, folder):
 SWING = {"density": 2000.0, "step": 1e-3, "every": 4}
 
 
-def said(folder, name, points, answer):
-    """What an answer says of itself; its field and map are written down."""
-    u = kept(folder, name, points, np.concatenate([answer.u, answer.map()[:, None]], axis=1))
-    return {"u": u, "error": answer.error, "parts": answer.parts, "why": answer.why}
-
-
 def rest(folder):
     comm, found = world(), {}
     found["proofs"], seen = proofs()
@@ -238,10 +210,6 @@ def rest(folder):
                        "iterations": solution.iterations[0], "residual": solution.residual,
                        "waves": waves(points, folder)}  # fmt: skip
     sheet = lattice((52, 52), H, inside, axis=0.0)
-    for name, (rich, tolerance) in ASKED.items():
-        answer = wp.predict(family(rich), wp.Dirichlet(sheet, *small(sheet.x)), tolerance)
-        bound = answer.guarantee if name == "bound" else None
-        found[name] = said(folder, name, sheet, answer) | {"bound": bound and vars(bound)}
     found["file"] = from_file(comm, folder)
     found["kept"] = going_on(sheet, folder, 2 if comm.size == 2 else 1)
     found["grid"] = points.tiles.grid
@@ -387,8 +355,7 @@ if __name__ == "__main__":
     found = {"crack": crack(Path(folder), by, steps, pause)}
     if pause == "0":
         found["corrected"] = corrected(by)
-        metis = by == "bisection" and find_spec("pymetis")
-        found["block"] = block("metis" if metis else by)
+        found["block"] = block(by)
     if "rest" in more:
         found |= rest(Path(folder))
     print(json.dumps(found), flush=True)

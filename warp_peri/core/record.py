@@ -61,7 +61,7 @@ HOMES = {
     "warp_peri.neural": "neural.material",
     "warp_peri.conductor": "diffusion.conductor",
     "warp_peri.coupled_solid": "diffusion.coupled",
-    "warp_peri.family": "prediction.placed",
+    "warp_peri.family": "prediction.ensemble",
 }
 """Modules below warp_peri that a format's kind is in; those of others are loaded already."""
 

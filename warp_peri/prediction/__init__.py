@@ -2,8 +2,8 @@
 
 from warp_peri.points.loads import design_loads, mixed_waves
 from warp_peri.prediction.answer import Answer, Guarantee, Quantity, force, mean, strain, stress
-from warp_peri.prediction.learning import Family
-from warp_peri.prediction.placed import Factors, Members, PlacedMembers
+from warp_peri.prediction.ensemble import Factors, Family, Members
+from warp_peri.prediction.members import PlacedMembers
 
 __all__ = [
     "Answer",

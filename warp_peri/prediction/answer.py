@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,8 @@ from warp_peri.materials.third_order import curvature_bound
 from warp_peri.points.lattice import lattice_steps
 from warp_peri.points.samples import PointsLike, nodes_of
 from warp_peri.points.unit_names import symbols
-from warp_peri.prediction.placed import Factors, Parts, PlacedMembers
+from warp_peri.prediction.ensemble import Factors
+from warp_peri.prediction.members import Parts, PlacedMembers, norm
 from warp_peri.shown import Shown
 
 if TYPE_CHECKING:
@@ -54,50 +55,39 @@ class Guarantee(Shown):
         return [("proven", self.statement), *((n, f"{getattr(self, n):.3g}") for n in names)]
 
 
-def smallest_laplacian(points: Any) -> float:
-    """A lower bound of λ₁ h² of the (2d + 1)-point Laplacian on the interior, of all ranks: that of
-    its box."""
-    if hasattr(points, "comm"):
-        low, high = points.span
-    else:
-        grid = lattice_steps(points)[0][points.interior]
-        low, high = grid.min(axis=0), grid.max(axis=0)
-    sides = high - low + 1
-    return float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
-
-
 def guarantee(placed: PlacedMembers, load: np.ndarray, u: np.ndarray) -> Guarantee | None:
     """The bound for an answer u, or None where nothing is proven of the rich member there."""
     operator: Any = placed.rich
     points, inside = placed.points, placed.points.interior
-    dot = placed.dot
     stiffness = proven_stiffness(operator, points.spacing)
-    if not ((placed.on_ranks or points.is_plain_lattice) and stiffness > 0):
+    if not (points.is_plain_lattice and stiffness > 0):
         return None
-    smallest = stiffness * smallest_laplacian(points) / points.spacing**2
+    grid = lattice_steps(points)[0][inside]
+    sides = grid.max(axis=0) - grid.min(axis=0) + 1  # of the box, whose Laplacian is softer
+    laplacian = float(sum(4 * np.sin(np.pi / 2 / (n + 1)) ** 2 for n in sides))
+    smallest = stiffness * laplacian / points.spacing**2
 
     def linear(v: np.ndarray) -> np.ndarray:
         field = np.zeros_like(u)
         field[inside] = v
         return placed.straight(field)
 
-    r = load - operator(u)
+    r, inner = load - operator(u), u[inside]
     e = placed.inverse(r, ACCURATE)
     le = linear(e)
     rest = r - le
     # r·L⁻¹r = e·Le + 2 e·rest + rest·L⁻¹rest, and L ≥ smallest
-    square = dot(e, le) + 2 * dot(e, rest) + dot(rest, rest) / smallest
-    size, without = np.sqrt(max(square, 0.0)), placed.norm(r) / float(np.sqrt(smallest))
+    square = np.vdot(e, le) + 2 * np.vdot(e, rest) + np.vdot(rest, rest) / smallest
+    size, without = float(np.sqrt(max(square, 0.0))), norm(r) / float(np.sqrt(smallest))
     q, largest = 0.0, 0.0
     if placed.nonlinear:
-        found = contraction(operator, points.spacing, float(operator.largest_gradient(u)), size)
+        found = contraction(operator.model, float(operator.largest_gradient(u)), size)
         if found is None:
             return None
         q, largest = found
-    inner = u[inside]
-    bound, whole = size / (1 - q), float(np.sqrt(max(dot(inner, linear(inner)), 0.0)))
+    bound, whole = size / (1 - q), float(np.sqrt(max(np.vdot(inner, linear(inner)), 0.0)))
     relative = bound / whole if whole > 0 else np.inf
-    moved = bound / np.sqrt(smallest) / max(placed.norm(inner), 1e-300)
+    moved = bound / float(np.sqrt(smallest)) / max(norm(inner), 1e-300)
     words = (
         f"The model's own solution lies within {100 * relative:.2g} % of this answer in the energy "
         "norm, the root of twice the strain energy of their difference over that of the answer"
@@ -106,25 +96,16 @@ def guarantee(placed: PlacedMembers, load: np.ndarray, u: np.ndarray) -> Guarant
     return Guarantee(bound, relative, q, largest, without / (1 - q), moved, words)
 
 
-def contraction(
-    operator: Any, spacing: float, gradient: float, size: float
-) -> tuple[float, float] | None:
+def contraction(model: Any, gradient: float, size: float) -> tuple[float, float] | None:
     """q and a radius ε for gradients that no iterate leaves; None where none is proven.
 
     From u on all iterates of the fixed point lie within size/(1 − q) of it in the energy norm, and
     their gradients, whose norm over all nodes is at most κ_in times that, below ε.
     """
-    model = operator.model
-    figures = model.proven
-    figures = (
-        figures.get(f"{model.linear.nominal_spacing(spacing):g}", {})
-        if hasattr(model.linear, "nominal_spacing")
-        else figures
-    )
     names = ("strain", "kappa_in", "kappa_out", "largest_parts")
-    if not all(name in figures for name in names):
+    if not all(name in model.proven for name in names):
         return None
-    most, inner, outer, parts = (figures[name] for name in names)
+    most, inner, outer, parts = (model.proven[name] for name in names)
     radius = gradient
     for _ in range(100):
         q = curvature_bound(parts, radius) * inner * outer
@@ -203,24 +184,23 @@ class Answer(Shown):
     uncovered: tuple[str, ...]
     corrections: int
     tolerance: float | None
-    operator: PlacedMembers | None = field(default=None, repr=False)
-    load: np.ndarray | None = field(default=None, repr=False)
-    known: Parts | None = field(default=None, repr=False)
+    operator: PlacedMembers
+    load: np.ndarray
+    known: Parts | None = None
 
     @cached_property
     def fields(self) -> Parts:
         """Errors by origin as fields on the interior; computed now where a screen sufficed."""
-        known = self.known
+        known, placed = self.known, self.operator
         if known is None:
-            placed, load = self._placed()
-            left = placed.correction(load, self.u)
+            left = placed.correction(self.load, self.u)
             known = placed.doubts(self.u, left, placed.recorded(self.u)[0])
         return replace(known, pull=np.nan) if np.isnan(self.error) else known
 
     @property
     def corrected(self) -> np.ndarray:
         """The next answer, u and the correction that is left, on all nodes."""
-        return self._plus(self.fields.left)
+        return self._plus(self.fields.fields["left"])
 
     def of(self, quantity: Callable[[np.ndarray], Any]) -> Quantity:
         """A quantity with its error (Q4).
@@ -229,31 +209,23 @@ class Answer(Shown):
             quantity: of a displacement on all nodes, [N, d] → numbers; warp_peri.prediction has
                 strain, stress, means and forces.
         """
-        at, factors, fields = np.asarray(quantity(self.u), float), self._factors, self.fields
+        at, fields = np.asarray(quantity(self.u), float), self.fields
 
-        def change(part: np.ndarray | None) -> np.ndarray:
-            if part is None:
-                return np.zeros_like(at)
+        def change(part: np.ndarray) -> np.ndarray:
             return np.asarray(np.asarray(quantity(self._plus(part)), float) - at)
 
-        left = change(fields.left)
-        changes = Parts(
-            left,
-            change(fields.waves),
-            change(fields.data),
-            None if fields.strain is None else change(fields.strain),
-            change(fields.axis),
-            fields.pull,
-            change(fields.moduli),
-        )
-        squares = combined(changes, factors, np.abs)
-        return Quantity(at, left, np.sqrt(sum(value**2 for value in squares.values())))
+        changes = Parts({name: change(part) for name, part in fields.fields.items()}, fields.pull)
+        squares = combined(changes, self.operator.family.factors, np.abs)
+        bar = np.sqrt(sum(value**2 for value in squares.values()))
+        return Quantity(at, changes.fields["left"], bar)
 
     def map(self) -> np.ndarray:
         """Likely error of the displacement at each node [length], shape [N]; 0 on the collar."""
-        found = combined(self.fields, self._factors, lambda part: np.linalg.norm(part, axis=-1))
+        found = combined(
+            self.fields, self.operator.family.factors, lambda part: np.linalg.norm(part, axis=-1)
+        )
         bar = np.zeros(len(self.u))
-        bar[self._placed()[0].points.interior] = np.sqrt(sum(v**2 for v in found.values()))
+        bar[self.operator.points.interior] = np.sqrt(sum(v**2 for v in found.values()))
         return bar
 
     @cached_property
@@ -262,8 +234,7 @@ class Answer(Shown):
 
         It speaks of the model, not of the atoms.
         """
-        placed, load = self._placed()
-        return guarantee(placed, load, self.u)
+        return guarantee(self.operator, self.load, self.u)
 
     @cached_property
     def local(self) -> float | None:
@@ -271,43 +242,34 @@ class Answer(Shown):
 
         Of the linear part of the rich member; None but on whole lattices of one process.
         """
-        known = self._placed()[0].local
+        known = self.operator.local
         return known and known[1].of(known[0].shares(self.u))
 
     def plot(self, *, ax: Axes | None = None) -> Axes:
         """The map of the likely error over the nodes."""
         import matplotlib.pyplot as plt
 
-        placed, _ = self._placed()
+        points = self.operator.points
         ax = plt.figure(layout="constrained").add_subplot() if ax is None else ax
-        x, inside = placed.points.x, placed.points.interior
+        x, inside = points.x, points.interior
         shown = ax.scatter(x[inside, 0], x[inside, 1], c=self.map()[inside], s=12, linewidths=0)
-        ax.figure.colorbar(shown, ax=ax, label=f"likely error [{symbols(placed.points.units)[0]}]")
+        ax.figure.colorbar(shown, ax=ax, label=f"likely error [{symbols(points.units)[0]}]")
         ax.set(aspect="equal", xlabel="x", ylabel="y")
         return ax
 
-    @property
-    def _factors(self) -> Factors:
-        return self._placed()[0].family.factors
-
-    def _placed(self) -> tuple[PlacedMembers, np.ndarray]:
-        if self.operator is None or self.load is None:
-            raise InputError("answer: of a body only u, error and parts are known")
-        return self.operator, self.load
-
     def _plus(self, part: np.ndarray) -> np.ndarray:
         u = self.u.copy()
-        u[self._placed()[0].points.interior] += part
+        u[self.operator.points.interior] += part
         return u
 
     def rows(self) -> list[tuple[str, str]]:
         """What to know at a glance: name and value."""
         parts = ", ".join(f"{name} {said(value)}" for name, value in self.parts.items() if value)
         rows = [("likely error", said(self.error)), ("of it", parts or "nothing")]
-        if self.operator is not None and getattr(self.operator.points, "axis", None) is not None:
+        if self.operator.points.axis is not None:
             rows.append(("axis", "stated, believed"))
         rows += [("not covered", one) for one in self.uncovered]
-        if self.operator is not None and (off := self.local) is not None:
+        if (off := self.local) is not None:
             words = "; local elements suffice" if off < self.error / 2 else ""
             rows.append(("a local solid would be off by", f"{off:.2%}, by its waves{words}"))
         return [*rows, ("why", self.why)]
@@ -316,14 +278,10 @@ class Answer(Shown):
 def combined(parts: Parts, factors: Factors, size: Callable[[np.ndarray], Any]) -> dict[str, Any]:
     """Likely errors by origin, of fields of errors or what was made of them (Q4)."""
     share = parts.pull * factors.floor / np.sqrt(2)
-    found = {"left": factors.left * size(parts.left), "waves": share * size(parts.waves)}
-    found["data"] = share * size(parts.data)
-    if parts.moduli is not None:
-        found["data"] = np.hypot(found["data"], size(parts.moduli))
-    if parts.strain is not None:
-        found["strain"] = factors.floor * size(parts.strain)
-    if parts.axis is not None:
-        found["axis"] = size(parts.axis)
+    weights = {"left": factors.left, "waves": share, "data": share, "strain": factors.floor}
+    found = {name: weights.get(name, 1.0) * size(part) for name, part in parts.fields.items()}
+    if "moduli" in found:
+        found["data"] = np.hypot(found["data"], found.pop("moduli"))
     return found
 
 

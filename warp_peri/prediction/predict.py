@@ -7,29 +7,26 @@ both the estimate and the improvement.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from warp_peri.contract import offered, placed
+from warp_peri.contract import placed
 from warp_peri.errors import InputError
 from warp_peri.points.arrays import checked_fields, is_positive
 from warp_peri.points.samples import Samples, nodes_of
 from warp_peri.prediction.answer import WORDS, Answer, combined, said
-from warp_peri.prediction.placed import Factors, Members, Parts, PlacedMembers
+from warp_peri.prediction.ensemble import MOST, Factors, Members
+from warp_peri.prediction.members import Parts, PlacedMembers, norm
 
 SOLVED, SHARE = 0.03, 0.3
 """The first linear solve goes to this relative residual, or to this share of the tolerance; the
 correction sees what it leaves."""
-MOST = 8
-"""Corrections at most."""
 SETTLED = 0.01
 """Without a tolerance corrections end where what is left is this share of all other parts."""
 STALLED = 0.9
 """A correction larger than this times the one before does not lead on."""
-MOVED = 0.02
-"""By how much more of it an answer was corrected since, what members do not know is asked again."""
 SHORTER, STRAINED = 0.01, 1.2
 """Share of waves shorter than the data's, and strain over the data's where the rich member is
 linear, from which the error does not speak of an answer."""
@@ -62,10 +59,10 @@ def predict(
     """The cheapest answer that keeps a tolerance, and how wrong it is.
 
     Args:
-        material: an ensemble, from fit(samples, prediction.learning.Family(…)), or its
-            PlacedMembers where the same points are asked again. A crystal of `from_atoms` whose
-            moduli have standard errors gives those alone, and says so.
-        problem: Dirichlet(points, b, u), or Body(mesh, …) for the linear part.
+        material: an ensemble, from fit(samples, prediction.Family(…)), or its PlacedMembers where
+            the same points are asked again. A crystal of `from_atoms` whose moduli have standard
+            errors gives those alone, and says so.
+        problem: Dirichlet(points, b, u).
         tolerance: largest displacement error, relative to the displacement of the interior; None
             for the best answer, with its error.
         options: of the material's `on`: transfer, allow_uncertified.
@@ -86,16 +83,14 @@ def predict(
     if record.get("moduli_error") and not isinstance(material, Members):
         plain = Factors(1.0, 1.0, 0.0)
         material = Members(material, material, (material, material), factors=plain)
-    if hasattr(problem, "mesh"):
-        return _of_body(material, problem, tolerance, options)
-    kinds = "a problem: Dirichlet(points, b, u) or Body(mesh, …)"
-    points = offered(problem, "points", "predict", kinds) if hasattr(problem, "points") else None
-    if points is None or not (hasattr(problem, "b") and hasattr(problem, "u")):
-        raise InputError(f"predict: expected {kinds}, got {type(problem).__name__}")
+    if not all(hasattr(problem, name) for name in ("points", "b", "u")):
+        what = type(problem).__name__
+        raise InputError(f"predict: expected a problem, Dirichlet(points, b, u), got {what}")
+    points = problem.points
     asked = {"verb": "predict", "by": "with_doubts", "has": "doubts", "kinds": FAMILY}
     members = placed(material, nodes_of(points), **asked, **options)
     load, field = checked_fields(members.points, problem.b, problem.u)
-    uncovered = _uncovered(members, problem)
+    uncovered = _uncovered(members, points)
     flat = [each.reshape(-1, *members.points.x.shape) for each in (load, field)]
     members.loads = max(members.loads, len(flat[0]))
     noise = _noise(points, len(field) if field.ndim == 3 else 1)
@@ -131,95 +126,68 @@ def _predict(
     )  # fmt: skip
 
 
-def _screened(
-    placed: PlacedMembers,
-    gradient: float,
-    moved: float,
-    bent: float,
-    told: float | None,
-    slowed: float = 0.0,
-) -> dict[str, float]:
-    """Parts of an answer whose members are not asked, but for their record (Q5).
-
-    `gradient` is that of PlacedMembers, `moved` the size of the correction that is left, `bent`
-    that of all so far, `slowed` the second over the first.
-    """
-    if told is None or placed.turned is not None:
-        return {"left": np.inf, "waves": np.inf}
-    factors = placed.family.factors
-    strain = factors.floor * placed.series(gradient, slowed) * bent
-    waves = factors.floor * told
-    data = placed.family.moduli_error
-    return {"left": factors.left * moved, "waves": waves, "data": data, "strain": strain}
-
-
 def _corrected(
     placed: PlacedMembers, load: np.ndarray, u: np.ndarray, tolerance: float | None, noise: float
 ) -> _Stage:
-    """Correct until the tolerance is kept, or cannot be; without one until nothing improves."""
-    factors, first = placed.family.factors, u
-    inside, (told, unseen) = placed.points.interior, placed.recorded(u)
-    fields: Parts | None = None
-    before, since, held = np.inf, 0.0, 0.0
-    if not placed.nonlinear:
-        added = placed.bent(u)
-        bent = 0.0 if added is None else placed.norm(added) / (placed.norm(u[inside]) or 1.0)
-    best, least = (u, u[inside], 0), np.inf
-    slowed = 0.0
+    """Correct until the tolerance is kept, or cannot be; without one until nothing improves.
+
+    A screen, parts that ask the record alone and no member, may suffice (Q5).
+    """
+    factors, first, inside = placed.family.factors, u, placed.points.interior
+    told, unseen = placed.recorded(u)
+    before, slowed, least, best = math.inf, 0.0, math.inf, (u, u[inside], 0)
+    added = None if placed.nonlinear else placed.bent(u)
+    bent = 0.0 if added is None else norm(added) / (norm(u[inside]) or 1.0)
+
+    def judged(u: np.ndarray, left: np.ndarray, done: int) -> _Stage:
+        fields, size = placed.doubts(u, left, told, slowed), norm(u[inside]) or 1.0
+        found = combined(fields, factors, lambda part: norm(part) / size)
+        parts = {name: float(found.get(name, 0.0)) for name in ("left", "waves", "data", "strain")}
+        parts["noise"] = noise
+        parts |= {"axis": float(found["axis"])} if "axis" in found else {}
+        return _Stage(u, parts, fields, done, unseen)
+
     for done in range(MOST + 1):
-        size = placed.norm(u[inside]) or 1.0
-        left = placed.correction(load, u)
-        moved = placed.norm(left) / size
+        size, left = norm(u[inside]) or 1.0, placed.correction(load, u)
+        moved = norm(left) / size
         slowed = max(slowed, moved / before) if done == 1 else slowed
         if placed.nonlinear:
-            bent = placed.norm((first - u)[inside] - left) / size
-        gradient = placed.gradient(u)
-        series = placed.series(gradient, slowed)
-        screen = _screened(placed, gradient, moved, bent, told, slowed)
-        screen["noise"] = noise
-        if tolerance is not None and _size(screen) <= tolerance:
-            return _Stage(u, screen, None, done, unseen)
-        judged = _size(screen) if np.isfinite(screen["left"]) else moved
-        if judged < least:
-            best, least = (u, left, done), judged
+            bent = norm((first - u)[inside] - left) / size
+        rest = math.inf  # where only members know
+        if told is not None and placed.turned is None:
+            series = placed.series(placed.gradient(u), slowed) * bent
+            screen = {
+                "left": factors.left * moved,
+                "waves": factors.floor * told,
+                "data": placed.family.moduli_error,
+                "strain": factors.floor * series,
+                "noise": noise,
+            }
+            rest = _rest(screen)
+            if tolerance is not None and _size(screen) <= tolerance:
+                return _Stage(u, screen, None, done, unseen)
+        worth = moved if rest == math.inf else math.hypot(factors.left * moved, rest)
+        if worth < least:
+            best, least = (u, left, done), worth
         last = done == MOST or moved > STALLED * before
         # waves and strain that a screen sees say where an answer with no tolerance settles
-        goal = SETTLED * _rest(screen) if tolerance is None else tolerance
+        goal = SETTLED * rest if tolerance is None else tolerance
         if factors.left * moved <= goal or last:
-            if fields is None or since > MOVED:
-                fields, since = placed.doubts(u, left, told, slowed), 0.0
-            elif fields.strain is not None:  # how corrections shrink was not known then
-                fields = replace(fields, strain=fields.strain * (series / held))
-            fields, held = replace(fields, left=left), series
-            parts = _parts(fields, placed, size, noise)
-            floor = _rest(parts)
+            stage = judged(u, left, done)
+            floor = _rest(stage.parts)
             if tolerance is None:
-                enough = parts["left"] <= SETTLED * floor
+                enough = stage.parts["left"] <= SETTLED * floor
             else:  # or what is left is not what keeps it from being kept
-                enough = _size(parts) <= tolerance or (floor > tolerance and done > 0)
+                enough = stage.error <= tolerance or (floor > tolerance and done > 0)
             if enough or last:
-                stage = _Stage(u, parts, fields, done, unseen)
                 missed = tolerance is None or stage.error > tolerance
                 if missed and best[2] < done:  # corrections may lead away
-                    u, left, done = best
-                    fields = placed.doubts(u, left, told, slowed)
-                    parts = _parts(fields, placed, placed.norm(u[inside]) or 1.0, noise)
-                    stage = min(
-                        stage, _Stage(u, parts, fields, done, unseen), key=lambda one: one.error
-                    )
+                    stage = min(stage, judged(*best), key=lambda one: one.error)
                 return stage
         u = u.copy()
         u[inside] += left
-        before, since = moved, since + moved
+        before = moved
     raise AssertionError("the last correction ends the loop")
-
-
-def _parts(fields: Parts, placed: PlacedMembers, size: float, noise: float) -> dict[str, float]:
-    """Likely errors over u by origin."""
-    found = combined(fields, placed.family.factors, lambda part: placed.norm(part) / size)
-    parts = {name: float(found.get(name, 0.0)) for name in ("left", "waves", "data", "strain")}
-    parts["noise"] = noise
-    return parts | ({"axis": float(found["axis"])} if "axis" in found else {})
 
 
 def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple[str, ...]) -> str:
@@ -234,14 +202,14 @@ def _reason(stage: _Stage, tolerance: float | None, kept: bool, uncovered: tuple
     return told + "".join(f"; not covered: {one.split(':')[0]}" for one in uncovered)
 
 
-def _uncovered(placed: PlacedMembers, problem: Any) -> tuple[str, ...]:
+def _uncovered(placed: PlacedMembers, points: Any) -> tuple[str, ...]:
     """What the error of a problem does not speak of."""
     found = [ALONE] if placed.family.second is placed.family.rich else []
-    if not placed.on_ranks and placed.points.outside is not None:
+    if placed.points.outside is not None:
         found += [FREE_EDGE, BROKEN]
     if placed.turned is not None and placed.points.axis is None:
         found.append(AXIS)
-    there = getattr(problem.points, "arrays", {}).get("temperature")
+    there = getattr(points, "arrays", {}).get("temperature")
     mine = placed.family.temperature
     if there is not None and mine is not None and not np.allclose(there, mine):
         found.append(f"temperature: learned at {mine:g} K, asked at {np.max(there):g} K")
@@ -256,7 +224,7 @@ def _beyond(placed: PlacedMembers, stage: _Stage) -> list[tuple[str, str]]:
     known = placed.family.strain
     if not placed.nonlinear and known > 0:
         strain = placed.gradient(stage.u)
-        if not (placed.family.quadratic and placed.points.spacing):
+        if placed.grid is None:
             found.append(("strain", "strain: nothing in the ensemble tells what its law misses"))
         elif strain > STRAINED * known:
             words = f"strain: {strain:.2%} is beyond the {known:.2%} of the data of a linear law"
@@ -277,38 +245,3 @@ def _size(parts: dict[str, float]) -> float:
 
 def _rest(parts: dict[str, float]) -> float:
     return _size({name: part for name, part in parts.items() if name != "left"})
-
-
-def _of_body(
-    material: Any, problem: Any, tolerance: float | None, options: dict[str, Any]
-) -> Answer:
-    """The linear answer of a body, by solves of the members; the nonlinear part by its screen."""
-    offered(material, "with_doubts", "predict", FAMILY)
-    family = material
-    rich, second, *halves = (
-        getattr(one, "linear", one) for one in (family.rich, family.second, *family.halves)
-    )
-    solution = problem.solved(rich, None, dict(options))
-    u = np.asarray(solution.u)
-    size = float(np.linalg.norm(u)) or 1.0
-    doubts = [
-        float(np.linalg.norm(np.asarray(problem.solved(one, None, dict(options)).u) - u)) / size
-        for one in (second, *halves)
-    ]
-    share, factors = family.factors.floor / np.sqrt(2), family.factors
-    mesh = problem.mesh
-    sides, moved = (f[mesh.cells[:, 1:]] - f[mesh.cells[:, :1]] for f in (mesh.x, u))
-    slopes = np.linalg.solve(sides, moved)
-    gradient = float(np.sqrt((slopes**2).sum(axis=(1, 2)).mean()))
-    parts = {
-        "left": factors.screen * gradient,
-        "waves": share * doubts[0],
-        "data": math.hypot(share * math.hypot(*doubts[1:]) / 2**0.5, family.moduli_error),
-        "strain": 0.0,
-        "noise": 0.0,
-    }
-    error = _size(parts)
-    stage = _Stage(u, parts, None, 0)
-    within = tolerance is None or error <= tolerance
-    why = _reason(stage, tolerance, within, (FREE_EDGE,))
-    return Answer(u, error, parts, False, why, (FREE_EDGE,), 0, tolerance)

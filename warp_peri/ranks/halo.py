@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.points.lattice import DIAGONAL, largest_strain
-from warp_peri.points.points import Points
 from warp_peri.ranks.processes import Comm
 
 if TYPE_CHECKING:
@@ -304,11 +302,3 @@ class NodeHalo:
         for request in requests:
             request.wait()
         return here
-
-
-def strain_on_ranks(piece: Subdomain, u: np.ndarray) -> float:
-    """As points.strain.largest_strain, of u [n, d] of a piece, over all ranks."""
-    halo = NodeHalo(piece, DIAGONAL * piece.spacing)
-    field = halo.felt(u)
-    here = Points(halo.x, np.ones(len(field), bool), piece.spacing)
-    return float(max(piece.comm.allgather(largest_strain(here, field, halo.own))))

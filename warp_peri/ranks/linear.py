@@ -28,7 +28,6 @@ from warp_peri.solvers.multigrid import coarser
 
 if TYPE_CHECKING:
     from warp_peri.ranks.subdomain import Subdomain
-    from warp_peri.solvers.linear import Inverse
 
 
 MOST = 32
@@ -119,10 +118,6 @@ class RowOperator:
     def load(self, b: np.ndarray) -> np.ndarray:
         """b on this rank's interior, which the operator equals in equilibrium."""
         return np.asarray(b, dtype=float)[..., self.points.interior, :]
-
-    def inverse(self, loads: int) -> Inverse:
-        """L⁻¹ of a load on this rank's interior [i, d], to a relative residual, for `predict`."""
-        return lambda right, tolerance: self.inverted(right, tolerance)[0]
 
     def nearly_inverse(self, r: np.ndarray) -> np.ndarray:
         """z ≈ L⁻¹ r: multigrid while the nodes for the filter are on their way, then the filter."""

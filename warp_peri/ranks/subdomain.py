@@ -1,4 +1,4 @@
-"""Nodes of one body, each owned by one rank: tiles of a lattice, or parts by bisection or METIS."""
+"""Nodes of one body, each owned by one rank: tiles of a lattice, or parts by bisection."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from warp_peri.errors import InputError, optional
+from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed, same
 from warp_peri.launch import ranks_started
-from warp_peri.points.lattice import LATTICE_TOLERANCE, neighbour_table
+from warp_peri.points.lattice import LATTICE_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
 from warp_peri.ranks import problems
-from warp_peri.ranks.halo import Tiles, cut, strain_on_ranks
+from warp_peri.ranks.halo import Tiles, cut
 from warp_peri.ranks.processes import Comm, fingerprint, inner, total, world
 from warp_peri.solvers.conjugate_gradients import Inner
 
@@ -79,14 +79,6 @@ class Subdomain:
         others = [part for part in parts if not isinstance(part, np.ndarray)]
         return fingerprint(self.comm, self.number, *arrays) + "".join(map(repr, others))
 
-    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Scalar product of vectors [n, d] over all ranks, with the same bits on any number."""
-        return float(total(self.comm, (a * b).sum(axis=1)))
-
-    def norm(self, field: np.ndarray) -> float:
-        """‖field‖₂ of vectors [n, d], likewise."""
-        return float(np.sqrt(self.dot(field, field)))
-
     def operator(self, material: Any) -> Any:
         """A material on these nodes, as problems.operator_on."""
         return problems.operator_on(material, self)
@@ -103,18 +95,6 @@ class Subdomain:
     def inner(self) -> Inner:
         """How fields [k, d] on some of the nodes are measured, over all ranks."""
         return inner(self.comm, lambda a, b: (a * b).sum(axis=1))
-
-    @property
-    def span(self) -> tuple[np.ndarray, np.ndarray]:
-        """First and last lattice steps of the interior nodes of all ranks, each of shape [d]."""
-        inside, far = self.grid[self.interior], np.iinfo(np.int32).max
-        ends = [inside.min(axis=0, initial=far), -inside.max(axis=0, initial=-far)]
-        low, high = np.min(self.comm.allgather(ends), axis=0)
-        return low, -high
-
-    def largest_strain(self, u: np.ndarray) -> float:
-        """Between neighbours, of u [n, d], over all ranks."""
-        return strain_on_ranks(self, u)
 
     def gather(self, values: np.ndarray) -> np.ndarray:
         """Values [n, ...] of all pieces, on every rank, in the order of the whole body."""
@@ -138,16 +118,6 @@ class Subdomain:
         with agreed(self.comm):
             values = read_rows(path, name, self.number, self.count)
         return values
-
-    def joined(self, values: np.ndarray) -> np.ndarray | None:
-        """As gather, on the first rank alone; None on the others."""
-        parts = self.comm.gather((self.number, values))
-        if parts is None:
-            return None
-        whole = np.empty((self.count, *values.shape[1:]), values.dtype)
-        for number, part in parts:
-            whole[number] = part
-        return whole
 
     def __getattr__(self, name: str) -> Any:
         if name in _OF_A_WHOLE:
@@ -230,18 +200,16 @@ def partition(points: Points, by: str = "rows") -> Any:
 
     Args:
         points: a lattice along the axes, without a box, the same on every rank.
-        by: "rows" of the lattice, "bisection" of boxes at the middle of their longest side, or
-            "metis", which cuts as few neighbours apart as it can (G. Karypis and V. Kumar, 1998).
+        by: "rows" of the lattice, or "bisection" of boxes at the middle of their longest side.
 
-    Raises InputError for other points, for more ranks than there are rows in blocks, or nodes, and
-    for "metis" without pymetis.
+    Raises InputError for other points, for more ranks than there are rows in blocks, or nodes.
     """
     if not ranks_started():
         return points
     comm = world()
     same(comm, points=points, by=by)
-    if by not in ("rows", "bisection", "metis"):
-        raise InputError(f"by: expected rows, bisection or metis, got {by!r}")
+    if by not in ("rows", "bisection"):
+        raise InputError(f"by: expected rows or bisection, got {by!r}")
     if not points.is_plain_lattice:
         raise InputError("points: expected a lattice that has no box and none outside, for ranks")
     place = (points.x - points.x.min(axis=0)) / points.spacing
@@ -256,8 +224,6 @@ def partition(points: Points, by: str = "rows") -> Any:
         tiles = cut(comm, shape, _slab(shape[0]))
         (rows,) = tiles.own(comm.rank)
         own = np.flatnonzero((grid[:, 0] >= rows.start) & (grid[:, 0] < rows.stop))
-    elif by == "metis":
-        own = np.flatnonzero(comm.bcast(_by_metis(grid, comm.size)) == comm.rank)
     else:
         own = np.sort(_bisected(grid, np.arange(len(grid)), comm.size)[comm.rank])
     if min(comm.allgather(len(own))) == 0:
@@ -286,15 +252,6 @@ def _usual(shape: tuple[int, ...]) -> tuple[int, ...]:
         unit *= 2
     sides = (n / max(-(-n // LONGEST[d]), TILES) for n in shape[:2])
     return tuple(unit * int(np.ceil(side / unit)) for side in sides)
-
-
-def _by_metis(grid: np.ndarray, parts: int) -> np.ndarray:
-    """Number of the part that each node is in, shape [N]."""
-    pymetis = optional("pymetis", "by: metis needs pymetis: pip install 'warp_peri[metis]'")
-    along = np.eye(grid.shape[1], dtype=np.int64)
-    table = neighbour_table(grid, np.concatenate([along, -along]))
-    first = np.concatenate([[0], np.cumsum((table >= 0).sum(axis=1))])
-    return np.array(pymetis.part_graph(parts, xadj=first, adjncy=table[table >= 0])[1])
 
 
 def _bisected(grid: np.ndarray, nodes: np.ndarray, parts: int) -> list[np.ndarray]:

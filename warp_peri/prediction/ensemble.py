@@ -1,30 +1,34 @@
-"""Learning a family: its members from one data set, and how large their doubts are (Q4–Q6)."""
+"""Ensembles: members learned from one data set, and how large their doubts are (Q4–Q6)."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import asdict, dataclass, field, replace
+from typing import Annotated, Any
 
 import numpy as np
 
-from warp_peri.contract import offered
+from warp_peri.contract import MaterialFit, offered
+from warp_peri.core.grid import grid_of
+from warp_peri.core.record import Entry, OnLinear
 from warp_peri.errors import InputError, warn
+from warp_peri.points.arrays import is_number
 from warp_peri.points.dataset import Dataset
 from warp_peri.points.lattice import largest_strain
-from warp_peri.points.samples import Samples
-from warp_peri.prediction.placed import (
+from warp_peri.points.samples import PointsLike, Samples
+from warp_peri.prediction.members import (
     HALF_PERIOD,
     KNOTS,
-    Factors,
-    Members,
+    ErrorSpectrum,
     PlacedMembers,
+    norm,
     pulled,
     recorded,
     second_order,
     spread,
 )
-from warp_peri.prediction.predict import MOST
 
+MOST = 8
+"""Corrections of an answer at most."""
 SAFELY = 1.2
 """Of a linear member, which the forces of second order know of isotropic stresses alone."""
 COVERED, NEARLY = 0.9, 0.95
@@ -35,6 +39,96 @@ SHRUNK, POORER = 0.8, 2 / 3
 ROUNDING = 1e-12
 TURNED, SURE = 2.0, 3.0
 """Degrees off a stated axis, and standard errors, from which the data contradict it."""
+
+
+@dataclass(frozen=True)
+class Factors:
+    """Calibration: by how much what can be computed is multiplied, so that it is an error (Q4).
+
+    Attributes:
+        left: of the correction that is left.
+        floor: of what waves, data and strain may miss.
+        screen: of the mean gradient, for what the linear answer misses.
+    """
+
+    left: float = 1.2
+    floor: float = 1.48
+    screen: float = 1.42
+
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            if not (is_number(value) and value >= 0):
+                raise InputError(f"{name}: expected a factor ≥ 0, got {value!r:.40}")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Members(OnLinear, format="warp_peri.family", version=2):
+    """What `fit(samples, prediction.Family(…))` learns: a material with its doubts.
+
+    It solves, moves and is placed on points as its rich member. `predict` uses all.
+
+    Attributes:
+        rich: the best law of the data, linear or of third order.
+        second: a poorer one; how they differ is what short waves may miss.
+        halves: the rich law from two halves of the samples; how they differ is what data may miss.
+        record: error of the rich member by wavelength; None of scattered samples.
+        factors: calibration.
+        strain: largest strain between neighbouring nodes in the samples.
+        temperature: [K] of the samples, where they state it.
+        quadratic: of a linear rich member the constants of the forces of second order that its
+            data show [stress], those of `quadratic_stresses`.
+        axis_off: degrees by which the samples' own crystal is turned from the axis they state.
+        provenance: of the fit.
+    """
+
+    rich: Any
+    second: Any
+    halves: tuple[Any, Any]
+    record: ErrorSpectrum | None = None
+    factors: Factors = Factors()
+    strain: float = 0.0
+    temperature: float | None = None
+    quadratic: Annotated[tuple[float, ...], Entry(stress=1, omit=True)] = ()
+    axis_off: Annotated[float, Entry(omit=True)] = 0.0
+    provenance: dict[str, Any] = field(default_factory=dict)
+    ORDER = ("rich", "second", "halves", "record", "factors", "strain", "temperature",
+             "quadratic", "axis_off", "provenance")  # fmt: skip
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for one in (self.rich, self.second, *self.halves):
+            if not hasattr(one, "on"):
+                raise InputError(f"member: expected a material, got {one!r:.40}")
+
+    @property
+    def horizon(self) -> float:
+        """δ [length] of the rich member."""
+        return float(self.rich.horizon)
+
+    @property
+    def linear(self) -> Any:
+        """The linear part of the rich member."""
+        return getattr(self.rich, "linear", self.rich)
+
+    @property
+    def moduli_error(self) -> float:
+        """Relative standard error of the rich member's moduli, by its record; 0 without."""
+        return float(getattr(self.linear, "provenance", {}).get("moduli_error", 0.0))
+
+    def on(self, points: PointsLike, **options: Any) -> Any:
+        """The rich member on points."""
+        return self.rich.on(points, **options)
+
+    def with_doubts(self, points: PointsLike, **options: Any) -> PlacedMembers:
+        """All members on points, with what they do not know there; options of `on`."""
+        return PlacedMembers(self, points, **options)
+
+    def rows(self) -> list[tuple[str, str]]:
+        """What to know at a glance: name and value."""
+        names = [type(one).__name__ for one in (self.rich, self.second)]
+        rows = [("rich, second", ", ".join(names)), ("strain seen", f"{self.strain:.2%}")]
+        rows.append(("factors", f"{self.factors.left:.2f} left, {self.factors.floor:.2f} floor"))
+        return rows + list(self.rich.rows() if hasattr(self.rich, "rows") else [])
 
 
 @dataclass(frozen=True)
@@ -52,8 +146,8 @@ class Family:
 
     def learn(
         self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
-    ) -> FamilyFit:
-        """The fit.
+    ) -> MaterialFit:
+        """The Members, with the history and the certificate of the rich one's fit.
 
         Args:
             samples: with loads, at least four; of a Dataset `train`, or its only set.
@@ -68,45 +162,22 @@ class Family:
             raise InputError("samples: expected one set of at least four samples for an ensemble")
         learn = offered(self.rich, "learn", "fit", "a model as the rich member")
         second = self.second or poorer(self.rich)
-        fits = {"rich": learn(samples, progress=progress)}
-        fits["second"] = second.learn(samples, progress=progress)
-        halves = [learn(samples[n::2], progress=progress) for n in (0, 1)]
-        strain = largest_strain(samples.points, samples.u)
-        kelvin = samples.arrays.get("temperature")
-        temperature = None if kelvin is None else float(np.mean(kelvin))
-        family = Members(
-            fits["rich"].material,
-            fits["second"].material,
-            (halves[0].material, halves[1].material),
-            strain=strain,
-            temperature=temperature,
-            axis_off=off_axis(fits["rich"].material, samples),
+        fit = learn(samples, progress=progress)
+        other = second.learn(samples, progress=progress).material
+        odd, even = (
+            learn(samples[n::2], progress=progress).material for n in (0, 1)
         )
-        family = calibrated(family, samples, validation)
-        return FamilyFit(family, fits["rich"])
-
-
-@dataclass(frozen=True)
-class FamilyFit:
-    """A learned family.
-
-    Attributes:
-        material: the family.
-        rich: the fit of its rich member.
-    """
-
-    material: Members
-    rich: Any
-
-    @property
-    def certificate(self) -> Any:
-        """Of the rich member."""
-        return getattr(self.rich, "certificate", None)
-
-    @property
-    def history(self) -> Any:
-        """Of the rich member's fit."""
-        return getattr(self.rich, "history", None)
+        kelvin = samples.arrays.get("temperature")
+        family = Members(
+            fit.material,
+            other,
+            (odd, even),
+            strain=largest_strain(samples.points, samples.u),
+            temperature=None if kelvin is None else float(np.mean(kelvin)),
+            axis_off=off_axis(fit.material, samples),
+        )
+        material = calibrated(family, samples, validation)
+        return MaterialFit(material, getattr(fit, "history", {}), proof=fit.certificate)
 
 
 def poorer(law: Any) -> Any:
@@ -134,8 +205,8 @@ def calibrated(family: Members, samples: Samples, validation: Samples | None) ->
     if not nonlinear:
         bare = replace(bare, quadratic=quadratic(bare, samples))
     sets = [samples] if validation is None else [samples, validation]
-    found = [_measured(bare, one) for one in sets]
-    rows = {name: np.concatenate([one[name] for one in found]) for name in found[0]}
+    found = [row for one in sets for row in _measured(bare, one)]
+    rows = {name: np.array([row[name] for row in found]) for name in found[0]}
     record = recorded(samples.spacing * KNOTS, rows["shares"], rows["true"])
     told = np.array([record.of(one) for one in rows["shares"]])
     members = rows["members"] * [pulled(*pair) for pair in zip(rows["members"], told)]
@@ -174,9 +245,9 @@ def off_axis(rich: Any, samples: Samples) -> float:
     G, h = np.einsum("asn,bsn->sab", rows, rows), np.einsum("asn,sn->sa", rows, left)
     back = np.linalg.pinv(G.sum(axis=0))
     found = back @ h.sum(axis=0)
-    spread = (h - G @ found) @ back  # each sample's own say
+    each = (h - G @ found) @ back  # each sample's own say
     turn = float(np.degrees(np.arctan2(found[1], found[0]))) * HALF_PERIOD / 180
-    if abs(turn) < TURNED or abs(found[1]) < SURE * np.sqrt((spread[:, 1] ** 2).sum()):
+    if abs(turn) < TURNED or abs(found[1]) < SURE * np.sqrt((each[:, 1] ** 2).sum()):
         return 0.0
     warn(
         f"axis: {points.axis:g}° is stated, and the data are explained best at "
@@ -191,22 +262,23 @@ def quadratic(family: Members, samples: Samples) -> tuple[float, ...]:
     They are fitted to what the half that has not seen a sample leaves of its load: the member
     itself has taken up some of it.
     """
-    placed = PlacedMembers(family, samples.points)
+    placed, points = PlacedMembers(family, samples.points), samples.points
     left = [
         placed.load(b) - placed.others[2 - n % 2](u)  # even ones are the first half's
         for n, (b, u) in enumerate(zip(samples.loads, samples.u))
     ]
-    rows = second_order(samples.points, samples.u)
+    grid = grid_of(points, 2 * np.eye(points.dimension, dtype=int))
+    rows = second_order(grid, points.spacing, samples.u)
     return tuple(np.linalg.lstsq(rows.reshape(len(rows), -1).T, np.ravel(left))[0].tolist())
 
 
-def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
-    """What is computed of each sample and what is true, as fractions, shape [S] each."""
+def _measured(family: Members, samples: Samples) -> list[dict[str, Any]]:
+    """What is computed of each sample and what is true, as fractions."""
     placed = PlacedMembers(family, samples.points)
     inside = samples.interior
-    rows: list[dict[str, Any]] = []
+    rows = []
     for b, truth in zip(samples.loads, samples.u):
-        load = placed.load(b)
+        load, size = placed.load(b), norm(truth[inside])
         u = np.where(inside[:, None], 0.0, truth)
         u[inside] = placed.inverse(load - placed.straight(u), 3e-3)
         first = u.copy()
@@ -214,17 +286,16 @@ def _measured(family: Members, samples: Samples) -> dict[str, np.ndarray]:
         for _ in range(MOST if placed.nonlinear else 0):
             u[inside] += left
             left = placed.correction(load, u)
-        size = float(np.linalg.norm(truth[inside]))
-        fields = placed.doubts(u, left)
-
-        def norm(field: np.ndarray, size: float = size) -> float:
-            return float(np.linalg.norm(field)) / size
-
-        row: dict[str, Any] = {"left": norm(start), "gone": norm((u - first)[inside])}
-        row["true"] = norm((u - truth)[inside])
-        row["series"] = 0.0 if fields.strain is None else norm(fields.strain)
-        row["members"] = spread(placed.norm(fields.waves), placed.norm(fields.data)) / size
-        row["gradient"] = placed.gradient(u)
-        row["shares"] = placed.spectrum.shares(u)
-        rows.append(row)
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        fields = placed.doubts(u, left).fields
+        rows.append(
+            {
+                "left": norm(start) / size,
+                "gone": norm((u - first)[inside]) / size,
+                "true": norm((u - truth)[inside]) / size,
+                "series": norm(fields["strain"]) / size if "strain" in fields else 0.0,
+                "members": spread(fields["waves"], fields["data"]) / size,
+                "gradient": placed.gradient(u),
+                "shares": placed.spectrum.shares(u),
+            }
+        )
+    return rows
