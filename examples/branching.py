@@ -16,7 +16,7 @@ import numpy as np
 
 import warp_peri as wp
 from warp_peri.damage import BrittleSolid, rectangle
-from warp_peri.ranks import gather, is_first, partition
+from warp_peri.mpi import gather, is_first, partition
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt

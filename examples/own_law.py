@@ -10,7 +10,7 @@ import warp_peri as wp
 from warp_peri.core.record import Entry, Length
 from warp_peri.core.stencil import Stencil, half_ball
 from warp_peri.micromodulus import StencilMaterial
-from warp_peri.ranks import gather, is_first, partition
+from warp_peri.mpi import gather, is_first, partition
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -31,8 +31,8 @@ from warp_peri.materials.lps import Model, lps_stencil
 from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet
 from warp_peri.proofs import critical_time_step
-from warp_peri.ranks import gather, partition
-from warp_peri.ranks.processes import own_mpiexec
+from warp_peri.mpi import gather, partition
+from warp_peri.mpi.processes import own_mpiexec
 from warp_peri.solvers.verlet import inertia
 from warp_peri.solving import move
 
@@ -284,7 +284,7 @@ def threads(name: str, s: UnitScale, *, ranks: bool = False) -> Outcome:
 
 ON_A_RANK = """\
 import sys, numpy
-from warp_peri.ranks import is_first
+from warp_peri.mpi import is_first
 from tests.known_problems.motion import UnitScale, torn
 u, damage = torn(sys.argv[1], UnitScale(sys.argv[2], float(sys.argv[3])))
 if is_first():

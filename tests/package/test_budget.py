@@ -45,7 +45,7 @@ ROOMS = {
     "neural": 909,
     "points": 1602,
     "prediction": 878,
-    "ranks": 912,
+    "mpi": 912,
     "solvers": 1494,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""

@@ -59,7 +59,7 @@ ALONE = Alone()
 
 
 class AllNodes:
-    """The nodes of a body of which one process has all; of some of them: ranks.NodeHalo.
+    """The nodes of a body of which one process has all; of some of them: mpi.NodeHalo.
 
     Attributes:
         own: which of the nodes here are this process's own.

@@ -51,7 +51,7 @@ class Series:
 
     Args:
         folder: for the files; made if it is not there.
-        nodes: those of this process, as checkpoint.AllNodes or ranks.Subdomain.
+        nodes: those of this process, as checkpoint.AllNodes or mpi.Subdomain.
         x: their positions, shape [n, d], where the nodes have none themselves.
     """
 

@@ -91,8 +91,6 @@ class Members(OnLinear, format="warp_peri.family", version=2):
     quadratic: Annotated[tuple[float, ...], Entry(stress=1, omit=True)] = ()
     axis_off: Annotated[float, Entry(omit=True)] = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
-    ORDER = ("rich", "second", "halves", "record", "factors", "strain", "temperature",
-             "quadratic", "axis_off", "provenance")  # fmt: skip
 
     def __post_init__(self) -> None:
         super().__post_init__()

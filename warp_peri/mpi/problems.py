@@ -24,19 +24,19 @@ from warp_peri.fracture.run import CrackRun
 from warp_peri.kernels import neighbours
 from warp_peri.kernels.damage.motion import halves
 from warp_peri.kernels.damage.sweeps import sweep
+from warp_peri.mpi.halo import NodeHalo
+from warp_peri.mpi.linear import RowOperator, tensors_at
+from warp_peri.mpi.processes import build
 from warp_peri.points.arrays import checked_fields
 from warp_peri.points.families import HORIZON_TOLERANCE
 from warp_peri.points.unit_names import check_same
-from warp_peri.ranks.halo import NodeHalo
-from warp_peri.ranks.linear import RowOperator, tensors_at
-from warp_peri.ranks.processes import build
 from warp_peri.solvers.conjugate_gradients import SolveRecord, norm
 from warp_peri.solvers.motion import Motion
 from warp_peri.solvers.solution import TOLERANCE, Krylov, Solution, Solver, refuse_solver
 from warp_peri.solvers.verlet import march
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.subdomain import Subdomain
+    from warp_peri.mpi.subdomain import Subdomain
 
 
 STAGE = 1e-3

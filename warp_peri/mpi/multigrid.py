@@ -14,8 +14,8 @@ import scipy.fft
 
 from warp_peri.core.sweeps import component, torus_symbol
 from warp_peri.launch import threads
-from warp_peri.ranks.halo import Halo, Tiles
-from warp_peri.ranks.processes import Comm
+from warp_peri.mpi.halo import Halo, Tiles
+from warp_peri.mpi.processes import Comm
 from warp_peri.solvers.multigrid import (
     SHIFT,
     VCycle,

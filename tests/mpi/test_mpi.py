@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import warp_peri as wp
-from tests.ranks.job import (
+from tests.mpi.job import (
     SWING,
     H,
     block,
@@ -27,7 +27,7 @@ from tests.ranks.job import (
     uneven,
     unfit,
 )
-from warp_peri.ranks.halo import cut
+from warp_peri.mpi.halo import cut
 
 pytest.importorskip("mpi4py", reason="mpi4py is not installed: pip install 'warp_peri[mpi]'")
 MPIEXEC = Path(sys.executable).with_name("mpiexec")
@@ -43,7 +43,7 @@ def start(count, folder, by="rows", steps=60, *more, pause=0, job="job"):
     words = (folder, by, steps, pause, *more)
     alone = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(ROOT)}
     return subprocess.Popen(
-        [MPIEXEC, "-n", str(count), sys.executable, "-m", f"tests.ranks.{job}", *map(str, words)],
+        [MPIEXEC, "-n", str(count), sys.executable, "-m", f"tests.mpi.{job}", *map(str, words)],
         cwd=ROOT, env=os.environ | alone, text=True, start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
     )  # fmt: skip
@@ -264,7 +264,7 @@ def test_an_error_on_one_rank_ends_all_with_one_line(jobs):
 
 def test_another_mpiexec_is_named():
     wrong = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", "import warp_peri.ranks.processes as w; w.world()"],
+        [sys.executable, "-W", "ignore", "-c", "import warp_peri.mpi.processes as w; w.world()"],
         cwd=ROOT, env=os.environ | {"OMPI_COMM_WORLD_SIZE": "2"}, text=True, capture_output=True,
         timeout=LIMIT, check=False,
     )  # fmt: skip

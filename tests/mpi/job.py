@@ -1,4 +1,4 @@
-"""What tests start under mpiexec: python -m tests.ranks.job FOLDER [WORD …].
+"""What tests start under mpiexec: python -m tests.mpi.job FOLDER [WORD …].
 
 A crack that runs, with a checkpoint and files; with `rest` also sums, bodies at rest in the plane
 and in space, and refusals; with `fail` at the end input that one rank alone cannot use. The first
@@ -23,9 +23,9 @@ import warp_peri as wp
 from tests.support.nonlinear import solid as third_order
 from warp_peri.core import proof
 from warp_peri.damage import BrittleSolid, Cracked, box, rectangle
+from warp_peri.mpi import gather, lattice, partition, together
+from warp_peri.mpi.processes import total, world
 from warp_peri.proofs import uniqueness
-from warp_peri.ranks import gather, lattice, partition, together
-from warp_peri.ranks.processes import total, world
 
 H = 0.5
 

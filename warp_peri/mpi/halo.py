@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_peri.errors import InputError
-from warp_peri.ranks.processes import Comm
+from warp_peri.mpi.processes import Comm
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.subdomain import Subdomain
+    from warp_peri.mpi.subdomain import Subdomain
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,16 +18,16 @@ from warp_peri.launch import shared_by
 from warp_peri.materials.crystal import StencilMaterial, tensors_of
 from warp_peri.materials.lps import Model
 from warp_peri.materials.lps_transfer import model_at
+from warp_peri.mpi.halo import Halo
+from warp_peri.mpi.multigrid import LONG, Between, Convolution, cycle, inverse_filter
+from warp_peri.mpi.processes import build, in_turn, inner
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import check_same
-from warp_peri.ranks.halo import Halo
-from warp_peri.ranks.multigrid import LONG, Between, Convolution, cycle, inverse_filter
-from warp_peri.ranks.processes import build, in_turn, inner
 from warp_peri.solvers.conjugate_gradients import Inner, SolveRecord, definite
 from warp_peri.solvers.multigrid import coarser
 
 if TYPE_CHECKING:
-    from warp_peri.ranks.subdomain import Subdomain
+    from warp_peri.mpi.subdomain import Subdomain
 
 
 MOST = 32

@@ -8,8 +8,8 @@ from contextlib import suppress
 from warp_peri.errors import InputError
 from warp_peri.files.series import Series
 from warp_peri.launch import ranks_started
-from warp_peri.ranks.processes import is_first, together, world
-from warp_peri.ranks.subdomain import Subdomain, gather, lattice, partition
+from warp_peri.mpi.processes import is_first, together, world
+from warp_peri.mpi.subdomain import Subdomain, gather, lattice, partition
 
 if ranks_started():
     with suppress(InputError):  # raised again where ranks are used

@@ -12,12 +12,12 @@ import numpy as np
 from warp_peri.errors import InputError
 from warp_peri.files.checkpoint import agreed, same
 from warp_peri.launch import ranks_started
+from warp_peri.mpi import problems
+from warp_peri.mpi.halo import Tiles, cut
+from warp_peri.mpi.processes import Comm, fingerprint, inner, total, world
 from warp_peri.points.lattice import LATTICE_TOLERANCE
 from warp_peri.points.points import Points
 from warp_peri.points.unit_names import USUAL, Units, check_units
-from warp_peri.ranks import problems
-from warp_peri.ranks.halo import Tiles, cut
-from warp_peri.ranks.processes import Comm, fingerprint, inner, total, world
 from warp_peri.solvers.conjugate_gradients import Inner
 
 SLABS, SMALLEST, LARGEST = 8, 8, 128
