@@ -18,7 +18,7 @@ from warp_peri.core import record
 from warp_peri.core.record import Length, Positive
 from warp_peri.errors import InputError
 from warp_peri.neural.bonds import NetworkBonds
-from warp_peri.neural.placed import CHUNK, AtRest
+from warp_peri.neural.placed import CHUNK, Placed
 from warp_peri.neural.training import NeuralFit, Training, train
 from warp_peri.points.arrays import check_positive, is_positive
 from warp_peri.points.samples import PointsLike, nodes_of
@@ -117,13 +117,13 @@ class NeuralOperator(Shown, torch.nn.Module):
         value = self.scale * torch.cat(parts)
         return value * extension if self.proportional else value
 
-    def on(self, points: PointsLike) -> AtRest:
+    def on(self, points: PointsLike) -> Placed:
         """The operator on the nodes of a lattice.
 
         Raises InputError for scattered points, an interior without its 2δ collar, or other units.
         """
         check_same(self.units, nodes_of(points).units)
-        return AtRest(self, NetworkBonds(points, self.horizon))
+        return Placed(self, NetworkBonds(points, self.horizon))
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a JSON file with the weights in it; see file.save for their precision."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -219,25 +218,53 @@ def _range(most: torch.Tensor, cells: int, offset: float) -> tuple[torch.Tensor,
     return -most - offset * step, step
 
 
-class NeuralLaw(Protocol):
-    """What is asked of a material: ω of bonds, and force states of bonds."""
-
-    anisotropic: bool
-
-    def omega(self, xi: torch.Tensor) -> torch.Tensor: ...
-
-    def force_state(
-        self, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
-    ) -> torch.Tensor: ...
-
-    def parameters(self) -> Iterator[torch.nn.Parameter]: ...
-
-
 class Placed(OnPoints):
     """Minus the internal force density of a neural operator on a lattice; b in equilibrium."""
 
-    def __init__(self, material: NeuralLaw, bonds: NetworkBonds) -> None:
+    def __init__(self, material: NeuralOperator, bonds: NetworkBonds) -> None:
         self.material, self.bonds, self.points = material, bonds, bonds.points
+
+    @property
+    def model(self) -> Any:
+        """The material."""
+        return self.material
+
+    def inverse(self, loads: int) -> Inverse:
+        """Of the solid at rest, of a load on the interior."""
+        return NeuralEquilibrium(self).inverse
+
+    def errors(self, samples: Samples) -> dict[str, Any]:
+        """For `evaluate`: samples whose equilibrium is not found are told apart."""
+        return evaluate(self.model, samples)
+
+    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
+        """Equilibrium with b on the interior, u given on the collar, shape [N, 2] or [S, N, 2].
+
+        The details of the solution are what Equilibrium.solve found of each sample. Raises
+        InputError for arrays that do not fit or are not finite, and for a sample without an
+        equilibrium, naming it.
+        """
+        refuse_solver(solver, (Newton,), "a neural operator")
+        asked = solver if isinstance(solver, Newton) else Newton()
+        load, given = checked_fields(self.points, b, u)
+        search = NeuralEquilibrium(self)
+        pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (load, given)))
+        found = [search.from_rest(*pair, tolerance=asked.tolerance) for pair in pairs]
+        for number, one in enumerate(found):
+            if not one.converged:
+                raise InputError(
+                    f"sample {number}: no equilibrium was found; residual {one.residual:.1e}"
+                )
+        return Solution(
+            np.reshape([one.u for one in found], given.shape),
+            self.points,
+            self,
+            self.load(load),
+            "newton",
+            tuple(one.steps for one in found),
+            details=tuple(found),
+            measured=max((one.residual for one in found), default=None),
+        )
 
     @property
     def networks(self) -> tuple[torch.nn.Parameter, ...]:  # type: ignore[override]
@@ -423,14 +450,13 @@ class Tangent:
         return back[0]
 
 
-def _slopes(
-    material: NeuralLaw, omega: torch.Tensor, theta: torch.Tensor, e: torch.Tensor, r: torch.Tensor
-) -> tuple[torch.Tensor, ...]:
+def _slopes(material: NeuralOperator, *seen: torch.Tensor) -> tuple[torch.Tensor, ...]:
     """Force states of bonds and their derivatives to ϑ and e, all of shape [n]."""
+    omega, theta, e, r = seen
     with torch.enable_grad():
-        seen = theta.clone().requires_grad_(), e.clone().requires_grad_()
-        state = material.force_state(omega, *seen, r)
-        return state.detach(), *torch.autograd.grad(state.sum(), seen)
+        by = theta.clone().requires_grad_(), e.clone().requires_grad_()
+        state = material.force_state(omega, *by, r)
+        return state.detach(), *torch.autograd.grad(state.sum(), by)
 
 
 def affine(samples: Samples, u: np.ndarray) -> np.ndarray:
@@ -487,49 +513,3 @@ def evaluate(
     if not kept:
         raise InputError("samples: expected at least one")
     return {key: float(np.mean(values)) for key, values in kept.items()} | {"samples": kept}
-
-
-class AtRest(Placed):
-    """Placed, with equilibria by Newton's method."""
-
-    @property
-    def model(self) -> Any:
-        """The material."""
-        return self.material
-
-    def inverse(self, loads: int) -> Inverse:
-        """Of the solid at rest, of a load on the interior."""
-        return NeuralEquilibrium(self).inverse
-
-    def errors(self, samples: Samples) -> dict[str, Any]:
-        """For `evaluate`: samples whose equilibrium is not found are told apart."""
-        return evaluate(self.model, samples)
-
-    def rest(self, b: ArrayLike, u: ArrayLike, solver: Solver = None) -> Solution:
-        """Equilibrium with b on the interior, u given on the collar, shape [N, 2] or [S, N, 2].
-
-        The details of the solution are what Equilibrium.solve found of each sample. Raises
-        InputError for arrays that do not fit or are not finite, and for a sample without an
-        equilibrium, naming it.
-        """
-        refuse_solver(solver, (Newton,), "a neural operator")
-        asked = solver if isinstance(solver, Newton) else Newton()
-        load, given = checked_fields(self.points, b, u)
-        search = NeuralEquilibrium(self)
-        pairs = zip(*(np.reshape(f, (-1, *self.points.x.shape)) for f in (load, given)))
-        found = [search.from_rest(*pair, tolerance=asked.tolerance) for pair in pairs]
-        for number, one in enumerate(found):
-            if not one.converged:
-                raise InputError(
-                    f"sample {number}: no equilibrium was found; residual {one.residual:.1e}"
-                )
-        return Solution(
-            np.reshape([one.u for one in found], given.shape),
-            self.points,
-            self,
-            self.load(load),
-            "newton",
-            tuple(one.steps for one in found),
-            details=tuple(found),
-            measured=max((one.residual for one in found), default=None),
-        )
