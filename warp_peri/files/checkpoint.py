@@ -287,7 +287,8 @@ def write_arrays(
         return
     with agreed(comm):
         path = destination(path)
-    part, offsets = path.with_name(f".{path.name}.ranks{PART}"), {}
+    part = path.with_name(f".{path.name}.ranks{PART}")
+    offsets: dict[str, int] = {}
     for rank in range(comm.size):
         with agreed(comm):
             if rank == comm.rank:

@@ -79,6 +79,10 @@ class Subdomain:
         others = [part for part in parts if not isinstance(part, np.ndarray)]
         return fingerprint(self.comm, self.number, *arrays) + "".join(map(repr, others))
 
+    def dot(self, a: np.ndarray, b: np.ndarray) -> float:
+        """Scalar product of vectors [n, d] over all ranks, with the same bits on any number."""
+        return float(total(self.comm, (a * b).sum(axis=1)))
+
     def operator(self, material: Any) -> Any:
         """A material on these nodes, as problems.operator_on."""
         return problems.operator_on(material, self)
