@@ -28,11 +28,11 @@ from warp_peri.fracture.body import box, rectangle
 from warp_peri.fracture.dynamics import BrittleSolid
 from warp_peri.fracture.problems import Cracked
 from warp_peri.materials.lps import Model, lps_stencil
+from warp_peri.mpi import gather, partition
+from warp_peri.mpi.processes import own_mpiexec
 from warp_peri.points.points import Points
 from warp_peri.problems import Dirichlet
 from warp_peri.proofs import critical_time_step
-from warp_peri.mpi import gather, partition
-from warp_peri.mpi.processes import own_mpiexec
 from warp_peri.solvers.verlet import inertia
 from warp_peri.solving import move
 

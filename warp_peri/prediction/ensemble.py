@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from warp_peri.contract import MaterialFit, offered
+from warp_peri.contract import offered
 from warp_peri.core.grid import grid_of
 from warp_peri.core.record import Entry, OnLinear
 from warp_peri.errors import InputError, warn
@@ -144,7 +144,7 @@ class Family:
 
     def learn(
         self, samples: Any, *, validation: Samples | None = None, progress: bool | None = None
-    ) -> MaterialFit:
+    ) -> FamilyFit:
         """The Members, with the history and the certificate of the rich one's fit.
 
         Args:
@@ -162,9 +162,7 @@ class Family:
         second = self.second or poorer(self.rich)
         fit = learn(samples, progress=progress)
         other = second.learn(samples, progress=progress).material
-        odd, even = (
-            learn(samples[n::2], progress=progress).material for n in (0, 1)
-        )
+        odd, even = (learn(samples[n::2], progress=progress).material for n in (0, 1))
         kelvin = samples.arrays.get("temperature")
         family = Members(
             fit.material,
@@ -175,7 +173,16 @@ class Family:
             axis_off=off_axis(fit.material, samples),
         )
         material = calibrated(family, samples, validation)
-        return MaterialFit(material, getattr(fit, "history", {}), proof=fit.certificate)
+        return FamilyFit(material, getattr(fit, "certificate", None), getattr(fit, "history", None))
+
+
+@dataclass(frozen=True)
+class FamilyFit:
+    """A learned ensemble, with the certificate and the history of its rich member's fit."""
+
+    material: Members
+    certificate: Any
+    history: Any
 
 
 def poorer(law: Any) -> Any:
