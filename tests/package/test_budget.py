@@ -17,11 +17,11 @@ import pytest
 
 ROOT = Path(__file__).parent.parent.parent
 BUDGET = {
-    "code lines": 22_475,
-    "tokens": 276_131,
-    "lines of warp_peri": 37_869,
+    "code lines": 22_198,
+    "tokens": 272_563,
+    "lines of warp_peri": 37_483,
     "lines of kernels": 1_179,
-    "lines of warp_peri, kernels, examples and tools": 51_349,
+    "lines of warp_peri, kernels, examples and tools": 50_963,
     "lines of the longest file": 643,
     "lines of the longest function": 91,
     "parameters of one function": 13,
@@ -38,14 +38,14 @@ ROOMS = {
     "diffusion": 339,
     "face": 950,
     "fe_coupling": 830,
-    "files": 570,
+    "files": 543,
     "fitting": 1322,
     "fracture": 1691,
     "materials": 5774,
-    "neural": 909,
+    "neural": 832,
     "points": 1602,
-    "prediction": 878,
-    "mpi": 912,
+    "prediction": 738,
+    "mpi": 879,
     "solvers": 1494,
 }
 """Largest allowed code lines of each folder of warp_peri; "face" has the files beside them."""
