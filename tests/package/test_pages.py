@@ -7,6 +7,7 @@ import io
 import itertools
 import re
 import shlex
+import shutil
 from glob import glob
 from pathlib import Path
 
@@ -111,7 +112,7 @@ def home(tmp_path_factory):
         s = manufactured(model, lattice(8, 25.0, 5.0), count, seed, wave_number=0.2)
         sets[name] = wp.Samples(s.points, 0.1 * s.u, 0.1 * s.loads, s.arrays)
     data = wp.Dataset(sets, thickness=3.35, density=2200.0)
-    for place in ("data/graphene_0K.h5", "DATA.h5", "mine.h5"):
+    for place in ("data/graphene_0K.h5", "DATA.h5"):
         wp.save(folder / place, data)
     for place in ("runs/first/model.json", "runs/graphene_0K/model.json", "MODEL.json"):
         wp.save(folder / place, model)
@@ -123,9 +124,12 @@ def home(tmp_path_factory):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", pages(COMMANDS))
-def test_the_commands_of_a_page_run_in_turn(name, home, monkeypatch, capsys):
+def test_the_commands_of_a_page_run_in_turn(name, home, tmp_path, monkeypatch, capsys):
     """A tutorial shows lines that they print, in their order."""
+    home = Path(shutil.copytree(home, tmp_path / "home", symlinks=True))
     monkeypatch.chdir(home)
+    if name == "how-to/arrays":  # whose code saves it
+        Path("mine.h5").write_bytes(Path("DATA.h5").read_bytes())
     if name == "tutorials/dumps":
         from examples import own_material
 
